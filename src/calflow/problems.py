@@ -1,0 +1,43 @@
+"""What is wrong with a user's input, collected and shown at once."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing wrong with an input, where it stands and what was expected."""
+
+    message: str
+    file: Path | None = None
+    line: int | None = None
+    key: str | None = None
+
+    def __str__(self) -> str:
+        place = str(self.file) if self.file else ""
+        if self.line:
+            place += f":{self.line}"
+        return ": ".join(part for part in (place, self.key, self.message) if part)
+
+
+class InputError(Exception):
+    """Input that calflow refuses; carries every problem found, never only the first."""
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+def refuse(message: str, file: Path | None = None, line: int | None = None, key: str | None = None) -> InputError:
+    """Return the error for a single problem, to be raised by the caller."""
+    return InputError([Problem(message, file, line, key)])
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Return `, did you mean 'x'?` for the known word nearest to a wrong one, or an empty string."""
+    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
+    return f", did you mean '{close[0]}'?" if close else ""
