@@ -1,0 +1,49 @@
+"""The conditions of one measured row: everything the graph is told besides the parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from calflow.robot.description import Robot
+
+OPTIONAL = ("approach", "wrench", "torque", "time", "temperature")
+
+
+@dataclass(frozen=True)
+class Row:
+    """Symbols of one row's conditions, in SI units; an optional one that the data lack is structurally zero.
+
+    reading are the joint readings and q the joint angles they mean (signs and couplings resolved); payload and marker are
+    one-hot over the robot's names; approach is the direction each joint came from (-1, 0, +1); wrench (force, moment)
+    acts at the marker, in the base frame; torque are measured motor torques, which replace the computed ones.
+    """
+
+    reading: ca.SX
+    payload: ca.SX
+    marker: ca.SX
+    approach: ca.SX
+    wrench: ca.SX
+    torque: ca.SX
+    time: ca.SX
+    temperature: ca.SX
+    q: ca.SX
+
+    @staticmethod
+    def sizes(robot: Robot, given: tuple[str, ...] = ()) -> dict[str, int]:
+        """Length of each condition in a packed row, in order; given names the optional ones that the data have."""
+        n = robot.n_joints
+        fixed = {"reading": n, "payload": len(robot.payloads), "marker": len(robot.markers)}
+        optional = {"approach": n, "wrench": 6, "torque": n, "time": 1, "temperature": 1}
+        return fixed | {name: size for name, size in optional.items() if name in given}
+
+    @staticmethod
+    def unpack(robot: Robot, packed: ca.SX, given: tuple[str, ...] = ()) -> Row:
+        """Split a packed row."""
+        parts = {name: ca.SX(size, 1) for name, size in Row.sizes(robot, OPTIONAL).items()}
+        start = 0
+        for name, size in Row.sizes(robot, given).items():
+            parts[name] = packed[start : start + size]
+            start += size
+        return Row(**parts, q=ca.sparsify(ca.DM(robot.reading_matrix)) @ parts["reading"])

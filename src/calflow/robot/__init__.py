@@ -1,0 +1,1 @@
+"""What the maker says of a robot: its dimensions, masses, loops and payloads, and the mechanics that follow."""

@@ -1,0 +1,83 @@
+"""The dimensions and loads that effects may change: the maker's figures, as numbers or as expressions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from calflow.robot.description import Robot
+
+
+@dataclass(frozen=True)
+class Dimensions:
+    """Every length and angle of a robot and its tool.
+
+    base (6,) is the base's error in its own frame (see `transforms.placement`), tool_rotation (3,); the DH figures are
+    (n_joints,); bars (crank, rod, rocker) is (3,); markers is (3, n_markers). SI units.
+    """
+
+    base: ca.SX
+    alpha: ca.SX
+    a: ca.SX
+    d: ca.SX
+    theta: ca.SX
+    beta: ca.SX
+    bars: ca.SX
+    tool_rotation: ca.SX
+    markers: ca.SX
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Every mass that gravity acts on.
+
+    mass is (n_joints,) and com (3, n_joints) in the links' frames; bar_mass (2,) and bar_com (3, 2) are the crank's and
+    the rod's; payload_mass (n_payloads,) and payload_com (3, n_payloads) are in the flange's frame.
+    """
+
+    mass: ca.SX
+    com: ca.SX
+    bar_mass: ca.SX
+    bar_com: ca.SX
+    payload_mass: ca.SX
+    payload_com: ca.SX
+
+
+def nominal_dimensions(robot: Robot) -> Dimensions:
+    """Return the dimensions that the robot file states."""
+    joints, loop = robot.joints, robot.loop
+    return Dimensions(
+        base=_column([0.0] * 6),
+        alpha=_column([joint.alpha for joint in joints]),
+        a=_column([joint.a for joint in joints]),
+        d=_column([joint.d for joint in joints]),
+        theta=_column([joint.theta for joint in joints]),
+        beta=_column([joint.beta for joint in joints]),
+        bars=_column([loop.crank.length, loop.rod.length, loop.rocker] if loop else []),
+        tool_rotation=_column(robot.tool_rotation or (0.0, 0.0, 0.0)),
+        markers=_points([marker.point for marker in robot.markers.values()]),
+    )
+
+
+def nominal_loads(robot: Robot) -> Loads:
+    """Return the masses that the robot file states; a missing mass counts as zero."""
+    bars = [robot.loop.crank, robot.loop.rod] if robot.loop else []
+    payloads = robot.payloads.values()
+    return Loads(
+        mass=_column([joint.mass or 0.0 for joint in robot.joints]),
+        com=_points([joint.com for joint in robot.joints]),
+        bar_mass=_column([bar.mass or 0.0 for bar in bars]),
+        bar_com=_points([bar.com for bar in bars]),
+        payload_mass=_column([payload.mass for payload in payloads]),
+        payload_com=_points([payload.com for payload in payloads]),
+    )
+
+
+def _column(values: object) -> ca.SX:
+    return ca.SX(ca.DM(np.array(values, dtype=float).reshape(-1, 1)))
+
+
+def _points(points: object) -> ca.SX:
+    return ca.SX(ca.DM(np.array(points, dtype=float).reshape(-1, 3).T))

@@ -1,0 +1,111 @@
+"""Statics: the loads on every joint, link and bearing, as the gradient of one potential energy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from calflow.conditions import Row
+from calflow.robot.chain import Deflection, Pose, marker_point, pose
+from calflow.robot.description import Robot
+from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads
+from calflow.robot.transforms import apply
+
+
+@dataclass(frozen=True)
+class State:
+    """What one row's loads do, at the deflected pose.
+
+    q are the driven joints' angles without deflection, torque what the loads exert on the driven joints (positive where
+    they push q up; the motors hold its opposite). bearing and link are the wrenches (fx, fy, fz, mx, my, mz) that the
+    loads exert at the frames of `Deflection`, in those frames. N, Nm.
+    """
+
+    q: ca.SX
+    torque: ca.SX
+    bearing: ca.SX
+    link: ca.SX
+
+    def with_torque(self, extra: ca.SX | float) -> State:
+        """Return the state with more torque on the driven joints [Nm]."""
+        return replace(self, torque=self.torque + extra)
+
+
+def potential_energy(robot: Robot, loads: Loads, row: Row, at: Pose) -> ca.SX:
+    """Return the energy [J] of all links, the loop's bars and the row's payload in gravity."""
+    gravity = ca.DM(robot.gravity)
+    energy = ca.SX(0)
+    for i, frame in enumerate(at.links):
+        energy -= loads.mass[i] * ca.dot(gravity, apply(frame, loads.com[:, i]))
+    for i, frame in enumerate(at.bars):
+        energy -= loads.bar_mass[i] * ca.dot(gravity, apply(frame, loads.bar_com[:, i]))
+    for i in range(len(robot.payloads)):
+        mass = row.payload[i] * loads.payload_mass[i]
+        energy -= mass * ca.dot(gravity, apply(at.flange, loads.payload_com[:, i]))
+    return energy
+
+
+def state(robot: Robot, dims: Dimensions, loads: Loads, row: Row, deflected: Deflection) -> State:
+    """Return the loads on the mechanism in a row's deflected pose.
+
+    Each is minus the energy's derivative with respect to the motion it works on, so one expression covers joints,
+    bearings, link ends and the closed loop. An applied wrench (row.wrench: force at the marker and moment, in the base
+    frame) adds its virtual work; measured motor torques, where the row has them, replace the computed joint torques.
+    """
+    n = robot.n_joints
+    symbols = Deflection(ca.SX.sym("dq", n), ca.SX.sym("bearing", 6, n), ca.SX.sym("link", 6, n + 1))
+    at = pose(robot, dims, row.q, symbols)
+    motion = ca.vertcat(symbols.joint, ca.vec(symbols.bearing), ca.vec(symbols.link))
+    here = ca.densify(ca.vertcat(deflected.joint, ca.vec(deflected.bearing), ca.vec(deflected.link)))
+    work = -potential_energy(robot, loads, row, at)
+    if row.wrench.nnz():
+        work += ca.dot(row.wrench[:3], marker_point(dims, at, row.marker))
+    force = ca.gradient(work, motion)
+    if row.wrench.nnz():
+        force += _moment_work(row.wrench[3:], at.flange, motion)
+    force = ca.substitute(force, motion, here)
+    torque = -row.torque if row.torque.nnz() else force[:n]
+    return State(row.q, torque, ca.reshape(force[n : 7 * n], 6, n), ca.reshape(force[7 * n :], 6, n + 1))
+
+
+def gravity_torque(robot: Robot) -> ca.Function:
+    """Return the nominal robot's function (q, payload one-hot) -> motor torques that hold it still [Nm]."""
+    packed = ca.SX.sym("row", sum(Row.sizes(robot).values()))
+    q = ca.SX.sym("q", robot.n_joints)
+    row = replace(Row.unpack(robot, packed), q=q)
+    still = Deflection.zero(robot.n_joints)
+    loads = state(robot, nominal_dimensions(robot), nominal_loads(robot), row, still)
+    return ca.Function("gravity_torque", [q, row.payload], [ca.densify(-loads.torque)])
+
+
+def rated_torques(robot: Robot) -> np.ndarray:
+    """Return each joint's rated torque [Nm], shape (n_joints,): the file's, else what gravity asks of it.
+
+    Where the file is silent it is the largest gravity torque over the joints' ranges under the heaviest payload, and for
+    a joint that gravity hardly loads (a vertical axis) a tenth of the most loaded joint's.
+    """
+    from scipy.stats import qmc
+
+    function = gravity_torque(robot)
+    sample = qmc.scale(qmc.Sobol(robot.n_joints, scramble=False).random(256), *robot.limits.T)
+    heaviest = np.zeros(len(robot.payloads))
+    if robot.payloads:
+        heaviest[int(np.argmax([payload.mass for payload in robot.payloads.values()]))] = 1.0
+    torques = np.abs(np.array(function.map(len(sample))(sample.T, np.tile(heaviest[:, None], len(sample)))))
+    largest = np.nanmax(torques, axis=1)
+    largest = np.maximum(largest, 0.1 * largest.max())
+    stated = np.array([joint.rated_torque or np.nan for joint in robot.joints])
+    return np.where(np.isnan(stated), largest, stated)
+
+
+def _moment_work(moment: ca.SX, flange: ca.SX, motion: ca.SX) -> ca.SX:
+    """Generalised force of a pure moment on the flange: its work over the flange's rotation, by the rotation's Jacobian."""
+    rotation = flange[:3, :3]
+    # For a rotation by w the columns change by w x column, so 1/2 sum(column x change) is w itself.
+    total = ca.SX(motion.numel(), 1)
+    for k in range(3):
+        arm = ca.cross(moment, rotation[:, k]) / 2
+        total += ca.jtimes(rotation[:, k], motion, arm, True)
+    return total

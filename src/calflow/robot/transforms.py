@@ -1,0 +1,47 @@
+"""Homogeneous transforms as CasADi expressions (4x4, lengths in m, angles in rad)."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+Scalar = ca.SX | ca.DM | float
+
+
+def _rotation(axis: int, angle: Scalar) -> ca.SX:
+    c, s = ca.cos(angle), ca.sin(angle)
+    matrix = ca.SX.eye(4)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix[i, i], matrix[i, j], matrix[j, i], matrix[j, j] = c, -s, s, c
+    return matrix
+
+
+def rot_x(angle: Scalar) -> ca.SX:
+    """Rotation about x."""
+    return _rotation(0, angle)
+
+
+def rot_y(angle: Scalar) -> ca.SX:
+    """Rotation about y."""
+    return _rotation(1, angle)
+
+
+def rot_z(angle: Scalar) -> ca.SX:
+    """Rotation about z."""
+    return _rotation(2, angle)
+
+
+def translation(x: Scalar, y: Scalar, z: Scalar) -> ca.SX:
+    """Translation by (x, y, z)."""
+    matrix = ca.SX.eye(4)
+    matrix[0, 3], matrix[1, 3], matrix[2, 3] = x, y, z
+    return matrix
+
+
+def placement(v: ca.SX | ca.DM) -> ca.SX:
+    """Translation by v[0:3], then rotations about x, y and z by v[3:6], each about the axis already turned."""
+    return translation(v[0], v[1], v[2]) @ rot_x(v[3]) @ rot_y(v[4]) @ rot_z(v[5])
+
+
+def apply(transform: ca.SX, point: ca.SX) -> ca.SX:
+    """Return the point (3,) moved by the transform."""
+    return transform[:3, :3] @ point + transform[:3, 3]
