@@ -1,0 +1,20 @@
+"""Effects: what a real robot also does, one physical cause per file."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from functools import lru_cache
+
+from calflow.effects.base import Effect, Parameter
+
+__all__ = ["Effect", "Parameter", "catalogue"]
+
+
+@lru_cache
+def catalogue() -> dict[str, type[Effect]]:
+    """Return every effect by its id; a new file in this folder is enough to add one."""
+    for module in pkgutil.iter_modules(__path__):
+        importlib.import_module(f"{__name__}.{module.name}")
+    here = [effect for effect in Effect.__subclasses__() if effect.__module__.startswith(f"{__name__}.")]
+    return {effect.id: effect for effect in sorted(here, key=lambda effect: effect.id)}

@@ -1,0 +1,100 @@
+"""Geometry: errors of every length and angle that a robot's maker states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar
+
+import casadi as ca
+
+from calflow.conditions import Row
+from calflow.effects.base import Effect, Parameter
+from calflow.robot.description import Robot
+from calflow.robot.dimensions import Dimensions
+
+# m and rad alike: what machining and assembly leave on a link, and what is a mistake rather than an error
+LINK_SD, LINK_BOUND = 2e-3, 20e-3
+PLACED_SD, PLACED_BOUND = 20e-3, 0.2  # base and markers stand where somebody put them
+UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # a base whose place nobody wrote down, about the registered place
+
+
+@dataclass(frozen=True)
+class DimensionError:
+    """An error of one entry of one field of `Dimensions`."""
+
+    parameter: Parameter
+    field: str
+    index: int | tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Geometry(Effect):
+    """DH or modified-DH errors with a second rotation between nearly parallel axes, base, tool and loop.
+
+    Of two figures that move the tool in exactly the same way whatever the pose, one is left out: the first joint's place
+    is the base's, the rocker's length the crank's, and along nearly parallel axes beta replaces d (Hayati 1983). Only the
+    last joint's trade against the tool is kept, for the identifiability analysis to name.
+    """
+
+    id: ClassVar[str] = "geometry"
+    title: ClassVar[str] = "geometry (link lengths, twists and offsets, base, tool)"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the length and angle errors of this robot."""
+        return tuple(error.parameter for error in self.errors)
+
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Add each error to its figure."""
+        changed: dict[str, ca.SX] = {}
+        for value, error in zip(ca.vertsplit(p), self.errors, strict=True):
+            field = changed.setdefault(error.field, ca.SX(getattr(dims, error.field)))
+            field[error.index] += value
+        return replace(dims, **changed)
+
+    @cached_property
+    def errors(self) -> tuple[DimensionError, ...]:
+        """Each parameter with the figure that it changes."""
+        return (*_base(self.robot), *_links(self.robot), *_loop(self.robot), *_tool(self.robot))
+
+
+def _error(part: str, symbol: str, field: str, index: int | tuple[int, int], sd: float, bound: float) -> DimensionError:
+    unit = "rad" if symbol in ("alpha", "beta", "theta", "rx", "ry", "rz") else "m"
+    return DimensionError(Parameter(Geometry.id, part, symbol, unit, sd, -bound, bound), field, index)
+
+
+def _base(robot: Robot) -> Iterator[DimensionError]:
+    sd, bound = (PLACED_SD, PLACED_BOUND) if robot.base.known else (UNKNOWN_SD, UNKNOWN_BOUND)
+    for i, symbol in enumerate(("x", "y", "z", "rx", "ry", "rz")):
+        yield _error("base", symbol, "base", i, sd, bound)
+
+
+def _links(robot: Robot) -> Iterator[DimensionError]:
+    last = robot.n_joints - 1
+    for i in range(robot.n_joints):
+        if robot.convention == "modified-dh":
+            along = "beta" if robot.nearly_parallel(i) else "d"
+            symbols = ["alpha", "a", along, "theta"] if i > 0 else []
+        else:
+            along = "beta" if robot.nearly_parallel(i) and i < last else "d"
+            symbols = ["theta"] if i > 0 else []
+            symbols += [along] if i > 0 or along == "beta" else []
+            symbols += ["a", "alpha"] if i < last else []
+        for symbol in symbols:
+            yield _error(f"joint{i + 1}", symbol, symbol, i, LINK_SD, LINK_BOUND)
+
+
+def _loop(robot: Robot) -> Iterator[DimensionError]:
+    if robot.loop:
+        yield _error("loop", "crank", "bars", 0, LINK_SD, LINK_BOUND)
+        yield _error("loop", "rod", "bars", 1, LINK_SD, LINK_BOUND)
+
+
+def _tool(robot: Robot) -> Iterator[DimensionError]:
+    for k, marker in enumerate(robot.markers):
+        for i, symbol in enumerate(("x", "y", "z")):
+            yield _error(marker, symbol, "markers", (i, k), PLACED_SD, PLACED_BOUND)
+    if robot.tool_rotation is not None:
+        for i, symbol in enumerate(("rx", "ry", "rz")):
+            yield _error("tool", symbol, "tool_rotation", i, PLACED_SD, PLACED_BOUND)

@@ -1,0 +1,38 @@
+"""Joint compliance: drives and gears that twist like linear torsional springs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import casadi as ca
+
+from calflow.conditions import Row
+from calflow.effects.base import Effect, Parameter
+from calflow.robot.chain import Deflection
+from calflow.robot.statics import State, rated_torques
+
+WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad at the joint's rated torque
+
+
+@dataclass(frozen=True)
+class JointCompliance(Effect):
+    """dq = s · torque at every driven joint (equation 7 of the HH800 paper), s >= 0 in rad/Nm.
+
+    A spring's size goes with its joint's, so the prior is on its wind-up at the rated torque.
+    """
+
+    id: ClassVar[str] = "joint-compliance"
+    title: ClassVar[str] = "joint compliance (linear torsional springs)"
+    needs: ClassVar[tuple[str, ...]] = ("masses",)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return one compliance a joint."""
+        return tuple(
+            Parameter(self.id, f"joint{i + 1}", "s", "rad/Nm", WINDUP_SD / rated, 0.0, WINDUP_BOUND / rated)
+            for i, rated in enumerate(rated_torques(self.robot))
+        )
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Turn each driven joint by its spring."""
+        return replace(still, joint=p * state.torque)

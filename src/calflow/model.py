@@ -1,0 +1,155 @@
+"""The graph: a robot and a list of effects become CasADi functions over rows of measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from calflow.compiled import compiled
+from calflow.conditions import Row
+from calflow.effects import Effect, Parameter, catalogue
+from calflow.robot.chain import Deflection, marker_point, pose
+from calflow.robot.description import Robot
+from calflow.robot.dimensions import nominal_dimensions, nominal_loads
+from calflow.robot.statics import state
+from calflow.robot.transforms import apply, placement, rot_x, rot_y, rot_z
+
+# Each turn shrinks the distance to equilibrium by about the wind-up angle (some 1e-3), so three reach nanometres.
+EQUILIBRIUM_TURNS = 3
+BLOCK_ROWS = 8192  # rows evaluated at once: bounds the memory
+
+
+class Prediction(NamedTuple):
+    """What the graph says of one row: position (3,) [m] and rotation (3, 3) of the marker, cosine of the loop's closure."""
+
+    position: ca.SX
+    rotation: ca.SX
+    closure: ca.SX
+
+
+@dataclass(frozen=True)
+class Model:
+    """A robot with effects; given names the optional conditions that its rows have (see `conditions.Row`)."""
+
+    robot: Robot
+    effects: tuple[Effect, ...]
+    given: tuple[str, ...] = ()
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters, effect by effect."""
+        return tuple(parameter for effect in self.effects for parameter in effect.parameters())
+
+    @cached_property
+    def nominal(self) -> np.ndarray:
+        """Nominal parameter values, shape (n_parameters,)."""
+        return np.array([parameter.nominal for parameter in self.parameters])
+
+    @cached_property
+    def prior_sd(self) -> np.ndarray:
+        """Prior standard deviations, shape (n_parameters,)."""
+        return np.array([parameter.prior_sd for parameter in self.parameters])
+
+    @cached_property
+    def bounds(self) -> np.ndarray:
+        """Lower and upper bounds, shape (n_parameters, 2)."""
+        return np.array([[parameter.lower, parameter.upper] for parameter in self.parameters]).reshape(-1, 2)
+
+    @property
+    def n_conditions(self) -> int:
+        """Length of a packed row."""
+        return sum(Row.sizes(self.robot, self.given).values())
+
+    def expression(self, p: ca.SX, c: ca.SX, turns: int = EQUILIBRIUM_TURNS) -> Prediction:
+        """Return one row's prediction for symbols p (n_parameters,) and c (n_conditions,).
+
+        turns is how often the loads are evaluated anew at the deflected pose.
+        """
+        row = Row.unpack(self.robot, c, self.given)
+        ends = np.cumsum([0, *(len(effect.parameters()) for effect in self.effects)])
+        parts = [(effect, p[int(i) : int(j)]) for effect, (i, j) in zip(self.effects, pairwise(ends), strict=True)]
+        dims, loads = nominal_dimensions(self.robot), nominal_loads(self.robot)
+        for effect, part in parts:
+            dims = effect.dimensions(part, dims, row)
+            loads = effect.loads(part, loads, row)
+
+        still = Deflection.zero(self.robot.n_joints)
+        deflection = still
+        for _ in range(turns):
+            now = state(self.robot, dims, loads, row, deflection)
+            for effect, part in parts:
+                now = now.with_torque(effect.torque(part, now, row))
+            deflection = still
+            for effect, part in parts:
+                deflection += effect.deflection(part, now, row, still)
+            if deflection.is_zero:
+                break
+
+        at = pose(self.robot, dims, row.q, deflection)
+        stands = placement(ca.DM([*self.robot.base.origin, *self.robot.base.rotation])) @ placement(dims.base)
+        position = apply(stands, marker_point(dims, at, row.marker))
+        for effect, part in parts:
+            position = effect.device(part, position, row)
+        tool = rot_x(dims.tool_rotation[0]) @ rot_y(dims.tool_rotation[1]) @ rot_z(dims.tool_rotation[2])
+        rotation = (stands @ at.flange @ tool)[:3, :3]
+        return Prediction(position, rotation, at.closure.cosine if at.closure else ca.SX(0))
+
+    def symbols(self) -> tuple[ca.SX, ca.SX, Prediction]:
+        """Return fresh symbols for parameters and one row, and the prediction they give."""
+        p, c = ca.SX.sym("p", len(self.parameters)), ca.SX.sym("c", self.n_conditions)
+        return p, c, self.expression(p, c)
+
+    def position(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return predicted positions [m], shape (n_rows, 3), for rows (n_conditions, n_rows)."""
+        return self._over_rows("position", p, rows)[0].T
+
+    def rotation(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return predicted rotations, shape (n_rows, 3, 3)."""
+        return self._over_rows("rotation", p, rows)[0].T.reshape(-1, 3, 3).transpose(0, 2, 1)
+
+    def position_jacobian(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return the positions' derivatives, shape (n_rows, 3, n_parameters)."""
+        stacked = self._over_rows("jacobian", p, rows)[0]
+        return stacked.T.reshape(rows.shape[1], 3, -1)
+
+    def closure_cosine(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return the loop's closure cosine of each row, shape (n_rows,); a pose can be closed where it is within ±1."""
+        return self._over_rows("closure", p, rows)[0].ravel()
+
+    @cached_property
+    def _functions(self) -> dict[str, ca.Function]:
+        p, c, predicted = self.symbols()
+        jacobian = ca.densify(ca.jacobian(predicted.position, p)).T
+        outputs = {
+            "position": predicted.position,
+            "rotation": ca.vec(predicted.rotation),
+            "jacobian": jacobian,
+            "closure": predicted.closure,
+        }
+        return {name: ca.Function(name, [p, c], [ca.densify(output)]) for name, output in outputs.items()}
+
+    def _over_rows(self, name: str, p: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
+        return over_rows(compiled(self._functions[name], rows.shape[1]), p, rows)
+
+
+def build(robot: Robot, effects: Sequence[str], given: tuple[str, ...] = ()) -> Model:
+    """Return the model of a robot with the effects of these ids."""
+    return Model(robot, tuple(catalogue()[name](robot) for name in effects), given)
+
+
+def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
+    """Evaluate a function (p, row, ...) -> outputs over many rows, each (size, n_rows); outputs side by side."""
+    n_rows = rows[0].shape[1]
+    blocks = []
+    for start in range(0, n_rows, BLOCK_ROWS):
+        part = [np.asfortranarray(row[:, start : start + BLOCK_ROWS]) for row in rows]
+        mapped = function.map("mapped", "serial", part[0].shape[1], [0], [])
+        values = mapped(p, *part)
+        blocks.append([np.asarray(value) for value in (values if isinstance(values, tuple) else (values,))])
+    return [np.concatenate(parts, axis=1) for parts in zip(*blocks, strict=True)]
