@@ -1,0 +1,239 @@
+"""The fit: maximum a posteriori within bounds, one CasADi graph, solved by IPOPT with a Gauss-Newton Hessian."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+
+from calflow.compiled import compiled
+from calflow.measurements import Measurements
+from calflow.model import Model, over_rows
+from calflow.stages.noise import Noise
+
+Loss = Literal["linear", "soft_l1", "cauchy"]
+AT_BOUND = 0.05  # posterior standard deviations from a bound: closer than that, IPOPT's barrier stopped it
+BLOCK_ROWS = 128  # rows whose Jacobian is held at once
+EXPECTED_EVALUATIONS = 40  # of each row, in a typical fit: decides whether compiling pays
+SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two starts found the same
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An estimate (n_parameters,) and what it is worth.
+
+    residual (n_rows, n_axes) and jacobian (n_rows, n_axes, n_parameters) are whitened by the noise. covariance is
+    Laplace's, over the parameters off their bounds; a parameter at a bound has zeros there. objective is half of
+    chi² plus half of the priors' part.
+    """
+
+    model: Model
+    estimate: np.ndarray
+    objective: float
+    residual: np.ndarray
+    jacobian: np.ndarray
+    iterations: int
+    converged: bool
+    status: str
+
+    @property
+    def at_bound(self) -> np.ndarray:
+        """Which parameters sit on a bound, shape (n_parameters,)."""
+        lower, upper = self.model.bounds.T
+        margin = AT_BOUND * np.sqrt(np.diag(self._inverse(np.full(len(self.estimate), True))))
+        return (self.estimate < lower + margin) | (self.estimate > upper - margin)
+
+    @property
+    def information(self) -> np.ndarray:
+        """Gauss-Newton Hessian of the objective, priors included, shape (n_parameters, n_parameters)."""
+        flat = self.jacobian.reshape(-1, self.jacobian.shape[-1])
+        return flat.T @ flat + np.diag(self.model.prior_sd**-2.0)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Laplace covariance, shape (n_parameters, n_parameters)."""
+        return self._inverse(~self.at_bound)
+
+    @property
+    def effective_parameters(self) -> float:
+        """How many parameters the data determine: the sum over parameters of 1 - prior share."""
+        return float(np.trace(self.covariance @ (self.information - np.diag(self.model.prior_sd**-2.0))))
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Chi² per degree of freedom; 1 where the noise explains all that is left."""
+        return float((self.residual**2).sum() / max(1.0, self.residual.size - self.effective_parameters))
+
+    def _inverse(self, free: np.ndarray) -> np.ndarray:
+        """Inverse of the information of the free parameters, zero elsewhere; scaled by the priors to stay well-posed."""
+        sd = self.model.prior_sd[free]
+        scaled = self.information[np.ix_(free, free)] * np.outer(sd, sd)
+        inverse = np.zeros((len(free), len(free)))
+        inverse[np.ix_(free, free)] = np.linalg.inv(scaled) * np.outer(sd, sd)
+        return inverse
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Data in the shape that the graph wants: packed rows, measured values and weights side by side."""
+
+    model: Model
+    rows: np.ndarray
+    measured: np.ndarray
+    weight: np.ndarray
+
+    @staticmethod
+    def of(model: Model, data: Measurements, noise: Noise) -> Problem:
+        """Collect the rows of a table with their noise."""
+        measured, weight = [data.position.T], [1 / noise.total]
+        if data.rotation is not None:
+            measured.append(data.rotation.transpose(0, 2, 1).reshape(len(data), 9).T)
+            weight.append(1 / data.table["sigma_rotation"].to_numpy())
+        return Problem(model, data.rows, np.vstack(measured), np.vstack(weight))
+
+    @property
+    def axes(self) -> int:
+        """Number of residuals a row: 3 for positions, 6 for poses."""
+        return 3 * self.weight.shape[0]
+
+    def expression(self) -> tuple[list[ca.SX], ca.SX]:
+        """Return symbols (p, row, measured, weight) and the whitened residual (axes,) of one row.
+
+        An orientation's residual is 2 sin(angle/2) along the axis of the rotation from measured to predicted.
+        """
+        p, c, predicted = self.model.symbols()
+        y, w = ca.SX.sym("y", self.measured.shape[0]), ca.SX.sym("w", self.weight.shape[0])
+        residual = (predicted.position - y[:3]) * w[0]
+        if self.axes == 6:
+            turn = ca.reshape(y[3:], 3, 3).T @ predicted.rotation
+            axis = ca.vertcat(turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]) / 2
+            residual = ca.vertcat(residual, axis / ca.sqrt(ca.fmax((1 + ca.trace(turn)) / 4, 1e-12)) * w[1])
+        return [p, c, y, w], ca.densify(residual)
+
+    def functions(self) -> tuple[ca.Function, ca.Function]:
+        """Return the functions of (p, row, measured, weight): whitened residual, and it with its Jacobian, transposed."""
+        inputs, residual = self.expression()
+        jacobian = ca.densify(ca.jacobian(residual, inputs[0])).T
+        value = ca.Function("residual", inputs, [residual])
+        both = ca.Function("linearised", inputs, [residual, jacobian])
+        expected = EXPECTED_EVALUATIONS * self.rows.shape[1]
+        return compiled(value, expected), compiled(both, expected)
+
+    def linearised(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the whitened residual (n_rows, n_axes) and Jacobian (n_rows, n_axes, n_parameters) at p."""
+        residual, jacobian = over_rows(self.functions()[1], p, self.rows, self.measured, self.weight)
+        return residual.T, jacobian.T.reshape(self.rows.shape[1], residual.shape[0], -1)
+
+
+def fit(problem: Problem, starts: np.ndarray | None = None, loss: Loss = "linear") -> tuple[Fit, int]:
+    """Return the best maximum-a-posteriori estimate over the starts, and how many starts agree with it.
+
+    Args:
+        problem: the model and its data.
+        starts: parameter values to start from, shape (n_starts, n_parameters); nominal by default.
+        loss: how a whitened residual's square counts; soft_l1 and cauchy weigh outliers less.
+    """
+    solver = _solver(problem, loss)
+    model = problem.model
+    starts = model.nominal[None] if starts is None else starts
+    lower, upper = model.bounds.T / model.prior_sd
+    solutions = []
+    for start in starts:
+        inside = np.clip(start / model.prior_sd, lower + 1e-3 * (upper - lower), upper - 1e-3 * (upper - lower))
+        found = solver(x0=inside, lbx=lower, ubx=upper)
+        stats = solver.stats()
+        solutions.append((float(found["f"]), np.array(found["x"]).ravel(), stats))
+    objective, x, stats = min(solutions, key=lambda solution: solution[0])
+    agree = sum(other[0] - objective < SAME_OPTIMUM for other in solutions)
+    estimate = x * model.prior_sd
+    residual, jacobian = problem.linearised(estimate)
+    result = Fit(
+        model,
+        estimate,
+        objective,
+        residual,
+        jacobian,
+        stats["iter_count"],
+        stats["success"],
+        stats["return_status"],
+    )
+    return result, agree
+
+
+def draw_starts(model: Model, n_starts: int, rng: np.random.Generator) -> np.ndarray:
+    """Return the nominal values and n_starts - 1 draws from half the prior's width, shape (n_starts, n_parameters)."""
+    drawn = model.nominal + 0.5 * model.prior_sd * rng.standard_normal((n_starts - 1, len(model.nominal)))
+    return np.vstack([model.nominal, np.clip(drawn, *model.bounds.T)])
+
+
+def _solver(problem: Problem, loss: Loss) -> ca.Function:
+    """Build IPOPT's functions in coordinates scaled by the priors: objective, gradient and Gauss-Newton Hessian.
+
+    Rows are summed in blocks, so that memory grows with the data alone and not with their Jacobian.
+    """
+    model, n_rows = problem.model, problem.rows.shape[1]
+    n_blocks = -(-n_rows // BLOCK_ROWS)
+    size = -(-n_rows // n_blocks)
+    padding = n_blocks * size - n_rows  # copies of the last row, at no weight
+    data = [
+        np.pad(part, ((0, 0), (0, padding)), mode="edge") for part in (problem.rows, problem.measured, problem.weight)
+    ]
+    data[2][:, n_rows:] = 0.0
+    n = len(model.parameters)
+    x = ca.MX.sym("x", n)
+    offset = x - ca.DM(model.nominal / model.prior_sd)
+
+    def summed(function: ca.Function) -> list[ca.MX]:
+        over_blocks = function.map("blocks", "serial", n_blocks, [0], list(range(function.n_out())))
+        outputs = over_blocks(x, *data)
+        return list(outputs) if isinstance(outputs, tuple) else [outputs]
+
+    value, both = (_block(problem, function, size, loss) for function in problem.functions())
+    objective = summed(value)[0] + 0.5 * ca.sumsqr(offset)
+    cost, gradient, hessian = summed(both)
+    p, factor, multipliers = ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
+    options: dict[str, Any] = {
+        "grad_f": ca.Function(
+            "grad_f", [x, p], [cost + 0.5 * ca.sumsqr(offset), gradient + offset], ["x", "p"], ["f", "grad_f_x"]
+        ),
+        "hess_lag": ca.Function(
+            "hess_lag", [x, p, factor, multipliers], [ca.triu(factor * (hessian + ca.MX.eye(n)))],
+            ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"],
+        ),
+        "no_nlp_grad": True,
+        "print_time": False,
+        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-6, "max_iter": 200, "nlp_scaling_method": "none",
+                  "obj_scaling_factor": 1 / n_rows, "mu_init": 1e-4, "bound_relax_factor": 0.0},
+    }  # fmt: skip
+    nlp: Any = {"x": x, "f": objective}
+    return ca.nlpsol("fit", "ipopt", nlp, options)
+
+
+def _block(problem: Problem, function: ca.Function, size: int, loss: Loss) -> ca.Function:
+    """Return (x, rows, measured, weight of one block) -> objective, and with a Jacobian gradient and Hessian too."""
+    scale = ca.DM(problem.model.prior_sd)
+    x = ca.MX.sym("x", scale.numel())
+    data = [ca.MX.sym("part", part.shape[0], size) for part in (problem.rows, problem.measured, problem.weight)]
+    outputs = function.map("rows", "serial", size, [0], [])(x * scale, *data)
+    parts = list(outputs) if isinstance(outputs, tuple) else [outputs]
+    residual = ca.vec(parts[0])
+    results = [0.5 * ca.sum1(_rho(residual**2, loss))]
+    for jacobian in parts[1:]:
+        scaled = jacobian * ca.repmat(scale, 1, jacobian.shape[1])
+        weighted = scaled if loss == "linear" else scaled * ca.repmat(_rho_slope(residual**2, loss).T, scale.numel(), 1)
+        results += [weighted @ residual, weighted @ scaled.T]
+    return ca.Function("block", [x, *data], results)
+
+
+def _rho(squared: ca.MX, loss: Loss) -> ca.MX:
+    if loss == "soft_l1":
+        return 2 * (ca.sqrt(1 + squared) - 1)
+    return ca.log1p(squared) if loss == "cauchy" else squared
+
+
+def _rho_slope(squared: ca.MX, loss: Loss) -> ca.MX:
+    if loss == "soft_l1":
+        return 1 / ca.sqrt(1 + squared)
+    return 1 / (1 + squared) if loss == "cauchy" else ca.MX.ones(*squared.shape)

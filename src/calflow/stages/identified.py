@@ -1,0 +1,66 @@
+"""What identify found, rebuilt from its tables for the stages after it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from calflow.measurements import Measurements
+from calflow.model import Model, build
+from calflow.problems import refuse
+from calflow.robot.description import Base, Marker, Robot
+from calflow.stages.noise import Noise, noise
+from calflow.stages.stage import Tables
+
+
+@dataclass(frozen=True)
+class Identified:
+    """The fitted model with its estimate, covariance (SI units), and the noise and discrepancy it left [m]."""
+
+    model: Model
+    estimate: np.ndarray
+    covariance: np.ndarray
+    at_bound: np.ndarray
+    sigma: float
+    discrepancy: float
+    noise_source: Literal["repeats", "file", "estimated"]
+
+    def noise(self, data: Measurements) -> Noise:
+        """Return the noise of these rows, from where identify took it."""
+        level = replace(noise(data, self.noise_source), discrepancy=self.discrepancy)
+        return level if self.noise_source == "file" else replace(level, sigma=np.full(len(data), self.sigma))
+
+
+def identified(robot: Robot, tables: Tables, given: tuple[str, ...]) -> Identified:
+    """Rebuild the model that identify fitted, for rows with these optional conditions."""
+    parameters = tables["identify/parameters.csv"]
+    robot = placed(robot, tables)
+    model = build(robot, tuple(dict.fromkeys(parameters["effect"])), given)
+    names = [parameter.name for parameter in model.parameters]
+    if names != list(parameters["parameter"]):
+        raise refuse("identify/parameters.csv does not fit the study's robot and effects; run identify again")
+    summary = tables["identify/summary.csv"].set_index("item")["value"]
+    return Identified(
+        model,
+        parameters["estimate"].to_numpy(dtype=float),
+        tables["identify/covariance.csv"][names].to_numpy(dtype=float),
+        parameters["at_bound"].to_numpy(dtype=bool),
+        float(summary["sigma_mm"]) / 1e3,
+        float(summary["discrepancy_mm"]) / 1e3,
+        summary["noise_source"],
+    )
+
+
+def placed(robot: Robot, tables: Tables) -> Robot:
+    """Return the robot with base and markers where identify's errors refer to."""
+    placement = tables["identify/placement.csv"].set_index("what")
+    if (placement["source"] == "robot file").all():
+        return robot
+    points = placement[["x_m", "y_m", "z_m"]].to_numpy(dtype=float)
+    at = {name: tuple(float(v) for v in point) for name, point in zip(placement.index, points, strict=True)}
+    turn = np.deg2rad(placement.loc["base", ["rx_deg", "ry_deg", "rz_deg"]].to_numpy(dtype=float))
+    base = Base.model_construct(origin=at["base"], rotation=tuple(float(a) for a in turn), known=False)
+    markers = {name: Marker.model_construct(point=at[name]) for name in robot.markers}
+    return robot.model_copy(update={"base": base, "markers": markers})

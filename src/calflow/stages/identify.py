@@ -1,0 +1,192 @@
+"""The stage identify: geometry and the other effects of the study as bounded decision variables of one fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+from scipy.stats import chi2
+
+from calflow.measurements import Measurements
+from calflow.model import Model, build
+from calflow.problems import refuse
+from calflow.robot.description import Robot
+from calflow.stages.accuracy import accuracy, errors
+from calflow.stages.fit import Fit, Loss, Problem, draw_starts, fit
+from calflow.stages.identifiability import Identifiability, best_subset, correlations, identifiability
+from calflow.stages.noise import LackOfFit, Noise, lack_of_fit, noise
+from calflow.stages.registration import registered
+from calflow.stages.stage import Context, Stage
+from calflow.study import Study
+from calflow.toml_file import FileModel
+
+FALSE_FLAGS = 0.01  # chance that any good row of a whole data set is flagged
+NOISE_PASSES = 4  # fits in which an estimated noise settles
+
+
+class IdentifySettings(FileModel):
+    """Settings of identify."""
+
+    starts: int = Field(default=3, ge=1)
+    loss: Loss = "linear"
+    noise: Literal["auto", "repeats", "file", "estimated"] = "auto"
+    count: dict[str, int] = {}
+
+
+def run(context: Context) -> dict[str, pd.DataFrame]:
+    """Fit the nominal robot's errors, effect by effect, and say what the data determine."""
+    study, settings = context.study, context.settings
+    data = study.measurements()
+    for note in data.notes:
+        context.say(note)
+    train = data.only(data.train)
+    robot = registered(study.robot, train)
+    data, train = data.on(robot), train.on(robot)
+    level = noise(data, settings.noise)
+
+    nominal = build(robot, (), data.given)
+    rows = accuracy("nominal", errors(nominal, nominal.nominal, data), data)
+    effects = study.file.effects
+    for k in range(1, len(effects) + 1):
+        model = build(robot, effects[:k], data.given)
+        _enough_equations(model, train, study)
+        context.say(f"{' + '.join(effects[:k])}: {len(model.parameters)} parameters, {len(train)} rows")
+        result, settled, lack, agree = _settled(model, train, level.only(data.train), settings, context.rng("starts"))
+        rows += accuracy(" + ".join(effects[:k]), errors(model, result.estimate, data), data)
+        context.advance(k / len(effects))
+
+    found = identifiability(result)
+    level = replace(level, discrepancy=settled.discrepancy)
+    if not level.known:
+        level = replace(level, sigma=np.full(len(data), settled.sigma[0]))
+    names = [parameter.name for parameter in model.parameters]
+    covariance = pd.DataFrame(result.covariance, columns=names)
+    covariance.insert(0, "parameter", names)
+    tables = {
+        "identify/parameters.csv": _parameters(result),
+        "identify/accuracy.csv": pd.DataFrame(rows),
+        "identify/residuals.csv": _residuals(result, data, level),
+        "identify/identifiability.csv": found.statements,
+        "identify/correlations.csv": correlations(result),
+        "identify/covariance.csv": covariance,
+        "identify/placement.csv": _placement(robot),
+        "identify/summary.csv": _summary(result, found, settled, lack, agree, settings.starts, data),
+    }
+    if settings.count:
+        tables["identify/count.csv"] = best_subset(result, settings.count)
+    return tables
+
+
+def _enough_equations(model: Model, train: Measurements, study: Study) -> None:
+    equations = (6 if train.rotation is not None else 3) * train.table.groupby(["pose", "marker"]).ngroups
+    if equations < len(model.parameters):
+        poses = train.table["pose"].nunique()
+        wanted = -(-len(model.parameters) * poses // equations)
+        raise refuse(f"{equations} equations ({poses} training poses) for {len(model.parameters)} parameters: measure at least "
+                     f"{wanted} training poses, better twice as many", study.measurement_path)  # fmt: skip
+
+
+def _settled(
+    model: Model, train: Measurements, level: Noise, settings: IdentifySettings, rng: np.random.Generator
+) -> tuple[Fit, Noise, LackOfFit, int]:
+    """Fit, and refit until the weights agree with what the fit leaves.
+
+    A noise that is not known is estimated; to one that is known the model's own discrepancy is added where it shows.
+    """
+    starts = draw_starts(model, settings.starts, rng)
+    result, agree = fit(Problem.of(model, train, level), starts, settings.loss)
+    lack = lack_of_fit(errors(model, result.estimate, train), train, level, result.effective_parameters)
+    against_noise = lack
+    for _ in range(NOISE_PASSES):
+        before = level.total
+        if level.known:
+            level = replace(level, discrepancy=lack.discrepancy)
+        else:
+            level = replace(level, sigma=level.sigma * np.sqrt(result.reduced_chi2))
+        if np.allclose(level.total, before, rtol=0.01):
+            break
+        result, _ = fit(Problem.of(model, train, level), result.estimate[None], settings.loss)
+        lack = lack_of_fit(errors(model, result.estimate, train), train, level, result.effective_parameters)
+    return result, level, against_noise, agree
+
+
+def _parameters(result: Fit) -> pd.DataFrame:
+    variance = np.diag(result.covariance)
+    free = ~result.at_bound
+    sd = np.where(free, np.sqrt(variance), np.nan)
+    share = np.where(free, variance / result.model.prior_sd**2, np.diag(np.linalg.inv(_scaled_information(result))))
+    return pd.DataFrame(
+        {"parameter": p.name, "effect": p.effect, "unit": p.unit, "nominal": p.nominal, "estimate": value, "sd": deviation,
+         "lower": p.lower, "upper": p.upper, "at_bound": bool(bound), "prior_share": min(1.0, prior_share)}
+        for p, value, deviation, bound, prior_share in zip(
+            result.model.parameters, result.estimate, sd, result.at_bound, share, strict=True)
+    )  # fmt: skip
+
+
+def _scaled_information(result: Fit) -> np.ndarray:
+    return result.information * np.outer(result.model.prior_sd, result.model.prior_sd)
+
+
+def _residuals(result: Fit, data: Measurements, level: Noise) -> pd.DataFrame:
+    """Each row's error; flagged where it is too large for the noise and the discrepancy of the rest.
+
+    A training row's residual is studentised by its leverage, so that a row that pulls the fit to itself still shows.
+    """
+    residual, jacobian = Problem.of(result.model, data, level).linearised(result.estimate)
+    error = errors(result.model, result.estimate, data)
+    predicted = jacobian @ result.covariance @ jacobian.transpose(0, 2, 1)
+    sign = np.where(data.train, -1.0, 1.0)[:, None, None]
+    spread = np.eye(residual.shape[1]) + sign * predicted
+    squared = np.einsum("ni,nij,nj->n", residual, np.linalg.pinv(spread, hermitian=True), residual)
+    limit = chi2.isf(FALSE_FLAGS / len(data), residual.shape[1])
+    table = data.table[["pose", "repeat", "marker"]].copy()
+    for i, axis in enumerate("xyz"):
+        table[f"d{axis}_mm"] = 1e3 * error[:, i]
+    return table.assign(
+        whitened=np.sqrt((residual**2).mean(axis=1)),
+        flagged=squared > limit,
+        split=data.table["split"],
+        line=data.table["line"],
+    )
+
+
+def _placement(robot: Robot) -> pd.DataFrame:
+    """Base and markers that the geometry errors refer to: the robot file's, or registered by the training data."""
+    source = "robot file" if robot.base.known else "registered"
+    rows = [("base", *robot.base.origin, *np.rad2deg(robot.base.rotation), source)]
+    rows += [(name, *marker.point, 0.0, 0.0, 0.0, source) for name, marker in robot.markers.items()]
+    return pd.DataFrame(rows, columns=["what", "x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg", "source"])
+
+
+def _summary(
+    result: Fit,
+    found: Identifiability,
+    level: Noise,
+    lack: LackOfFit,
+    agree: int,
+    starts: int,
+    data: Measurements,
+) -> pd.DataFrame:
+    rows = [
+        ("noise", level.words),
+        ("noise_source", level.source),
+        ("sigma_mm", f"{1e3 * np.sqrt(np.mean(level.sigma**2)):.6g}"),
+        ("reduced_chi2", f"{lack.reduced_chi2 if level.known else 1.0:.6g}"),
+        ("lack_of_fit_p", f"{lack.p:.3g}" if level.known else "cannot tell"),
+        ("discrepancy_mm", f"{1e3 * level.discrepancy:.6g}"),
+        ("rank", f"{found.rank} of {found.n_parameters} parameters"),
+        *((f"rank_{effect}", str(rank)) for effect, rank in found.rank_by_effect.items()),
+        ("effective_parameters", f"{result.effective_parameters:.4g}"),
+        ("training_poses", str(data.table.loc[data.train, "pose"].nunique())),
+        ("heldout_poses", str(data.table.loc[~data.train, "pose"].nunique())),
+        ("solver", f"IPOPT: {result.status}, {result.iterations} iterations"),
+        ("converged", str(result.converged)),
+        ("starts_agreeing", f"{agree} of {starts}"),
+    ]
+    return pd.DataFrame(rows, columns=["item", "value"])
+
+
+STAGE = Stage("identify", "identify geometry and compliance", IdentifySettings, run)

@@ -1,0 +1,66 @@
+"""Registration: where the robot stands in the measuring frame, when nobody wrote it down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calflow.effects.geometry import DimensionError, Geometry
+from calflow.measurements import Measurements
+from calflow.model import Model, build
+from calflow.robot.description import Base, Marker, Robot
+from calflow.stages.fit import Problem, fit
+from calflow.stages.noise import Noise
+
+NOMINAL_ERROR = 1e-3  # m, of a robot as its maker describes it: only sets what counts as an outlier here
+
+
+@dataclass(frozen=True)
+class Placement(Geometry):
+    """The part of the geometry that says where base and tool are; not an effect of its own."""
+
+    @cached_property
+    def errors(self) -> tuple[DimensionError, ...]:
+        """The errors of base, markers and tool."""
+        return tuple(error for error in super().errors if error.field in ("base", "markers", "tool_rotation"))
+
+
+def registered(robot: Robot, train: Measurements) -> Robot:
+    """Return the robot with base and tool where the training data put them, all links as the maker says.
+
+    A robot whose base is known is returned as it is. Else the base follows from the rigid motion that takes the nominal
+    robot's points to the measured ones (Kabsch 1976), and base and tool together from a robust fit started there.
+    """
+    if robot.base.known:
+        return robot
+    at_origin = robot.model_copy(update={"base": Base(known=False)})
+    nominal = build(at_origin, (), train.given)
+    points = nominal.position(nominal.nominal, train.on(at_origin).rows)
+    centre, measured_centre = points.mean(axis=0), train.position.mean(axis=0)
+    turn, _ = Rotation.align_vectors(train.position - measured_centre, points - centre)
+    placed = _with_base(at_origin, turn, measured_centre - turn.apply(centre))
+
+    model = Model(placed, (Placement(placed),), train.given)
+    noise = Noise(np.full(len(train), NOMINAL_ERROR), np.ones(len(train)), "estimated")
+    result, _ = fit(Problem.of(model, train.on(placed), noise), loss="soft_l1")
+    return _moved(placed, dict(zip((p.name for p in model.parameters), result.estimate, strict=True)))
+
+
+def _with_base(robot: Robot, turn: Rotation, origin: np.ndarray) -> Robot:
+    rotation = tuple(float(angle) for angle in turn.as_euler("XYZ"))
+    base = Base.model_construct(origin=tuple(float(v) for v in origin), rotation=rotation, known=False)
+    return robot.model_copy(update={"base": base})
+
+
+def _moved(robot: Robot, found: dict[str, float]) -> Robot:
+    turn = Rotation.from_euler("XYZ", robot.base.rotation)
+    small = Rotation.from_euler("XYZ", [found[f"base.{axis}"] for axis in ("rx", "ry", "rz")])
+    origin = np.array(robot.base.origin) + turn.apply([found[f"base.{axis}"] for axis in "xyz"])
+    markers = {
+        name: Marker.model_construct(point=tuple(m.point[i] + found[f"{name}.{axis}"] for i, axis in enumerate("xyz")))
+        for name, m in robot.markers.items()
+    }
+    return _with_base(robot, turn * small, origin).model_copy(update={"markers": markers})

@@ -1,0 +1,239 @@
+"""The stage sample: how sure every parameter is, by emcee in coordinates that Laplace's approximation makes round."""
+
+from __future__ import annotations
+
+import warnings
+
+import emcee
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from calflow.measurements import Measurements
+from calflow.problems import refuse
+from calflow.stages.chain import BlockBackend, joined, open_ensembles
+from calflow.stages.fit import Problem
+from calflow.stages.identified import Identified, identified
+from calflow.stages.posterior import Laplace, Posterior, moves
+from calflow.stages.stage import Context, Stage
+from calflow.toml_file import FileModel
+
+ENOUGH_TAU = 50  # autocorrelation times that a chain must be long
+LOW_ACCEPTANCE = 0.1  # below this the independent proposal only wastes evaluations
+NEAR_BOUND, CUT = 0.1, 0.01  # a posterior is cut where 1 % of it lies within a tenth of its sd from a bound
+DRAWS = 500  # for predictions
+
+
+class SampleSettings(FileModel):
+    """Settings of sample: length and mixture of the chain. independent is the share of the independence proposal."""
+
+    ensembles: int = Field(default=4, ge=4)
+    walkers: int | None = Field(default=None, ge=4)
+    block: int = Field(default=50, ge=10)
+    max_steps: int = Field(default=2000, ge=50)
+    ess: int = Field(default=4000, ge=100)
+    independent: float = Field(default=0.8, ge=0, le=1)
+
+
+def run(context: Context) -> dict[str, pd.DataFrame]:
+    """Sample the posterior with independent ensembles until it is long enough, and say so if it is not."""
+    study, settings = context.study, context.settings
+    data = study.measurements()
+    known = identified(study.robot, context.tables, data.given)
+    data = data.on(known.model.robot)
+    train = data.only(data.train)
+    problem = Problem.of(known.model, train, known.noise(data).only(data.train))
+    laplace = Laplace.of(problem, known.estimate, known.at_bound)
+    posterior = Posterior.about(problem, laplace)
+
+    n = posterior.n_dimensions
+    walkers = settings.walkers or 2 * n
+    if walkers < 2 * n:
+        raise refuse(
+            f"{walkers} walkers are too few for {n} dimensions: expected at least {2 * n}",
+            study.path,
+            key="stages.sample.walkers",
+        )
+    starts = [posterior.start(walkers, context.rng(f"ensemble{i}")) for i in range(settings.ensembles)]
+    accepted = _acceptance(posterior, starts[0], context.rng("pilot"))
+    independent = settings.independent if accepted > LOW_ACCEPTANCE else 0.0
+    context.say(
+        f"independence proposal accepted {accepted:.0%}" + ("" if independent else ": differential evolution alone")
+    )
+
+    path = context.folder / "sample" / "chain.h5"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    backends = open_ensembles(path, settings.ensembles, (walkers, n), independent, context.say)
+    tau = _sample(context, posterior, backends, starts, independent)
+
+    steps = min(backend.iteration for backend in backends)
+    discard = min(steps // 4, int(np.ceil(5 * tau)))
+    chain = joined(backends, discard)
+    values = posterior.parameters(chain)
+    table = _posterior(values, chain, known)
+    return {
+        "sample/posterior.csv": table,
+        "sample/predictive.csv": _predictive(values, known, data, context.rng("predictive")),
+        "sample/summary.csv": _summary(
+            table, values, known, laplace, steps, tau, accepted, independent, settings, backends
+        ),
+    }
+
+
+def _acceptance(posterior: Posterior, walkers: np.ndarray, rng: np.random.Generator) -> float:
+    """Mean acceptance of one independent proposal from each start."""
+    move = moves(posterior.n_dimensions, 1.0)[0][0]
+    proposed, log_ratio = move.get_proposal(walkers, np.random.RandomState(rng.integers(2**31)))
+    gain = posterior.log_probability(proposed) - posterior.log_probability(walkers) + log_ratio
+    return float(np.exp(np.minimum(gain, 0)).mean())
+
+
+def _sample(
+    context: Context,
+    posterior: Posterior,
+    backends: list[BlockBackend],
+    starts: list[np.ndarray],
+    independent: float,
+) -> float:
+    """Lengthen all ensembles block by block until they are long enough; return the longest autocorrelation time."""
+    settings = context.settings
+    seeds = [context.rng(f"moves{i}").integers(2**31) for i in range(len(backends))]
+    while True:
+        steps = min(backend.iteration for backend in backends)
+        tau, ess = _mixing(backends)
+        progress = min(1.0, steps / (ENOUGH_TAU * tau), ess / settings.ess) if steps else 0.0
+        context.advance(progress)
+        if progress >= 1 or steps >= settings.max_steps:
+            return tau
+        for backend, start, seed in zip(backends, starts, seeds, strict=True):
+            if backend.iteration > steps:
+                continue
+            _extend(
+                backend,
+                posterior,
+                start,
+                int(seed),
+                independent,
+                min(settings.block, settings.max_steps - steps),
+            )
+
+
+def _extend(
+    backend: BlockBackend, posterior: Posterior, start: np.ndarray, seed: int, independent: float, steps: int
+) -> None:
+    block = emcee.backends.Backend()
+    sampler = emcee.EnsembleSampler(
+        *start.shape,
+        posterior.log_probability,
+        vectorize=True,
+        backend=block,
+        moves=moves(start.shape[1], independent),
+    )
+    if backend.iteration:
+        state = backend.get_last_sample()
+    else:
+        state = emcee.State(start, random_state=np.random.RandomState(seed).get_state())
+    sampler.run_mcmc(state, steps, skip_initial_state_check=True)
+    backend.append(block, sampler.random_state)
+
+
+def _mixing(backends: list[BlockBackend]) -> tuple[float, float]:
+    """Longest autocorrelation time in steps, and the effective sample size that goes with it."""
+    steps = min(backend.iteration for backend in backends)
+    if steps == 0:
+        return np.inf, 0.0
+    chain = joined(backends, steps // 4)
+    moved = np.ptp(chain, axis=1).all(axis=2)  # a walker that never moved has no autocorrelation
+    if not moved.any(axis=1).all():
+        return np.inf, 0.0
+    taus = [emcee.autocorr.integrated_time(ensemble[:, own], tol=0) for ensemble, own in zip(chain, moved, strict=True)]
+    tau = max(1.0, float(np.max(taus)))
+    return tau, chain.shape[0] * chain.shape[1] * chain.shape[2] / tau
+
+
+def _posterior(values: np.ndarray, chain: np.ndarray, known: Identified) -> pd.DataFrame:
+    """Summary of each parameter; the noise level as a factor on the noise that identify used.
+
+    R-hat compares the ensembles, each flattened, since only they are independent; the effective sample size counts the
+    autocorrelation of each walker (both rank-normalised, Vehtari et al. 2021).
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from arviz_stats.base import array_stats
+
+    n_ensembles, n_steps, n_walkers, n = values.shape
+    values = np.concatenate([values[..., :-1], np.exp(values[..., -1:])], axis=-1)
+    flat = values.reshape(-1, n)
+    by_ensemble = values.reshape(n_ensembles, n_steps * n_walkers, n)
+    by_walker = values.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, n)
+    quantiles = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
+    parameters = known.model.parameters
+    return pd.DataFrame(
+        {
+            "parameter": [*(p.name for p in parameters), "noise.factor"],
+            "unit": [*(p.unit for p in parameters), "1"],
+            "mean": flat.mean(axis=0),
+            "sd": flat.std(axis=0, ddof=1),
+            "q025": quantiles[0],
+            "q500": quantiles[1],
+            "q975": quantiles[2],
+            "rhat": [float(array_stats.rhat(by_ensemble[:, :, k])) for k in range(n)],
+            "ess": [float(array_stats.ess(by_walker[:, :, k])) for k in range(n)],
+        }
+    )
+
+
+def _predictive(values: np.ndarray, known: Identified, data: Measurements, rng: np.random.Generator) -> pd.DataFrame:
+    """Each row's error against the interval in which the posterior and the noise say it should be."""
+    flat = values.reshape(-1, values.shape[-1])
+    draws = flat[rng.choice(len(flat), size=min(DRAWS, len(flat)), replace=False)]
+    sigma = known.noise(data).total
+    centre = known.model.position(flat[:, :-1].mean(axis=0), data.rows)
+    error = 1e3 * np.linalg.norm(data.position - centre, axis=1)
+    expected = np.empty((len(draws), len(data)))
+    for k, draw in enumerate(draws):
+        noise = (np.exp(draw[-1]) * sigma)[:, None] * rng.standard_normal(centre.shape)
+        expected[k] = 1e3 * np.linalg.norm(known.model.position(draw[:-1], data.rows) + noise - centre, axis=1)
+    low, middle, high = np.quantile(expected, [0.025, 0.5, 0.975], axis=0)
+    table = data.table[["pose", "repeat", "marker", "split"]].assign(
+        error_mm=error, expected_mm=middle, low_mm=low, high_mm=high, covered=(error >= low) & (error <= high)
+    )
+    heldout = table[table["split"] == "holdout"]
+    return table.assign(heldout_coverage=heldout["covered"].mean() if len(heldout) else np.nan)
+
+
+def _summary(
+    table: pd.DataFrame, values: np.ndarray, known: Identified, laplace: Laplace, steps: int, tau: float, accepted: float,
+    independent: float, settings: SampleSettings, backends: list[BlockBackend],
+) -> pd.DataFrame:  # fmt: skip
+    ratio = (table["sd"].to_numpy()[:-1] / np.sqrt(np.diag(laplace.covariance)))[~known.at_bound]
+    missing = int(np.ceil(ENOUGH_TAU * tau)) - steps
+    short = missing > 0 or table["ess"].min() < settings.ess
+    rows = [
+        ("steps", str(steps)),
+        ("ensembles", f"{len(backends)} of {values.shape[2]} walkers"),
+        ("autocorrelation_steps", f"{tau:.3g}"),
+        ("acceptance_independent", f"{accepted:.3f}" if independent else "not used"),
+        ("worst_rhat", f"{table['rhat'].max():.4f}"),
+        ("smallest_ess", f"{table['ess'].min():.0f}"),
+        ("sd_over_laplace", f"{ratio.min():.3f} to {ratio.max():.3f}"),
+        ("length", _length(short, missing, steps, table["ess"].min(), settings)),
+    ]
+    for i, parameter in enumerate(known.model.parameters):
+        sample = values[..., i].ravel()
+        near = NEAR_BOUND * sample.std()
+        if ((sample - parameter.lower < near) | (parameter.upper - sample < near)).mean() > CUT:
+            rows.append(("cut", f"the bounds {parameter.lower:g} to {parameter.upper:g} {parameter.unit} cut the posterior of "
+                         f"{parameter.name}: read its quantiles, not its mean and sd"))  # fmt: skip
+    return pd.DataFrame(rows, columns=["item", "value"])
+
+
+def _length(short: bool, missing: int, steps: int, ess: float, settings: SampleSettings) -> str:
+    if not short:
+        return "long enough"
+    wanted = max(missing, int(np.ceil(steps * (settings.ess / ess - 1))))
+    return (f"too short: about {wanted} more steps are needed; set stages.sample.max_steps = {steps + wanted} "
+            "and run again, it resumes where it is")  # fmt: skip
+
+
+STAGE = Stage("sample", "sample the posterior", SampleSettings, run, needs=("identify",), resumes=("sample/chain.h5",))

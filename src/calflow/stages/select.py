@@ -1,0 +1,136 @@
+"""The stage select: which poses to measure, by observability."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from pydantic import Field, model_validator
+
+from calflow.model import Model, build
+from calflow.problems import nearest, refuse
+from calflow.stages.candidates import candidates
+from calflow.stages.identifiability import NULL
+from calflow.stages.observability import exchange, greedy, indices, log_determinant
+from calflow.stages.stage import Context, Stage
+from calflow.toml_file import FileModel, Length, Lengths3
+
+TASK_POSES = 400  # candidates over which the tool's expected error is averaged
+
+
+class SelectSettings(FileModel):
+    """Settings of select: how many poses of how many candidates, and where the device can see the tool.
+
+    Poses are chosen for the study's effects and for also_effects, which may be causes to be told apart.
+    """
+
+    poses: int = Field(default=100, ge=4)
+    candidates: int = Field(default=2000, ge=100)
+    payload: str = ""
+    marker: str = ""
+    region_min: Lengths3 | None = None
+    region_max: Lengths3 | None = None
+    sigma: Length = Field(default=5e-5, gt=0)
+    also_effects: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _whole_region(self) -> SelectSettings:
+        if (self.region_min is None) != (self.region_max is None):
+            raise ValueError("region_min and region_max go together")
+        return self
+
+
+def run(context: Context) -> dict[str, pd.DataFrame]:
+    """Choose poses by D-optimal greedy addition and exchange, and tell what every number of them is worth."""
+    study, settings = context.study, context.settings
+    robot = study.robot
+    marker = settings.marker or next(iter(robot.markers))
+    for name, known in ((marker, robot.markers), (settings.payload, {**robot.payloads, "": None})):
+        if name not in known:
+            raise refuse(f"unknown name '{name}'{nearest(name, known)}", study.path, key="stages.select")
+    model = build(robot, tuple(dict.fromkeys((*study.file.effects, *settings.also_effects))))
+    region = None if settings.region_min is None else np.array([settings.region_min, settings.region_max])
+    readings, rows = candidates(model, settings.candidates, settings.payload, marker, region, context.rng("candidates"))
+    whitened = model.position_jacobian(model.nominal, rows) * model.prior_sd / settings.sigma
+    prior = np.eye(len(model.parameters))
+    context.say(f"{len(readings)} candidates, {len(model.parameters)} parameters")
+
+    order = greedy(whitened, prior, settings.poses)
+    context.advance(0.3)
+    best = exchange(whitened, prior, order)
+    context.advance(0.9)
+    gained = log_determinant(whitened[best], prior) - log_determinant(whitened[order], prior)
+    context.say(f"exchange gained {gained:.3g} in log det over greedy choice")
+
+    travel = _shortest_tour(readings[best])
+    chosen = np.array(best)[travel]
+    return {
+        "select/poses.csv": _poses(model, readings[chosen], rows[:, chosen], settings.payload, marker),
+        "select/observability.csv": _observability(
+            whitened, greedy_order(whitened, prior, best), whitened[:TASK_POSES], settings
+        ),
+    }
+
+
+def greedy_order(whitened: np.ndarray, prior: np.ndarray, chosen: list[int]) -> list[int]:
+    """Return the chosen poses, the most telling first."""
+    return [chosen[i] for i in greedy(whitened[chosen], prior, len(chosen))]
+
+
+def _observability(whitened: np.ndarray, order: list[int], task: np.ndarray, settings: SelectSettings) -> pd.DataFrame:
+    """Indices and the tool's expected standard deviation against the number of poses.
+
+    Parameters are scaled by their priors, so an index compares what the data say with what was known before. The
+    standard deviation is the root mean square over the task's poses of the predicted position's, all three axes.
+    """
+    n_parameters = whitened.shape[2]
+    singular = np.linalg.svd(whitened.reshape(-1, n_parameters), compute_uv=False)
+    rank = int((singular > NULL * singular[0]).sum())
+    first = -(-rank // 3)
+    rows = []
+    for n in sorted({*range(first, len(order) + 1, max(1, (len(order) - first) // 30)), len(order)}):
+        part = whitened[order[:n]]
+        covariance = np.linalg.inv(np.eye(n_parameters) + np.einsum("cai,caj->ij", part, part))
+        variance = np.einsum("cai,ij,caj->c", task, covariance, task)
+        expected = 1e3 * settings.sigma * np.sqrt(variance.mean())
+        rows.append((n, *indices(part.reshape(-1, n_parameters), rank), expected))
+    return pd.DataFrame(rows, columns=["n_poses", "O1", "O2", "O3", "O4", "O5", "expected_sd_mm"])
+
+
+def _poses(model: Model, readings: np.ndarray, rows: np.ndarray, payload: str, marker: str) -> pd.DataFrame:
+    """What a robot programmer needs: joints in measuring order, the side each comes from, and where the tool will be."""
+    robot = model.robot
+    table: dict[str, object] = {"pose": np.arange(1, len(readings) + 1)}
+    for i, joint in enumerate(robot.joints):
+        revolute = joint.kind == "revolute"
+        unit = np.rad2deg(1.0) if revolute else 1e3
+        table[f"q{i + 1}_{'deg' if revolute else 'mm'}"] = np.round(readings[:, i] * unit, 4)
+    came = np.sign(np.diff(readings, axis=0, prepend=readings[-1:])).astype(int)
+    for i in range(robot.n_joints):
+        table[f"approach{i + 1}"] = came[:, i]
+    position = 1e3 * model.position(model.nominal, rows)
+    table |= {f"nominal_{axis}_mm": np.round(position[:, i], 1) for i, axis in enumerate("xyz")}
+    return pd.DataFrame({**table, "marker": marker, "payload": payload})
+
+
+def _shortest_tour(readings: np.ndarray) -> np.ndarray:
+    """Order poses for short travel: nearest neighbour, then 2-opt on the largest joint's motion; shape (n_poses,)."""
+    distance = np.abs(readings[:, None] - readings[None]).max(axis=2)
+    tour = [0]
+    left = set(range(1, len(readings)))
+    while left:
+        tour.append(min(left, key=lambda j: distance[tour[-1], j]))
+        left.remove(tour[-1])
+    improved = True
+    while improved:
+        improved = False
+        for i in range(1, len(tour) - 2):
+            for j in range(i + 1, len(tour) - 1):
+                before = distance[tour[i - 1], tour[i]] + distance[tour[j], tour[j + 1]]
+                after = distance[tour[i - 1], tour[j]] + distance[tour[i], tour[j + 1]]
+                if after < before - 1e-9:
+                    tour[i : j + 1] = tour[i : j + 1][::-1]
+                    improved = True
+    return np.array(tour)
+
+
+STAGE = Stage("select", "choose the poses to measure", SelectSettings, run, measured=False)

@@ -1,0 +1,55 @@
+"""What every stage is: a function from a study and earlier tables to tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from calflow.study import Study
+from calflow.toml_file import FileModel
+
+Tables = Mapping[str, pd.DataFrame]
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a stage is given.
+
+    tables holds the tables of the stages it needs, by their path in the run folder. folder is where the stage may write
+    files of its own, laid out as the run folder, into which they move when the stage is done; what lies there survives an
+    interruption. run_folder holds the finished files of earlier stages. say tells a line, advance the share of work done.
+    """
+
+    study: Study
+    settings: Any
+    tables: Tables
+    folder: Path
+    run_folder: Path
+    say: Callable[[str], None]
+    advance: Callable[[float], None]
+
+    def rng(self, purpose: str) -> np.random.Generator:
+        """Return a random generator of this purpose's own, from the study's seed."""
+        return np.random.default_rng([self.study.file.seed, *purpose.encode()])
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage: its settings' model, the stages whose tables it needs, and whether it reads the measurements.
+
+    resumes names files of an earlier run that it goes on from where only its settings changed.
+    """
+
+    name: str
+    title: str
+    settings: type[FileModel]
+    run: Callable[[Context], dict[str, pd.DataFrame]]
+    needs: tuple[str, ...] = ()
+    uses: tuple[str, ...] = ()  # earlier stages it takes into account where the workflow has them
+    measured: bool = True
+    resumes: tuple[str, ...] = ()
