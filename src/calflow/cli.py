@@ -1,0 +1,273 @@
+"""The command line."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from calflow.stages.stage import Stage
+
+OUT = click.option("--out", type=click.Path(path_type=Path), help="Run folder; runs/<study name> by default.")
+STAGE = click.option("--stage", help="This stage alone, with what it needs.")
+FORCE = click.option("--force", is_flag=True, help="Do not reuse earlier results.")
+FILE = click.Path(path_type=Path)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="calflow")
+def cli() -> None:
+    """Calibrate robots: from measured positions to a model that can be trusted."""
+
+
+@cli.command()
+@click.argument("folder", type=FILE)
+def new(folder: Path) -> None:
+    """Write a new study into FOLDER, to be filled in."""
+    from calflow.templates import write_study
+
+    for path in write_study(folder):
+        click.echo(f"wrote {path}")
+    click.echo(f"next: describe your robot in {folder / 'robot.toml'}, put the measurements into "
+               f"{folder / 'measurements.csv'}, then: calflow check {folder}")  # fmt: skip
+    click.echo(f"to try it with simulated measurements first: calflow simulate {folder / 'truth.toml'}")
+
+
+@cli.command()
+@click.argument("study", type=FILE)
+def check(study: Path) -> None:
+    """Check a study with its robot, workflow and measurements, and run nothing."""
+    from calflow.model import build
+    from calflow.runs import stages_of
+    from calflow.study import load_study
+
+    loaded = load_study(study)
+    for stage in stages_of(loaded):
+        loaded.validated_settings(stage.name, stage.settings)
+    click.echo(f"study {loaded.name}: {loaded.robot.name}, workflow {loaded.workflow.name} "
+               f"({', '.join(loaded.workflow.stages)})")  # fmt: skip
+    if loaded.file.measurements is None:
+        click.echo("no measurements yet: 'calflow run --stage select' proposes poses")
+        return
+    data = loaded.measurements()
+    for note in data.notes:
+        click.echo(f"note: {note}")
+    parameters = build(loaded.robot, loaded.file.effects, data.given).parameters
+    click.echo(f"{loaded.measurement_path}: {len(data)} rows, {data.table['pose'].nunique()} poses, "
+               f"{data.table.loc[data.train, 'pose'].nunique()} of them to fit")  # fmt: skip
+    click.echo(f"{len(parameters)} parameters: {', '.join(loaded.file.effects)}")
+    click.echo("ok")
+
+
+@cli.command()
+@click.argument("study", type=FILE)
+@OUT
+@STAGE
+@FORCE
+def plan(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
+    """Show which stages would run, which would be reused, and why."""
+    from calflow.runs import default_folder
+    from calflow.runs import plan as make_plan
+    from calflow.study import load_study
+
+    loaded = load_study(study)
+    for step in make_plan(loaded, out or default_folder(loaded), stage, force):
+        click.echo(f"{step.stage.name:10} {'reuse' if step.reuse else 'run':6} {step.reason}")
+
+
+@cli.command()
+@click.argument("study", type=FILE)
+@OUT
+@STAGE
+@FORCE
+def run(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
+    """Run a study: what did not change is reused, what was interrupted is resumed."""
+    from calflow.runs import run as run_study
+    from calflow.study import load_study
+
+    with _listener() as listener:
+        result = run_study(load_study(study), out, stage, force, listener)
+    _show_accuracy(result.tables)
+    report = result.folder / "report.pdf"
+    click.echo(f"report: {report}" if report.is_file() else f"results: {result.folder}")
+
+
+@cli.command()
+@click.argument("study_or_run", type=FILE)
+def status(study_or_run: Path) -> None:
+    """Show how far a run has come: give its folder, or its study."""
+    from calflow.problems import refuse
+    from calflow.runs import default_folder, read_manifest
+    from calflow.study import load_study
+
+    folder = study_or_run
+    if not (folder / "manifest.json").is_file():
+        folder = default_folder(load_study(study_or_run))
+    manifest = read_manifest(folder)
+    if not manifest:
+        raise refuse("nothing was run here yet", folder)
+    click.echo(f"{folder}: study {manifest['study']}, workflow {manifest['workflow']}, calflow {manifest['calflow']}")
+    for name, entry in manifest["stages"].items():
+        seconds = f"{entry['seconds']:.1f} s" if "seconds" in entry else ""
+        click.echo(f"{name:10} {entry['status']:12} {seconds:>8}  {entry['reason']}")
+
+
+@cli.command()
+@click.argument("study", type=FILE)
+@OUT
+def report(study: Path, out: Path | None) -> None:
+    """Write the report of a study's results anew."""
+    from calflow.runs import run as run_study
+    from calflow.study import load_study
+
+    with _listener() as listener:
+        result = run_study(load_study(study), out, "report", True, listener)
+    click.echo(f"report: {result.folder / 'report.pdf'}")
+
+
+@cli.command()
+@click.argument("truth", type=FILE)
+@click.option("--out", type=FILE, help="Measurement CSV; measurements.csv beside the truth file by default.")
+def simulate(truth: Path, out: Path | None) -> None:
+    """Write the measurements that a truth file describes."""
+    from calflow.simulate import simulate as simulate_truth
+
+    path = out or truth.parent / "measurements.csv"
+    _write(simulate_truth(truth), path)
+    click.echo(f"wrote {path}")
+
+
+@cli.command()
+@click.argument("run_folder", metavar="RUN", type=FILE)
+@click.argument("rows", metavar="ROWS.csv", type=FILE)
+@click.option("--out", type=FILE, help="CSV to write; printed by default.")
+def predict(run_folder: Path, rows: Path, out: Path | None) -> None:
+    """Predict where the calibrated robot's markers will be at the joints and conditions of ROWS.csv."""
+    from calflow.predict import predict as predict_rows
+
+    table = predict_rows(run_folder, rows)
+    if out is None:
+        click.echo(table.to_csv(index=False, float_format="%.6f", lineterminator="\n"), nl=False)
+    else:
+        _write(table, out)
+        click.echo(f"wrote {out}")
+
+
+def main() -> None:
+    """Run the command line: wrong input ends with all problems and exit code 2, trouble of the machine with 1."""
+    try:
+        cli(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("interrupted: the same command resumes where it stopped", err=True)
+        sys.exit(130)
+    except OSError as error:
+        click.echo(
+            f"error: {error}. Finished stages are kept; when this is mended the same command goes on.",
+            err=True,
+        )
+        sys.exit(1)
+    except Exception as error:
+        from calflow.problems import InputError
+
+        if not isinstance(error, InputError):
+            raise
+        click.echo(str(error), err=True)
+        sys.exit(2)
+
+
+def _write(table: pd.DataFrame, path: Path) -> None:
+    from calflow.runs import write_csv
+
+    write_csv(path, table)
+
+
+def _show_accuracy(tables: dict[str, pd.DataFrame]) -> None:
+    accuracy = tables.get("identify/accuracy.csv")
+    if accuracy is None:
+        return
+    width = max(map(len, accuracy["model"]))
+    click.echo(f"{'position error':{width}}  split      mean mm    max mm")
+    for row in accuracy.itertuples():
+        click.echo(f"{row.model:{width}}  {row.split:8} {row.mean_mm:9.3f} {row.max_mm:9.3f}")
+
+
+def _listener() -> _Lines | _Bar:
+    return _Bar() if sys.stderr.isatty() else _Lines()
+
+
+class _Lines:
+    """Progress as plain lines, for a log."""
+
+    def __init__(self) -> None:
+        self._told = 0.0
+
+    def __enter__(self) -> _Lines:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return
+
+    def start(self, stage: Stage, reason: str) -> None:
+        self._told = time.monotonic()
+        click.echo(f"{stage.name}: {stage.title} ({reason})")
+
+    def reuse(self, stage: Stage, reason: str) -> None:
+        click.echo(f"{stage.name}: reused ({reason})")
+
+    def say(self, line: str) -> None:
+        click.echo(f"  {line}")
+
+    def advance(self, share: float) -> None:
+        if time.monotonic() - self._told > 10:
+            self._told = time.monotonic()
+            click.echo(f"  {share:.0%}")
+
+    def finish(self, stage: Stage, seconds: float) -> None:
+        click.echo(f"  done in {seconds:.1f} s")
+
+
+class _Bar(_Lines):
+    """Progress as a bar, for a terminal."""
+
+    def __enter__(self) -> _Bar:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+        self._console = Console(stderr=True, highlight=False)
+        columns = (
+            TextColumn("{task.description:10}"),
+            BarColumn(),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+        )
+        self._progress = Progress(*columns, console=self._console)
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def start(self, stage: Stage, reason: str) -> None:
+        self.say(f"{stage.name}: {stage.title} ({reason})")
+        self._task = self._progress.add_task(stage.name, total=1.0)
+
+    def reuse(self, stage: Stage, reason: str) -> None:
+        self.say(f"{stage.name}: reused ({reason})")
+
+    def say(self, line: str) -> None:
+        self._progress.print(line, markup=False)
+
+    def advance(self, share: float) -> None:
+        self._progress.update(self._task, completed=share)
+
+    def finish(self, stage: Stage, seconds: float) -> None:
+        self._progress.update(self._task, completed=1.0)
