@@ -100,8 +100,9 @@ class Model:
         rotation = (stands @ at.flange @ tool)[:3, :3]
         return Prediction(position, rotation, at.closure.cosine if at.closure else ca.SX(0))
 
+    @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, Prediction]:
-        """Return fresh symbols for parameters and one row, and the prediction they give."""
+        """Symbols for the parameters and one row, and the prediction they give."""
         p, c = ca.SX.sym("p", len(self.parameters)), ca.SX.sym("c", self.n_conditions)
         return p, c, self.expression(p, c)
 
@@ -124,7 +125,7 @@ class Model:
 
     @cached_property
     def _functions(self) -> dict[str, ca.Function]:
-        p, c, predicted = self.symbols()
+        p, c, predicted = self.symbols
         jacobian = ca.densify(ca.jacobian(predicted.position, p)).T
         outputs = {
             "position": predicted.position,

@@ -19,7 +19,8 @@ from calflow.robot.statics import State
 class Parameter:
     """A bounded decision variable (SI units); at its nominal value the effect is absent.
 
-    The prior is normal about the nominal value with standard deviation prior_sd, cut at the bounds.
+    The prior is normal about the nominal value with standard deviation prior_sd, cut at the bounds. figure is the
+    maker's figure that the parameter's value is added to, for tables that show the sum.
     """
 
     effect: str
@@ -30,6 +31,7 @@ class Parameter:
     lower: float
     upper: float
     nominal: float = 0.0
+    figure: float = 0.0
 
     @property
     def name(self) -> str:

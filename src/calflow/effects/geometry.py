@@ -12,7 +12,7 @@ import casadi as ca
 from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter
 from calflow.robot.description import Robot
-from calflow.robot.dimensions import Dimensions
+from calflow.robot.dimensions import Dimensions, nominal_dimensions
 
 # m and rad alike: what machining and assembly leave on a link, and what is a mistake rather than an error
 LINK_SD, LINK_BOUND = 2e-3, 20e-3
@@ -34,8 +34,9 @@ class Geometry(Effect):
     """DH or modified-DH errors with a second rotation between nearly parallel axes, base, tool and loop.
 
     Of two figures that move the tool in exactly the same way whatever the pose, one is left out: the first joint's place
-    is the base's, the rocker's length the crank's, and along nearly parallel axes beta replaces d (Hayati 1983). Only the
-    last joint's trade against the tool is kept, for the identifiability analysis to name.
+    is the base's, the rocker's length the crank's, and along nearly parallel axes beta replaces d (Hayati 1983). The
+    last joint's trade against the tool is kept, and what prismatic joints or planar arms leave redundant, for the
+    identifiability analysis to name.
     """
 
     id: ClassVar[str] = "geometry"
@@ -59,15 +60,18 @@ class Geometry(Effect):
         return (*_base(self.robot), *_links(self.robot), *_loop(self.robot), *_tool(self.robot))
 
 
-def _error(part: str, symbol: str, field: str, index: int | tuple[int, int], sd: float, bound: float) -> DimensionError:
+def _error(
+    robot: Robot, part: str, symbol: str, field: str, index: int | tuple[int, int], sd: float, bound: float
+) -> DimensionError:
     unit = "rad" if symbol in ("alpha", "beta", "theta", "rx", "ry", "rz") else "m"
-    return DimensionError(Parameter(Geometry.id, part, symbol, unit, sd, -bound, bound), field, index)
+    figure = float(getattr(nominal_dimensions(robot), field)[index])
+    return DimensionError(Parameter(Geometry.id, part, symbol, unit, sd, -bound, bound, figure=figure), field, index)
 
 
 def _base(robot: Robot) -> Iterator[DimensionError]:
     sd, bound = (PLACED_SD, PLACED_BOUND) if robot.base.known else (UNKNOWN_SD, UNKNOWN_BOUND)
     for i, symbol in enumerate(("x", "y", "z", "rx", "ry", "rz")):
-        yield _error("base", symbol, "base", i, sd, bound)
+        yield _error(robot, "base", symbol, "base", i, sd, bound)
 
 
 def _links(robot: Robot) -> Iterator[DimensionError]:
@@ -82,19 +86,19 @@ def _links(robot: Robot) -> Iterator[DimensionError]:
             symbols += [along] if i > 0 or along == "beta" else []
             symbols += ["a", "alpha"] if i < last else []
         for symbol in symbols:
-            yield _error(f"joint{i + 1}", symbol, symbol, i, LINK_SD, LINK_BOUND)
+            yield _error(robot, f"joint{i + 1}", symbol, symbol, i, LINK_SD, LINK_BOUND)
 
 
 def _loop(robot: Robot) -> Iterator[DimensionError]:
     if robot.loop:
-        yield _error("loop", "crank", "bars", 0, LINK_SD, LINK_BOUND)
-        yield _error("loop", "rod", "bars", 1, LINK_SD, LINK_BOUND)
+        yield _error(robot, "loop", "crank", "bars", 0, LINK_SD, LINK_BOUND)
+        yield _error(robot, "loop", "rod", "bars", 1, LINK_SD, LINK_BOUND)
 
 
 def _tool(robot: Robot) -> Iterator[DimensionError]:
     for k, marker in enumerate(robot.markers):
         for i, symbol in enumerate(("x", "y", "z")):
-            yield _error(marker, symbol, "markers", (i, k), PLACED_SD, PLACED_BOUND)
+            yield _error(robot, marker, symbol, "markers", (i, k), PLACED_SD, PLACED_BOUND)
     if robot.tool_rotation is not None:
         for i, symbol in enumerate(("rx", "ry", "rz")):
-            yield _error("tool", symbol, "tool_rotation", i, PLACED_SD, PLACED_BOUND)
+            yield _error(robot, "tool", symbol, "tool_rotation", i, PLACED_SD, PLACED_BOUND)

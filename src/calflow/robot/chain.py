@@ -8,7 +8,7 @@ import casadi as ca
 
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions
-from calflow.robot.loop import Closure, close
+from calflow.robot.loop import Closure, assembly_side, close
 from calflow.robot.transforms import apply, placement, rot_x, rot_y, rot_z, translation
 
 
@@ -102,7 +102,7 @@ def _chain_angles(robot: Robot, dims: Dimensions, driven: ca.SX) -> tuple[ca.SX,
     j = robot.loop.joint - 1
     link = dims.a[j] if robot.convention == "modified-dh" else dims.a[j - 1]
     link_angle = driven[j - 1] + dims.theta[j - 1]
-    closure = close(robot.loop, link, dims.bars, link_angle, driven[j])
+    closure = close(assembly_side(robot), link, dims.bars, link_angle, driven[j])
     angles = ca.SX(driven)
     angles[j] = closure.rocker_angle - link_angle + robot.loop.offset
     return angles, closure

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from calflow.toml_file import Angle, Angles3, FileModel, Length, Lengths3, Mass, Moment, read_toml
 
@@ -32,13 +32,19 @@ class Joint(FileModel):
     mass: Mass | None = Field(default=None, ge=0)
     com: Lengths3 = (0.0, 0.0, 0.0)
 
+    @field_validator("limits_deg", "limits_mm")
+    @classmethod
+    def _in_order(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
+        if limits and not limits[0] < limits[1]:
+            raise ValueError(f"expected lower < upper, found {limits[0]:g} and {limits[1]:g}")
+        return limits
+
     @model_validator(mode="after")
-    def _limits_in_order(self) -> Joint:
-        low, high = self.range
-        if not low < high:
-            raise ValueError(f"limits: expected lower < upper, found {low:g} and {high:g}")
-        if self.kind == "prismatic" and self.limits_mm is None:
-            raise ValueError("a prismatic joint needs limits_mm")
+    def _limits_of_its_kind(self) -> Joint:
+        if self.kind == "prismatic" and (self.limits_mm is None or self.limits_deg is not None):
+            raise ValueError("a prismatic joint needs limits_mm, and no limits_deg")
+        if self.kind == "revolute" and self.limits_mm is not None:
+            raise ValueError("a revolute joint has limits_deg, not limits_mm")
         return self
 
     @property
@@ -123,17 +129,24 @@ class Robot(FileModel):
     def _one_marker(cls, markers: dict[str, Marker]) -> dict[str, Marker]:
         if not markers:
             raise ValueError("expected at least one marker, e.g. [markers.tool] with point_mm = [0, 0, 100]")
+        if "base" in markers:
+            raise ValueError("a marker cannot be called 'base': parameters are named by their part")
         return markers
 
-    @model_validator(mode="after")
-    def _joints_exist(self) -> Robot:
-        n = len(self.joints)
-        for coupling in self.couplings:
-            if max(coupling.joint, coupling.source) > n:
-                raise ValueError(f"couplings: this robot has joints 1 to {n}")
-        if self.loop and self.loop.joint > n:
-            raise ValueError(f"loop.joint: this robot has joints 1 to {n}")
-        return self
+    @field_validator("couplings")
+    @classmethod
+    def _coupled_joints_exist(cls, couplings: tuple[Coupling, ...], info: ValidationInfo) -> tuple[Coupling, ...]:
+        for coupling in couplings:
+            _joint_exists(coupling.joint, info)
+            _joint_exists(coupling.source, info)
+        return couplings
+
+    @field_validator("loop")
+    @classmethod
+    def _driven_joint_exists(cls, loop: FourBar | None, info: ValidationInfo) -> FourBar | None:
+        if loop:
+            _joint_exists(loop.joint, info)
+        return loop
 
     @property
     def n_joints(self) -> int:
@@ -161,6 +174,12 @@ class Robot(FileModel):
     def nearly_parallel(self, joint: int) -> bool:
         """Whether the two axes that joint's alpha lies between (index from 0) are nearly parallel."""
         return bool(abs(np.sin(self.joints[joint].alpha)) < PARALLEL)
+
+
+def _joint_exists(joint: int, info: ValidationInfo) -> None:
+    joints = info.data.get("joints")  # not there where they are wrong themselves
+    if joints is not None and joint > len(joints):
+        raise ValueError(f"there is no joint {joint}: this robot has joints 1 to {len(joints)}")
 
 
 def read_robot(path: Path) -> Robot:

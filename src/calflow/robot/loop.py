@@ -5,8 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
 
-from calflow.robot.description import FourBar
+from calflow.robot.description import Robot
+
+
+DEAD_POINT = 0.97  # |cosine| of the closure from which a loop is too near its dead point to go there
+WAY_POINTS = 21
 
 
 @dataclass(frozen=True)
@@ -21,13 +26,46 @@ class Closure:
     cosine: ca.SX
 
 
-def close(loop: FourBar, link: ca.SX, bars: ca.SX, link_angle: ca.SX, crank_angle: ca.SX) -> Closure:
-    """Solve the loop for given bar lengths and the two driven angles.
+def assembly_side(robot: Robot) -> int:
+    """Return +1 or -1: which of the two closures a robot's loop is assembled in.
+
+    An open loop has P and R on different sides of the diagonal QS, a crossed one on the same side. Moving, a loop keeps its
+    side; it is told in the middle of the two joints' ranges.
+    """
+    loop = robot.loop
+    if loop is None:
+        return 1
+    link, crank = robot.joints[loop.joint - 2], robot.joints[loop.joint - 1]
+    between = np.mean(crank.range) - np.mean(link.range) - link.theta
+    return (1 if np.sin(between) > 0 else -1) * (1 if loop.assembly == "open" else -1)
+
+
+def reachable(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Return which joint angles (n_poses, n_joints) a robot's loop can go to without passing a dead point.
+
+    Every pose is approached in a straight line from the middle of the joints' ranges.
+    """
+    loop = robot.loop
+    if loop is None:
+        return np.ones(len(q), dtype=bool)
+    j = loop.joint - 1
+    symbols = ca.SX.sym("link_angle"), ca.SX.sym("crank_angle")
+    link = robot.joints[j if robot.convention == "modified-dh" else j - 1].a
+    bars = ca.SX([loop.crank.length, loop.rod.length, loop.rocker])
+    cosine = ca.Function("cosine", symbols, [close(assembly_side(robot), ca.SX(link), bars, *symbols).cosine])
+    middle = robot.limits.mean(axis=1)
+    ways = middle + np.linspace(0, 1, WAY_POINTS)[:, None, None] * (q - middle)
+    angles = ways[..., j - 1].ravel() + robot.joints[j - 1].theta, ways[..., j].ravel()
+    along = np.array(cosine.map(len(angles[0]))(*angles)).reshape(WAY_POINTS, len(q))
+    return np.asarray((np.abs(along) < DEAD_POINT).all(axis=0))
+
+
+def close(side: int, link: ca.SX, bars: ca.SX, link_angle: ca.SX, crank_angle: ca.SX) -> Closure:
+    """Solve the loop for given bar lengths and the two driven angles; side is that of `assembly_side`.
 
     With Q = crank e^{i·crank_angle}, S = link e^{i·link_angle} and D = S - Q, the rocker's direction e^{iφ} follows from
     |D + rocker e^{iφ}| = rod (equation 5 of Model based robot calibration, 2021, solved without its parallelogram
-    assumption). Of the two solutions the one of the nominal assembly is taken: an open loop has P and R on different
-    sides of the diagonal QS, a crossed one on the same side.
+    assumption).
     """
     crank, rod, rocker = bars[0], bars[1], bars[2]
     dx = link * ca.cos(link_angle) - crank * ca.cos(crank_angle)
@@ -36,7 +74,6 @@ def close(loop: FourBar, link: ca.SX, bars: ca.SX, link_angle: ca.SX, crank_angl
     cosine = (rod**2 - squared - rocker**2) / (2 * rocker * ca.sqrt(squared))
     # Past the end of its travel the loop has no solution; the clamp keeps derivatives finite and `cosine` tells.
     reachable = ca.fmin(ca.fmax(cosine, -1 + 1e-9), 1 - 1e-9)
-    side = ca.sign(ca.sin(crank_angle - link_angle)) * (1 if loop.assembly == "open" else -1)
     rocker_angle = ca.atan2(dy, dx) + side * ca.acos(reachable)
     rod_angle = ca.atan2(dy + rocker * ca.sin(rocker_angle), dx + rocker * ca.cos(rocker_angle))
     return Closure(rocker_angle, rod_angle, cosine)

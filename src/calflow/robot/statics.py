@@ -8,10 +8,15 @@ import casadi as ca
 import numpy as np
 
 from calflow.conditions import Row
+from calflow.problems import refuse
 from calflow.robot.chain import Deflection, Pose, marker_point, pose
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads
+from calflow.robot.loop import reachable
 from calflow.robot.transforms import apply
+
+
+SMALLEST_RATED = 1.0  # Nm, where gravity loads no joint at all
 
 
 @dataclass(frozen=True)
@@ -84,19 +89,26 @@ def rated_torques(robot: Robot) -> np.ndarray:
     """Return each joint's rated torque [Nm], shape (n_joints,): the file's, else what gravity asks of it.
 
     Where the file is silent it is the largest gravity torque over the joints' ranges under the heaviest payload, and for
-    a joint that gravity hardly loads (a vertical axis) a tenth of the most loaded joint's.
+    a joint that gravity hardly loads (a vertical axis) a tenth of the most loaded joint's of its kind. A slide's is in N.
     """
     from scipy.stats import qmc
 
+    stated = np.array([joint.rated_torque or np.nan for joint in robot.joints])
+    if not np.isnan(stated).any():
+        return stated
     function = gravity_torque(robot)
     sample = qmc.scale(qmc.Sobol(robot.n_joints, scramble=False).random(256), *robot.limits.T)
+    sample = sample[reachable(robot, sample)]
+    if not len(sample):
+        raise refuse("the four-bar loop closes nowhere within the joints' ranges", key=f"robot '{robot.name}': loop")
     heaviest = np.zeros(len(robot.payloads))
     if robot.payloads:
         heaviest[int(np.argmax([payload.mass for payload in robot.payloads.values()]))] = 1.0
     torques = np.abs(np.array(function.map(len(sample))(sample.T, np.tile(heaviest[:, None], len(sample)))))
     largest = np.nanmax(torques, axis=1)
-    largest = np.maximum(largest, 0.1 * largest.max())
-    stated = np.array([joint.rated_torque or np.nan for joint in robot.joints])
+    slides = np.array([joint.kind == "prismatic" for joint in robot.joints])
+    for kind in (slides, ~slides):
+        largest[kind] = np.maximum(largest[kind], max(SMALLEST_RATED, 0.1 * largest[kind].max(initial=0.0)))
     return np.where(np.isnan(stated), largest, stated)
 
 

@@ -7,8 +7,8 @@ from scipy.stats import qmc
 
 from calflow.model import Model
 from calflow.problems import refuse
+from calflow.robot.loop import reachable
 
-LOOP_MARGIN = 0.97  # |cosine| of the loop's closure: keeps candidates off its dead points
 MAX_DRAWS = 40  # rounds of drawing before the region counts as out of reach
 
 
@@ -29,7 +29,7 @@ def candidates(
         drawn = qmc.scale(sobol.random(1 << int(np.ceil(np.log2(4 * number)))), *model.robot.limits.T)
         readings = np.linalg.solve(model.robot.reading_matrix, drawn.T).T
         rows = pack(model, readings, payload, marker)
-        good = np.abs(model.closure_cosine(model.nominal, rows)) < LOOP_MARGIN
+        good = reachable(model.robot, drawn)
         if region is not None:
             position = model.position(model.nominal, rows)
             good &= ((position > region[0]) & (position < region[1])).all(axis=1)

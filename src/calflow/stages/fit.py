@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import casadi as ca
@@ -103,7 +104,7 @@ class Problem:
 
         An orientation's residual is 2 sin(angle/2) along the axis of the rotation from measured to predicted.
         """
-        p, c, predicted = self.model.symbols()
+        p, c, predicted = self.model.symbols
         y, w = ca.SX.sym("y", self.measured.shape[0]), ca.SX.sym("w", self.weight.shape[0])
         residual = (predicted.position - y[:3]) * w[0]
         if self.axes == 6:
@@ -112,8 +113,9 @@ class Problem:
             residual = ca.vertcat(residual, axis / ca.sqrt(ca.fmax((1 + ca.trace(turn)) / 4, 1e-12)) * w[1])
         return [p, c, y, w], ca.densify(residual)
 
+    @cached_property
     def functions(self) -> tuple[ca.Function, ca.Function]:
-        """Return the functions of (p, row, measured, weight): whitened residual, and it with its Jacobian, transposed."""
+        """The functions of (p, row, measured, weight): whitened residual, and it with its Jacobian, transposed."""
         inputs, residual = self.expression()
         jacobian = ca.densify(ca.jacobian(residual, inputs[0])).T
         value = ca.Function("residual", inputs, [residual])
@@ -123,7 +125,7 @@ class Problem:
 
     def linearised(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the whitened residual (n_rows, n_axes) and Jacobian (n_rows, n_axes, n_parameters) at p."""
-        residual, jacobian = over_rows(self.functions()[1], p, self.rows, self.measured, self.weight)
+        residual, jacobian = over_rows(self.functions[1], p, self.rows, self.measured, self.weight)
         return residual.T, jacobian.T.reshape(self.rows.shape[1], residual.shape[0], -1)
 
 
@@ -190,7 +192,7 @@ def _solver(problem: Problem, loss: Loss) -> ca.Function:
         outputs = over_blocks(x, *data)
         return list(outputs) if isinstance(outputs, tuple) else [outputs]
 
-    value, both = (_block(problem, function, size, loss) for function in problem.functions())
+    value, both = (_block(problem, function, size, loss) for function in problem.functions)
     objective = summed(value)[0] + 0.5 * ca.sumsqr(offset)
     cost, gradient, hessian = summed(both)
     p, factor, multipliers = ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)

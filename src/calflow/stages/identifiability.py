@@ -33,7 +33,7 @@ def identifiability(fit: Fit) -> Identifiability:
     parameters = fit.model.parameters
     names = [parameter.name for parameter in parameters]
     scaled = _scaled(fit)
-    _, singular, directions = np.linalg.svd(scaled, full_matrices=True)
+    _, singular, directions = np.linalg.svd(np.linalg.qr(scaled, mode="r"))
     singular = np.concatenate([singular, np.zeros(len(names) - len(singular))])
     null = singular <= NULL * singular[0]
     weak = (singular < KNOWN) & ~null

@@ -15,7 +15,6 @@ from calflow.stages.fit import Problem
 
 LOG_NOISE_SD = 1.0  # prior on the log of the noise level: a factor e either way
 LEVEL_PASSES = 3  # the noise level and the number of parameters it leaves undetermined depend on each other, weakly
-HALF_NORMAL_MEAN, HALF_NORMAL_SD = 0.8, 0.6
 DEGREES = 8.0  # of the Student t that proposes: tails heavy enough to reach what Laplace's normal would miss
 EXPECTED_EVALUATIONS = 10_000  # of each row: sampling always pays for compiling
 
@@ -55,21 +54,19 @@ class Posterior:
     """Log posterior of the parameters and the log of the noise level, as a function of scaled coordinates.
 
     x = centre + factor @ u, factor being the Cholesky factor of Laplace's covariance; u and x have n_parameters + 1
-    entries, the last for the log of the noise relative to the problem's weights.
+    entries, the last for the log of the noise relative to the problem's weights. folded marks the coordinates that
+    begin at a bound: they are positive.
     """
 
     problem: Problem
     centre: np.ndarray
     factor: np.ndarray
+    folded: np.ndarray
     squares: Callable[[np.ndarray], np.ndarray]
 
     @staticmethod
     def about(problem: Problem, laplace: Laplace) -> Posterior:
-        """Scale by Laplace's approximation.
-
-        A parameter at a bound has no such approximation: what is left of its normal inside the bound has its mean 0.8 and
-        its standard deviation 0.6 of the normal's away, which is where proposals should go.
-        """
+        """Scale by Laplace's approximation; a coordinate of a parameter at a bound counts from there inwards."""
         centre = np.append(laplace.estimate, 0.5 * np.log(laplace.level))
         n = len(laplace.estimate)
         factor = np.zeros((n + 1, n + 1))
@@ -78,12 +75,12 @@ class Posterior:
         scaled = laplace.covariance[np.ix_(free, free)] / np.outer(sd[free], sd[free])
         factor[np.ix_(np.append(free, False), np.append(free, False))] = np.linalg.cholesky(scaled) * sd[free][:, None]
         lower, upper = problem.model.bounds.T
-        inward = np.where(laplace.estimate - lower < upper - laplace.estimate, 1.0, -1.0)
+        at_lower = laplace.estimate - lower < upper - laplace.estimate
         for i in np.flatnonzero(laplace.at_bound):
-            centre[i] += HALF_NORMAL_MEAN * inward[i] * sd[i]
-            factor[i, i] = HALF_NORMAL_SD * sd[i]
+            centre[i] = lower[i] if at_lower[i] else upper[i]
+            factor[i, i] = sd[i] if at_lower[i] else -sd[i]
         factor[-1, -1] = 1 / np.sqrt(2 * problem.rows.shape[1] * problem.axes)
-        return Posterior(problem, centre, factor, _sum_of_squares(problem))
+        return Posterior(problem, centre, factor, np.append(laplace.at_bound, False), _sum_of_squares(problem))
 
     @property
     def n_dimensions(self) -> int:
@@ -114,30 +111,34 @@ class Posterior:
 
     def start(self, n_walkers: int, rng: np.random.Generator) -> np.ndarray:
         """Return walkers (n_walkers, n_dimensions) drawn from Laplace's normal, redrawn until all are inside the bounds."""
-        walkers = rng.standard_normal((n_walkers, self.n_dimensions))
+        walkers = _fold(rng.standard_normal((n_walkers, self.n_dimensions)), self.folded)
         for _ in range(200):
             outside = ~np.isfinite(self.log_probability(walkers))
             if not outside.any():
                 return walkers
-            walkers[outside] = rng.standard_normal((int(outside.sum()), self.n_dimensions))
+            walkers[outside] = _fold(rng.standard_normal((int(outside.sum()), self.n_dimensions)), self.folded)
         raise RuntimeError("no start inside the bounds: Laplace's approximation lies outside them almost everywhere")
 
 
-def moves(n_dimensions: int, independent: float) -> list[tuple[emcee.moves.Move, float]]:
+def moves(folded: np.ndarray, independent: float) -> list[tuple[emcee.moves.Move, float]]:
     """Return the mixture of moves: an independent Student t in Laplace's coordinates, and differential evolution.
 
-    independent is the share of the first. `DESnookerMove` is left out on purpose: in emcee 3.1.6 its acceptance lacks a
+    folded (n_dimensions,) marks positive coordinates, independent is the share of the first move. `DESnookerMove` is left out on purpose: in emcee 3.1.6 its acceptance lacks a
     factor and it samples too narrow a posterior.
     """
     mixture = [
-        (emcee.moves.MHMove(student_proposal(n_dimensions)), independent),
+        (emcee.moves.MHMove(student_proposal(folded)), independent),
         (emcee.moves.DEMove(), 1 - independent),
     ]
     return [(move, weight) for move, weight in mixture if weight > 0]
 
 
-def student_proposal(n_dimensions: int) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
-    """Return emcee's proposal function for an independent multivariate Student t with unit scale."""
+def student_proposal(folded: np.ndarray) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
+    """Return emcee's proposal function for an independent multivariate Student t with unit scale.
+
+    Folding a coordinate doubles the density everywhere, which leaves its ratio as it is.
+    """
+    n_dimensions = len(folded)
 
     def log_density(u: np.ndarray) -> np.ndarray:
         constant = (
@@ -147,10 +148,14 @@ def student_proposal(n_dimensions: int) -> Callable[..., tuple[np.ndarray, np.nd
 
     def propose(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
         mixing = rng.chisquare(DEGREES, size=(len(u), 1)) / DEGREES
-        proposed = rng.standard_normal(u.shape) / np.sqrt(mixing)
+        proposed = _fold(rng.standard_normal(u.shape) / np.sqrt(mixing), folded)
         return proposed, log_density(u) - log_density(proposed)
 
     return propose
+
+
+def _fold(u: np.ndarray, folded: np.ndarray) -> np.ndarray:
+    return np.where(folded, np.abs(u), u)
 
 
 def _sum_of_squares(problem: Problem) -> Callable[[np.ndarray], np.ndarray]:

@@ -82,7 +82,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
 
 def _acceptance(posterior: Posterior, walkers: np.ndarray, rng: np.random.Generator) -> float:
     """Mean acceptance of one independent proposal from each start."""
-    move = moves(posterior.n_dimensions, 1.0)[0][0]
+    move = moves(posterior.folded, 1.0)[0][0]
     proposed, log_ratio = move.get_proposal(walkers, np.random.RandomState(rng.integers(2**31)))
     gain = posterior.log_probability(proposed) - posterior.log_probability(walkers) + log_ratio
     return float(np.exp(np.minimum(gain, 0)).mean())
@@ -127,7 +127,7 @@ def _extend(
         posterior.log_probability,
         vectorize=True,
         backend=block,
-        moves=moves(start.shape[1], independent),
+        moves=moves(posterior.folded, independent),
     )
     if backend.iteration:
         state = backend.get_last_sample()

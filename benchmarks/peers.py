@@ -1,0 +1,121 @@
+"""Identify a simulated UR10 with calflow and with pybotics: same data, same split, one run."""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from calflow.measurements import Measurements
+from calflow.model import build
+from calflow.robot.description import Robot
+from calflow.stages.accuracy import errors
+from calflow.stages.fit import Problem, fit
+from calflow.stages.noise import Noise
+
+# modified DH of a UR10 [m, rad]: alpha, a, theta, d of each joint, as pybotics states it
+TABLE = np.array(
+    [
+        [0, 0, 0, 0.118],
+        [np.pi / 2, 0, np.pi, 0],
+        [0, 0.6127, 0, 0],
+        [0, 0.5716, 0, 0.1639],
+        [-np.pi / 2, 0, 0, 0.1157],
+        [np.pi / 2, 0, np.pi, 0.0922],
+    ]
+)
+SIGMA = 5e-5  # m
+TRAIN, HELDOUT = 700, 300
+
+PEER = """
+import sys, time
+import numpy as np
+from scipy.optimize import least_squares
+from pybotics.optimization import OptimizationHandler, compute_absolute_errors, optimize_accuracy
+from pybotics.robot import Robot
+data = np.load(sys.argv[1])
+table = data["table"].copy()
+table[:, [1, 3]] *= 1e3
+robot = Robot.from_parameters(table)
+handler = OptimizationHandler(robot, kinematic_chain_mask=[True] * robot.kinematic_chain.num_parameters)
+n = int(data["train"])
+started = time.perf_counter()
+least_squares(optimize_accuracy, handler.generate_optimization_vector(),
+              args=(handler, data["q"][:n], 1e3 * data["xyz"][:n]))
+seconds = time.perf_counter() - started
+heldout = compute_absolute_errors(data["q"][n:], 1e3 * data["xyz"][n:], handler.robot)
+print(seconds, heldout.mean())
+"""
+
+
+def forward(table: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Positions (n, 3) of the last frame, in plain numpy."""
+    frame = np.broadcast_to(np.eye(4), (len(q), 4, 4))
+    for (alpha, a, theta, d), angle in zip(table, q.T, strict=True):
+        c, s, ca, sa = np.cos(angle + theta), np.sin(angle + theta), np.cos(alpha), np.sin(alpha)
+        zero, one = np.zeros_like(c), np.ones_like(c)
+        link = np.array(
+            [[c, -s, zero, a * one], [s * ca, c * ca, -sa * one, -d * sa * one],
+             [s * sa, c * sa, ca * one, d * ca * one], [zero, zero, zero, one]]
+        ).transpose(2, 0, 1)  # fmt: skip
+        frame = frame @ link
+    return frame[:, :3, 3]
+
+
+def main() -> None:
+    """Print one line a program."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--pybotics", required=True, help="a Python interpreter that has pybotics")
+    parser.add_argument("--repeats", type=int, default=3)
+    asked = parser.parse_args()
+
+    rng = np.random.default_rng(0)
+    true = TABLE + rng.normal(scale=1e-3, size=TABLE.shape)
+    q = rng.uniform(-np.pi, np.pi, (TRAIN + HELDOUT, 6))
+    xyz = forward(true, q) + SIGMA * rng.standard_normal((len(q), 3))
+
+    print(f"{'':10} {'seconds':>8} {'held-out mean mm':>17}")
+    own = min(calflow(q, xyz) for _ in range(asked.repeats))
+    print(f"{'calflow':10} {own[0]:8.3f} {own[1]:17.4f}")
+    with tempfile.TemporaryDirectory() as folder:
+        data = Path(folder) / "data.npz"
+        np.savez(data, table=TABLE, q=q, xyz=xyz, train=TRAIN)
+        command = [asked.pybotics, "-c", PEER, str(data)]
+        peer = min(
+            tuple(map(float, subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()))
+            for _ in range(asked.repeats)
+        )
+    print(f"{'pybotics':10} {peer[0]:8.3f} {peer[1]:17.4f}")
+    print(f"calflow is {peer[0] / own[0]:.0f} times faster")
+
+
+def calflow(q: np.ndarray, xyz: np.ndarray) -> tuple[float, float]:
+    """Seconds, from table to estimate with the graph's construction, and held-out mean error [mm]."""
+    joints = [{"alpha_rad": r[0], "a_m": r[1], "theta_rad": r[2], "d_m": r[3]} for r in TABLE.tolist()]
+    robot = Robot.model_validate(
+        {
+            "name": "UR10",
+            "convention": "modified-dh",
+            "joints": joints,
+            "markers": {"flange": {"point_m": [0.0, 0.0, 0.0]}},
+        }
+    )
+    table = pd.DataFrame(q, columns=[f"q{i + 1}" for i in range(6)])
+    table[["x", "y", "z"]] = xyz
+    table = table.assign(pose=np.arange(len(q)), repeat=1, marker="flange", payload="", split="train")
+    data = Measurements(robot, table)
+    train, heldout = data.only(np.arange(len(q)) < TRAIN), data.only(np.arange(len(q)) >= TRAIN)
+    started = time.perf_counter()
+    model = build(robot, ("geometry",))
+    result, _ = fit(Problem.of(model, train, Noise(np.full(TRAIN, SIGMA), np.ones(TRAIN), "file")))
+    seconds = time.perf_counter() - started
+    return seconds, 1e3 * float(np.linalg.norm(errors(model, result.estimate, heldout), axis=1).mean())
+
+
+if __name__ == "__main__":
+    main()

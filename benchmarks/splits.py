@@ -1,0 +1,51 @@
+"""The real FANUC's held-out error over random splits: 24 poses are few, and one split alone says little."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from calflow.measurements import Measurements, draw_split, read_measurements
+from calflow.model import build
+from calflow.stages.accuracy import errors
+from calflow.stages.identify import IdentifySettings, extrapolation, fit_settled
+from calflow.stages.noise import noise
+from calflow.stages.registration import registered
+from calflow.study import load_study
+
+STUDY = Path(__file__).parents[1] / "studies" / "fanuc-r2000" / "study.toml"
+
+
+def main() -> None:
+    """Print one line a split."""
+    study = load_study(STUDY)
+    data = read_measurements(study.measurement_path, study.robot, study.file.measurements)
+    print("split  held-out mean mm  held-out readings beyond the fitted ones")
+    splits = []
+    for seed in range(12):
+        split = draw_split(data, study.file.split.holdout, seed)
+        splits.append(heldout(split, study.file.effects))
+        beyond = ", ".join(statement.split(":")[0] for statement in extrapolation(split))
+        print(f"{seed:5}  {splits[-1].mean():16.3f}  {beyond}")
+    print(
+        f"mean over splits {np.mean([s.mean() for s in splits]):.3f}, median {np.median([s.mean() for s in splits]):.3f}"
+    )
+    poses = data.table["pose"].unique()
+    one_out = [heldout(Measurements(data.robot, data.table.assign(
+        split=np.where(data.table["pose"] == pose, "holdout", "train"))), study.file.effects).mean() for pose in poses]  # fmt: skip
+    print(f"one pose left out at a time: mean {np.mean(one_out):.3f}, largest {np.max(one_out):.3f}")
+
+
+def heldout(data: Measurements, effects: tuple[str, ...]) -> np.ndarray:
+    """Held-out errors [mm], shape (n_rows,)."""
+    robot = registered(data.robot, data.only(data.train))
+    data = data.on(robot)
+    model = build(robot, effects, data.given)
+    level = noise(data).only(data.train)
+    result = fit_settled(model, data.only(data.train), level, IdentifySettings(starts=1), np.random.default_rng(0))[0]
+    return 1e3 * np.linalg.norm(errors(model, result.estimate, data), axis=1)[~data.train]
+
+
+if __name__ == "__main__":
+    main()

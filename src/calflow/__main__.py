@@ -1,0 +1,5 @@
+"""`python -m calflow`."""
+
+from calflow.cli import main
+
+main()
