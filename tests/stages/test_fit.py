@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.robots import hh800, industrial
-from tests.stages.data import SIGMA, drawn_truth, measured, problem
 
 from calflow.model import build
 from calflow.stages.fit import draw_starts, fit
 from calflow.stages.identifiability import KNOWN
+from robots import hh800, industrial
+from stages.data import SIGMA, drawn_truth, measured, problem
 
 EFFECTS = ("geometry", "joint-compliance")
 

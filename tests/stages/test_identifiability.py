@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.robots import hh800
-from tests.stages.data import drawn_truth, measured, problem
 
 from calflow.model import build
 from calflow.stages.fit import fit
 from calflow.stages.identifiability import best_subset, identifiability
+from robots import hh800
+from stages.data import drawn_truth, measured, problem
 
 
 @pytest.fixture(scope="module")

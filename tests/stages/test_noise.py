@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import kstest
-from tests.robots import industrial
-from tests.stages.data import SIGMA, drawn_truth, measured, problem, stated
 
 from calflow.model import build
 from calflow.stages.fit import Problem, fit
 from calflow.stages.noise import lack_of_fit, noise
+from robots import industrial
+from stages.data import SIGMA, drawn_truth, measured, problem, stated
 
 
 @pytest.fixture(scope="module")

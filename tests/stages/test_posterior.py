@@ -5,14 +5,14 @@ from __future__ import annotations
 import emcee
 import numpy as np
 import pytest
-from tests.robots import industrial
-from tests.stages.data import SIGMA, drawn_truth, measured, problem
 
 from calflow.model import build
 from calflow.stages.chain import joined, open_ensembles
 from calflow.stages.fit import fit
 from calflow.stages.posterior import Laplace, Posterior, moves
 from calflow.stages.sample import _extend
+from robots import industrial
+from stages.data import SIGMA, drawn_truth, measured, problem
 
 
 @pytest.mark.parametrize(("independent", "steps"), [(0.8, 1200), (1.0, 1200), (0.0, 4000)])

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.robots import industrial
-from tests.stages.data import measured
 
 from calflow.model import build
 from calflow.robot.description import Base, Marker
 from calflow.stages.registration import registered
+from robots import industrial
+from stages.data import measured
 
 
 @pytest.mark.parametrize("angles", [(170, 20, -100), (0, 90, 45), (-120, -60, 10)])

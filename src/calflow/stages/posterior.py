@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import emcee
@@ -62,7 +63,6 @@ class Posterior:
     centre: np.ndarray
     factor: np.ndarray
     folded: np.ndarray
-    squares: Callable[[np.ndarray], np.ndarray]
 
     @staticmethod
     def about(problem: Problem, laplace: Laplace) -> Posterior:
@@ -80,7 +80,12 @@ class Posterior:
             centre[i] = lower[i] if at_lower[i] else upper[i]
             factor[i, i] = sd[i] if at_lower[i] else -sd[i]
         factor[-1, -1] = 1 / np.sqrt(2 * problem.rows.shape[1] * problem.axes)
-        return Posterior(problem, centre, factor, np.append(laplace.at_bound, False), _sum_of_squares(problem))
+        return Posterior(problem, centre, factor, np.append(laplace.at_bound, False))
+
+    @cached_property
+    def squares(self) -> Callable[[np.ndarray], np.ndarray]:
+        """The function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,)."""
+        return _sum_of_squares(self.problem)
 
     @property
     def n_dimensions(self) -> int:

@@ -1,0 +1,1 @@
+"""Figures: each function draws numbers and knows nothing of the document."""

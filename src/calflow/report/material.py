@@ -1,0 +1,128 @@
+"""What the sections are written from: the study, its measurements and the tables, with what is derived from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from calflow.measurements import Measurements
+from calflow.report.words import effect_words
+from calflow.stages.identified import Identified, identified
+from calflow.stages.stage import Tables
+from calflow.study import Study
+
+MEAN_OF_NOISE = float(np.sqrt(8 / np.pi))  # mean length of a vector of three unit normals
+
+
+@dataclass(frozen=True)
+class Step:
+    """A model's accuracy on one split [mm]; label says what the model has more than the one before."""
+
+    model: str
+    label: str
+    n: int
+    mean: float
+    rms: float
+    max: float
+
+
+@dataclass(frozen=True)
+class Material:
+    """Study, measurements in the order of identify/residuals.csv, what identify found, and all tables."""
+
+    study: Study
+    data: Measurements
+    known: Identified
+    tables: Tables
+    run_folder: Path
+
+    @staticmethod
+    def of(study: Study, tables: Tables, run_folder: Path) -> Material:
+        """Read the measurements and rebuild the fitted model."""
+        data = study.measurements()
+        known = identified(study.robot, tables, data.given)
+        return Material(study, data.on(known.model.robot), known, tables, run_folder)
+
+    @property
+    def title(self) -> str:
+        """What the report is called."""
+        return self.study.file.title or self.study.name
+
+    @cached_property
+    def held(self) -> np.ndarray:
+        """Which rows no fit has seen, shape (n_rows,)."""
+        return ~self.data.train
+
+    @property
+    def judged(self) -> np.ndarray:
+        """The rows by which the model is judged: those held out, else all."""
+        return self.held if self.held.any() else np.full(len(self.data), True)
+
+    @cached_property
+    def error(self) -> np.ndarray:
+        """Predicted minus measured positions, shape (n_rows, 3) [mm]."""
+        return self.tables["identify/residuals.csv"][["dx_mm", "dy_mm", "dz_mm"]].to_numpy(dtype=float)
+
+    @cached_property
+    def distance(self) -> np.ndarray:
+        """Length of each row's error, shape (n_rows,) [mm]."""
+        return np.linalg.norm(self.error, axis=1)
+
+    @cached_property
+    def sigma(self) -> np.ndarray:
+        """Noise of each row per axis, shape (n_rows,) [mm]."""
+        return 1e3 * self.known.noise(self.data).sigma
+
+    @property
+    def noise_floor(self) -> float | None:
+        """Mean error that noise alone would give in the judged rows [mm]; None where only the fit tells the noise."""
+        if self.known.noise_source == "estimated":
+            return None
+        return MEAN_OF_NOISE * float(self.sigma[self.judged].mean())
+
+    @cached_property
+    def model_sd(self) -> float:
+        """How sure the calibrated model's own position is: root mean square over the judged rows [mm]."""
+        jacobian = self.known.model.position_jacobian(self.known.estimate, self.data.rows[:, self.judged])
+        variance = np.einsum("nai,ij,naj->n", jacobian, self.known.covariance, jacobian, optimize=True)
+        return 1e3 * float(np.sqrt(variance.mean()))
+
+
+def split_judged(accuracy: pd.DataFrame) -> str:
+    """Return the split by which models are judged: holdout where there is one."""
+    return "holdout" if (accuracy["split"] == "holdout").any() else "train"
+
+
+def steps(accuracy: pd.DataFrame, split: str) -> list[Step]:
+    """Return the models of accuracy.csv in their order."""
+    rows = accuracy[accuracy["split"] == split]
+    found: list[Step] = []
+    for row in rows.to_dict("records"):
+        label = _label(row["model"], found[-1].model if found else "")
+        found.append(Step(row["model"], label, row["n"], row["mean_mm"], row["rms_mm"], row["max_mm"]))
+    return found
+
+
+def item(summary: pd.DataFrame, name: str) -> str:
+    """Return an item of a summary table as text, or '' where it is not there."""
+    found = summary.loc[summary["item"] == name, "value"]
+    return str(found.iloc[0]) if len(found) else ""
+
+
+def lack_of_fit(summary: pd.DataFrame) -> float:
+    """Return how many times the noise the model leaves; nan where the noise was estimated from the fit itself."""
+    if item(summary, "noise_source") == "estimated":
+        return float("nan")
+    return float(np.sqrt(float(item(summary, "reduced_chi2"))))
+
+
+def _label(model: str, before: str) -> str:
+    if model == "nominal":
+        return "nominal robot"
+    if before and model.startswith(f"{before} + "):
+        return f"+ {effect_words(model[len(before) + 3 :])}"
+    return effect_words(model)

@@ -1,0 +1,67 @@
+"""What a section of the report is, and how sections are found: a new file in sections/ is enough to add one."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from calflow.report.document import Block
+from calflow.report.material import Material
+from calflow.stages.stage import Tables
+
+
+@dataclass(frozen=True)
+class Advice:
+    """A sentence that tells the reader what to do; the most urgent, 1, stand first.
+
+    1: do not use the result; 2: something is wrong or missing; 3: it could be better.
+    """
+
+    urgency: int
+    sentence: str
+
+
+Rule = Callable[[Tables], list[Advice]]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the report: where it stands, the tables it cannot do without, how it is written, what it advises.
+
+    rules turn tables into advice for the first page; they apply where the section's tables are there.
+    """
+
+    order: int
+    title: str
+    needs: tuple[str, ...]
+    write: Callable[[Material], list[Block]]
+    rules: tuple[Rule, ...] = ()
+
+
+def sections() -> list[Section]:
+    """Return all sections in their order."""
+    from calflow.report import sections as folder
+
+    modules = [
+        importlib.import_module(f"{folder.__name__}.{module.name}") for module in pkgutil.iter_modules(folder.__path__)
+    ]
+    return sorted((module.SECTION for module in modules), key=lambda section: section.order)
+
+
+def chosen(every: Sequence[Section], material: Material) -> list[Section]:
+    """Return the sections whose tables are there."""
+    return [section for section in every if set(section.needs) <= set(material.tables)]
+
+
+def advice(every: Sequence[Section], tables: Tables) -> list[Advice]:
+    """Return what all sections advise, the most urgent first."""
+    found = [
+        item
+        for section in every
+        if set(section.needs) <= set(tables)
+        for rule in section.rules
+        for item in rule(tables)
+    ]
+    return sorted(found, key=lambda item: item.urgency)

@@ -1,0 +1,1 @@
+"""Sections: one file each, which defines SECTION; the report holds those whose tables are there."""

@@ -1,0 +1,156 @@
+"""The section on the sampled posterior: is it to be trusted, and how does it differ from the approximation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from calflow.report.chain import Chain
+from calflow.report.document import Block, bullets, heading, paragraph, plot, table
+from calflow.report.figures.posterior import against_laplace, corner, traces
+from calflow.report.material import Material, item
+from calflow.report.section import Advice, Section
+from calflow.report.style import WIDTH
+from calflow.report.words import readable, with_sd
+from calflow.stages.stage import Tables
+
+SAME = 1.01  # R-hat up to which ensembles agree
+TRACED, PAIRED = 3, 6  # parameters in the figures
+CORNER_DRAWS = 40_000
+INTRODUCTION = (
+    "The standard deviations of the fit assume that errors add up linearly. Sampling makes no such assumption: it collects "
+    "parameter sets that agree with the data as well as the noise allows. Agreement of the two is the check."
+)
+RATIO = (
+    "Sampled standard deviation over that of the fit. Near 1, the sd of the parameter table can be taken at its word."
+)
+TRACES = (
+    "The parameters that mix worst. Thick lines: median over the walkers of each ensemble; thin: the middle 95 %. Level "
+    "bands that lie on each other show that the ensembles agree and were long enough."
+)
+CORNER = (
+    "Posterior of parameters at a bound and of those most correlated: grey is density, lines hold 68 % and 95 %. Narrow "
+    "slanted shapes are pairs of which only a combination is known."
+)
+
+
+def write(material: Material) -> list[Block]:
+    """Show mixing, the comparison with Laplace's approximation and the pairs that are not simply normal."""
+    posterior, summary = material.tables["sample/posterior.csv"], material.tables["sample/summary.csv"]
+    parameters = material.tables["identify/parameters.csv"]
+    free = parameters["sd"].notna().to_numpy()
+    ratio = posterior["sd"].to_numpy(dtype=float)[: len(free)][free] / parameters["sd"].to_numpy(dtype=float)[free]
+    names = parameters.loc[free, "parameter"].astype(str).tolist()
+    return [
+        paragraph(INTRODUCTION, keep=True),
+        table(("check", "found", "wanted"), _checks(posterior, summary), "lll"),
+        *_cuts(summary),
+        plot("posterior_sd", against_laplace(names, ratio), RATIO),
+        *_chain(material),
+        *_noise(posterior),
+    ]
+
+
+def _checks(posterior: pd.DataFrame, summary: pd.DataFrame) -> list[tuple[str, str, str]]:
+    worst, least = posterior.sort_values("rhat").iloc[-1], posterior.sort_values("ess").iloc[0]
+    return [
+        ("ensembles agree (largest R-hat)", f"{worst['rhat']:.4f} ({worst['parameter']})", f"below {SAME:g}"),
+        ("independent samples (smallest)", f"{least['ess']:,.0f} ({least['parameter']})", "some thousand"),
+        ("length", f"{item(summary, 'steps')} steps, {item(summary, 'ensembles')}", item(summary, "length")),
+        ("steps until a walker forgets", item(summary, "autocorrelation_steps"), "at most a fiftieth of the steps"),
+        ("sampled sd over approximation", item(summary, "sd_over_laplace"), "near 1"),
+    ]
+
+
+def _cuts(summary: pd.DataFrame) -> list[Block]:
+    cuts = summary.loc[summary["item"] == "cut", "value"].astype(str).tolist()
+    return [bullets(text[0].upper() + text[1:] + "." for text in cuts)] if cuts else []
+
+
+def _noise(posterior: pd.DataFrame) -> list[Block]:
+    rows = posterior[posterior["parameter"] == "noise.factor"].to_dict("records")
+    return [
+        paragraph(
+            f"The noise itself was sampled too: {row['q500']:.2f} times what the fit used (95 % between {row['q025']:.2f} "
+            f"and {row['q975']:.2f})."
+        )
+        for row in rows
+    ]
+
+
+def _chain(material: Material) -> list[Block]:
+    path = material.run_folder / "sample" / "chain.h5"
+    if not path.exists():
+        return []
+    posterior, summary = material.tables["sample/posterior.csv"], material.tables["sample/summary.csv"]
+    chain = Chain.read(path, material, float(item(summary, "autocorrelation_steps") or 1))
+    names = posterior["parameter"].astype(str).tolist()
+    units = [readable(str(unit)) for unit in posterior["unit"]]
+
+    def labels(which: Sequence[int]) -> list[str]:
+        return [f"{names[k]}\n[{units[k][1]}]" if units[k][1] else names[k] for k in which]
+
+    def factors(which: Sequence[int]) -> np.ndarray:
+        return np.array([units[k][0] for k in which])
+
+    slow = np.argsort(posterior["ess"].to_numpy(dtype=float), kind="stable")[:TRACED].tolist()
+    traced = traces(chain.steps, chain.values(np.array(slow)) * factors(slow), labels(slow), chain.discard)
+    blocks = [plot("traces", traced, TRACES)]
+    pairs = [names.index(name) for name in corner_names(material.tables)]
+    if len(pairs) > 1:
+        drawn = corner(chain.draws(np.array(pairs), CORNER_DRAWS) * factors(pairs), labels(pairs))
+        width = round(100 * drawn.get_figwidth() / WIDTH)
+        rows = [_row(posterior.iloc[k]) for k in pairs]
+        blocks += [
+            heading("Parameters that go together"),
+            plot("corner", drawn, CORNER, width),
+            table(("parameter", "unit", "mean", "sd", "2.5 %", "median", "97.5 %"), rows, "llrrrrr"),
+        ]
+    return blocks
+
+
+def corner_names(tables: Tables) -> list[str]:
+    """Return the parameters worth a look in pairs: at a bound, then the most correlated, then compliances; six at most."""
+    parameters = tables["identify/parameters.csv"]
+    names = parameters.loc[parameters["at_bound"].astype(bool), "parameter"].astype(str).tolist()[:2]
+    if "identify/correlations.csv" in tables:
+        names += tables["identify/correlations.csv"][["first", "second"]].to_numpy().ravel().tolist()
+    names += parameters.loc[parameters["effect"] == "joint-compliance", "parameter"].astype(str).tolist()
+    chosen = list(dict.fromkeys(names))[:PAIRED]
+    return [name for name in parameters["parameter"] if name in chosen]
+
+
+def _row(row: pd.Series) -> tuple[str, ...]:
+    factor, unit = readable(str(row["unit"]))
+    sd = factor * float(row["sd"])
+    said = [with_sd(factor * float(row[name]), sd)[0] for name in ("mean", "q025", "q500", "q975")]
+    return (str(row["parameter"]), unit, said[0], with_sd(0.0, sd)[1], *said[1:])
+
+
+def too_short(tables: Tables) -> list[Advice]:
+    """A chain that is too short is to be lengthened."""
+    length = item(tables["sample/summary.csv"], "length")
+    return [Advice(2, f"The sampling is {length}.")] if length.startswith("too short") else []
+
+
+def ensembles_disagree(tables: Tables) -> list[Advice]:
+    """Ensembles that disagree have not found all of the posterior."""
+    worst = tables["sample/posterior.csv"].sort_values("rhat").iloc[-1]
+    if not worst["rhat"] > SAME:
+        return []
+    sentence = (
+        f"The ensembles disagree on {worst['parameter']} (R-hat {worst['rhat']:.3f}, wanted below {SAME:g}): the sampled "
+        "intervals are not to be trusted yet; raise stages.sample.max_steps."
+    )
+    return [Advice(2, sentence)]
+
+
+SECTION = Section(
+    60,
+    "How sure: the sampled posterior",
+    ("sample/posterior.csv", "sample/summary.csv", "identify/parameters.csv"),
+    write,
+    (too_short, ensembles_disagree),
+)

@@ -1,0 +1,86 @@
+"""The section on residuals: where the model is still wrong, and which rows do not fit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calflow.report.document import Block, heading, paragraph, plot, table
+from calflow.report.figures.residuals import against_joints, against_place, in_workspace, magnification
+from calflow.report.material import Material
+from calflow.report.section import Advice, Section
+from calflow.report.words import listed, mm, plural, ratio
+from calflow.stages.stage import Tables
+
+SHOWN = 15  # flagged rows in the table
+DRAWN = 700  # arrows in the workspace that can still be told apart
+INTRODUCTION = (
+    "What the calibrated model still gets wrong: predicted minus measured position. Errors that are noise point "
+    "anywhere; neighbours that point the same way, or a trend along a joint, mean that the model lacks a cause."
+)
+PLACE = (
+    "Size of the errors against reach, height and the order of the rows; a trend along the rows may be warm-up or a "
+    "moved device."
+)
+JOINTS = (
+    "Errors against each joint reading. Open circles: used for the fit; triangles: held out; line: mean of neighbouring "
+    "rows, flat and near zero where nothing is missing."
+)
+
+
+def write(material: Material) -> list[Block]:
+    """Show the errors of the calibrated model in space, against joints and place, and the rows that stand out."""
+    robot, position, error = material.data.robot, 1e3 * material.data.position, material.error
+    turns = np.array([joint.kind == "revolute" for joint in robot.joints])
+    reading = material.data.joints * np.where(turns, np.rad2deg(1.0), 1e3)
+    labels = [f"q{i + 1} [{'deg' if turn else 'mm'}]" for i, turn in enumerate(turns)]
+    reach = np.linalg.norm(position[:, :2] / 1e3 - np.array(robot.base.origin[:2]), axis=1)
+    factor = magnification(position, error)
+    shown = np.unique(np.linspace(0, len(position) - 1, DRAWN).astype(int))
+    some = f" {len(shown)} of {len(position)} rows are shown." if len(shown) < len(position) else ""
+    return [
+        paragraph(INTRODUCTION, keep=True),
+        plot("residuals_place", against_place(reach, position[:, 2] / 1e3, material.distance, material.held), PLACE),
+        plot(
+            "residuals_workspace",
+            in_workspace(position[shown], error[shown], material.held[shown], factor),
+            f"Errors in the measuring frame, drawn {factor:,.0f} times enlarged; the darker, the larger.{some}",
+        ),
+        plot("residuals_joints", against_joints(reading, error, material.held, labels), JOINTS),
+        *_flagged(material),
+    ]
+
+
+def _flagged(material: Material) -> list[Block]:
+    rows = material.tables["identify/residuals.csv"].assign(distance=material.distance)
+    flagged = rows[rows["flagged"].astype(bool)].sort_values("distance", ascending=False)
+    if flagged.empty:
+        return [paragraph("No row stands out: none has an error too large for noise and for the spread of the rest.")]
+    cells = [
+        (*(str(row[name]) for name in ("line", "pose", "repeat", "marker")),
+         "held out" if row["split"] == "holdout" else "used", mm(row["distance"]), ratio(row["whitened"]))
+        for row in flagged.head(SHOWN).to_dict("records")
+    ]  # fmt: skip
+    left = f" The {SHOWN} largest of {len(flagged)} are shown." if len(flagged) > SHOWN else ""
+    header = ("line of the file", "pose", "repeat", "marker", "row", "error [mm]", "times the expected")
+    return [
+        heading("Rows that do not fit"),
+        paragraph(f"Their errors are too large for noise and for the spread of the rest.{left}", keep=True),
+        table(header, cells, "rrrllrr"),
+    ]
+
+
+def flagged_rows(tables: Tables) -> list[Advice]:
+    """Rows that do not fit are to be looked at."""
+    rows = tables["identify/residuals.csv"]
+    lines = rows.loc[rows["flagged"].astype(bool), "line"].tolist()
+    if not lines:
+        return []
+    noun = "line" if len(lines) == 1 else "lines"
+    sentence = (
+        f"Check {plural(len(lines), 'row')} of the measurement file ({noun} {listed(lines)}): the error there is too large "
+        "for noise. Measure again, or leave out what was mistaken."
+    )
+    return [Advice(2, sentence)]
+
+
+SECTION = Section(20, "What is left: residuals", ("identify/residuals.csv",), write, (flagged_rows,))

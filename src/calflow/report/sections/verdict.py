@@ -1,0 +1,119 @@
+"""The first page: what calibration gained, how sure that is, what stays open and what to do next."""
+
+from __future__ import annotations
+
+import math
+
+from calflow.report.document import Block, bullets, card, gap, heading, paragraph, picture, side_by_side
+from calflow.report.figures.accuracy import before_after
+from calflow.report.material import Material, Step, item, lack_of_fit, split_judged, steps
+from calflow.report.section import Section, advice, sections
+from calflow.report.sections.accuracy import LACKS
+from calflow.report.sections.identifiability import open_questions
+from calflow.report.sections.predictive import coverage_words
+from calflow.report.words import listed, mm, plural, ratio
+
+ENOUGH = 1.1  # times the noise up to which a model counts as complete
+CARDS = 3
+TEXT = 10.5  # points
+FINE = "Nothing needs attention: the parameters can be used for the tools, loads and workspace that were measured."
+
+
+def write(material: Material) -> list[Block]:
+    """Put the verdict on one page."""
+    accuracy = material.tables["identify/accuracy.csv"]
+    split = split_judged(accuracy)
+    found = steps(accuracy, split)
+    shown = [found[0], *found[1:][-(CARDS - 1) :]]
+    cards = [
+        [card(step.label, mm(step.mean), f"largest {mm(step.max)} mm", dark=step is found[-1] and len(found) > 1)]
+        for step in shown
+    ]
+    return [
+        paragraph("Calibration report", 10),
+        paragraph(material.title, 21, bold=True),
+        paragraph(_measured(material), 10),
+        gap(20),
+        paragraph(headline(found, split), 14, bold=True),
+        gap(16),
+        side_by_side(cards, [1] * len(cards), 8),
+        gap(16),
+        side_by_side(
+            [[picture("before_after", before_after(found, material.noise_floor))],
+             [heading("How sure is this?"), bullets(how_sure(material), TEXT)]],
+            [1, 1],
+        ),
+        heading("What the data cannot tell"),
+        bullets(open_questions(material.tables) or ["Nothing: the data determine every parameter."], TEXT),
+        heading("What to do next"),
+        bullets(next_steps(material) or [FINE], TEXT),
+    ]  # fmt: skip
+
+
+def headline(found: list[Step], split: str) -> str:
+    """Say in one sentence what calibration gained."""
+    first, last = found[0], found[-1]
+    seen = "that no fit has seen" if split == "holdout" else "used for the fit (none were held out)"
+    if len(found) == 1:
+        return f"At poses {seen}, the nominal robot is off by {mm(first.mean)} mm on average."
+    verb = "reduces" if last.mean < first.mean else "changes"
+    return (
+        f"At poses {seen}, calibration {verb} the tool-position error from {mm(first.mean)} mm to {mm(last.mean)} mm "
+        f"on average, and the largest from {mm(first.max)} mm to {mm(last.max)} mm."
+    )
+
+
+def how_sure(material: Material) -> list[tuple[str, str]]:
+    """Say what the numbers are worth: noise, lack of fit, the model's own uncertainty, coverage."""
+    summary = material.tables["identify/summary.csv"]
+    alone = material.noise_floor
+    floor = f" Noise alone would give a mean error of {mm(alone)} mm." if alone else ""
+    own = float(item(summary, "discrepancy_mm") or 0)
+    sure = f"where it was tested, its predicted positions are certain to {mm(material.model_sd)} mm (1 sd)."
+    said = [
+        ("Noise:", f"{item(summary, 'noise')}.{floor}"),
+        ("Left over:", leftover(lack_of_fit(summary), own)),
+        ("Calibrated model:", sure),
+    ]
+    if "sample/predictive.csv" in material.tables:
+        said.append(("Tested:", coverage_words(material.tables)))
+    return said
+
+
+def leftover(times: float, discrepancy: float = 0.0) -> str:
+    """Say what a lack-of-fit factor and the model's own error [mm] mean; nan is a factor that cannot be known."""
+    if math.isnan(times):
+        return "whether the model leaves more than noise cannot be told: the noise was estimated from the fit itself."
+    if times <= ENOUGH:
+        return f"the model leaves {times:.2f} times the noise, so the noise explains all that is left."
+    own = (
+        f" Its own error of {mm(discrepancy)} mm per axis is counted in every standard deviation."
+        if discrepancy
+        else ""
+    )
+    lacks = "it lacks something" if times > LACKS else "a little more than noise explains"
+    return f"the model leaves {ratio(times)} times the noise: {lacks}.{own}"
+
+
+def next_steps(material: Material) -> list[str]:
+    """Return what all sections advise, the most urgent first."""
+    return [step.sentence for step in advice(sections(), material.tables)]
+
+
+def _measured(material: Material) -> str:
+    summary, robot, data = material.tables["identify/summary.csv"], material.study.robot, material.data.table
+    loads = [name for name in dict.fromkeys(data["payload"].astype(str)) if name]
+    markers = list(dict.fromkeys(data["marker"].astype(str)))
+    parts = [
+        f"Robot: {robot.name}",
+        f"{plural(int(item(summary, 'training_poses')), 'pose')} used for the fit, {item(summary, 'heldout_poses')} held out",
+        f"{plural(len(data), 'measured point')}",
+        f"{'marker' if len(markers) == 1 else 'markers'} {listed(markers, 5)}",
+        *([f"{'payload' if len(loads) == 1 else 'payloads'} {listed(loads, 5)}"] if loads else []),
+    ]
+    return "  ·  ".join(parts)
+
+
+SECTION = Section(
+    0, "Verdict", ("identify/accuracy.csv", "identify/summary.csv", "identify/identifiability.csv"), write
+)

@@ -1,0 +1,90 @@
+"""One look for all figures: sizes, colours that stay apart in grey, and SVG that is the same each time."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+WIDTH = 6.7  # inches: the text width of the page, so that letters keep their size
+DARK, ACCENT, MIDDLE, LIGHT = "#1f3f66", "#c8641b", "#7f8790", "#d4d8dd"
+ALONE = (
+    (DARK, "-", "o"),
+    (ACCENT, "--", "^"),
+    (MIDDLE, "-.", "s"),
+    ("#000000", ":", "D"),
+    ("#5a9bd4", (0, (5, 1)), "v"),
+)
+MANY = 5000  # points in a figure beyond which they are drawn as a picture
+
+SETTINGS: dict[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 7.5,
+    "axes.titlesize": 8,
+    "axes.labelsize": 7.5,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": "#444444",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e3e6ea",
+    "grid.linewidth": 0.5,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.fontsize": 7,
+    "legend.frameon": False,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 3.5,
+    "figure.dpi": 100,
+    "savefig.dpi": 250,  # of what is drawn as a picture inside an SVG
+    "svg.fonttype": "path",
+    "svg.hashsalt": "calflow",
+    "figure.constrained_layout.use": True,
+    "text.parse_math": False,  # names are shown as they are
+}
+
+
+def style() -> AbstractContextManager[None]:
+    """Return the context in which figures are made and saved."""
+    return matplotlib.rc_context(SETTINGS)  # type: ignore[arg-type]
+
+
+def figure(height: float, width: float = WIDTH) -> Figure:
+    """Return an empty figure of this size [inches]."""
+    return Figure(figsize=(width, height))
+
+
+def panels(rows: int, columns: int, height: float, width: float = WIDTH, **sharing: Any) -> tuple[Figure, np.ndarray]:
+    """Return a figure with a grid of axes, shape (rows, columns)."""
+    drawn = figure(height, width)
+    return drawn, drawn.subplots(rows, columns, squeeze=False, **sharing)
+
+
+def dots(axes: Axes, x: np.ndarray, y: np.ndarray, held: np.ndarray, size: float, n_panels: int = 1) -> None:
+    """Scatter training rows as open circles and held-out rows as filled triangles; a large crowd as a picture."""
+    picture = n_panels * len(x) > MANY
+    axes.scatter(x[~held], y[~held], size, facecolors="none", edgecolors=DARK, linewidths=0.2 * size**0.5, rasterized=picture,
+                 label="used for the fit")  # fmt: skip
+    if held.any():
+        axes.scatter(
+            x[held],
+            y[held],
+            size * 1.3,
+            marker="^",
+            color=ACCENT,
+            linewidths=0,
+            rasterized=picture,
+            label="held out",
+        )
+
+
+def crowded(n_rows: int) -> float:
+    """Return the marker size for this many rows."""
+    return float(np.clip(9 - 1.8 * np.log10(max(n_rows, 10) / 10), 1.5, 9))

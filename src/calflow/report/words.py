@@ -1,0 +1,94 @@
+"""Numbers and names as a reader wants them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+LINK = {
+    "alpha": "twist alpha of link", "beta": "twist beta of link", "theta": "zero of joint", "a": "length a of link",
+    "d": "length d of link", "s": "compliance of joint",
+}  # fmt: skip
+READABLE = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
+
+
+def mm(value: float) -> str:
+    """Return a length in mm without its unit: micrometres where they matter, at least two digits."""
+    if not math.isfinite(value):
+        return "–"
+    size = abs(value)
+    if size >= 1:
+        return f"{value:.2f}"
+    return f"{value:.3f}" if size >= 0.0095 or size == 0 else f"{value:.{min(9, 1 - math.floor(math.log10(size)))}f}"
+
+
+def ratio(value: float) -> str:
+    """Return a factor with two or three digits."""
+    if not math.isfinite(value):
+        return "–"
+    return f"{value:,.0f}" if value >= 10 else f"{value:.1f}" if value >= 2 else f"{value:.2f}"
+
+
+def readable(unit: str) -> tuple[float, str]:
+    """Return the factor and the unit in which a quantity in an SI unit is easy to read."""
+    if unit in READABLE:
+        return READABLE[unit]
+    if unit.startswith(("m/", "rad/")):
+        return 1e6, f"µ{unit}"
+    return 1.0, "" if unit == "1" else unit
+
+
+def number(value: float, form: str) -> str:
+    """Return a formatted number with a true minus sign, and none before a zero."""
+    said = format(value, form)
+    return said.replace("-", "−") if any(digit in said for digit in "123456789") else said.lstrip("-")
+
+
+def interval(lower: float, upper: float) -> str:
+    """Return a range in three digits."""
+    return f"{number(lower, ',.4g')} … {number(upper, ',.4g')}"
+
+
+def percent(share: float) -> str:
+    """Return a share as percent."""
+    return f"{100 * share:.0f} %"
+
+
+def with_sd(value: float, sd: float) -> tuple[str, str]:
+    """Return a value and its standard deviation, both to the second digit of the latter."""
+    if not (math.isfinite(sd) and sd > 0):
+        return number(value, ".3g"), "–"
+    decimals = max(0, 1 - math.floor(math.log10(sd)))
+    if decimals > 6:
+        return number(value, ".4e"), f"{sd:.1e}"
+    return number(value, f".{decimals}f"), f"{sd:.{decimals}f}"
+
+
+def listed(names: Sequence[object], limit: int = 12) -> str:
+    """Return names as a list in words, cut where it gets long."""
+    words = [str(name) for name in names]
+    if len(words) > limit:
+        return f"{', '.join(words[:limit])} and {len(words) - limit} more"
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else "none"
+
+
+def plural(number: int, noun: str) -> str:
+    """Return a number with its noun."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def spoken(name: str) -> str:
+    """Return a parameter's name with what it is: joint1.s (compliance of joint 1)."""
+    part, _, symbol = name.rpartition(".")
+    joint = re.fullmatch(r"joint(\d+)", part)
+    if joint and symbol in LINK:
+        return f"{name} ({LINK[symbol]} {joint.group(1)})"
+    if symbol in ("x", "y", "z") and part not in ("base", "tool"):
+        return f"{name} ({symbol} of marker {part})"
+    return name
+
+
+def effect_words(effect: str) -> str:
+    """Return an effect's or a model's id as words."""
+    return effect.replace("-", " ")
