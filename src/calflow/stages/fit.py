@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -16,7 +17,8 @@ from calflow.stages.noise import Noise
 
 Loss = Literal["linear", "soft_l1", "cauchy"]
 AT_BOUND = 0.05  # posterior standard deviations from a bound: closer than that, IPOPT's barrier stopped it
-BLOCK_ROWS = 128  # rows whose Jacobian is held at once
+LINEARISED_ROWS = 4096  # rows whose Jacobian is handed out at once
+BLOCK_ROWS = 128  # rows whose Jacobian the solver holds at once
 EXPECTED_EVALUATIONS = 40  # of each row, in a typical fit: decides whether compiling pays
 SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two starts found the same
 
@@ -25,16 +27,16 @@ SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two 
 class Fit:
     """An estimate (n_parameters,) and what it is worth.
 
-    residual (n_rows, n_axes) and jacobian (n_rows, n_axes, n_parameters) are whitened by the noise. covariance is
-    Laplace's, over the parameters off their bounds; a parameter at a bound has zeros there. objective is half of
-    chi² plus half of the priors' part.
+    residual (n_rows, n_axes) is whitened by the noise; root (n_parameters, n_parameters) is the triangular factor of its
+    Jacobian, which tells all of it but the rows. covariance is Laplace's, over the parameters off their bounds; a
+    parameter at a bound has zeros there. objective is half of chi² plus half of the priors' part.
     """
 
     model: Model
     estimate: np.ndarray
     objective: float
     residual: np.ndarray
-    jacobian: np.ndarray
+    root: np.ndarray
     iterations: int
     converged: bool
     status: str
@@ -49,8 +51,7 @@ class Fit:
     @property
     def information(self) -> np.ndarray:
         """Gauss-Newton Hessian of the objective, priors included, shape (n_parameters, n_parameters)."""
-        flat = self.jacobian.reshape(-1, self.jacobian.shape[-1])
-        return flat.T @ flat + np.diag(self.model.prior_sd**-2.0)
+        return self.root.T @ self.root + np.diag(self.model.prior_sd**-2.0)
 
     @property
     def covariance(self) -> np.ndarray:
@@ -123,10 +124,22 @@ class Problem:
         expected = EXPECTED_EVALUATIONS * self.rows.shape[1]
         return compiled(value, expected), compiled(both, expected)
 
-    def linearised(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the whitened residual (n_rows, n_axes) and Jacobian (n_rows, n_axes, n_parameters) at p."""
-        residual, jacobian = over_rows(self.functions[1], p, self.rows, self.measured, self.weight)
-        return residual.T, jacobian.T.reshape(self.rows.shape[1], residual.shape[0], -1)
+    def linearised(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield the whitened residual (n_rows, n_axes) and Jacobian (n_rows, n_axes, n_parameters) at p, block by block."""
+        n_rows = self.rows.shape[1]
+        for start in range(0, n_rows, LINEARISED_ROWS):
+            part = slice(start, min(start + LINEARISED_ROWS, n_rows))
+            data = (self.rows[:, part], self.measured[:, part], self.weight[:, part])
+            residual, jacobian = over_rows(self.functions[1], p, *data)
+            yield residual.T, jacobian.T.reshape(residual.shape[1], self.axes, -1)
+
+    def reduced(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the whitened residual (n_rows, n_axes) at p and the triangular factor of its Jacobian."""
+        residuals, root = [], np.zeros((0, len(p)))
+        for residual, jacobian in self.linearised(p):
+            residuals.append(residual)
+            root = np.asarray(np.linalg.qr(np.vstack([root, jacobian.reshape(-1, len(p))]), mode="r"))
+        return np.concatenate(residuals), root
 
 
 def fit(problem: Problem, starts: np.ndarray | None = None, loss: Loss = "linear") -> tuple[Fit, int]:
@@ -150,13 +163,13 @@ def fit(problem: Problem, starts: np.ndarray | None = None, loss: Loss = "linear
     objective, x, stats = min(solutions, key=lambda solution: solution[0])
     agree = sum(other[0] - objective < SAME_OPTIMUM for other in solutions)
     estimate = x * model.prior_sd
-    residual, jacobian = problem.linearised(estimate)
+    residual, root = problem.reduced(estimate)
     result = Fit(
         model,
         estimate,
         objective,
         residual,
-        jacobian,
+        root,
         stats["iter_count"],
         stats["success"],
         stats["return_status"],

@@ -33,7 +33,7 @@ def identifiability(fit: Fit) -> Identifiability:
     parameters = fit.model.parameters
     names = [parameter.name for parameter in parameters]
     scaled = _scaled(fit)
-    _, singular, directions = np.linalg.svd(np.linalg.qr(scaled, mode="r"))
+    _, singular, directions = np.linalg.svd(scaled)
     singular = np.concatenate([singular, np.zeros(len(names) - len(singular))])
     null = singular <= NULL * singular[0]
     weak = (singular < KNOWN) & ~null
@@ -103,7 +103,7 @@ def best_subset(fit: Fit, count: Mapping[str, int]) -> pd.DataFrame:
 
 
 def _scaled(fit: Fit) -> np.ndarray:
-    return fit.jacobian.reshape(-1, fit.jacobian.shape[-1]) * fit.model.prior_sd
+    return fit.root * fit.model.prior_sd
 
 
 def _directions(basis: np.ndarray, names: list[str], null: bool) -> list[tuple[str, str, str]]:

@@ -56,7 +56,9 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
         model = build(robot, effects[:k], data.given)
         _enough_equations(model, train, study)
         context.say(f"{' + '.join(effects[:k])}: {len(model.parameters)} parameters, {len(train)} rows")
-        result, settled, lack, agree = fit_settled(model, train, level.only(data.train), settings, context.rng("starts"))
+        result, settled, lack, agree = fit_settled(
+            model, train, level.only(data.train), settings, context.rng("starts")
+        )
         rows += accuracy(" + ".join(effects[:k]), errors(model, result.estimate, data), data)
         context.advance(k / len(effects))
 
@@ -153,18 +155,22 @@ def _residuals(result: Fit, data: Measurements, level: Noise) -> pd.DataFrame:
 
     A training row's residual is studentised by its leverage, so that a row that pulls the fit to itself still shows.
     """
-    residual, jacobian = Problem.of(result.model, data, level).linearised(result.estimate)
+    squared, whitened, start = np.empty(len(data)), np.empty(len(data)), 0
+    for residual, jacobian in Problem.of(result.model, data, level).linearised(result.estimate):
+        part = slice(start, start + len(residual))
+        start += len(residual)
+        predicted = jacobian @ result.covariance @ jacobian.transpose(0, 2, 1)
+        spread = np.eye(residual.shape[1]) + np.where(data.train[part], -1.0, 1.0)[:, None, None] * predicted
+        inverse = np.linalg.pinv(spread, hermitian=True)
+        squared[part] = np.einsum("ni,nij,nj->n", residual, inverse, residual)
+        whitened[part] = np.sqrt((residual**2).mean(axis=1))
     error = errors(result.model, result.estimate, data)
-    predicted = jacobian @ result.covariance @ jacobian.transpose(0, 2, 1)
-    sign = np.where(data.train, -1.0, 1.0)[:, None, None]
-    spread = np.eye(residual.shape[1]) + sign * predicted
-    squared = np.einsum("ni,nij,nj->n", residual, np.linalg.pinv(spread, hermitian=True), residual)
-    limit = chi2.isf(FALSE_FLAGS / len(data), residual.shape[1])
+    limit = chi2.isf(FALSE_FLAGS / len(data), 3 if data.rotation is None else 6)
     table = data.table[["pose", "repeat", "marker"]].copy()
     for i, axis in enumerate("xyz"):
         table[f"d{axis}_mm"] = 1e3 * error[:, i]
     return table.assign(
-        whitened=np.sqrt((residual**2).mean(axis=1)),
+        whitened=whitened,
         flagged=squared > limit,
         split=data.table["split"],
         line=data.table["line"],

@@ -36,8 +36,8 @@ class Laplace:
     @staticmethod
     def of(problem: Problem, estimate: np.ndarray, at_bound: np.ndarray) -> Laplace:
         """Approximate the posterior of a problem at its estimate; the noise level is what the fit leaves."""
-        residual, jacobian = problem.linearised(estimate)
-        scaled = jacobian.reshape(-1, len(estimate)) * problem.model.prior_sd
+        residual, root = problem.reduced(estimate)
+        scaled = root * problem.model.prior_sd
         free = ~at_bound
         level = 1.0
         for _ in range(LEVEL_PASSES):
@@ -128,8 +128,8 @@ class Posterior:
 def moves(folded: np.ndarray, independent: float) -> list[tuple[emcee.moves.Move, float]]:
     """Return the mixture of moves: an independent Student t in Laplace's coordinates, and differential evolution.
 
-    folded (n_dimensions,) marks positive coordinates, independent is the share of the first move. `DESnookerMove` is left out on purpose: in emcee 3.1.6 its acceptance lacks a
-    factor and it samples too narrow a posterior.
+    folded (n_dimensions,) marks positive coordinates, independent is the share of the first move. `DESnookerMove` is left
+    out on purpose: in emcee 3.1.6 its acceptance lacks a factor and it samples too narrow a posterior.
     """
     mixture = [
         (emcee.moves.MHMove(student_proposal(folded)), independent),
