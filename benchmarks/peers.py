@@ -112,7 +112,7 @@ def calflow(q: np.ndarray, xyz: np.ndarray) -> tuple[float, float]:
     train, heldout = data.only(np.arange(len(q)) < TRAIN), data.only(np.arange(len(q)) >= TRAIN)
     started = time.perf_counter()
     model = build(robot, ("geometry",))
-    result, _ = fit(Problem.of(model, train, Noise(np.full(TRAIN, SIGMA), np.ones(TRAIN), "file")))
+    result, _ = fit(Problem.of(model, train, Noise(np.full(TRAIN, SIGMA), "file")))
     seconds = time.perf_counter() - started
     return seconds, 1e3 * float(np.linalg.norm(errors(model, result.estimate, heldout), axis=1).mean())
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import subprocess
 import sys
 import tempfile
@@ -10,14 +9,14 @@ from pathlib import Path
 
 STUDY = Path(__file__).parents[1] / "studies" / "hh800"
 RUN = """
-import sys, time
+import resource, sys, time
 from calflow.runs import run
 from calflow.study import load_study
 study = load_study(sys.argv[1])
 for _ in range(int(sys.argv[3])):  # the first time compiles and imports
     started = time.perf_counter()
     run(study, sys.argv[2], "identify", True)
-print(time.perf_counter() - started)
+print(time.perf_counter() - started, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6)
 """
 
 
@@ -28,13 +27,12 @@ def main() -> None:
     )
     for poses in (100, 100_000):
         with tempfile.TemporaryDirectory() as folder:
-            seconds = identify(Path(folder), poses)
-        peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6
+            seconds, peak = identify(Path(folder), poses)
         print(f"{poses:8} {seconds:8.2f} {peak:8.2f}", flush=True)
 
 
-def identify(folder: Path, poses: int) -> float:
-    """Seconds of the stage on simulated measurements of so many training poses."""
+def identify(folder: Path, poses: int) -> tuple[float, float]:
+    """Seconds of the stage, and its process's peak memory [GB], on simulated measurements of so many training poses."""
     for name in ("robot.toml", "study.toml"):
         (folder / name).write_text((STUDY / name).read_text())
     truth = (STUDY / "truth.toml").read_text()
@@ -45,7 +43,8 @@ def identify(folder: Path, poses: int) -> float:
         [sys.executable, "-m", "calflow", "simulate", str(folder / "truth.toml")], check=True, capture_output=True
     )
     command = [sys.executable, "-c", RUN, str(folder), str(folder / "run"), "2" if poses < 1000 else "1"]
-    return float(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    seconds, peak = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+    return float(seconds), float(peak)
 
 
 if __name__ == "__main__":

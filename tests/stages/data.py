@@ -36,8 +36,7 @@ def measured(
 
 def stated(data: Measurements, sigma: float = SIGMA) -> Noise:
     """The noise as a file would state it."""
-    repeats = data.table.groupby(["pose", "marker"])["repeat"].transform("size").to_numpy(dtype=float)
-    return Noise(np.full(len(data), sigma), repeats, "file")
+    return Noise(np.full(len(data), sigma), "file")
 
 
 def problem(model: Model, data: Measurements, sigma: float = SIGMA) -> Problem:

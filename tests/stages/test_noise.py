@@ -10,9 +10,9 @@ from scipy.stats import kstest
 
 from calflow.model import build
 from calflow.stages.fit import Problem, fit
-from calflow.stages.noise import lack_of_fit, noise
+from calflow.stages.noise import averaged, lack_of_fit, noise
 from robots import industrial
-from stages.data import SIGMA, drawn_truth, measured, problem, stated
+from stages.data import SIGMA, drawn_truth, measured, stated
 
 
 @pytest.fixture(scope="module")
@@ -46,23 +46,38 @@ def test_p_values_of_a_true_model_are_uniform(model):
     p = []
     for _ in range(60):
         data = measured(model, drawn_truth(model, rng), 40, rng, repeats=2)
-        result, _ = fit(problem(model, data))
-        error = model.position(result.estimate, data.rows) - data.position
-        p.append(lack_of_fit(error, data, stated(data), result.effective_parameters).p)
+        means, level = averaged(data, stated(data))
+        result, _ = fit(Problem.of(model, means, level))
+        error = model.position(result.estimate, means.rows) - means.position
+        p.append(lack_of_fit(error, level, result.effective_parameters).p)
     assert kstest(p, "uniform").pvalue > 1e-3
 
 
 def test_the_discrepancy_of_a_model_is_found(model):
     """Fails if repeats are counted as independent evidence of a model error, or the discrepancy is misjudged."""
     rng = np.random.default_rng(11)
-    data = measured(model, drawn_truth(model, rng), 120, rng, repeats=8)
+    truth = drawn_truth(model, rng)
+    data = measured(model, truth, 120, rng, repeats=8)
     own = 1e-4 * rng.standard_normal((120, 3))
     data.table[["x", "y", "z"]] += own[data.table["pose"]]
-    level = stated(data)
+    means, level = averaged(data, stated(data))
+    assert len(means) == 120
     for _ in range(3):
-        result, _ = fit(Problem.of(model, data, level))
-        error = model.position(result.estimate, data.rows) - data.position
-        lack = lack_of_fit(error, data, level, result.effective_parameters)
+        result, _ = fit(Problem.of(model, means, level))
+        error = model.position(result.estimate, means.rows) - means.position
+        lack = lack_of_fit(error, level, result.effective_parameters)
         level = replace(level, discrepancy=lack.discrepancy)
     assert lack.p < 1e-6
     assert lack.discrepancy == pytest.approx(1e-4, rel=0.15)
+    sd = np.sqrt(np.diag(result.covariance))
+    assert (np.abs(result.estimate - truth) < 1.96 * sd).mean() > 0.8
+
+
+def test_repeats_under_other_conditions_stay_apart(model):
+    """Fails if rows of one pose that were measured at another time or marker are averaged."""
+    rng = np.random.default_rng(21)
+    data = measured(model, model.nominal, 10, rng, repeats=3)
+    data.table["time"] = np.where(data.table["repeat"] == 3, 60.0, 0.0)
+    means, level = averaged(data, stated(data))
+    assert len(means) == 20
+    assert sorted(np.unique(level.sigma)) == pytest.approx([SIGMA / np.sqrt(2), SIGMA])

@@ -29,7 +29,9 @@ def test_moves_recover_a_known_covariance(independent, steps):
 
     # walkers start from the target itself, so nothing has to be thrown away
     start = rng.standard_normal((4 * n, n)) @ root.T
-    sampler = emcee.EnsembleSampler(4 * n, n, log_probability, vectorize=True, moves=moves(np.zeros(n, dtype=bool), independent))
+    sampler = emcee.EnsembleSampler(
+        4 * n, n, log_probability, vectorize=True, moves=moves(np.zeros(n, dtype=bool), independent)
+    )
     sampler.run_mcmc(emcee.State(start, random_state=np.random.RandomState(1).get_state()), steps)
     whitened = sampler.get_chain(flat=True) @ inverse.T
     covariance = np.cov(whitened.T)

@@ -9,7 +9,6 @@ import numpy as np
 
 from calflow.robot.description import Robot
 
-
 DEAD_POINT = 0.97  # |cosine| of the closure from which a loop is too near its dead point to go there
 WAY_POINTS = 21
 

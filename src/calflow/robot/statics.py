@@ -15,7 +15,6 @@ from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nomi
 from calflow.robot.loop import reachable
 from calflow.robot.transforms import apply
 
-
 SMALLEST_RATED = 1.0  # Nm, where gravity loads no joint at all
 
 

@@ -9,6 +9,7 @@ from calflow.model import Model
 from calflow.problems import refuse
 from calflow.robot.loop import reachable
 
+LARGEST_DRAW = 1 << 15  # poses drawn at once
 MAX_DRAWS = 40  # rounds of drawing before the region counts as out of reach
 
 
@@ -24,9 +25,11 @@ def candidates(
         InputError: hardly any pose within the joints' ranges reaches the region.
     """
     sobol = qmc.Sobol(model.robot.n_joints, rng=rng)
+    size = min(LARGEST_DRAW, 1 << int(np.ceil(np.log2(4 * number))))
     kept: list[np.ndarray] = []
-    for _ in range(MAX_DRAWS):
-        drawn = qmc.scale(sobol.random(1 << int(np.ceil(np.log2(4 * number)))), *model.robot.limits.T)
+    rounds = MAX_DRAWS * max(1, number // size)
+    for _ in range(rounds):
+        drawn = qmc.scale(sobol.random(size), *model.robot.limits.T)
         readings = np.linalg.solve(model.robot.reading_matrix, drawn.T).T
         rows = pack(model, readings, payload, marker)
         good = reachable(model.robot, drawn)
@@ -38,8 +41,8 @@ def candidates(
             readings = np.vstack(kept)[:number]
             return readings, pack(model, readings, payload, marker)
     raise refuse(
-        f"of {MAX_DRAWS * len(drawn)} poses within the joint limits only {sum(map(len, kept))} reach the region, {number} are "
-        "needed: is the region (in the measuring frame) within the robot's reach?"
+        f"of {rounds * size} poses within the joint limits only {sum(map(len, kept))} reach the region, {number} are needed: "
+        "is the region (in the measuring frame) within the robot's reach?"
     )
 
 

@@ -107,7 +107,7 @@ def fit_settled(
     result = tried
     if not some.all():
         result, _ = fit(Problem.of(model, train, level), tried.estimate[None], settings.loss)
-    lack = lack_of_fit(errors(model, result.estimate, train), train, level, result.effective_parameters)
+    lack = lack_of_fit(errors(model, result.estimate, train), level, result.effective_parameters)
     against_noise = lack
     for _ in range(NOISE_PASSES):
         before = level.total
@@ -118,7 +118,7 @@ def fit_settled(
         if np.allclose(level.total, before, rtol=0.01):
             break
         result, _ = fit(Problem.of(model, train, level), result.estimate[None], settings.loss)
-        lack = lack_of_fit(errors(model, result.estimate, train), train, level, result.effective_parameters)
+        lack = lack_of_fit(errors(model, result.estimate, train), level, result.effective_parameters)
     return result, level, against_noise, agree
 
 

@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from calflow.measurements import Measurements
 
 ESTIMATE_START = 1e-4  # m; only the weight of the data against the priors in the very first fit
+ROTATION = ("rx", "ry", "rz", "qw", "qx", "qy", "qz", "sigma_rotation")
 SIGNIFICANT = 0.01  # p-value below which a lack of fit is believed
 MIN_REPEATS = 10  # degrees of freedom below which repeats say too little
 
@@ -21,12 +22,10 @@ MIN_REPEATS = 10  # degrees of freedom below which repeats say too little
 class Noise:
     """The noise of each row's position and what the model leaves beyond it, per axis [m].
 
-    sigma (n_rows,) is the device's, repeats (n_rows,) how many rows the row's pose and marker have. discrepancy is the
-    model's own error: it is the same for all repeats of a pose, so measuring a pose again does not lessen it.
+    sigma (n_rows,) is the device's. discrepancy is the model's own error, alike in all rows.
     """
 
     sigma: np.ndarray
-    repeats: np.ndarray
     source: Literal["repeats", "file", "estimated"]
     discrepancy: float = 0.0
 
@@ -37,12 +36,12 @@ class Noise:
 
     @property
     def total(self) -> np.ndarray:
-        """What to weigh each row by, shape (n_rows,): n repeats count together as one mean with its discrepancy."""
-        return np.sqrt(self.sigma**2 + self.repeats * self.discrepancy**2)
+        """Standard deviation of each row about the model, shape (n_rows,)."""
+        return np.hypot(self.sigma, self.discrepancy)
 
     def only(self, mask: np.ndarray) -> Noise:
         """Return the noise of the rows where mask is true."""
-        return replace(self, sigma=self.sigma[mask], repeats=self.repeats[mask])
+        return replace(self, sigma=self.sigma[mask])
 
     @property
     def words(self) -> str:
@@ -56,34 +55,55 @@ class Noise:
         }[self.source]
 
 
+def averaged(data: Measurements, level: Noise) -> tuple[Measurements, Noise]:
+    """Return the mean of each pose's repeats under equal conditions, and the noise of the means.
+
+    The model's discrepancy is the same in all repeats of a pose, so that together they are one piece of evidence. A
+    noise that is not known has no repeats to speak of, and rows stay as they are.
+    """
+    measured = [name for name in ("x", "y", "z", *ROTATION, "sigma", "repeat", "line") if name in data.table]
+    keys = [name for name in data.table.columns if name not in measured]
+    group = data.table.groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
+    count = np.bincount(group)
+    if not level.known or (count == 1).all():
+        return data, level
+    first = np.unique(group, return_index=True)[1]
+    table = data.table.iloc[first].reset_index(drop=True)
+    for axis in ("x", "y", "z"):
+        table[axis] = np.bincount(group, weights=data.table[axis]) / count
+    if data.rotation is not None:
+        turns = [Rotation.from_matrix(data.rotation[group == k]).mean() for k in range(len(count))]
+        table = table.drop(columns=[name for name in ROTATION if name in table])
+        table[["rx", "ry", "rz"]] = Rotation.concatenate(turns).as_euler("XYZ")
+    sigma = np.sqrt(np.bincount(group, weights=level.sigma**2)) / count
+    return replace(data, table=table), replace(level, sigma=sigma)
+
+
 @dataclass(frozen=True)
 class LackOfFit:
-    """The means of repeated rows against the noise: chi² per degree of freedom, its p-value, and the discrepancy [m]."""
+    """A fit's errors against the noise: chi² per degree of freedom, its p-value, and the discrepancy [m]."""
 
     reduced_chi2: float
     p: float
     discrepancy: float
 
 
-def lack_of_fit(error: np.ndarray, data: Measurements, noise: Noise, determined: float) -> LackOfFit:
+def lack_of_fit(error: np.ndarray, level: Noise, determined: float) -> LackOfFit:
     """Compare a fit's errors (n_rows, 3) [m] with the noise; determined is the number of parameters the data fixed.
 
-    The discrepancy is the value at which each pose's mean error has the variance discrepancy² + sigma² / repeats that
-    its chi² asks for; zero where the noise explains the errors (p above 1 %).
+    The discrepancy is what has to be added to the noise for chi² to equal its degrees of freedom; zero where the noise
+    explains the errors (p above 1 %).
     """
-    keys = data.table[["pose", "marker"]]
-    means = pd.DataFrame(error).groupby([keys["pose"], keys["marker"]], sort=False).transform("mean").to_numpy()
-    freedom = max(1.0, 3 * keys.drop_duplicates().shape[0] - determined)
+    freedom = max(1.0, error.size - determined)
 
     def chi_squared(discrepancy: float) -> float:
-        total = replace(noise, discrepancy=discrepancy).total
-        return float(((means / total[:, None]) ** 2).sum())
+        return float(((error / replace(level, discrepancy=discrepancy).total[:, None]) ** 2).sum())
 
     found = chi_squared(0.0)
     p = float(chi2.sf(found, freedom))
     if p > SIGNIFICANT or found <= freedom:
         return LackOfFit(found / freedom, p, 0.0)
-    largest = 10 * float(np.abs(means).max())
+    largest = 10 * float(np.abs(error).max())
     return LackOfFit(found / freedom, p, brentq(lambda value: chi_squared(value) - freedom, 0.0, largest))
 
 
@@ -93,13 +113,12 @@ def noise(measured: Measurements, source: Literal["auto", "repeats", "file", "es
     Repeats are pooled over training poses and markers: sigma² is the sum of squares about each pose's mean over its
     degrees of freedom.
     """
-    repeats = measured.table.groupby(["pose", "marker"])["repeat"].transform("size").to_numpy(dtype=float)
     repeated, freedom = _pooled(measured)
     if source == "repeats" or (source == "auto" and freedom >= MIN_REPEATS):
-        return Noise(np.full(len(measured), repeated), repeats, "repeats")
+        return Noise(np.full(len(measured), repeated), "repeats")
     if measured.sigma is not None and source in ("auto", "file"):
-        return Noise(measured.sigma, repeats, "file")
-    return Noise(np.full(len(measured), ESTIMATE_START), repeats, "estimated")
+        return Noise(measured.sigma, "file")
+    return Noise(np.full(len(measured), ESTIMATE_START), "estimated")
 
 
 def _pooled(measured: Measurements) -> tuple[float, int]:

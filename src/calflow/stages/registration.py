@@ -44,7 +44,7 @@ def registered(robot: Robot, train: Measurements) -> Robot:
     placed = _with_base(at_origin, turn, measured_centre - turn.apply(centre))
 
     model = Model(placed, (Placement(placed),), train.given)
-    noise = Noise(np.full(len(train), NOMINAL_ERROR), np.ones(len(train)), "estimated")
+    noise = Noise(np.full(len(train), NOMINAL_ERROR), "estimated")
     result, _ = fit(Problem.of(model, train.on(placed), noise), loss="soft_l1")
     return _moved(placed, dict(zip((p.name for p in model.parameters), result.estimate, strict=True)))
 

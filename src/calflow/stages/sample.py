@@ -14,6 +14,7 @@ from calflow.problems import refuse
 from calflow.stages.chain import BlockBackend, joined, open_ensembles
 from calflow.stages.fit import Problem
 from calflow.stages.identified import Identified, identified
+from calflow.stages.noise import averaged
 from calflow.stages.posterior import Laplace, Posterior, moves
 from calflow.stages.stage import Context, Stage
 from calflow.toml_file import FileModel
@@ -42,7 +43,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     known = identified(study.robot, context.tables, data.given)
     data = data.on(known.model.robot)
     train = data.only(data.train)
-    problem = Problem.of(known.model, train, known.noise(data).only(data.train))
+    problem = Problem.of(known.model, *averaged(train, known.noise(data).only(data.train)))
     laplace = Laplace.of(problem, known.estimate, known.at_bound)
     posterior = Posterior.about(problem, laplace)
 
