@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.report.case import Case, changed, context, with_sample, with_select
 
 from calflow.report import document
 from calflow.report.material import Material
@@ -18,6 +17,7 @@ from calflow.report.section import Section, chosen, sections
 from calflow.report.stage import STAGE
 from calflow.report.style import style
 from calflow.stages.stage import Context
+from report.case import Case, changed, context, with_sample, with_select
 
 
 @pytest.fixture(scope="module")
