@@ -1,0 +1,164 @@
+"""The shipped studies reach what they promise, run as a user runs them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+STUDIES = Path(__file__).parents[1] / "studies"
+TRUE_COMPLIANCE = {"joint2.s": 1.792e-7, "joint3.s": 1.915e-7, "joint4.s": 1.959e-7, "joint5.s": 1.820e-7}  # rad/Nm
+measured_data = pytest.mark.skipif(
+    "CALFLOW_DATA" not in os.environ, reason="CALFLOW_DATA names no folder of measured data"
+)
+
+
+def calflow(*arguments: object) -> str:
+    """Run the command line; its output."""
+    command = [sys.executable, "-m", "calflow", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def heldout(folder: Path) -> pd.DataFrame:
+    """Held-out rows of the accuracy table, by model."""
+    accuracy = pd.read_csv(folder / "identify" / "accuracy.csv")
+    return accuracy[accuracy["split"] == "holdout"].set_index("model")
+
+
+@pytest.fixture(scope="session")
+def hh800(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("hh800")
+    calflow("run", STUDIES / "hh800" / "study.toml", "--out", folder)
+    return folder
+
+
+def test_hh800_reaches_the_noise_floor(hh800):
+    """Fails if the fit, the loop, the compliance or the split goes wrong: the paper's Table 2 and better."""
+    table = heldout(hh800)
+    full = table.loc["geometry + joint-compliance"]
+    assert table.loc["nominal", "mean_mm"] == pytest.approx(29.74, rel=0.1)
+    assert table.loc["geometry", "mean_mm"] > 4 * full["mean_mm"]
+    assert full["mean_mm"] <= 0.06
+    assert full["max_mm"] <= 0.15
+
+
+def test_hh800_finds_the_compliances(hh800):
+    """Fails if a compliance is biased: the torques, the equilibrium or the priors would be wrong."""
+    posterior = pd.read_csv(hh800 / "sample" / "posterior.csv").set_index("parameter")
+    for name, truth in TRUE_COMPLIANCE.items():
+        assert abs(posterior.loc[name, "mean"] - truth) < 3 * posterior.loc[name, "sd"]
+
+
+def test_hh800_posterior_agrees_with_laplace(hh800):
+    """Fails if sampling or Laplace's approximation is wrong, or the chain too short."""
+    parameters = pd.read_csv(hh800 / "identify" / "parameters.csv").set_index("parameter")
+    posterior = pd.read_csv(hh800 / "sample" / "posterior.csv").set_index("parameter")
+    summary = pd.read_csv(hh800 / "sample" / "summary.csv").set_index("item")["value"]
+    free = parameters.index[~parameters["at_bound"]]
+    level = posterior.loc["noise.factor", "mean"]
+    known = free[parameters.loc[free, "prior_share"] < 0.01]
+    np.testing.assert_allclose(posterior.loc[known, "sd"], level * parameters.loc[known, "sd"], rtol=0.05)
+    low, high = (float(v) for v in summary["sd_over_laplace"].split(" to "))
+    assert low > 0.95
+    assert high < 1.05
+    assert posterior["rhat"].max() < 1.01
+    assert posterior["ess"].min() > 4000
+    assert summary["length"] == "long enough"
+
+
+def test_hh800_says_what_it_cannot_know(hh800):
+    """Fails if a direction is not named or a bound that cuts the posterior is passed over."""
+    summary = pd.read_csv(hh800 / "identify" / "summary.csv").set_index("item")["value"]
+    assert (summary["rank_geometry"], summary["rank_joint-compliance"]) == ("29", "5")
+    words = pd.read_csv(hh800 / "identify" / "identifiability.csv")
+    assert (words["kind"].isin(["silent", "trade"])).sum() == 3
+    count = pd.read_csv(hh800 / "identify" / "count.csv")
+    assert count.groupby("effect")["kept"].sum().to_dict() == {"geometry": 25, "joint-compliance": 4}
+    cut = pd.read_csv(hh800 / "sample" / "summary.csv").set_index("item").loc[["cut"], "value"]
+    assert cut.str.contains("joint1.s").any()
+
+
+def test_hh800_predicts_held_out_errors(hh800):
+    """Fails if the predictive intervals are too narrow or too wide for 60 held-out poses."""
+    predictive = pd.read_csv(hh800 / "sample" / "predictive.csv")
+    assert 0.87 <= predictive["heldout_coverage"].iloc[0] <= 1.0
+
+
+def test_hh800_run_folder_keeps_the_contract(hh800):
+    """Fails if a file or column that other programs read is missing."""
+    contract = {
+        "select/poses.csv": ["pose", *(f"q{i}_deg" for i in range(1, 7)), *(f"approach{i}" for i in range(1, 7))],
+        "select/observability.csv": ["n_poses", "O1", "O2", "O3", "O4", "O5", "expected_sd_mm"],
+        "identify/parameters.csv": [
+            "parameter", "effect", "unit", "nominal", "estimate", "sd", "lower", "upper", "at_bound", "prior_share",
+        ],
+        "identify/accuracy.csv": ["model", "split", "n", "mean_mm", "rms_mm", "max_mm"],
+        "identify/residuals.csv": ["pose", "repeat", "marker", "dx_mm", "dy_mm", "dz_mm", "whitened", "flagged"],
+        "sample/posterior.csv": ["parameter", "unit", "mean", "sd", "q025", "q500", "q975", "rhat", "ess"],
+        "sample/predictive.csv": ["pose"],
+    }  # fmt: skip
+    for name, columns in contract.items():
+        table = pd.read_csv(hh800 / name)
+        assert set(columns) <= set(table.columns), name
+        assert len(table), name
+    accuracy = pd.read_csv(hh800 / "identify" / "accuracy.csv")
+    assert accuracy["model"].iloc[0] == "nominal"
+    for name in ("manifest.json", "sample/chain.h5", "report.pdf"):
+        assert (hh800 / name).is_file()
+    assert list((hh800 / "figures").iterdir())
+
+
+def test_hh800_measurements_are_what_its_truth_file_describes(tmp_path):
+    """Fails if the simulation changes without its measurements, or differs between two runs."""
+    calflow("simulate", STUDIES / "hh800" / "truth.toml", "--out", tmp_path / "again.csv")
+    assert (tmp_path / "again.csv").read_bytes() == (STUDIES / "hh800" / "measurements.csv").read_bytes()
+
+
+def test_hh800_poses_reach_more_than_random_ones(hh800):
+    """Fails if the selection is no better than chance: as many random poses must tell clearly less."""
+    from calflow.model import build
+    from calflow.stages.candidates import candidates
+    from calflow.stages.observability import indices
+    from calflow.stages.select import SelectSettings
+    from calflow.study import load_study
+
+    study = load_study(STUDIES / "hh800")
+    settings = study.validated_settings("select", SelectSettings)
+    model = build(study.robot, study.file.effects)
+    region = np.array([settings.region_min, settings.region_max])
+    _, rows = candidates(model, 500, "rated", "E", region, np.random.default_rng(3))
+    whitened = model.position_jacobian(model.nominal, rows) * model.prior_sd / settings.sigma
+    table = pd.read_csv(hh800 / "select" / "observability.csv").set_index("n_poses").loc[100]
+    for start in range(0, 500, 100):
+        part = whitened[start : start + 100]
+        covariance = np.linalg.inv(np.eye(37) + np.einsum("cai,caj->ij", part, part))
+        expected = 1e3 * settings.sigma * np.sqrt(np.einsum("cai,ij,caj->c", whitened, covariance, whitened).mean())
+        assert table["expected_sd_mm"] < 0.95 * expected
+        assert table["O1"] > 1.2 * indices(part.reshape(-1, 37), 34)[0]
+
+
+@measured_data
+@pytest.mark.parametrize(("study", "limit_mm"), [("study.toml", 0.46), ("series_b.toml", 0.41)])
+def test_real_ur10(study, limit_mm, tmp_path):
+    """Fails if standard DH, the registration, the mapping or the estimated noise goes wrong on real data."""
+    calflow("run", STUDIES / "ur10-tmac" / study, "--out", tmp_path, "--stage", "identify")
+    table = heldout(tmp_path)
+    assert table.loc["geometry", "mean_mm"] <= limit_mm
+    assert table.loc["nominal", "mean_mm"] < 1.2
+
+
+@measured_data
+def test_real_fanuc(tmp_path):
+    """Fails if markers side by side, repeats or joint signs go wrong on real data."""
+    calflow("run", STUDIES / "fanuc-r2000" / "study.toml", "--out", tmp_path, "--stage", "identify")
+    table = heldout(tmp_path)
+    assert table.loc["geometry", "mean_mm"] <= 0.24
+    assert table.loc["nominal", "mean_mm"] < 0.8
+    assert len(pd.read_csv(tmp_path / "identify" / "residuals.csv")) == 24 * 10 * 3
