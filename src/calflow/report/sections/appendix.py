@@ -25,6 +25,7 @@ def write(material: Material) -> list[Block]:
         ("measurements", measured.file if measured else "none"),
         ("workflow", f"{study.workflow.name}: {', '.join(study.workflow.stages)}"),
         ("seed", str(study.file.seed)),
+        ("versions", ", ".join(f"{name} {version(name)}" for name in PACKAGES)),
         *(
             (f"settings of {stage}", _settings(study.settings(stage)))
             for stage in study.workflow.stages
@@ -34,12 +35,6 @@ def write(material: Material) -> list[Block]:
         *((str(row.item).replace("_", " "), str(row.value)) for row in summary.itertuples(index=False)),
         *(_placement(material)),
     ]
-    if "sample/summary.csv" in tables:
-        facts.append("found by sample")
-        rows = tables["sample/summary.csv"]
-        facts += [(str(row.item).replace("_", " "), str(row.value)) for row in rows.itertuples(index=False)]
-    facts.append("programs")
-    facts.append(("versions", ", ".join(f"{name} {version(name)}" for name in PACKAGES)))
     return [
         paragraph("Hashes of all input files, durations and the state of each stage are in manifest.json; all tables named in "
                   "this report lie beside it as CSV, in SI units unless a column says otherwise."),
