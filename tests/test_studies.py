@@ -144,6 +144,13 @@ def test_hh800_poses_reach_more_than_random_ones(hh800):
         assert table["O1"] > 1.2 * indices(part.reshape(-1, 37), 34)[0]
 
 
+def test_the_papers_table_alone(tmp_path):
+    """Fails if the workflow paper-table does more or less than the three rows of the paper."""
+    calflow("run", STUDIES / "hh800" / "paper-table.toml", "--out", tmp_path)
+    assert list(heldout(tmp_path).index) == ["nominal", "geometry", "geometry + joint-compliance"]
+    assert not (tmp_path / "sample").exists()
+
+
 @measured_data
 @pytest.mark.parametrize(("study", "limit_mm"), [("study.toml", 0.46), ("series_b.toml", 0.41)])
 def test_real_ur10(study, limit_mm, tmp_path):
