@@ -173,7 +173,7 @@ def figures(of: Robot) -> dict[str, np.ndarray]:
     return table | {
         "base": np.zeros(6),
         "bars": np.array(lengths),
-        "tool": np.array(of.tool_rotation or (0.0, 0.0, 0.0)),
+        "tool": np.zeros(3),
         "markers": np.array([marker.point for marker in of.markers.values()]).T,
     }
 
@@ -290,7 +290,8 @@ def marker_position(of: Robot, q: np.ndarray, figs: dict[str, np.ndarray] | None
 def tool_rotation(of: Robot, q: np.ndarray, figs: dict[str, np.ndarray] | None = None) -> np.ndarray:
     """The tool's rotation (..., 3, 3) in the measuring frame."""
     figs = figs or figures(of)
-    tool = placed(np.concatenate([np.zeros(3), figs["tool"]]))
+    stated = placed(np.array([0.0, 0.0, 0.0, *(of.tool_rotation or (0.0, 0.0, 0.0))]))
+    tool = stated @ placed(np.concatenate([np.zeros(3), figs["tool"]]))
     return (base_frame(of, figs) @ frames(of, q, figs).ends[-1] @ tool)[..., :3, :3]
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from calflow.conditions import OPTIONAL, Row
 from calflow.problems import InputError, Problem, nearest, refuse
@@ -21,6 +23,13 @@ from calflow.units import SUFFIXES, split_unit, to_si
 
 LABELS = ("pose", "repeat", "marker", "payload", "split")
 MAX_ROWS_TOLD = 5  # a message names this many rows of a kind, then counts the rest
+MEASURED = ("x", "y", "z", "rx", "ry", "rz", "qw", "qx", "qy", "qz")
+NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
+SHAPE_ROWS = 200  # rows whose distances from each other tell a wrong unit,
+SHAPE_WRONG, SHAPE_RIGHT = (
+    0.3,
+    0.1,
+)  # where they disagree by more than the first, and in that unit by less than the second
 
 
 class MeasurementSource(FileModel):
@@ -32,7 +41,7 @@ class MeasurementSource(FileModel):
 
     file: str
     url: str | None = None
-    sha256: str | None = Field(default=None, pattern=r"^[0-9a-f]{64}$")
+    sha256: str | None = None
     separator: str = ","
     decimal: Literal[".", ","] = "."
     columns: dict[str, str] = {}
@@ -44,7 +53,25 @@ class MeasurementSource(FileModel):
     def _fetched_is_checked(self) -> MeasurementSource:
         if self.url and not self.sha256:
             raise ValueError("a url needs the file's sha256")
+        if self.separator == self.decimal:
+            raise ValueError(
+                f"separator and decimal are both {self.decimal!r}; columns are usually separated by ';' then"
+            )
         return self
+
+    @field_validator("separator")
+    @classmethod
+    def _is_one_character(cls, separator: str) -> str:
+        if len(separator) != 1:
+            raise ValueError(f"expected one character, found {separator!r}")
+        return separator
+
+    @field_validator("sha256")
+    @classmethod
+    def _is_a_hash(cls, sha256: str | None) -> str | None:
+        if sha256 and not re.fullmatch("[0-9a-f]{64}", sha256):
+            raise ValueError(f"expected 64 digits 0-9 and a-f, found {len(sha256)} characters: {sha256!r}")
+        return sha256
 
 
 @dataclass(frozen=True)
@@ -140,7 +167,7 @@ def locate(source: MeasurementSource, folder: Path) -> Path:
     """
     data = os.environ.get("CALFLOW_DATA")
     places = [Path(data) / source.file] if data else []
-    path = next((place for place in [*places, folder / source.file] if place.exists()), None)
+    path = next((place for place in [*places, folder / source.file] if place.is_file()), None)
     if path is None and source.url:
         path = _fetch(source)
     if path is None:
@@ -148,6 +175,8 @@ def locate(source: MeasurementSource, folder: Path) -> Path:
             "no such measurement file; expected it there, in the folder that CALFLOW_DATA names, or by a url in the study",
             folder / source.file,
         )
+    if not os.access(path, os.R_OK):
+        raise refuse("cannot be read: permission denied", path)
     if source.sha256 and sha256(path) != source.sha256:
         raise refuse(f"wrong SHA-256: the study names {source.sha256}, the file has {sha256(path)}", path)
     return path
@@ -176,25 +205,25 @@ def read_measurements(
         InputError: with everything that is wrong in the file.
     """
     source = source or MeasurementSource(file=str(path))
-    raw = _read_table(path, source)
-    if raw.empty:
-        raise refuse("is empty: expected a header line and a row per measured point", path)
-    native = _named_natively(raw, source, path)
-    table, problems = _to_si(native, path)
-    problems += _missing(table, robot, path, conditions_only)
+    native = _named_natively(_read_table(path, source), source, path)
+    columns: dict[str, tuple[str, str]] = {}
+    for spelled in map(str, native):
+        name, unit = _split_column(spelled, robot)
+        columns.setdefault(name, (spelled, unit))
+    problems = _check_header(list(map(str, native)), columns, source, robot, path, conditions_only)
+    table, wrong = _to_si(native, columns, source, robot, path)
     if problems:
-        raise InputError(problems)
+        raise InputError(problems + wrong)
     for name, value in (("sigma", source.sigma), ("sigma_rotation", source.sigma_rotation)):
-        if value is not None and name not in table:
+        if value is not None:
             table[name] = value
     table, notes = _label(table, robot)
-    problems = _check_values(table, robot, path, conditions_only)
+    problems = wrong + _check_values(table, robot, path)
     if problems:
         raise InputError(problems)
     measured = Measurements(robot, table, tuple(notes))
-    if not conditions_only:
-        problems = _check_units(measured, path)
-    problems += _check_loop(measured, path)
+    named = {unit for _, unit in columns.values()}
+    problems = _check_units(measured, named, path, conditions_only) or _check_loop(measured, path)
     if problems:
         raise InputError(problems)
     return measured
@@ -207,8 +236,9 @@ def draw_split(measured: Measurements, holdout: float, seed: int) -> Measurement
     rng = np.random.default_rng(seed)
     table = measured.table.copy()
     table["split"] = "train"
-    for _, rows in table.groupby("payload", sort=True, dropna=False):
-        poses = np.sort(rows["pose"].unique())
+    carried = table.groupby("pose")["payload"].agg(lambda payloads: "\n".join(sorted(set(payloads))))
+    for _, group in carried.groupby(carried, sort=True):
+        poses = np.sort(group.index)
         held = rng.permutation(poses)[: round(holdout * len(poses))]
         table.loc[table["pose"].isin(held), "split"] = "holdout"
     return Measurements(measured.robot, table, measured.notes)
@@ -231,9 +261,9 @@ def _fetch(source: MeasurementSource) -> Path:
 
     try:
         return Path(pooch.retrieve(source.url, f"sha256:{source.sha256}", path=pooch.os_cache("calflow")))
-    except ValueError as error:  # what pooch raises for a wrong hash
-        raise refuse(f"wrong SHA-256: {error}", key=source.url) from None
     except Exception as error:  # any network fault: requests' many classes are pooch's, not ours
+        if "hash" in str(error):
+            raise refuse(f"wrong SHA-256: {error}", key=source.url) from None
         raise refuse(
             f"could not be fetched ({error}); put the file into the folder that CALFLOW_DATA names, as {source.file}",
             key=source.url,
@@ -241,108 +271,179 @@ def _fetch(source: MeasurementSource) -> Path:
 
 
 def _read_table(path: Path, source: MeasurementSource) -> pd.DataFrame:
+    """Return the file's cells as text (numbers of a MATLAB file as they are), indexed by line; empty lines are left out."""
+    empty = "is empty: expected a header line and a row per measured point"
     try:
-        if path.suffix == ".mat":
-            return _read_mat(path)
-        if path.stat().st_size == 0:
-            return pd.DataFrame()
-        return pd.read_csv(path, sep=source.separator, decimal=source.decimal, float_precision="round_trip")
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise refuse(f"cannot be read: {error}", path) from None
+        if path.suffix.lower() == ".mat":
+            return _read_mat(path, source)
+        with path.open("rb") as stream:
+            if b"\0" in stream.read(4096):
+                raise refuse("is not a text file: expected a CSV", path)
+        raw = pd.read_csv(path, sep=source.separator, dtype=str, keep_default_na=False, skip_blank_lines=False,
+                          encoding="utf-8-sig")  # fmt: skip
+    except pd.errors.EmptyDataError:
+        raise refuse(empty, path) from None
+    except (OSError, ValueError) as error:
+        raise refuse(f"cannot be read: {str(error).strip()}", path) from None
+    if not isinstance(raw.index, pd.RangeIndex):
+        raise refuse(f"has more values in a row than the {len(raw.columns)} names of the header line", path, 2)
+    other = next((sign for sign in ";\t|," if sign in str(raw.columns[0])), None)
+    if len(raw.columns) == 1 and other:
+        raise refuse(f"has no {source.separator!r} in its header line, but {other!r}: say separator = {json.dumps(other)} "
+                     "in the study's [measurements]", path, 1)  # fmt: skip
+    raw = raw.fillna("").apply(lambda column: column.str.strip())
+    raw.index = pd.RangeIndex(2, len(raw) + 2)
+    raw = raw[(raw != "").any(axis=1)]
+    if raw.empty:
+        raise refuse(empty, path)
+    return raw
 
 
-def _read_mat(path: Path) -> pd.DataFrame:
+def _read_mat(path: Path, source: MeasurementSource) -> pd.DataFrame:
+    """Return the arrays that the study's mapping names (all where it names none), a column for each of their columns."""
     from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
 
-    arrays = {name: value for name, value in loadmat(path).items() if not name.startswith("__")}
-    return pd.DataFrame({f"{name}_{j + 1}": a[:, j] for name, a in arrays.items() for j in range(a.shape[1])})
+    try:
+        arrays = {name: np.asarray(value) for name, value in loadmat(path).items() if not name.startswith("__")}
+    except (MatReadError, NotImplementedError, TypeError, KeyError) as error:
+        raise ValueError(error) from None
+    named = {theirs.rpartition("_")[0] for theirs in _mapped(source)} or set(arrays)
+    wide = {name: array.reshape(len(array), -1) for name, array in arrays.items() if name in named and array.ndim}
+    table = pd.DataFrame({f"{name}_{j + 1}": a[:, j] for name, a in wide.items() for j in range(a.shape[1])})
+    return table.set_axis(pd.RangeIndex(1, len(table) + 1))
+
+
+def _mapped(source: MeasurementSource) -> list[str]:
+    """The foreign file's columns that the study's mapping names."""
+    return [*source.columns.values(), *(name for marker in source.markers.values() for name in marker.values())]
 
 
 def _named_natively(raw: pd.DataFrame, source: MeasurementSource, path: Path) -> pd.DataFrame:
     """Rename a foreign file's columns; markers measured side by side become rows of their own."""
-    raw = raw.assign(line=np.arange(2, len(raw) + 2))
     if not source.columns and not source.markers:
         return raw
-    wanted = [
-        *source.columns.values(),
-        *(name for marker in source.markers.values() for name in marker.values()),
-    ]
-    absent = [name for name in wanted if name not in raw]
+    absent = [name for name in _mapped(source) if name not in raw]
     if absent:
         raise InputError(
             Problem(f"no column '{name}', which the study's mapping names{nearest(name, raw.columns)}", path, 1)
             for name in absent
         )
-    common = pd.DataFrame({ours: raw[theirs] for ours, theirs in {**source.columns, "line": "line"}.items()})
+    common = pd.DataFrame({ours: raw[theirs] for ours, theirs in source.columns.items()}, index=raw.index)
     if not source.markers:
         return common
     blocks = [
-        common.assign(marker=marker, row=np.arange(len(raw)), **{ours: raw[theirs] for ours, theirs in columns.items()})
+        common.assign(marker=marker, **{ours: raw[theirs] for ours, theirs in columns.items()})
         for marker, columns in source.markers.items()
     ]
-    return pd.concat(blocks).sort_values("row", kind="stable").drop(columns="row").reset_index(drop=True)
+    return pd.concat(blocks).sort_index(kind="stable")
 
 
-def _to_si(native: pd.DataFrame, path: Path) -> tuple[pd.DataFrame, list[Problem]]:
-    table: dict[str, Any] = {}
+def _split_column(spelled: str, robot: Robot) -> tuple[str, str]:
+    """Return a column's name without its unit, and the unit."""
+    return (spelled, "") if column_names(robot).get(spelled) == "" else split_unit(spelled) or (spelled, "")
+
+
+def _to_si(
+    native: pd.DataFrame, columns: dict[str, tuple[str, str]], source: MeasurementSource, robot: Robot, path: Path
+) -> tuple[pd.DataFrame, list[Problem]]:
+    """Return the known columns in SI units and what is wrong in their cells; a wrong cell becomes nan."""
+    table = pd.DataFrame({"line": native.index}, index=native.index)
     problems: list[Problem] = []
-    for column in native.columns:
-        name, unit = split_unit(str(column)) or (str(column), "")
-        if name in table:
-            problems.append(Problem(f"column '{column}': '{name}' is there twice, in different units", path, 1))
-        values = native[column]
-        if name in LABELS[2:]:
-            table[name] = values.where(values.notna(), "").astype(str)
-        elif unit and not pd.api.types.is_numeric_dtype(values):
-            bad = pd.to_numeric(values, errors="coerce").isna() & values.notna()
-            problems.append(
-                Problem(f"column '{column}': expected numbers, found '{values[bad].iloc[0]}' (a decimal comma? "
-                        "say decimal = \",\" in the study)", path, int(native["line"][bad].iloc[0]))
-            )  # fmt: skip
-        else:
-            factor, offset = to_si(unit) if unit else (1.0, 0.0)
-            table[name] = values * factor + offset if unit else values
-        if unit:
-            table.setdefault("_units", {})[name] = unit
-    units = table.pop("_units", {})
-    frame = pd.DataFrame(table)
-    frame.attrs["units"] = units
-    return frame, problems
-
-
-def _missing(table: pd.DataFrame, robot: Robot, path: Path, conditions_only: bool) -> list[Problem]:
     known = column_names(robot)
-    units: dict[str, str] = table.attrs["units"]
-    problems = []
-    for name in table.columns:
-        column = f"{name}_{units[name]}" if name in units else name
-        if name == "line":
-            continue
-        if name not in known:
-            spelled = [f"{n}_{s}" for n, d in known.items() if d for s in SUFFIXES[d]] + [
-                n for n, d in known.items() if not d
-            ]
-            problems.append(Problem(f"unknown column '{column}'{nearest(column, spelled)}", path, 1))
-        elif known[name] and units.get(name) not in SUFFIXES[known[name]]:
+    for name, (spelled, unit) in columns.items():
+        cells = native[spelled]
+        if name in ("marker", "payload", "split"):
+            table[name] = _text(cells)
+        elif name in ("pose", "repeat"):
+            table[name] = _text(cells).str.replace(r"\.0*$", "", regex=True)
+            problems += _rows(table[name] == "", table, path, f"column '{spelled}' is empty")
+            if table[name].str.fullmatch(r"\d{1,18}").all():
+                table[name] = table[name].astype(int)
+        elif name in known:
+            numbers, wrong = _numbers(cells, spelled, source, path)
+            factor, offset = to_si(unit) if unit else (1.0, 0.0)
+            table[name] = factor * numbers + offset
+            problems += wrong
+    return table.reset_index(drop=True), problems
+
+
+def _text(cells: pd.Series) -> pd.Series:
+    return cells.where(cells.notna(), "").astype(str)
+
+
+def _numbers(cells: pd.Series, spelled: str, source: MeasurementSource, path: Path) -> tuple[pd.Series, list[Problem]]:
+    if pd.api.types.is_numeric_dtype(cells):
+        numbers, text = cells.astype(float), pd.Series(False, cells.index)
+    else:
+        written = _text(cells)
+        if source.decimal == ",":
+            written = written.str.replace(".", "?", regex=False).str.replace(",", ".", regex=False)
+        good = written.str.fullmatch(NUMBER)
+        text = ~good & ~written.str.lower().isin(
+            ["", "nan", "-nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none"]
+        )
+        numbers = written.where(good).astype(float)
+    empty = pd.DataFrame({"line": cells.index[~text & ~np.isfinite(numbers)]})
+    problems = _rows(np.full(len(empty), True), empty, path,
+                     f"column '{spelled}' is empty or not a number; complete the row or leave it out")  # fmt: skip
+    if text.any():
+        first, more = cells[text].iloc[0], int(text.sum()) - 1
+        other = "," if source.decimal == "." else "."
+        hint = f" (written with '{other}'? say decimal = \"{other}\" in the study)" if other in str(first) else ""
+        count = f" (and {more} more rows)" if more else ""
+        problems.append(Problem(f"column '{spelled}': expected a number, found '{first}'{hint}{count}", path,
+                                int(cells.index[text][0])))  # fmt: skip
+    return numbers, problems
+
+
+def _check_header(
+    spelled: list[str], columns: dict[str, tuple[str, str]], source: MeasurementSource, robot: Robot, path: Path,
+    conditions_only: bool,
+) -> list[Problem]:  # fmt: skip
+    known, problems = column_names(robot), []
+
+    def tell(message: str) -> None:
+        problems.append(Problem(message, path, 1))
+
+    for column in spelled:
+        name, unit = _split_column(column, robot)
+        if columns[name][0] != column:
+            tell(f"column '{column}': '{name}' is there twice, in different units")
+        elif name not in known or (unit and not known[name]):
+            every = [f"{n}_{s}" if s else n for n, d in known.items() for s in SUFFIXES.get(d, ("",))]
+            tell(f"unknown column '{column}'{nearest(column, every)}")
+        elif known[name] and unit not in SUFFIXES[known[name]]:
             wanted = ", ".join(f"{name}_{suffix}" for suffix in SUFFIXES[known[name]])
-            problems.append(Problem(f"column '{column}' needs a unit of {known[name]} in its name: {wanted}", path, 1))
+            tell(f"column '{column}' needs a unit of {known[name]} in its name: {wanted}")
+        elif conditions_only and name in MEASURED:
+            tell(f"column '{column}' is what will be predicted: leave it out of the rows")
+    for name in _required(columns, robot, conditions_only):
+        if name not in columns:
+            wanted = " or ".join(f"{name}_{s}" if s else name for s in SUFFIXES.get(known[name], ("",)))
+            tell(f"missing column: expected {wanted}")
+    for name, stated in (("sigma", source.sigma), ("sigma_rotation", source.sigma_rotation)):
+        if stated is not None and name in columns:
+            tell(f"column '{columns[name][0]}': the study's [measurements] states {name} too; expected one of them")
+    oriented = "rx" in columns or "qw" in columns
+    if oriented and not conditions_only and robot.tool_rotation is None:
+        tell("has measured orientations, but the robot file does not say how the tool is turned: expected "
+             "tool_rotation_deg = [rx, ry, rz] there")  # fmt: skip
+    if oriented and not conditions_only and source.sigma_rotation is None and "sigma_rotation" not in columns:
+        tell("has measured orientations, but not how sure they are: expected a column sigma_rotation_mrad, or "
+             "sigma_rotation_mrad = … in the study's [measurements]")  # fmt: skip
+    if "rx" in columns and "qw" in columns:
+        tell("has orientations twice, as rx, ry, rz and as a quaternion: expected one of them")
+    return problems
+
+
+def _required(columns: dict[str, tuple[str, str]], robot: Robot, conditions_only: bool) -> list[str]:
     required = _numbered("q", robot.n_joints) + ([] if conditions_only else ["x", "y", "z"])
     if len(robot.markers) > 1:
         required.append("marker")
     groups = (_numbered("approach", robot.n_joints), _numbered("tau", robot.n_joints), ["fx", "fy", "fz", "mx", "my", "mz"],
               ["rx", "ry", "rz"], ["qw", "qx", "qy", "qz"])  # fmt: skip
-    required += [name for group in groups if any(n in table for n in group) for name in group]
-    if ("rx" in table or "qw" in table) and robot.tool_rotation is None:
-        problems.append(
-            Problem("has measured orientations, but the robot file does not say how the tool is turned: expected "
-                    "tool_rotation_deg = [rx, ry, rz] there", path, 1)
-        )  # fmt: skip
-    for name in required:
-        if name not in table:
-            suffixes = SUFFIXES[known[name]] if known[name] else ("",)
-            wanted = " or ".join(f"{name}_{s}" if s else name for s in suffixes)
-            problems.append(Problem(f"missing column: expected {wanted}", path, 1))
-    return problems
+    return required + [name for group in groups if any(n in columns for n in group) for name in group]
 
 
 def _label(table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, list[str]]:
@@ -353,6 +454,8 @@ def _label(table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, list[str]]:
         table["marker"] = next(iter(robot.markers))
     if "payload" not in table:
         table["payload"] = ""
+        if robot.payloads:
+            notes.append(f"no column 'payload': no row counts as carrying {' or '.join(robot.payloads)}")
     if "pose" not in table:
         keys = [*_numbered("q", robot.n_joints), "payload"]
         table["pose"] = table.groupby(keys, sort=False, dropna=False).ngroup() + 1
@@ -364,19 +467,8 @@ def _label(table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, list[str]]:
     return table, notes
 
 
-def _check_values(table: pd.DataFrame, robot: Robot, path: Path, conditions_only: bool) -> list[Problem]:
+def _check_values(table: pd.DataFrame, robot: Robot, path: Path) -> list[Problem]:
     problems: list[Problem] = []
-    for name in table.columns:
-        if pd.api.types.is_numeric_dtype(table[name]):
-            bad = ~np.isfinite(table[name].to_numpy(dtype=float))
-            problems += _rows(
-                bad,
-                table,
-                path,
-                f"column '{name}' is empty or not a number; complete the row or leave it out",
-            )
-    if problems:
-        return problems
     for name, known, optional in (("marker", robot.markers, False), ("payload", robot.payloads, True)):
         for value in table[name].unique():
             if value not in known and not (optional and value == ""):
@@ -385,21 +477,20 @@ def _check_values(table: pd.DataFrame, robot: Robot, path: Path, conditions_only
                                   f"unknown {name} '{value}'; the robot file has {names}{nearest(value, known)}")  # fmt: skip
     for i in range(robot.n_joints):
         if f"approach{i + 1}" in table:
-            problems += _rows(
-                ~table[f"approach{i + 1}"].isin([-1, 0, 1]),
-                table,
-                path,
-                f"approach{i + 1}: expected -1, 0 or 1",
-            )
-    if "sigma" in table:
-        problems += _rows(table["sigma"] <= 0, table, path, "sigma: expected a positive standard deviation")
+            wrong = ~table[f"approach{i + 1}"].isin([-1, 0, 1, np.nan])
+            problems += _rows(wrong, table, path, f"approach{i + 1}: expected -1, 0 or 1")
+    for name in ("sigma", "sigma_rotation"):
+        if name in table:
+            problems += _rows(table[name] <= 0, table, path, f"{name}: expected a positive standard deviation")
+    if "qw" in table:
+        norm = np.linalg.norm(table[["qw", "qx", "qy", "qz"]], axis=1)
+        problems += _rows(np.abs(norm - 1) > 0.01, table, path, "qw, qx, qy, qz: expected a quaternion of norm 1")
     if "split" in table:
-        problems += _rows(
-            ~table["split"].isin(["train", "holdout"]), table, path, "split: expected 'train' or 'holdout'"
-        )
-        mixed = table.groupby("pose")["split"].transform("nunique") > 1
+        split = table["split"].where(table["split"].isin(["train", "holdout"]))
+        problems += _rows(split.isna(), table, path, "split: expected 'train' or 'holdout'")
+        mixed = split.groupby(table["pose"]).transform("nunique") > 1
         problems += _rows(mixed, table, path, "split: one pose is in train and in holdout; held out is a whole pose")
-    twice = table.duplicated(["pose", "repeat", "marker"], keep="first")
+    twice = table.duplicated(["pose", "repeat", "marker"], keep="first") & (table["pose"] != "")
     problems += _rows(twice, table, path, "duplicate pose: the same pose, repeat and marker stand in an earlier row")
     joints = table[_numbered("q", robot.n_joints)]
     moved = (joints - joints.groupby(table["pose"]).transform("first")).abs().max(axis=1) > 0.02
@@ -412,35 +503,55 @@ def _check_values(table: pd.DataFrame, robot: Robot, path: Path, conditions_only
     return problems
 
 
-def _check_units(measured: Measurements, path: Path) -> list[Problem]:
-    """Find degrees called radians, and millimetres called metres, by comparing with what the robot can do."""
-    robot, table = measured.robot, measured.table
-    problems = []
-    revolute = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
+def _check_units(measured: Measurements, named: set[str], path: Path, conditions_only: bool) -> list[Problem]:
+    """Find degrees called radians, millimetres called metres and the like, by what the robot can do.
+
+    Distances between the measured points are compared with those of the nominal robot's: if they agree far better when
+    angles or lengths are read in another unit than the one named, that is the unit they are in.
+    """
+    revolute = [i for i, joint in enumerate(measured.robot.joints) if joint.kind == "revolute"]
     largest = np.abs(measured.joints[:, revolute]).max() if revolute else 0.0
-    columns = f"q1 … q{robot.n_joints}"
+    angles = f"q1 … q{measured.robot.n_joints}"
+    degrees = f"{angles}: does a column named _rad hold degrees? "
     if largest > 6 * np.pi:
-        problems.append(Problem(f"{columns}: the largest reading is {largest:.4g} rad, over three turns: does a column named "
-                                "_rad hold degrees?", path))  # fmt: skip
-    elif (
-        revolute
-        and measured.table["pose"].nunique() > 3
-        and np.ptp(measured.joints[:, revolute], axis=0).max() < np.deg2rad(7)
-    ):
-        problems.append(Problem(f"{columns}: no joint moves by more than 7 degrees over all poses: does a column named _deg "
-                                "hold radians?", path))  # fmt: skip
-    if problems:
-        return problems
+        return [Problem(f"{degrees}The largest reading is {largest:.4g} rad, over three turns", path)]
+    if conditions_only or measured.table["pose"].nunique() <= 3:
+        return []
+    turns, stretches = {1.0: ""}, {1.0: ""}
+    if "rad" in named:
+        turns[np.pi / 180] = degrees
+    if "deg" in named:
+        turns[180 / np.pi] = f"{angles}: does a column named _deg hold radians? "
+    if "m" in named:
+        stretches[1e-3] = "x, y, z: does a column named _m hold millimetres? "
+    if "mm" in named:
+        stretches[1e3] = "x, y, z: does a column named _mm hold metres? "
+    found = {(turn, stretch): _disagreement(measured, turn, stretch) for turn in turns for stretch in stretches}
+    as_named, best = found[1.0, 1.0], min(found, key=lambda units: found[units])
+    if as_named < SHAPE_WRONG or found[best] > SHAPE_RIGHT:
+        return []
+    return [
+        Problem(
+            f"{turns[best[0]]}{stretches[best[1]]}The measured points would fit the nominal robot far better then", path
+        )
+    ]
+
+
+def _disagreement(measured: Measurements, turn: float, stretch: float) -> float:
+    """How far distances between points differ from the nominal robot's: 0 where all agree, at most 1.
+
+    Readings of revolute joints are multiplied by turn, measured positions by stretch.
+    """
     from calflow.model import build
 
-    nominal = build(robot, (), measured.given)
-    spread = np.linalg.norm(measured.position - measured.position.mean(axis=0), axis=1).mean()
-    predicted = nominal.position(nominal.nominal, measured.rows)
-    expected = np.linalg.norm(predicted - predicted.mean(axis=0), axis=1).mean()
-    if table["pose"].nunique() > 3 and expected > 0 and not 0.02 < spread / expected < 50:
-        problems.append(Problem(f"x, y, z: the points spread over {1e3 * spread:.4g} mm, the nominal robot at these joint readings "
-                                f"over {1e3 * expected:.4g} mm: is the unit in the columns' names right?", path))  # fmt: skip
-    return problems
+    nominal = build(measured.robot, (), measured.given)
+    chosen = np.unique(np.linspace(0, len(measured) - 1, SHAPE_ROWS).astype(int))
+    rows = measured.rows[:, chosen]
+    rows[: measured.robot.n_joints] *= [[turn if joint.kind == "revolute" else 1.0] for joint in measured.robot.joints]
+    both = (stretch * measured.position[chosen], nominal.position(nominal.nominal, rows))
+    points, expected = (np.linalg.norm(places[:, None] - places[None], axis=2) for places in both)
+    share = np.median(np.abs(points - expected)) / (np.median(points) + np.median(expected))
+    return float(share) if np.isfinite(share) else 1.0
 
 
 def _check_loop(measured: Measurements, path: Path) -> list[Problem]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,12 @@ from typing import Any
 from pydantic import Field, field_validator
 
 from calflow.measurements import Measurements, MeasurementSource, draw_split, locate, read_measurements
-from calflow.problems import InputError, Problem, nearest, refuse
+from calflow.problems import InputError, Problem, nearest, refuse, together
 from calflow.robot.description import Robot, read_robot
-from calflow.toml_file import FileModel, line_numbers, read_toml, validate
+from calflow.toml_file import FileModel, Origin, read_toml, validate
+from calflow.units import split_unit
+
+FEWEST_POSES = 3  # fewer do not even say where the robot stands
 
 
 class Split(FileModel):
@@ -23,7 +27,7 @@ class Split(FileModel):
 class StudyFile(FileModel):
     """A study file as written."""
 
-    name: str = Field(pattern=r"^[\w.-]+$")
+    name: str
     title: str = ""
     robot: str
     workflow: str = "calibrate"
@@ -33,17 +37,17 @@ class StudyFile(FileModel):
     split: Split = Split()
     stages: dict[str, dict[str, Any]] = {}
 
+    @field_validator("name")
+    @classmethod
+    def _names_a_folder(cls, name: str) -> str:
+        if not re.fullmatch(r"\w[\w.-]*", name):
+            raise ValueError(f"expected letters, digits, '_', '-' and '.' (it names the run's folder), found {name!r}")
+        return name
+
     @field_validator("effects")
     @classmethod
     def _known_effects(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
-        from calflow.effects import catalogue
-
-        for effect in effects:
-            if effect not in catalogue():
-                raise ValueError(f"unknown effect '{effect}'{nearest(effect, catalogue())}")
-        if not effects or len(set(effects)) < len(effects):
-            raise ValueError("expected at least one effect, and each once")
-        return effects
+        return known_effects(effects)
 
 
 class WorkflowFile(FileModel):
@@ -52,6 +56,76 @@ class WorkflowFile(FileModel):
     name: str
     stages: tuple[str, ...] = Field(min_length=1)
     settings: dict[str, dict[str, Any]] = {}
+
+    @field_validator("stages")
+    @classmethod
+    def _each_once(cls, stages: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(stages)) < len(stages):
+            raise ValueError("expected each stage once")
+        return stages
+
+
+def known_effects(effects: tuple[str, ...]) -> tuple[str, ...]:
+    """Return a file's effects.
+
+    Raises:
+        ValueError: one of them is unknown or there twice, or there is none.
+    """
+    from calflow.effects import catalogue
+
+    unknown = [
+        f"unknown effect '{effect}'{nearest(effect, catalogue())}" for effect in effects if effect not in catalogue()
+    ]
+    if unknown:
+        raise ValueError("; ".join(unknown))
+    if not effects or len(set(effects)) < len(effects):
+        raise ValueError("expected at least one effect, and each once")
+    return effects
+
+
+def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
+    """Check that the robot file says what the effects cannot do without.
+
+    Raises:
+        InputError: it does not.
+    """
+    from calflow.effects import catalogue
+
+    needing = [effect for effect in effects if "masses" in catalogue()[effect].needs]
+    measured = all(joint.rated_torque for joint in robot.joints)  # measured torques may then stand for masses
+    if needing and not robot.has_masses and not measured:
+        origin = Origin.of(path)
+        raise InputError(
+            origin.problem(
+                f"missing: effect '{needing[0]}' needs the mass of every joint's link, mass_kg and com_mm (or, "
+                "where joint torques are measured, every joint's rated_torque_Nm)",
+                "joints",
+                i,
+            )
+            for i, joint in enumerate(robot.joints)
+            if joint.mass is None
+        )
+
+
+def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> None:
+    """Check that the measurements have the columns the effects cannot do without.
+
+    Raises:
+        InputError: they do not.
+    """
+    from calflow.effects import catalogue
+
+    problems = []
+    for effect in effects:
+        for need in catalogue()[effect].needs:
+            if need == "masses" and not data.robot.has_masses and "torque" not in data.given:
+                problems.append(
+                    Problem(f"effect '{effect}' needs masses in the robot file, or measured torques tau1_Nm …", path)
+                )
+            elif need != "masses" and need not in data.given:
+                problems.append(Problem(f"effect '{effect}' needs columns that the measurements lack: {need}", path))
+    if problems:
+        raise InputError(problems)
 
 
 @dataclass(frozen=True)
@@ -85,37 +159,29 @@ class Study:
         """Read the measurements, split into train and holdout."""
         path = self.measurement_path
         measured = read_measurements(path, self.robot, self.file.measurements)
-        self._check_masses()
-        return draw_split(measured, self.file.split.holdout, self.file.seed)
+        check_columns(self.file.effects, measured, path)
+        measured = draw_split(measured, self.file.split.holdout, self.file.seed)
+        poses = measured.table.loc[measured.train, "pose"].nunique()
+        if poses < FEWEST_POSES:
+            raise refuse(f"holds {poses} poses to fit and {len(measured) - measured.train.sum()} rows in holdout: nothing can be "
+                         "identified with so few", path)  # fmt: skip
+        return measured
 
     def settings(self, stage: str) -> dict[str, Any]:
-        """Return a stage's settings: the workflow's, overridden by the study's."""
-        return {**self.workflow.settings.get(stage, {}), **self.file.stages.get(stage, {})}
+        """Return a stage's settings: the workflow's, overridden by the study's, whatever their units."""
+        own = self.file.stages.get(stage, {})
+        given = {_without_unit(key) for key in own}
+        base = self.workflow.settings.get(stage, {})
+        return {key: value for key, value in base.items() if _without_unit(key) not in given} | own
 
     def validated_settings(self, stage: str, kind: type[FileModel]) -> FileModel:
         """Check a stage's settings; a problem is told in the file that it stands in."""
+        there = Origin.of(self.workflow_path, "settings", stage)
         own = self.file.stages.get(stage, {})
-        base = self.workflow.settings.get(stage, {})
-        workflow_lines = line_numbers(self.workflow_path.read_text(encoding="utf-8"))
-        validate(
-            base,
-            kind,
-            self.workflow_path,
-            {k[2:]: n for k, n in workflow_lines.items() if k[:2] == ("settings", stage)},
-        )
-        lines = line_numbers(self.path.read_text(encoding="utf-8"))
-        here = {key[2:]: number for key, number in lines.items() if key[:2] == ("stages", stage)}
-        return validate({**base, **own}, kind, self.path, here)
-
-    def _check_masses(self) -> None:
-        from calflow.effects import catalogue
-
-        for effect in self.file.effects:
-            if "masses" in catalogue()[effect].needs and not self.robot.has_masses:
-                raise refuse(
-                    f"effect '{effect}' needs the mass of every joint's link (mass_kg, com_mm)",
-                    self.robot_path,
-                )
+        here = Origin.of(self.path, "stages", stage) if own else there
+        settings = self.settings(stage)
+        elsewhere = {name: there for key in settings if key not in own for name in (key, _without_unit(key))}
+        return validate(settings, kind, here, elsewhere)
 
 
 def load_study(path: str | Path) -> Study:
@@ -128,20 +194,23 @@ def load_study(path: str | Path) -> Study:
     if path.is_dir():
         path = path / "study.toml"
     file = read_toml(path, StudyFile)
-    problems: list[Problem] = []
     robot_path = path.parent / file.robot
-    try:
+
+    def checked_robot() -> Robot:
         robot = read_robot(robot_path)
-    except InputError as error:
-        problems += error.problems
-    try:
+        check_effects(file.effects, robot, robot_path)
+        return robot
+
+    def found_workflow() -> tuple[Path, WorkflowFile]:
         workflow_path = find_workflow(file.workflow, path)
-        workflow = read_toml(workflow_path, WorkflowFile)
-    except InputError as error:
-        problems += error.problems
-    if problems:
-        raise InputError(problems)
+        return workflow_path, read_toml(workflow_path, WorkflowFile)
+
+    robot, (workflow_path, workflow) = together(checked_robot, found_workflow)
     return Study(path, file, robot, robot_path, workflow, workflow_path)
+
+
+def _without_unit(key: str) -> str:
+    return (split_unit(key) or (key, ""))[0]
 
 
 def workflow_folder() -> Path:
@@ -157,9 +226,6 @@ def find_workflow(name: str, study: Path) -> Path:
     path = workflow_folder() / f"{name}.toml"
     if not path.is_file():
         known = sorted(file.stem for file in workflow_folder().glob("*.toml"))
-        raise refuse(
-            f"unknown workflow '{name}'; there are {', '.join(known)}{nearest(name, known)}",
-            study,
-            key="workflow",
-        )
+        message = f"unknown workflow '{name}'; there are {', '.join(known)}{nearest(name, known)}"
+        raise InputError([Origin.of(study).problem(message, "workflow")])
     return path

@@ -14,10 +14,11 @@ SUFFIXES: dict[str, tuple[str, ...]] = {
     "time": ("s", "min", "h"),
     "temperature": ("K", "degC"),
     "compliance": ("rad_per_Nm",),
+    "compliance of a slide": ("m_per_N",),
     "acceleration": ("m_per_s2",),
     "ratio": ("m_per_m", "mm_per_m"),
 }
-_PINT_NAMES = {"Nm": "N*m", "kNm": "kN*m", "rad_per_Nm": "rad/(N*m)", "m_per_s2": "m/s^2",
+_PINT_NAMES = {"Nm": "N*m", "kNm": "kN*m", "m_per_N": "m/N", "rad_per_Nm": "rad/(N*m)", "m_per_s2": "m/s^2",
                "m_per_m": "m/m", "mm_per_m": "mm/m"}  # fmt: skip
 
 
@@ -45,3 +46,10 @@ def split_unit(name: str, dimension: str | None = None) -> tuple[str, str] | Non
         if name.endswith("_" + suffix) and len(name) > len(suffix) + 1:
             return name[: -len(suffix) - 1], suffix
     return None
+
+
+def spellings(unit: str) -> dict[str, float]:
+    """Return the suffixes that a quantity may carry whose SI unit is written so (`rad/Nm`), and the factor of each."""
+    si = unit.replace("/", "_per_")
+    same = next((suffixes for suffixes in SUFFIXES.values() if suffixes[0] == si), (si,))
+    return {"": 1.0} if unit == "1" else {f"_{suffix}": to_si(suffix)[0] if suffix != si else 1.0 for suffix in same}

@@ -6,10 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 from calflow.model import build
+from calflow.problems import InputError
 from calflow.stages.fit import Problem, fit
+from calflow.stages.identify import IdentifySettings, fit_settled
 from calflow.stages.noise import averaged, lack_of_fit, noise
 from robots import industrial
 from stages.data import SIGMA, drawn_truth, measured, stated
@@ -49,7 +52,7 @@ def test_p_values_of_a_true_model_are_uniform(model):
         means, level = averaged(data, stated(data))
         result, _ = fit(Problem.of(model, means, level))
         error = model.position(result.estimate, means.rows) - means.position
-        p.append(lack_of_fit(error, level, result.effective_parameters).p)
+        p.append(lack_of_fit(error, level.sigma, result.effective_parameters).p)
     assert kstest(p, "uniform").pvalue > 1e-3
 
 
@@ -65,7 +68,7 @@ def test_the_discrepancy_of_a_model_is_found(model):
     for _ in range(3):
         result, _ = fit(Problem.of(model, means, level))
         error = model.position(result.estimate, means.rows) - means.position
-        lack = lack_of_fit(error, level, result.effective_parameters)
+        lack = lack_of_fit(error, level.sigma, result.effective_parameters)
         level = replace(level, discrepancy=lack.discrepancy)
     assert lack.p < 1e-6
     assert lack.discrepancy == pytest.approx(1e-4, rel=0.15)
@@ -74,10 +77,46 @@ def test_the_discrepancy_of_a_model_is_found(model):
 
 
 def test_repeats_under_other_conditions_stay_apart(model):
-    """Fails if rows of one pose that were measured at another time or marker are averaged."""
+    """Fails if a pose's rows that came from another side are averaged, or the clock and encoder jitter keep rows apart."""
     rng = np.random.default_rng(21)
     data = measured(model, model.nominal, 10, rng, repeats=3)
-    data.table["time"] = np.where(data.table["repeat"] == 3, 60.0, 0.0)
+    data.table["time"] = np.arange(30.0)
+    for i in range(6):
+        data.table[f"q{i + 1}"] += 1e-5 * rng.standard_normal(30)
+        data.table[f"approach{i + 1}"] = np.where(data.table["repeat"] == 3, 1, -1)
     means, level = averaged(data, stated(data))
     assert len(means) == 20
     assert sorted(np.unique(level.sigma)) == pytest.approx([SIGMA / np.sqrt(2), SIGMA])
+    assert means.table["time"].iloc[0] == pytest.approx(5.0)
+
+
+def test_moving_a_little_between_repeats_is_not_noise(model):
+    """Fails if encoder readings that differ between the repeats of a pose count as scatter of the device."""
+    rng = np.random.default_rng(22)
+    data = measured(model, model.nominal, 40, rng, repeats=4, sigma=0.0)
+    data.table[[f"q{i + 1}" for i in range(6)]] += 1e-3 * rng.standard_normal((160, 6))
+    data.table[["x", "y", "z"]] = model.position(model.nominal, data.rows) + SIGMA * rng.standard_normal((160, 3))
+    assert noise(data).sigma[0] == pytest.approx(SIGMA, rel=0.15)
+
+
+def test_a_source_that_is_not_there_is_refused(model):
+    """Fails if the noise asked for is quietly replaced by another."""
+    data = measured(model, model.nominal, 10, np.random.default_rng(23))
+    for source in ("repeats", "file"):
+        with pytest.raises(InputError, match=source):
+            noise(data, source)
+
+
+def test_full_poses_have_a_discrepancy_of_their_own(model):
+    """Fails if an orientation error of the model widens positions, or is not seen at all."""
+    rng = np.random.default_rng(24)
+    robot = industrial(tool_rotation_deg=(0.0, 90.0, 0.0))
+    turning = build(robot, ("geometry",))
+    truth = drawn_truth(turning, rng)
+    data = measured(turning, truth, 80, rng)
+    off = Rotation.from_rotvec(3e-4 * rng.standard_normal((80, 3)))
+    data.table[["rx", "ry", "rz"]] = (Rotation.from_matrix(turning.rotation(truth, data.rows)) * off).as_euler("XYZ")
+    data.table["sigma_rotation"] = 1e-4
+    settled = fit_settled(turning, data, stated(data), IdentifySettings(starts=1), rng)[1]
+    assert settled.discrepancy == 0
+    assert settled.rotation_discrepancy == pytest.approx(np.sqrt(3e-4**2 - 1e-4**2), rel=0.2)

@@ -14,8 +14,8 @@ from calflow.robot.description import Robot
 class Dimensions:
     """Every length and angle of a robot and its tool.
 
-    base (6,) is the base's error in its own frame (see `transforms.placement`), tool_rotation (3,); the DH figures are
-    (n_joints,); bars (crank, rod, rocker) is (3,); markers is (3, n_markers). SI units.
+    base (6,) and tool_rotation (3,) are errors in the base's and the tool's own frame (see `transforms.placement`); the
+    DH figures are (n_joints,); bars (crank, rod, rocker) is (3,); markers is (3, n_markers). SI units.
     """
 
     base: ca.SX
@@ -56,7 +56,7 @@ def nominal_dimensions(robot: Robot) -> Dimensions:
         theta=_column([joint.theta for joint in joints]),
         beta=_column([joint.beta for joint in joints]),
         bars=_column([loop.crank.length, loop.rod.length, loop.rocker] if loop else []),
-        tool_rotation=_column(robot.tool_rotation or (0.0, 0.0, 0.0)),
+        tool_rotation=_column([0.0] * 3),
         markers=_points([marker.point for marker in robot.markers.values()]),
     )
 

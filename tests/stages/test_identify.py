@@ -1,0 +1,49 @@
+"""The settled fit keeps its statistical promises where repeats, discrepancies and outliers meet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calflow.model import build
+from calflow.stages.fit import Problem, fit
+from calflow.stages.identify import IdentifySettings, fit_settled
+from calflow.stages.posterior import Laplace
+from robots import industrial
+from stages.data import SIGMA, drawn_truth, measured, stated
+
+
+@pytest.fixture(scope="module")
+def model():
+    return build(industrial(), ("geometry",))
+
+
+def test_repeats_and_discrepancy_leave_honest_deviations(model):
+    """Fails if ten repeats of a wrong model count as ten pieces of evidence: deviations would be three times too small."""
+    rng = np.random.default_rng(30)
+    z = []
+    for _ in range(6):
+        truth = drawn_truth(model, rng)
+        data = measured(model, truth, 50, rng, repeats=10)
+        data.table[["x", "y", "z"]] += (1e-4 * rng.standard_normal((50, 3)))[data.table["pose"]]
+        result = fit_settled(model, data, stated(data), IdentifySettings(starts=1), rng)[0]
+        z.append((result.estimate - truth) / np.sqrt(np.diag(result.covariance)))
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_robust_fit_stays_robust(model):
+    """Fails if outliers return through the refit, the discrepancy or the posterior."""
+    rng = np.random.default_rng(31)
+    truth = drawn_truth(model, rng)
+    data = measured(model, truth, 60, rng)
+    data.table.loc[:2, ["x", "y", "z"]] += 2e-2
+    settings = IdentifySettings(starts=1, loss="cauchy")
+    result, level, *_ = fit_settled(model, data, stated(data), settings, rng)
+    assert level.discrepancy < SIGMA
+    probe = measured(model, truth, 50, rng, sigma=0.0)
+    assert np.linalg.norm(model.position(result.estimate, probe.rows) - probe.position, axis=1).mean() < 2 * SIGMA
+    weighed = Problem.of(model, data, level).reweighted(result.estimate, "cauchy")
+    sampled = Laplace.of(weighed, result.estimate, result.at_bound)
+    assert sampled.level < 2
+    again, _ = fit(weighed)
+    assert np.linalg.norm(model.position(again.estimate, probe.rows) - probe.position, axis=1).mean() < 2 * SIGMA

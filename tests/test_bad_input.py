@@ -1,0 +1,301 @@
+"""Measurements that cannot be right are refused, with all that is wrong, before anything is done with them."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pandas as pd
+import pytest
+
+Q, X = ["q1_deg", "q2_deg", "q3_deg"], ["x_mm", "y_mm", "z_mm"]
+
+
+def put(column, row, value):
+    """A change of one cell; row 0 is line 2."""
+
+    def change(rows):
+        rows.loc[row, column] = value
+        return rows
+
+    return change
+
+
+def scaled(columns, factor):
+    return lambda rows: rows.assign(**{name: rows[name].astype(float) * factor for name in columns})
+
+
+def renamed(**names):
+    return lambda rows: rows.rename(columns=names)
+
+
+def with_columns(**columns):
+    return lambda rows: rows.assign(**columns)
+
+
+def both(*changes):
+    def change(rows):
+        for one in changes:
+            rows = one(rows)
+        return rows
+
+    return change
+
+
+def approached(last):
+    return with_columns(approach1="1", approach2="-1", approach3=last)
+
+
+HEADER = {
+    "missing": (lambda rows: rows.drop(columns=["q2_deg", "y_mm"]),
+                ["missing column: expected q2_rad or q2_deg", "missing column: expected y_m or y_mm or y_um"]),
+    "misspelt": (renamed(payload="paylod", x_mm="X_mm"),
+                 ["unknown column 'paylod', did you mean 'payload'?", "unknown column 'X_mm', did you mean 'x_mm'?",
+                  "missing column: expected x_m"]),
+    "internal name": (with_columns(line="1"), ["unknown column 'line'"]),
+    "unit of a label": (renamed(pose="pose_mm"), ["unknown column 'pose_mm', did you mean 'pose'?"]),
+    "no unit": (renamed(x_mm="x"), ["column 'x' needs a unit of length in its name: x_m, x_mm, x_um"]),
+    "length for an angle": (renamed(q1_deg="q1_mm"), ["column 'q1_mm' needs a unit of angle in its name: q1_rad, q1_deg"]),
+    "two units": (with_columns(x_m="1"), ["column 'x_m': 'x' is there twice, in different units"]),
+    "twice": (lambda rows: pd.concat([rows, rows["x_mm"]], axis=1), ["unknown column 'x_mm.1', did you mean 'x_mm'?"]),
+    "some approaches": (with_columns(approach2="1"), ["missing column: expected approach1", "missing column: expected approach3"]),
+    "some torques": (with_columns(tau1_Nm="1", tau2_Nm="1"), ["missing column: expected tau3_Nm or tau3_kNm"]),
+    "some forces": (with_columns(fx_N="1", fy_N="1", fz_N="1", mx_Nm="1", my_Nm="1"), ["missing column: expected mz_Nm"]),
+    "a fourth joint": (with_columns(q4_deg="1"), ["unknown column 'q4_deg', did you mean 'q"]),
+    "another separator": (lambda rows: rows.set_axis([";".join(rows.columns), *rows.columns[1:]], axis=1).iloc[:, :1],
+                          ["has no ',' in its header line, but ';': say separator = \";\""]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "expected"), HEADER.values(), ids=HEADER)
+def test_a_wrong_header_is_told_column_by_column(small, change, expected):
+    """Fails if a column is dropped in silence, a unit is guessed, or only the first problem is told."""
+    small.measure(change(small.rows))
+    told = small.refused("check")
+    assert len(told) == len(expected), told
+    for problem, start in zip(told, expected, strict=True):
+        assert problem.startswith(f"measurements.csv:1: {start}")
+
+
+CELLS = {
+    "empty": (put("x_mm", 3, ""), ["5: column 'x_mm' is empty or not a number; complete the row or leave it out"]),
+    "nan": (put("q1_deg", 3, "NaN"), ["5: column 'q1_deg' is empty or not a number"]),
+    "infinite": (put("y_mm", 3, "-inf"), ["5: column 'y_mm' is empty or not a number"]),
+    "too large": (put("y_mm", 3, "1e400"), ["5: column 'y_mm' is empty or not a number"]),
+    "text": (put("x_mm", 3, "n.a."), ["5: column 'x_mm': expected a number, found 'n.a.'"]),
+    "decimal comma": (put("x_mm", 3, "1,5"), ["5: column 'x_mm': expected a number, found '1,5' (written with ','? say decimal"]),
+    "thousands": (put("x_mm", 3, "1_500"), ["5: column 'x_mm': expected a number, found '1_500'"]),
+    "true": (with_columns(x_mm="True"), ["2: column 'x_mm': expected a number, found 'True' (and 79 more rows)"]),
+    "many": (with_columns(x_mm=""), [*(f"{line}: column 'x_mm' is empty" for line in range(2, 7)), " column 'x_mm' is empty"]),
+    "no pose": (put("pose", 3, ""), ["5: column 'pose' is empty"]),
+    "unknown payload": (put("payload", 3, "havy"), ["5: unknown payload 'havy'; the robot file has light, heavy, did you"]),
+    "unknown marker": (put("marker", 3, "tol"), ["5: unknown marker 'tol'; the robot file has tool, did you mean 'tool'?"]),
+    "approach": (approached("2"), [*(f"{line}: approach3: expected -1, 0 or 1" for line in range(2, 7)), " approach3"]),
+    "approach missing": (both(approached("0"), put("approach3", 1, "")), ["3: column 'approach3' is empty"]),
+    "approach in words": (both(approached("0"), put("approach3", 1, "up")), ["3: column 'approach3': expected a number"]),
+    "sigma zero": (put("sigma_mm", 3, "0"), ["5: sigma: expected a positive standard deviation"]),
+    "sigma negative": (put("sigma_mm", 3, "-1"), ["5: sigma: expected a positive standard deviation"]),
+    "row twice": (put("repeat", 1, "1"), ["3: duplicate pose: the same pose, repeat and marker stand in an earlier row"]),
+    "pose number twice": (both(put("pose", 2, "1"), put("repeat", 2, "3")),
+                          ["4: duplicate pose: this pose number has other joint readings in an earlier row"]),
+    "split of neither": (both(with_columns(split="train"), put("split", 2, "test")), ["4: split: expected 'train' or 'holdout'"]),
+    "split empty": (both(with_columns(split="train"), put("split", 2, "")), ["4: split: expected 'train' or 'holdout'"]),
+    "split within a pose": (both(with_columns(split="train"), put("split", 1, "holdout")),
+                            [f"{line}: split: one pose is in train" for line in (2, 3)]),
+    "several": (both(put("x_mm", 3, ""), put("payload", 4, "havy"), put("sigma_mm", 5, "0"), put("y_mm", 6, "x")),
+                ["5: column 'x_mm' is empty", "8: column 'y_mm': expected a number", "6: unknown payload", "7: sigma"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "expected"), CELLS.values(), ids=CELLS)
+def test_a_wrong_row_is_told_by_its_line(small, change, expected):
+    """Fails if a row is dropped or filled in silence, or told with the wrong line, or only the first one is told."""
+    small.measure(change(small.rows))
+    told = small.refused("check")
+    assert len(told) == len(expected), told
+    for problem, start in zip(told, expected, strict=True):
+        assert problem.startswith(f"measurements.csv:{start}") or problem.startswith(
+            f"measurements.csv:{start}".replace(": ", ":", 1)
+        )
+
+
+def as_radians(rows):
+    return rows.rename(columns=dict(zip(Q, ["q1_rad", "q2_rad", "q3_rad"], strict=True)))
+
+
+def as_metres(rows):
+    return rows.rename(columns=dict(zip(X, ["x_m", "y_m", "z_m"], strict=True)))
+
+
+UNITS = {
+    "degrees in _rad": (as_radians, "does a column named _rad hold degrees? The largest reading is"),
+    "few degrees in _rad": (
+        lambda rows: as_radians(rows[rows[Q].astype(float).abs().max(axis=1) < 60]),
+        "_rad hold degrees?",
+    ),
+    "radians in _deg": (scaled(Q, np.pi / 180), "does a column named _deg hold radians?"),
+    "metres in _mm": (scaled(X, 1e-3), "does a column named _mm hold metres?"),
+    "millimetres in _m": (as_metres, "does a column named _m hold millimetres?"),
+    "both": (
+        both(as_metres, scaled(Q, np.pi / 180)),
+        "_deg hold radians? x, y, z: does a column named _m hold millimetres?",
+    ),
+}
+
+
+@pytest.mark.parametrize(("change", "expected"), UNITS.values(), ids=UNITS)
+@pytest.mark.parametrize("sigma", [True, False])
+def test_a_wrong_unit_is_found(small, change, expected, sigma):
+    """Fails if a robot is fitted to degrees called radians or millimetres called metres, or the wrong one is blamed."""
+    rows = change(small.rows)
+    small.measure(rows if sigma else rows.drop(columns="sigma_mm"))
+    (told,) = small.refused("check")
+    assert expected in told
+
+
+def test_poor_but_right_units_pass(small):
+    """Fails if a robot that is far from its file, or one bad point, is taken for a wrong unit."""
+    rows = small.rows
+    rows[X] = rows[X].astype(float) * 1.2 + [500.0, 0.0, -300.0]
+    rows.loc[0, X] = [1e6, 0.0, 0.0]
+    small.measure(rows)
+    assert small.calflow("check").code == 0
+
+
+def test_several_markers_need_their_column(small):
+    """Fails if rows of an unknown marker are taken for the first one's."""
+    small.edit("robot.toml", ("[markers.tool]", "[markers.other]\npoint_mm = [0, 0, 0]\n[markers.tool]"))
+    assert small.calflow("check").code == 0
+    small.measure(small.rows.drop(columns="marker"))
+    (told,) = small.refused("check")
+    assert told == "measurements.csv:1: missing column: expected marker"
+
+
+TURNED = ('convention = "modified-dh"', 'convention = "modified-dh"\ntool_rotation_deg = [0, 0, 90]')
+ANGLES, PARTS = dict.fromkeys(["rx_deg", "ry_deg", "rz_deg"], "0"), {"qw": "1", "qx": "0", "qy": "0", "qz": "0"}
+SURE = {"sigma_rotation_mrad": "0.1"}
+TURNS = {
+    "no tool": (
+        ANGLES | SURE,
+        False,
+        ["has measured orientations, but the robot file does not say how the tool is turned"],
+    ),
+    "not how sure": (ANGLES, True, ["has measured orientations, but not how sure they are"]),
+    "sure of nothing": (ANGLES | {"sigma_rotation_mrad": "0"}, True, ["sigma_rotation: expected a positive"] * 6),
+    "two angles": (SURE | {"rx_deg": "0", "ry_deg": "0"}, True, ["missing column: expected rz_rad or rz_deg"]),
+    "three parts": (SURE | {"qw": "1", "qx": "0", "qy": "0"}, True, ["missing column: expected qz"]),
+    "both": (ANGLES | PARTS | SURE, True, ["has orientations twice"]),
+    "no length": (PARTS | SURE | {"qw": "0"}, True, ["qw, qx, qy, qz: expected a quaternion of norm 1"] * 6),
+    "in words": (PARTS | SURE | {"qw": "w"}, True, ["column 'qw': expected a number, found 'w' (and 79 more rows)"]),
+}
+
+
+@pytest.mark.parametrize(("columns", "turned", "expected"), TURNS.values(), ids=TURNS)
+def test_a_wrong_orientation_is_refused(small, columns, turned, expected):
+    """Fails if an orientation that means nothing reaches the fit."""
+    small.edit("robot.toml", *([TURNED] if turned else []))
+    small.measure(small.rows.assign(**columns))
+    told = small.refused("check")
+    assert len(told) == len(expected), told
+    for problem, part in zip(told, expected, strict=True):
+        assert part in problem
+
+
+FILES = {
+    "empty": (b"", "is empty: expected a header line and a row per measured point"),
+    "empty lines": (b"\n\n\n", "is empty"),
+    "header only": (b"pose,q1_deg,q2_deg,q3_deg,x_mm,y_mm,z_mm\n", "is empty"),
+    "header and commas": (b"pose,q1_deg,q2_deg,q3_deg,x_mm,y_mm,z_mm\n,,,,,,\n", "is empty"),
+    "binary": (bytes(range(256)) * 99, "is not a text file: expected a CSV"),
+    "utf-16": ("pose,q1_deg\n1,2\n".encode("utf-16"), "is not a text file"),
+    "latin-1": ("pose,Meßpunkt\n1,2\n".encode("latin-1"), "cannot be read: 'utf-8' codec"),
+    "longer rows": (b"pose,q1_deg\n1,2,3\n1,2,3\n", "has more values in a row than the 2 names of the header line"),
+    "one longer row": (b"pose,q1_deg\n1,2\n1,2,3\n", "cannot be read: Error tokenizing data. C error: Expected 2 fields in line 3"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "expected"), FILES.values(), ids=FILES)
+def test_a_file_that_is_no_table_is_refused(small, content, expected):
+    """Fails if such a file ends in a traceback, or its cells are shifted by one column in silence."""
+    (small / "measurements.csv").write_bytes(content)
+    (told,) = small.refused("check")
+    assert expected in told
+
+
+@pytest.mark.parametrize("content", [b"", b"garbage", b"\0" * 999, b"MATLAB 7.3 MAT-file" + b"\0" * 200])
+def test_a_broken_matlab_file_is_refused(small, content):
+    """Fails if one of scipy's many errors comes through."""
+    (small / "m.mat").write_bytes(content)
+    small.edit("study.toml", ("measurements.csv", "m.mat"))
+    (told,) = small.refused("check")
+    assert told.startswith("m.mat: cannot be read: ")
+
+
+SOURCES = {
+    "no such file": (("measurements.csv", "other.csv"), "other.csv: no such measurement file"),
+    "a folder": (("measurements.csv", "."), "no such measurement file"),
+    "another hash": (("[split]", f'sha256 = "{"a" * 64}"\n[split]'), "measurements.csv: wrong SHA-256: the study names aaa"),
+    "sigma twice": (("[split]", "sigma_mm = 1\n[split]"), "measurements.csv:1: column 'sigma_mm': the study's"),
+    "mapping of nothing": (("[split]", '[measurements.columns]\nq1_deg = "q1_dg"\n[split]'),
+                           "measurements.csv:1: no column 'q1_dg', which the study's mapping names, did you mean 'q1_deg'?"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("command", ["check", "plan", "run"])
+@pytest.mark.parametrize(("change", "expected"), SOURCES.values(), ids=SOURCES)
+def test_a_source_that_does_not_fit_is_refused(small, command, change, expected):
+    """Fails if another file than the study's is read, or a fault of the input counts as one of the machine."""
+    small.edit("study.toml", change)
+    answer = small.calflow(command)
+    if command == "plan" and answer.code == 0:
+        return  # the plan reads no rows
+    (told,) = small.refused(command)
+    assert expected in told
+    assert not (small / "runs").exists()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="nothing is forbidden to root")
+def test_a_forbidden_file_is_refused(small):
+    """Fails if a missing permission ends in a traceback."""
+    (small / "measurements.csv").chmod(0)
+    (told,) = small.refused("check")
+    assert "permission" in told.lower()
+
+
+def test_everything_that_check_finds_is_told_together(small):
+    """Fails if wrong settings hide wrong measurements."""
+    small.edit("study.toml", ("poses = 8", "poses = 1"))
+    small.measure(put("x_mm", 0, "")(small.rows))
+    assert [problem.split(":")[0] for problem in small.refused("check")] == ["study.toml", "measurements.csv"]
+
+
+def test_a_study_without_measurements_says_how_to_go_on(small):
+    """Fails if pose selection needs measurements, or identification goes without."""
+    small.edit("study.toml", ('[measurements]\nfile = "measurements.csv"\n', ""))
+    assert "--stage select" in small.calflow("check").out
+    (told,) = small.refused("run")
+    assert told.startswith("study.toml: has no measurements yet")
+    assert small.calflow("run", "--stage", "select").code == 0
+
+
+def test_fewer_equations_than_parameters_are_refused(small):
+    """Fails if priors alone are sold as a calibration, or the user is not told how many poses are needed."""
+    small.measure(small.rows[:12])
+    (told,) = small.refused("run")
+    assert told.startswith(
+        "measurements.csv: 12 equations (4 training poses) for 17 parameters: measure at least 6 training poses"
+    )
+    assert not list((small / "runs" / "identify").glob("*"))
+
+
+def test_a_loop_that_cannot_be_closed_is_told_row_by_row(looped):
+    """Fails if a pose where the four bars do not meet is fitted, or a good one is refused."""
+    looped.edit("robot.toml", ("[loop.rod]\nlength_m = 1.6", "[loop.rod]\nlength_m = 1.2"))
+    rows = pd.read_csv(looped / "measurements.csv")
+    between = np.deg2rad(rows["q3_deg"] - rows["q2_deg"])
+    distance = np.sqrt(1.6**2 + 0.8**2 - 2 * 1.6 * 0.8 * np.cos(between))  # what rod and rocker must span
+    lines = 2 + np.flatnonzero((distance > 1.2 + 0.8) | (distance < 1.2 - 0.8))
+    assert 5 < len(lines) < len(rows)
+    told = looped.refused("check")
+    assert [int(problem.split(":")[1]) for problem in told[:5]] == list(lines[:5])
+    assert told[5].endswith(f"cannot be closed at these joint readings (and {len(lines) - 5} more rows)")

@@ -1,0 +1,207 @@
+"""The command line: what its user reads, and the exit codes that scripts rely on."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import signal
+import subprocess
+import sys
+from importlib import metadata
+
+import pandas as pd
+import pytest
+
+from calflow.templates import write_study
+from conftest import Folder, in_process
+
+LOADED = """
+import sys
+from calflow.cli import main
+sys.argv = ["calflow", "--help"]
+try:
+    main()
+finally:
+    print(*sys.modules)
+"""
+COMMANDS = ["check", "new", "plan", "predict", "report", "run", "simulate", "status"]
+HEAVY = ["casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "pint", "pydantic", "scipy"]
+
+
+def test_help_names_every_command_and_loads_nothing_heavy(small):
+    """Fails if a look at the help waits for libraries that only computing needs."""
+    done = small.apart("-c", LOADED)
+    assert done.returncode == 0, done.stderr
+    text, modules = done.stdout.rsplit("\n", 2)[0], set(done.stdout.splitlines()[-1].split())
+    assert all(f"\n  {command} " in text for command in COMMANDS)
+    assert not modules & set(HEAVY)
+    assert small.apart("-m", "calflow", "--version").stdout == f"calflow, version {metadata.version('calflow')}\n"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(command):
+    """Fails if a command has no help."""
+    answer = in_process(command, "-h")
+    assert answer.code == 0
+    assert "Usage" in answer.out
+    assert len(answer.out.splitlines()[2].split()) > 3
+
+
+@pytest.mark.parametrize("arguments", [["rn"], ["run"], ["run", "a", "b"], ["run", "--bad", "a"], ["predict", "a"]])
+def test_a_wrong_call_is_explained(arguments):
+    """Fails if a wrong call does something, ends in a traceback or with another exit code than 2."""
+    answer = in_process(*arguments)
+    assert answer.code == 2
+    assert "Error: " in answer.err
+
+
+@pytest.mark.parametrize("command", ["check", "plan", "run", "status", "simulate", "report"])
+def test_a_file_that_is_not_there_is_named(tmp_path, command):
+    """Fails if a misspelt path ends in a traceback or is made."""
+    answer = in_process(command, tmp_path / "nowhere.toml")
+    assert (answer.code, answer.err) == (2, f"{tmp_path / 'nowhere.toml'}: no such file\n")
+    assert not list(tmp_path.iterdir())
+
+
+def test_wrong_input_ends_with_2_and_no_traceback(small):
+    """Fails if a real process shows more than the problems, or scripts cannot see that it failed."""
+    small.edit("robot.toml", ("a_mm = 100", "a = 100"))
+    done = small.apart("-m", "calflow", "run", ".")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "robot.toml:12: joints[2].a: needs its unit in the key: a_m or a_mm or a_um\n"
+    assert not (small / "runs").exists()
+
+
+def test_ctrl_c_ends_with_130_and_goes_on(small):
+    """Fails if a real interruption ends in a traceback, or leaves what cannot be resumed."""
+    small.edit("quick.toml", ("max_steps = 60", "max_steps = 100000"), ("ess = 100", "ess = 100000000"))
+    command = [sys.executable, "-m", "calflow", "run", small.path, "--out", small / "runs"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        for line in running.stdout:
+            if "independence proposal" in line:
+                break
+        running.send_signal(signal.SIGINT)
+        err = running.communicate(timeout=60)[1]
+    assert running.returncode == 130, err
+    assert err.strip() == "interrupted: the same command resumes where it stopped"
+    assert "sample     run    did not finish last time (interrupted)" in small.calflow("plan").out
+
+
+@pytest.fixture
+def template(tmp_path, monkeypatch):
+    """A new study with simulated measurements."""
+    monkeypatch.delenv("CALFLOW_DATA", raising=False)
+    answer = in_process("new", tmp_path / "robots" / "mine")
+    assert answer.code == 0
+    folder = Folder(tmp_path / "robots" / "mine")
+    told = answer.out.splitlines()
+    assert told[:3] == [f"wrote {folder / name}" for name in ("robot.toml", "study.toml", "truth.toml")]
+    assert f"calflow check {folder.path}" in told[3]
+    return folder
+
+
+def test_a_new_study_says_what_it_lacks(template):
+    """Fails if a study without data is accepted, or the user is not told which file is missing."""
+    (told,) = template.refused("check")
+    assert told.startswith("measurements.csv: no such measurement file")
+
+
+def test_a_new_study_can_be_tried(template):
+    """Fails if the template does not pass calflow's own checks, or its robot cannot be identified."""
+    assert template.calflow("simulate", template / "truth.toml").code == 0
+    answer = template.calflow("check")
+    assert answer.code == 0, answer
+    assert answer.out.splitlines()[0].startswith("study mine: my robot, workflow calibrate (select, identify")
+    assert f"{template / 'measurements.csv'}: 180 rows, 90 poses, 62 of them to fit" in answer.out
+    assert answer.out.endswith("35 parameters: geometry, joint-compliance\nok\n")
+    assert template.calflow("run", "--stage", "identify").code == 0
+    accuracy = pd.read_csv(template / "runs" / "identify" / "accuracy.csv")
+    held = accuracy[accuracy["split"] == "holdout"]["mean_mm"]
+    assert held.iloc[0] > 1 > 10 * held.iloc[-1]
+
+
+def test_a_new_study_overwrites_nothing(template):
+    """Fails if a study that was filled in is replaced, or one missing file is enough to go on."""
+    template.edit("robot.toml", ("my robot", "their robot"))
+    (template / "study.toml").unlink()
+    told = template.refused("new", template.path)
+    assert told == [f"{name}: is there already; nothing was written" for name in ("robot.toml", "truth.toml")]
+    assert not (template / "study.toml").exists()
+    assert "their robot" in (template / "robot.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("folder", "name"), [('a "robot" 1', "a-robot-1"), ("Prüfling", "Prüfling"), ("...", "study"), ("-x", "x")]
+)
+def test_a_new_studys_name_is_valid(tmp_path, folder, name):
+    """Fails if a folder's odd name makes a study that calflow refuses."""
+    write_study(tmp_path / folder)
+    simulated = in_process("simulate", tmp_path / folder / "truth.toml")
+    checked = in_process("check", tmp_path / folder)
+    assert (simulated.code, checked.code) == (0, 0), checked
+    assert checked.out.startswith(f"study {name}: ")
+
+
+def test_a_new_study_in_a_files_place_is_refused(small):
+    """Fails if it ends in a traceback or as trouble of the machine."""
+    (told,) = small.refused("new", small / "robot.toml")
+    assert told.startswith("robot.toml: is a file; expected a folder")
+
+
+def test_check_says_what_it_assumed(small):
+    """Fails if an assumption about the measurements is made in silence."""
+    small.measure(small.rows.drop(columns=["pose", "repeat", "payload"]))
+    out = small.calflow("check").out
+    assert "note: no column 'pose': rows with equal joint readings and payload count as one pose (40)" in out
+    assert "note: no column 'payload': no row counts as carrying light or heavy" in out
+
+
+def test_status_tells_each_stage(finished, tmp_path, monkeypatch):
+    """Fails if a run folder and its study tell differently, or a stage's state, time or reason is missing."""
+    by_run = finished.calflow("status", finished / "runs")
+    assert by_run.code == 0
+    lines = by_run.out.splitlines()
+    assert lines[0] == f"{finished / 'runs'}: study small, workflow quick, calflow {metadata.version('calflow')}"
+    assert [line.split()[:2] for line in lines[1:]] == [[stage, "done"] for stage in ("select", "identify", "sample")]
+    assert all(line.endswith("s  was never run") for line in lines[1:])
+    monkeypatch.chdir(tmp_path)
+    (told,) = finished.refused("status", finished.path)
+    assert told.startswith("runs/small: nothing was run here yet")
+    shutil.copytree(finished / "runs", tmp_path / "runs" / "small")
+    assert finished.calflow("status", finished.path).out.splitlines()[1:] == lines[1:]
+
+
+def test_a_run_ends_with_what_it_reached(finished):
+    """Fails if the accuracy is not the table's, or the folder of the results is not told."""
+    lines = finished.calflow("run").out.splitlines()
+    table = pd.read_csv(finished / "runs" / "identify" / "accuracy.csv")
+    shown = [line.rsplit(None, 3) for line in lines[4:-1]]
+    assert [(row[0].strip(), row[1], float(row[2]), float(row[3])) for row in shown] == [
+        (row.model, row.split, round(row.mean_mm, 3), round(row.max_mm, 3)) for row in table.itertuples()
+    ]
+    assert lines[-1] == f"results: {finished / 'runs'}"
+
+
+def test_a_terminal_gets_a_bar_with_the_same_words(small, monkeypatch):
+    """Fails if the bar swallows a reason or a note, breaks on brackets, or a refused study leaves it running."""
+    small.measure(small.rows.drop(columns="pose"))
+
+    class Terminal(io.StringIO):
+        """An output that claims to be a terminal."""
+
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(io, "StringIO", Terminal)
+    answer = small.calflow("run", "--stage", "identify")
+    shown = " ".join((answer.out + answer.err).split())
+    assert answer.code == 0
+    assert "identify: identify geometry and compliance (was never run)" in shown
+    assert "count as one pose (40)" in shown
+    assert "100%" in shown
+    answer = small.calflow("run", "--stage", "identify")
+    assert "identify: reused (inputs, settings" in " ".join((answer.out + answer.err).split())
+    small.edit("robot.toml", ("a_mm = 100", "a = 100"))
+    answer = small.calflow("run")
+    assert answer.code == 2
+    assert "joints[2].a: needs its unit" in answer.err
