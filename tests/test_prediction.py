@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from calflow.measurements import read_measurements
-from calflow.predict import predict
+from calflow.prediction import predict
 from calflow.robot.description import read_robot
 from calflow.runs import read_tables
 from calflow.stages.identified import identified

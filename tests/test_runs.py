@@ -210,7 +210,6 @@ def test_a_run_is_a_library_call(finished):
     assert runs.default_folder(study).parts == ("runs", "small")
 
 
-@pytest.mark.xfail(strict=True, reason="importing the module calflow.simulate hides the function of that name")
 def test_the_package_offers_functions_not_modules():
     """Fails if `calflow.simulate` is the function once and its module afterwards."""
     assert [callable(calflow.simulate) for _ in range(2)] == [True, True]

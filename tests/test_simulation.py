@@ -9,7 +9,7 @@ from scipy.stats import chi2, kstest
 
 from calflow.model import build
 from calflow.robot.description import read_robot
-from calflow.simulate import simulate
+from calflow.simulation import simulate
 from calflow.stages.candidates import pack
 
 Q, X = ["q1_deg", "q2_deg", "q3_deg"], ["x_mm", "y_mm", "z_mm"]
@@ -91,11 +91,12 @@ def test_repeats_payloads_and_sets_are_laid_out(small):
 
 
 def test_the_approach_is_where_the_joint_came_from(small):
-    """Fails if the sign is turned round, or the first pose has no direction."""
+    """Fails if the sign is turned round, or a direction is made up for the first pose."""
     table = simulated(small, ("repeats = 2", "repeats = 1\napproach = true"))
-    moved = np.sign(np.diff(table[Q].to_numpy(), axis=0, prepend=table[Q].to_numpy()[-1:]))
+    moved = np.sign(np.diff(table[Q].to_numpy(), axis=0, prepend=table[Q].to_numpy()[:1]))
     np.testing.assert_array_equal(table[["approach1", "approach2", "approach3"]], moved)
-    assert set(np.unique(moved)) == {-1, 1}
+    assert (moved[0] == 0).all()
+    assert set(np.unique(moved[1:])) == {-1, 1}
 
 
 def test_poses_come_from_the_selection(finished):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -44,18 +45,17 @@ def new(folder: Path) -> None:
 def check(study: Path) -> None:
     """Check a study with its robot, workflow and measurements, and run nothing."""
     from calflow.model import build
+    from calflow.problems import together
     from calflow.runs import stages_of
     from calflow.study import load_study
 
     loaded = load_study(study)
-    for stage in stages_of(loaded):
-        loaded.validated_settings(stage.name, stage.settings)
+    _, data = together(lambda: stages_of(loaded), lambda: loaded.measurements() if loaded.file.measurements else None)
     click.echo(f"study {loaded.name}: {loaded.robot.name}, workflow {loaded.workflow.name} "
                f"({', '.join(loaded.workflow.stages)})")  # fmt: skip
-    if loaded.file.measurements is None:
+    if data is None:
         click.echo("no measurements yet: 'calflow run --stage select' proposes poses")
         return
-    data = loaded.measurements()
     for note in data.notes:
         click.echo(f"note: {note}")
     parameters = build(loaded.robot, loaded.file.effects, data.given).parameters
@@ -136,7 +136,7 @@ def report(study: Path, out: Path | None) -> None:
 @click.option("--out", type=FILE, help="Measurement CSV; measurements.csv beside the truth file by default.")
 def simulate(truth: Path, out: Path | None) -> None:
     """Write the measurements that a truth file describes."""
-    from calflow.simulate import simulate as simulate_truth
+    from calflow.simulation import simulate as simulate_truth
 
     path = out or truth.parent / "measurements.csv"
     _write(simulate_truth(truth), path)
@@ -149,11 +149,14 @@ def simulate(truth: Path, out: Path | None) -> None:
 @click.option("--out", type=FILE, help="CSV to write; printed by default.")
 def predict(run_folder: Path, rows: Path, out: Path | None) -> None:
     """Predict where the calibrated robot's markers will be at the joints and conditions of ROWS.csv."""
-    from calflow.predict import predict as predict_rows
+    from calflow.prediction import predict as predict_rows
+    from calflow.runs import csv_text
 
     table = predict_rows(run_folder, rows)
+    for note in table.attrs["notes"]:
+        click.echo(f"note: {note}", err=True)
     if out is None:
-        click.echo(table.to_csv(index=False, float_format="%.6f", lineterminator="\n"), nl=False)
+        click.echo(csv_text(table), nl=False)
     else:
         _write(table, out)
         click.echo(f"wrote {out}")
@@ -162,7 +165,7 @@ def predict(run_folder: Path, rows: Path, out: Path | None) -> None:
 def main() -> None:
     """Run the command line: wrong input ends with all problems and exit code 2, trouble of the machine with 1."""
     try:
-        cli(standalone_mode=False)
+        cli(prog_name="calflow", standalone_mode=False)
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
@@ -174,6 +177,9 @@ def main() -> None:
             f"error: {error}. Finished stages are kept; when this is mended the same command goes on.",
             err=True,
         )
+        if "h5py" in sys.modules:  # HDF5 crashes on the way out where a file could not be written
+            sys.stdout.flush()
+            os._exit(1)
         sys.exit(1)
     except Exception as error:
         from calflow.problems import InputError

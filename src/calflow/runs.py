@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Protocol
@@ -21,13 +21,19 @@ from typing import Any, Protocol
 import pandas as pd
 
 from calflow.measurements import sha256
-from calflow.problems import nearest, refuse
+from calflow.problems import InputError, nearest, refuse, together
+from calflow.robot.description import Robot
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
+from calflow.toml_file import Origin
 
 NUMERICAL = ("arviz-stats", "casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "scipy", "typst")
 FLOATS = "%.10g"  # of a CSV: more than any measurement supports, fewer than rounding disturbs
+# pandas before 3.1 reads the last bit of a number as it likes unless told so; later ones warn of being told.
+EXACT: dict[str, Any] = {"float_precision": "round_trip"} if pd.__version__.split(".")[:2] < ["3", "1"] else {}
 PARTIAL = ".partial"
+FORCED = "forced"
+LONGEST_CHANGE = 200  # characters of an old and a new value that a reason still shows
 
 
 class Listener(Protocol):
@@ -88,13 +94,14 @@ class Run:
 
 @lru_cache
 def all_stages() -> dict[str, Stage]:
-    """Return every stage by name: each module of `calflow.stages` or `calflow.report` that defines STAGE."""
+    """Return every stage by name: each module of `calflow.stages` that defines STAGE, and the report."""
+    stages = importlib.import_module("calflow.stages")
+    modules = [f"calflow.stages.{module.name}" for module in pkgutil.iter_modules(stages.__path__)]
     found = {}
-    for package in ("calflow.stages", "calflow.report"):
-        for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
-            stage = getattr(importlib.import_module(f"{package}.{module.name}"), "STAGE", None)
-            if stage is not None:
-                found[stage.name] = stage
+    for module in (*modules, "calflow.report.stage"):
+        stage = getattr(importlib.import_module(module), "STAGE", None)
+        if stage is not None:
+            found[stage.name] = stage
     return found
 
 
@@ -102,51 +109,64 @@ def stages_of(study: Study) -> list[Stage]:
     """Return the stages of a study's workflow, in order.
 
     Raises:
-        InputError: the workflow or the study names a stage that does not exist, or one before what it needs.
+        InputError: the workflow or the study names a stage that does not exist or lacks what it needs, or has wrong settings.
     """
-    known = all_stages()
-    names = study.workflow.stages
+    known, names = all_stages(), study.workflow.stages
+    workflow, own = Origin.of(study.workflow_path), Origin.of(study.path)
+    problems = []
     for name in names:
         if name not in known:
-            raise refuse(f"unknown stage '{name}'{nearest(name, known)}", study.workflow_path, key="stages")
-    for name in study.workflow.settings:
-        if name not in known:
-            raise refuse(f"unknown stage '{name}'{nearest(name, known)}", study.workflow_path, key="settings")
-    for name in study.file.stages:
-        if name not in known:
-            raise refuse(f"unknown stage '{name}'{nearest(name, known)}", study.path, key="stages")
-    for i, name in enumerate(names):
-        late = [need for need in (*known[name].needs, *known[name].uses) if need in names[i:]]
-        if late:
-            raise refuse(f"stage '{name}' comes before '{late[0]}', which it needs", study.workflow_path, key="stages")
+            problems.append(workflow.problem(f"unknown stage '{name}'{nearest(name, known)}", "stages"))
+    for origin, key, tables in ((workflow, "settings", study.workflow.settings), (own, "stages", study.file.stages)):
+        for name in tables:
+            if name not in known:
+                problems.append(origin.problem(f"unknown stage{nearest(name, known)}", key, name))
+    if all(name in known for name in names):
+        for i, name in enumerate(names):
+            late = [need for need in (*known[name].needs, *known[name].uses) if need in names[i:]]
+            absent = [need for need in known[name].needs if need not in names]
+            problems += [
+                workflow.problem(f"stage '{name}' comes before '{need}', which it needs", "stages") for need in late
+            ]
+            problems += [
+                workflow.problem(f"stage '{name}' needs '{need}', which is not there", "stages") for need in absent
+            ]
+    if problems:
+        raise InputError(problems)
+    set_ = dict.fromkeys((*names, *study.workflow.settings, *study.file.stages))
+    together(*(partial(study.validated_settings, name, known[name].settings) for name in set_))
     return [known[name] for name in names]
 
 
 def plan(study: Study, folder: Path, only: str | None = None, force: bool = False) -> list[Step]:
     """Return what a run would do, stage by stage; only names a single stage (with what it needs)."""
-    stages = stages_of(study)
+    stages, known = stages_of(study), all_stages()
+    wanted = [stage.name for stage in stages]
     if only is not None:
-        known = all_stages()
         if only not in known:
             raise refuse(f"unknown stage '{only}'; there are {', '.join(known)}{nearest(only, known)}")
         wanted = _with_needs(only)
-        stages = [stage for stage in (*stages, known[only]) if stage.name in wanted]
-        stages = list(dict.fromkeys((*(known[name] for name in wanted if known[name] not in stages), *stages)))
-    before = read_manifest(folder).get("stages", {})
+        early = [known[name] for name in wanted if known[name] not in stages and name != only]
+        stages = list(dict.fromkeys((*early, *stages, known[only])))
+    if folder.exists() and not folder.is_dir():
+        raise refuse("is a file; expected a run folder, which may not exist yet", folder)
+    manifest = read_manifest(folder)
+    if manifest.get("study", study.name) != study.name:
+        raise refuse(f"holds the run of another study, '{manifest['study']}'; give another folder with --out", folder)
+    before = manifest.get("stages", {})
     common = _common_key(study)
     steps: list[Step] = []
     for stage in stages:
+        used = only is not None and stage.name in known[only].uses and stage.name in before
+        if stage.name not in wanted and not used:
+            continue
         key = _key(study, stage, common, {step.stage.name: step for step in steps})
         forced = force and (only is None or stage.name == only)
-        reason = "forced" if forced else _reason(before.get(stage.name), key, folder, steps)
-        steps.append(
-            Step(
-                stage,
-                reason is None,
-                reason or "inputs, settings, upstream results and code are unchanged",
-                key,
-            )
-        )
+        reason = FORCED if forced else _reason(before.get(stage.name), key, folder, steps)
+        if used and reason and stage.name not in wanted:
+            continue  # it takes its results into account where they are there; it does not ask for them
+        step = Step(stage, reason is None, reason or "inputs, settings, upstream results and code are unchanged", key)
+        steps.append(step)
     return steps
 
 
@@ -172,6 +192,8 @@ def run(
     folder = Path(folder) if folder is not None else default_folder(study)
     listener = listener or Silent()
     steps = plan(study, folder, stage, force)
+    if any(step.stage.measured and not step.reuse for step in steps):
+        study.measurements()  # what is wrong with them is told before any work is done
     settings = {step.stage.name: study.validated_settings(step.stage.name, step.stage.settings) for step in steps}
     folder.mkdir(parents=True, exist_ok=True)
     with _locked(folder):
@@ -196,21 +218,43 @@ def default_folder(study: Study) -> Path:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Return a run folder's manifest; an empty one where there is none."""
+    """Return a run folder's manifest; an empty one where there is none.
+
+    Raises:
+        InputError: it is not what a run writes.
+    """
     path = folder / "manifest.json"
     try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-    except FileNotFoundError:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
         return {}
     except (OSError, ValueError) as error:
         raise refuse(f"cannot be read ({error}); delete it to run everything anew", path) from None
+    stages = manifest.get("stages") if isinstance(manifest, dict) else None
+    entries = list(stages.values()) if isinstance(stages, dict) else [None]
+    whole = all(isinstance(entry, dict) and {"status", "reason", "key"} <= set(entry) for entry in entries)
+    if not whole or not {"study", "workflow", "calflow"} <= set(manifest):
+        raise refuse("is not what a run writes; delete it to run everything anew", path)
+    return dict(manifest)
 
 
 def read_tables(folder: Path, stage: str) -> dict[str, pd.DataFrame]:
     """Return a stage's tables by their path in the run folder."""
     outputs = read_manifest(folder).get("stages", {}).get(stage, {}).get("outputs", {})
     names = [name for name in outputs if name.endswith(".csv")]
-    return {name: pd.read_csv(folder / name, float_precision="round_trip") for name in names}
+    return {name: pd.read_csv(folder / name, **EXACT) for name in names}
+
+
+def outdated(folder: Path, stage: str, robot: Robot) -> str | None:
+    """Why a stage's results do not hold for a robot; None where they do."""
+    entry = read_manifest(folder).get("stages", {}).get(stage)
+    if entry is None:
+        return f"{stage} was never run"
+    if entry["status"] != "done":
+        return f"{stage} did not finish ({entry['status']})"
+    if _digest(robot.model_dump_json()) not in entry["key"].values():
+        return f"the robot file changed after {stage} ran"
+    return _damage(entry, folder)
 
 
 def _execute(
@@ -232,14 +276,16 @@ def _execute(
         raise
     for name, table in made.items():
         write_csv(work / name, table)
-    (work / "key.json").unlink()
-    outputs = sorted(path.relative_to(work).as_posix() for path in work.rglob("*") if path.is_file())
+    files = [path for path in work.rglob("*") if path.is_file() and path.suffix != ".part"]
+    outputs = sorted(path.relative_to(work).as_posix() for path in files if path != work / "key.json")
     _forget(folder, read_manifest(folder).get("stages", {}).get(stage.name, {}).get("outputs", {}), outputs)
-    for name in outputs:
+    hashes = {name: sha256(work / name) for name in outputs}
+    for name in sorted(outputs, key=lambda name: name in stage.resumes):  # what is dear to make last: see _work_folder
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         os.replace(work / name, folder / name)
-    shutil.rmtree(folder / PARTIAL)
-    hashes = {name: sha256(folder / name) for name in outputs}
+    shutil.rmtree(work)
+    if not any((folder / PARTIAL).iterdir()):
+        (folder / PARTIAL).rmdir()
     seconds = round(time.monotonic() - started, 3)
     _record(study, folder, step, {"status": "done", "reason": step.reason, "seconds": seconds, "outputs": hashes})
 
@@ -249,17 +295,26 @@ def _work_folder(folder: Path, step: Step) -> Path:
     work = folder / PARTIAL / step.stage.name
     key = {name: value for name, value in step.key.items() if not name.startswith("setting ")}
     left = work / "key.json"
-    if not (left.is_file() and json.loads(left.read_text()) == key):
-        shutil.rmtree(folder / PARTIAL, ignore_errors=True)
+    forced = step.reason == FORCED
+    if forced or not _holds(left, key):
+        shutil.rmtree(work, ignore_errors=True)
         work.mkdir(parents=True)
         _write_whole(left, json.dumps(key))
-        before = read_manifest(folder).get("stages", {}).get(step.stage.name, {}).get("key", {})
-        if all(before.get(name) == value for name, value in key.items()):
-            for name in step.stage.resumes:
-                if (folder / name).is_file():
-                    (work / name).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copy2(folder / name, work / name)
+    before = read_manifest(folder).get("stages", {}).get(step.stage.name, {})
+    if not forced and all(before.get("key", {}).get(name) == value for name, value in key.items()):
+        for name in step.stage.resumes:
+            here, digest = folder / name, before.get("outputs", {}).get(name)
+            if here.is_file() and not (work / name).exists() and sha256(here) == digest:
+                (work / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(here, work / name)
     return work
+
+
+def _holds(path: Path, key: dict[str, str]) -> bool:
+    try:
+        return bool(json.loads(path.read_text(encoding="utf-8")) == key)
+    except (OSError, ValueError):
+        return False
 
 
 def _forget(folder: Path, old: dict[str, str], new: list[str]) -> None:
@@ -269,14 +324,23 @@ def _forget(folder: Path, old: dict[str, str], new: list[str]) -> None:
 
 def write_csv(path: Path, table: pd.DataFrame) -> None:
     """Write a table whole or not at all."""
-    _write_whole(path, table.to_csv(index=False, float_format=FLOATS, lineterminator="\n"))
+    _write_whole(path, csv_text(table))
+
+
+def csv_text(table: pd.DataFrame) -> str:
+    """Return a table as every CSV of calflow is written."""
+    return str(table.to_csv(index=False, float_format=FLOATS, lineterminator="\n"))
 
 
 def _write_whole(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
 
 
 def _keep_inputs(study: Study, folder: Path) -> None:
@@ -290,13 +354,14 @@ def _keep_inputs(study: Study, folder: Path) -> None:
 
 
 def _record(study: Study, folder: Path, step: Step, entry: dict[str, Any]) -> None:
-    """Update a stage's entry in the manifest; the rest stays."""
+    """Update a stage's entry in the manifest; the rest stays. Its key is that of its outputs, so it changes when they do."""
     manifest = read_manifest(folder)
     stages = manifest.get("stages", {})
     old = stages.get(step.stage.name, {})
     if entry.get("status") == "running":
-        old = {name: old[name] for name in ("outputs",) if name in old}
-    stages[step.stage.name] = {**old, **entry, "key": step.key}
+        old = {name: old[name] for name in ("outputs", "key") if name in old}
+    key = step.key if "outputs" in entry or step.reuse else old.get("key", {})
+    stages[step.stage.name] = {**old, **entry, "key": key}
     manifest = {
         "calflow": metadata.version("calflow"),
         "versions": versions(),
@@ -304,20 +369,18 @@ def _record(study: Study, folder: Path, step: Step, entry: dict[str, Any]) -> No
         "study_file": str(study.path),
         "workflow": study.workflow.name,
         "seed": study.file.seed,
-        "inputs": manifest.get("inputs", {}) | _input_hashes(study, step.stage),
+        "inputs": _input_hashes(study, step.stage, manifest.get("inputs", {})),
         "stages": stages,
     }
     _write_whole(folder / "manifest.json", json.dumps(manifest, indent=2) + "\n")
 
 
-def _input_hashes(study: Study, stage: Stage) -> dict[str, str]:
-    paths = [
-        study.path,
-        study.robot_path,
-        study.workflow_path,
-        *([study.measurement_path] if stage.measured else []),
-    ]
-    return {str(path): sha256(path) for path in paths}
+def _input_hashes(study: Study, stage: Stage, before: dict[str, str]) -> dict[str, str]:
+    """SHA-256 of every input; a stage that does not read the measurements leaves their entry as it is."""
+    hashes = {str(path): sha256(path) for path in (study.path, study.robot_path, study.workflow_path)}
+    if stage.measured:
+        return hashes | {str(study.measurement_path): sha256(study.measurement_path)}
+    return hashes | {path: digest for path, digest in before.items() if not path.endswith(".toml")}
 
 
 def _with_needs(stage: str) -> list[str]:
@@ -340,7 +403,12 @@ def _reason(before: dict[str, Any] | None, key: dict[str, str], folder: Path, up
     changed = [name for name in {**old, **key} if old.get(name) != key.get(name)]
     if changed:
         return "; ".join(_difference(name, old.get(name), key.get(name)) for name in changed)
-    for name, digest in before.get("outputs", {}).items():
+    return _damage(before, folder)
+
+
+def _damage(entry: dict[str, Any], folder: Path) -> str | None:
+    """What happened to a stage's files since it wrote them; None where they are as they were."""
+    for name, digest in entry.get("outputs", {}).items():
         if not (folder / name).is_file():
             return f"{name} is missing"
         if sha256(folder / name) != digest:
@@ -349,7 +417,7 @@ def _reason(before: dict[str, Any] | None, key: dict[str, str], folder: Path, up
 
 
 def _difference(name: str, old: str | None, new: str | None) -> str:
-    if name.startswith("setting "):
+    if name.startswith(("setting ", "study's ")) and len(f"{old}{new}") < LONGEST_CHANGE:
         return f"{name} changed from {old} to {new}"
     return f"{name.removeprefix('file ').removeprefix('after ')} changed"
 
@@ -373,7 +441,7 @@ def _common_key(study: Study) -> dict[str, str]:
     return {
         "code": code_digest(),
         "versions": _digest(json.dumps(versions(), sort_keys=True)),
-        "file study.toml": _digest(json.dumps(asked, sort_keys=True)),
+        **{f"study's {name}": json.dumps(value, ensure_ascii=False) for name, value in asked.items()},
         f"file {study.robot_path.name}": _digest(study.robot.model_dump_json()),
     }
 

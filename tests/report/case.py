@@ -116,6 +116,7 @@ def with_sample(given: Context, steps: int = 40) -> Context:
     summary = pd.DataFrame(
         [
             ("steps", steps),
+            ("burn_in_steps", int(steps) // 4),
             ("autocorrelation_steps", "2"),
             ("ensembles", f"4 of {2 * n} walkers"),
             ("length", "long enough"),

@@ -113,7 +113,7 @@ def test_the_chain_is_drawn_in_the_parameters_own_units(whole: Context) -> None:
     from calflow.report.chain import Chain
 
     material = Material.of(whole.study, whole.tables, whole.run_folder)
-    chain = Chain.read(whole.run_folder / "sample" / "chain.h5", material, 1.0)
+    chain = Chain.read(whole.run_folder / "sample" / "chain.h5", material)
     parameters = whole.tables["identify/parameters.csv"]
     k = int(np.flatnonzero(parameters["parameter"] == "joint2.a")[0])
     drawn = chain.draws(np.array([k, len(parameters)]), 10**6)

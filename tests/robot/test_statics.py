@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose
 
 import robots
 from calflow.conditions import Row
+from calflow.problems import InputError
 from calflow.robot.chain import Deflection
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
-from calflow.problems import InputError
 from calflow.robot.statics import gravity_torque, rated_torques, state
 
 LOOPS = {

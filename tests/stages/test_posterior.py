@@ -83,6 +83,6 @@ def test_interrupted_and_resumed_is_the_same_chain(posterior, tmp_path):
         for steps in blocks:
             (backend,) = open_ensembles(path, 1, start.shape, 0.8, lambda line: None)
             _extend(backend, posterior, start, 5, 0.8, steps)
-        return joined([backend])
+        return joined([backend], 0, 30)
 
     np.testing.assert_array_equal(sampled("whole.h5", [30]), sampled("parts.h5", [10, 7, 13]))
