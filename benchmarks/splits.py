@@ -10,7 +10,7 @@ from calflow.measurements import Measurements, draw_split, read_measurements
 from calflow.model import build
 from calflow.stages.accuracy import errors
 from calflow.stages.identify import IdentifySettings, extrapolation, fit_settled
-from calflow.stages.noise import averaged, noise
+from calflow.stages.noise import noise
 from calflow.stages.registration import registered
 from calflow.study import load_study
 
@@ -42,8 +42,8 @@ def heldout(data: Measurements, effects: tuple[str, ...]) -> np.ndarray:
     robot = registered(data.robot, data.only(data.train))
     data = data.on(robot)
     model = build(robot, effects, data.given)
-    train = averaged(data.only(data.train), noise(data).only(data.train))
-    result = fit_settled(model, *train, IdentifySettings(starts=1), np.random.default_rng(0))[0]
+    level = noise(data).only(data.train)
+    result = fit_settled(model, data.only(data.train), level, IdentifySettings(starts=1), np.random.default_rng(0))[0]
     return 1e3 * np.linalg.norm(errors(model, result.estimate, data), axis=1)[~data.train]
 
 

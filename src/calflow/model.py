@@ -11,14 +11,14 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from calflow.compiled import compiled
+from calflow.compiled import WORTH_EVALUATIONS, compiled
 from calflow.conditions import Row
 from calflow.effects import Effect, Parameter, catalogue
 from calflow.robot.chain import Deflection, marker_point, pose
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
 from calflow.robot.statics import state
-from calflow.robot.transforms import apply, placement, rot_x, rot_y, rot_z
+from calflow.robot.transforms import apply, placement
 
 # Each turn shrinks the distance to equilibrium by about the wind-up angle (some 1e-3), so three reach nanometres.
 EQUILIBRIUM_TURNS = 3
@@ -96,7 +96,8 @@ class Model:
         position = apply(stands, marker_point(dims, at, row.marker))
         for effect, part in parts:
             position = effect.device(part, position, row)
-        tool = rot_x(dims.tool_rotation[0]) @ rot_y(dims.tool_rotation[1]) @ rot_z(dims.tool_rotation[2])
+        nominal_turn = placement(ca.DM([0, 0, 0, *(self.robot.tool_rotation or (0, 0, 0))]))
+        tool = nominal_turn @ placement(ca.vertcat(0, 0, 0, dims.tool_rotation))
         rotation = (stands @ at.flange @ tool)[:3, :3]
         return Prediction(position, rotation, at.closure.cosine if at.closure else ca.SX(0))
 
@@ -123,6 +124,15 @@ class Model:
         """Return the loop's closure cosine of each row, shape (n_rows,); a pose can be closed where it is within ±1."""
         return self._over_rows("closure", p, rows)[0].ravel()
 
+    def equilibrium_error(self, p: np.ndarray, rows: np.ndarray) -> float:
+        """Return how far [m] one more evaluation of the loads would move any row, at most."""
+        symbols = self.symbols[:2]
+        further = self.expression(*symbols, turns=EQUILIBRIUM_TURNS + 1).position - self.symbols[2].position
+        if further.nnz() == 0:
+            return 0.0
+        moved = over_rows(ca.Function("further", symbols, [ca.densify(further)]), p, rows)[0]
+        return float(np.linalg.norm(moved, axis=0).max())
+
     @cached_property
     def _functions(self) -> dict[str, ca.Function]:
         p, c, predicted = self.symbols
@@ -136,7 +146,14 @@ class Model:
         return {name: ca.Function(name, [p, c], [ca.densify(output)]) for name, output in outputs.items()}
 
     def _over_rows(self, name: str, p: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
-        return over_rows(compiled(self._functions[name], rows.shape[1]), p, rows)
+        if name not in self._compiled or rows.shape[1] >= WORTH_EVALUATIONS:
+            self._compiled[name] = compiled(self._functions[name], rows.shape[1])
+        return over_rows(self._compiled[name], p, rows)
+
+    @cached_property
+    def _compiled(self) -> dict[str, ca.Function]:
+        """What has been looked up in the cache of compiled functions; the look-up takes longer than a few rows."""
+        return {}
 
 
 def build(robot: Robot, effects: Sequence[str], given: tuple[str, ...] = ()) -> Model:

@@ -7,35 +7,47 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from calflow.measurements import read_measurements
+from calflow.measurements import LABELS, read_measurements
 from calflow.problems import refuse
 from calflow.robot.description import read_robot
-from calflow.runs import read_tables
+from calflow.runs import outdated, read_manifest, read_tables
 from calflow.stages.identified import identified
 
 
 def predict(run_folder: str | Path, rows: str | Path) -> pd.DataFrame:
     """Return the rows of a CSV with where their marker will be: x_mm, y_mm, z_mm and standard deviations.
 
-    rows has a measurement file's columns without x, y and z. The standard deviations are those of the model's parameters
-    (widened where the model leaves more than the noise); the measuring device's noise is not in them.
+    rows has a measurement file's columns without x, y and z. The standard deviations hold what is not known of the
+    parameters and the model's own discrepancy, without the measuring device's noise; where that noise was estimated from
+    the fit the two cannot be told apart, and both are in. What was assumed
+    of the rows stands in attrs["notes"].
 
     Raises:
         InputError: the run has not identified yet, or the rows are at fault.
     """
     folder, path = Path(run_folder), Path(rows)
-    tables = read_tables(folder, "identify")
-    if not tables:
-        raise refuse("holds no identified robot: expected a folder that 'calflow run' has filled", folder)
+    if not read_manifest(folder):
+        raise refuse("holds no run: expected a folder that 'calflow run' has filled", folder)
     robot = read_robot(folder / "inputs" / "robot.toml")
+    reason = outdated(folder, "identify", robot)
+    if reason:
+        raise refuse(f"holds no identified robot: {reason}; run the study again", folder)
+    tables = read_tables(folder, "identify")
+    if path.suffix.lower() == ".mat":
+        raise refuse("expected a CSV", path)
     data = read_measurements(path, robot, conditions_only=True)
     known = identified(robot, tables, data.given)
     position = known.model.position(known.estimate, data.rows)
     jacobian = known.model.position_jacobian(known.estimate, data.rows)
     variance = np.einsum("nai,ij,naj->na", jacobian, known.covariance, jacobian)
-    asked = pd.read_csv(path)
+    variance += (known.discrepancy if known.noise_source != "estimated" else known.sigma) ** 2
+    asked = pd.read_csv(path, dtype=str, keep_default_na=False, skip_blank_lines=False, encoding="utf-8-sig").fillna("")
+    asked = asked.iloc[data.table["line"] - 2].reset_index(drop=True)  # without empty lines
+    for name in asked:
+        asked[name] = data.table[name] if name in LABELS else pd.to_numeric(asked[name])
     for i, axis in enumerate("xyz"):
         asked[f"{axis}_mm"] = 1e3 * position[:, i]
     for i, axis in enumerate("xyz"):
         asked[f"sd_{axis}_mm"] = 1e3 * np.sqrt(variance[:, i])
+    asked.attrs["notes"] = data.notes
     return asked

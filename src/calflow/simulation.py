@@ -7,14 +7,15 @@ from typing import Annotated, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from calflow.model import Model, build
-from calflow.problems import InputError, Problem, nearest, refuse
+from calflow.problems import InputError, Problem, nearest, refuse, together
 from calflow.robot.description import Robot, read_robot
 from calflow.stages.candidates import candidates, pack
-from calflow.toml_file import FileModel, Length, Lengths3, Unit, line_numbers, read_toml
-from calflow.units import split_unit, to_si
+from calflow.study import check_effects, known_effects
+from calflow.toml_file import FileModel, Length, Lengths3, Origin, Unit, read_toml
+from calflow.units import spellings
 
 
 class Region(FileModel):
@@ -22,6 +23,12 @@ class Region(FileModel):
 
     min: Lengths3
     max: Lengths3
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Region:
+        if not all(low < high for low, high in zip(self.min, self.max, strict=True)):
+            raise ValueError("expected min < max along every axis")
+        return self
 
 
 class Device(FileModel):
@@ -64,6 +71,11 @@ class Truth(FileModel):
     sets: tuple[PoseSet, ...] = Field(min_length=1)
     values: dict[str, dict[str, float]] = {}
 
+    @field_validator("effects")
+    @classmethod
+    def _known_effects(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
+        return known_effects(effects)
+
 
 def simulate(path: Path) -> pd.DataFrame:
     """Return the measurement table that a truth file describes, in a measurement file's columns.
@@ -72,12 +84,11 @@ def simulate(path: Path) -> pd.DataFrame:
         InputError: with all problems of the truth file and its robot.
     """
     truth = read_toml(path, Truth)
-    robot = read_robot(path.parent / truth.robot)
+    robot_path = path.parent / truth.robot
+    robot = read_robot(robot_path)
+    check_effects(truth.effects, robot, robot_path)
     model = build(robot, truth.effects)
-    values = _values(truth, model, path)
-    for payload in truth.payloads:
-        if payload not in robot.payloads:
-            raise refuse(f"unknown payload '{payload}'{nearest(payload, robot.payloads)}", path, key="payloads")
+    values, _ = together(lambda: _values(truth, model, path), lambda: _check_payloads(truth, robot, path))
     rng = np.random.default_rng(truth.seed)
     payloads = truth.payloads or ("",)
     tables, first = [], 1
@@ -88,23 +99,38 @@ def simulate(path: Path) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
+def _check_payloads(truth: Truth, robot: Robot, path: Path) -> None:
+    unknown = [name for name in truth.payloads if name and name not in robot.payloads]
+    if unknown:
+        origin = Origin.of(path)
+        raise InputError(
+            origin.problem(f"unknown payload '{name}'{nearest(name, robot.payloads)}", "payloads") for name in unknown
+        )
+
+
 def _values(truth: Truth, model: Model, path: Path) -> np.ndarray:
     """The true parameter values; a key is the parameter's symbol with a unit, in the table of its part."""
-    index = {(p.part, p.symbol): i for i, p in enumerate(model.parameters)}
+    known = {
+        (p.part, p.symbol + suffix): (i, factor)
+        for i, p in enumerate(model.parameters)
+        for suffix, factor in spellings(p.unit).items()
+    }
     values = model.nominal.copy()
+    told: set[int] = set()
     problems: list[Problem] = []
-    lines = line_numbers(path.read_text(encoding="utf-8"))
+    origin = Origin.of(path)
     for part, table in truth.values.items():
         for key, value in table.items():
-            symbol, unit = split_unit(key) or (key, "")
-            line = lines.get(("values", part, key))
-            at = index.get((part, symbol))
-            if at is None or not unit:
-                known = [f"{p.part}.{p.symbol}" for p in model.parameters]
-                problems.append(Problem(f"unknown parameter{nearest(f'{part}.{symbol}', known)} (with its unit, as in alpha_mrad)",
-                                        path, line, f"values.{part}.{key}"))  # fmt: skip
+            at, factor = known.get((part, key), (None, 0.0))
+            if at is None:
+                names = [f"{part}.{key}" for part, key in known]
+                message = f"unknown parameter or unit{nearest(f'{part}.{key}', names)}"
+                problems.append(origin.problem(message, "values", part, key))
+            elif at in told:
+                problems.append(origin.problem("is given twice, in different units", "values", part, key))
             else:
-                values[at] = to_si(unit)[0] * value
+                told.add(at)
+                values[at] = factor * value
     if problems:
         raise InputError(problems)
     return values
@@ -112,21 +138,45 @@ def _values(truth: Truth, model: Model, path: Path) -> np.ndarray:
 
 def _readings(pose_set: PoseSet, truth: Truth, model: Model, path: Path, rng: np.random.Generator) -> np.ndarray:
     """Joint readings of a set, rounded to what a file states, so that the file holds the very pose simulated."""
-    robot = model.robot
+    units = _reading_units(model.robot)
     if pose_set.poses is not None:
-        file = path.parent / pose_set.poses
-        try:
-            table = pd.read_csv(file)
-            degrees = table[_reading_columns(robot)].to_numpy()
-        except (OSError, ValueError, KeyError) as error:
-            raise refuse(f"cannot be read as poses with {', '.join(_reading_columns(robot))}: {error}", file) from None
+        stated = _stated_poses(path.parent / pose_set.poses, model)
     else:
         region = np.array([truth.region.min, truth.region.max]) if truth.region else None
         payload = truth.payloads[0] if truth.payloads else ""
-        marker = next(iter(robot.markers))
-        readings, _ = candidates(model, pose_set.random or 0, payload, marker, region, rng)
-        degrees = readings / _reading_units(robot)
-    return np.round(degrees, 4) * _reading_units(robot)
+        marker = next(iter(model.robot.markers))
+        try:
+            readings, _ = candidates(model, pose_set.random or 0, payload, marker, region, rng)
+        except InputError as error:
+            raise InputError([Origin.of(path).problem(error.problems[0].message, "region")]) from None
+        stated = readings / units
+    return np.round(stated, 4) * units
+
+
+def _stated_poses(file: Path, model: Model) -> np.ndarray:
+    """Joint readings of a pose file, shape (n_poses, n_joints), in its units."""
+    columns = _reading_columns(model.robot)
+    try:
+        table = pd.read_csv(file)
+    except (OSError, ValueError) as error:
+        raise refuse(f"cannot be read: {error}", file) from None
+    absent = [name for name in columns if name not in table]
+    if absent:
+        raise InputError(
+            Problem(f"missing column: expected {name}{nearest(name, map(str, table))}", file, 1) for name in absent
+        )
+    if table.empty:
+        raise refuse("holds no poses", file)
+    stated = table[columns].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    finite = np.isfinite(stated).all(axis=1)
+    packed = pack(model, np.where(finite[:, None], stated, 0.0) * _reading_units(model.robot), "", "")
+    closed = np.abs(model.closure_cosine(model.nominal, packed)) < 1
+    problems = [Problem("a joint reading is empty or not a number", file, int(i) + 2) for i in np.flatnonzero(~finite)]
+    problems += [Problem("the four-bar loop cannot be closed at these joint readings", file, int(i) + 2)
+                 for i in np.flatnonzero(finite & ~closed)]  # fmt: skip
+    if problems:
+        raise InputError(problems)
+    return stated
 
 
 def _measure(
@@ -136,7 +186,7 @@ def _measure(
     robot = model.robot
     poses = np.arange(first, first + len(readings))
     carried = np.array(payloads, dtype=object)[np.arange(len(readings)) % len(payloads)]
-    approach = np.sign(np.diff(readings, axis=0, prepend=readings[-1:])).astype(int)
+    approach = np.sign(np.diff(readings, axis=0, prepend=readings[:1])).astype(int)
     blocks = []
     for marker in robot.markers:
         position = np.empty((len(readings), 3))
@@ -156,7 +206,10 @@ def _measure(
                     block[f"approach{i + 1}"] = approach[:, i]
             for i, axis in enumerate("xyz"):
                 block[f"{axis}_mm"] = np.round(1e3 * seen[:, i], 4)
-            blocks.append(block.assign(sigma_mm=np.round(1e3 * sigma, 5)))
+            if (sigma > 0).all():  # a device without noise leaves the column out
+                stated = np.round(1e3 * sigma, 5)
+                block["sigma_mm"] = np.where(stated > 0, stated, 1e3 * sigma)
+            blocks.append(block)
     return pd.concat(blocks).sort_values(["pose", "repeat"], kind="stable")
 
 

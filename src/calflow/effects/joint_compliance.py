@@ -12,12 +12,12 @@ from calflow.effects.base import Effect, Parameter
 from calflow.robot.chain import Deflection
 from calflow.robot.statics import State, rated_torques
 
-WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad at the joint's rated torque
+WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad (a slide: m) at the joint's rated torque
 
 
 @dataclass(frozen=True)
 class JointCompliance(Effect):
-    """dq = s · torque at every driven joint (equation 7 of the HH800 paper), s >= 0 in rad/Nm.
+    """dq = s · torque at every driven joint (equation 7 of the HH800 paper), s >= 0 in rad/Nm (a slide's in m/N).
 
     A spring's size goes with its joint's, so the prior is on its wind-up at the rated torque.
     """
@@ -28,9 +28,10 @@ class JointCompliance(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return one compliance a joint."""
+        units = {"revolute": "rad/Nm", "prismatic": "m/N"}
         return tuple(
-            Parameter(self.id, f"joint{i + 1}", "s", "rad/Nm", WINDUP_SD / rated, 0.0, WINDUP_BOUND / rated)
-            for i, rated in enumerate(rated_torques(self.robot))
+            Parameter(self.id, f"joint{i + 1}", "s", units[joint.kind], WINDUP_SD / rated, 0.0, WINDUP_BOUND / rated)
+            for i, (joint, rated) in enumerate(zip(self.robot.joints, rated_torques(self.robot), strict=True))
         )
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from calflow.report.material import Material
-from calflow.stages.fit import Problem
-from calflow.stages.posterior import Laplace, Posterior
+from calflow.stages.posterior import Posterior
+from calflow.stages.sample import posterior_of
 
 SHOWN_STEPS = 600
-BURN_IN = 5  # autocorrelation times that are left out, a quarter of the chain at most: as the stage sample does
 
 
 @dataclass(frozen=True)
@@ -25,20 +24,17 @@ class Chain:
     discard: int
 
     @staticmethod
-    def read(path: Path, material: Material, autocorrelation: float) -> Chain:
-        """Read the chain and rebuild the coordinates in which it was sampled."""
+    def read(path: Path, material: Material) -> Chain:
+        """Read the steps that the stage sample used, and rebuild the coordinates in which it sampled them."""
         import h5py
 
-        known, data = material.known, material.data
-        train = data.only(data.train)
-        problem = Problem.of(known.model, train, known.noise(data).only(data.train))
-        posterior = Posterior.about(problem, Laplace.of(problem, known.estimate, known.at_bound))
+        posterior, _ = posterior_of(material.known, material.data)
+        summary = material.tables["sample/summary.csv"].set_index("item")["value"]
+        steps, discard = int(summary["steps"]), int(summary["burn_in_steps"])
+        stride = -(-steps // SHOWN_STEPS)
         with h5py.File(path, "r") as file:
-            groups = [file[name] for name in sorted(file, key=lambda name: (len(name), name))]
-            steps = min(int(group.attrs["iteration"]) for group in groups)
-            stride = -(-steps // SHOWN_STEPS)
-            walkers = np.array([group["chain"][:steps:stride] for group in groups])
-        discard = min(steps // 4, int(np.ceil(BURN_IN * autocorrelation)))
+            names = sorted(file, key=lambda name: (len(name), name))
+            walkers = np.array([file[name]["chain"][:steps:stride] for name in names])
         return Chain(posterior, walkers, np.arange(0, steps, stride), discard)
 
     def values(self, which: np.ndarray) -> np.ndarray:

@@ -41,7 +41,7 @@ def open_ensembles(
         if path.exists() and _sampled_alike(path, backends, shape, independent):
             say(f"resuming after {min(backend.iteration for backend in backends)} steps")
             return backends
-    except (OSError, KeyError) as error:
+    except (OSError, KeyError, RuntimeError, ValueError) as error:  # h5py has no error of its own
         say(f"chain.h5 cannot be read ({error}): sampling starts anew")
     path.unlink(missing_ok=True)
     for backend in backends:
@@ -58,7 +58,6 @@ def _sampled_alike(path: Path, backends: list[BlockBackend], shape: tuple[int, i
     return all(backend.initialized and backend.shape == shape for backend in backends)
 
 
-def joined(backends: list[BlockBackend], discard: int = 0) -> np.ndarray:
-    """Return all steps after the first ones, shape (n_ensembles, n_steps, n_walkers, n_dimensions)."""
-    steps = min(backend.iteration for backend in backends)
+def joined(backends: list[BlockBackend], discard: int, steps: int) -> np.ndarray:
+    """Return the steps from discard to steps, shape (n_ensembles, n_steps, n_walkers, n_dimensions)."""
     return np.array([backend.get_chain()[discard:steps] for backend in backends])

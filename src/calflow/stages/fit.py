@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -89,11 +89,10 @@ class Problem:
     @staticmethod
     def of(model: Model, data: Measurements, noise: Noise) -> Problem:
         """Collect the rows of a table with their noise."""
-        measured, weight = [data.position.T], [1 / noise.total]
+        measured = [data.position.T]
         if data.rotation is not None:
             measured.append(data.rotation.transpose(0, 2, 1).reshape(len(data), 9).T)
-            weight.append(1 / data.table["sigma_rotation"].to_numpy())
-        return Problem(model, data.rows, np.vstack(measured), np.vstack(weight))
+        return Problem(model, data.rows, np.vstack(measured), 1 / noise.total)
 
     @property
     def axes(self) -> int:
@@ -133,6 +132,13 @@ class Problem:
             residual, jacobian = over_rows(self.functions[1], p, *data)
             yield residual.T, jacobian.T.reshape(residual.shape[1], self.axes, -1)
 
+    def reweighted(self, p: np.ndarray, loss: Loss) -> Problem:
+        """Return the problem with each row weighed as a robust loss weighs it at p."""
+        if loss == "linear":
+            return self
+        squared = np.concatenate([(residual**2).sum(axis=1) for residual, _ in self.linearised(p)])
+        return replace(self, weight=self.weight * np.sqrt(_rho_slope(squared, loss)))
+
     def reduced(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the whitened residual (n_rows, n_axes) at p and the triangular factor of its Jacobian."""
         residuals, root = [], np.zeros((0, len(p)))
@@ -148,7 +154,7 @@ def fit(problem: Problem, starts: np.ndarray | None = None, loss: Loss = "linear
     Args:
         problem: the model and its data.
         starts: parameter values to start from, shape (n_starts, n_parameters); nominal by default.
-        loss: how a whitened residual's square counts; soft_l1 and cauchy weigh outliers less.
+        loss: how the square of a row's whitened residual counts; soft_l1 and cauchy weigh outliers less.
     """
     solver = _solver(problem, loss)
     model = problem.model
@@ -164,6 +170,8 @@ def fit(problem: Problem, starts: np.ndarray | None = None, loss: Loss = "linear
     agree = sum(other[0] - objective < SAME_OPTIMUM for other in solutions)
     estimate = x * model.prior_sd
     residual, root = problem.reduced(estimate)
+    if loss != "linear":
+        root = problem.reweighted(estimate, loss).reduced(estimate)[1]
     result = Fit(
         model,
         estimate,
@@ -234,10 +242,12 @@ def _block(problem: Problem, function: ca.Function, size: int, loss: Loss) -> ca
     outputs = function.map("rows", "serial", size, [0], [])(x * scale, *data)
     parts = list(outputs) if isinstance(outputs, tuple) else [outputs]
     residual = ca.vec(parts[0])
-    results = [0.5 * ca.sum1(_rho(residual**2, loss))]
+    squared = ca.sum1(parts[0] ** 2)
+    results = [0.5 * ca.sum2(_rho(squared, loss))]
     for jacobian in parts[1:]:
         scaled = jacobian * ca.repmat(scale, 1, jacobian.shape[1])
-        weighted = scaled if loss == "linear" else scaled * ca.repmat(_rho_slope(residual**2, loss).T, scale.numel(), 1)
+        slope = ca.vec(ca.repmat(_rho_slope(squared, loss), problem.axes, 1)).T
+        weighted = scaled if loss == "linear" else scaled * ca.repmat(slope, scale.numel(), 1)
         results += [weighted @ residual, weighted @ scaled.T]
     return ca.Function("block", [x, *data], results)
 
@@ -248,7 +258,7 @@ def _rho(squared: ca.MX, loss: Loss) -> ca.MX:
     return ca.log1p(squared) if loss == "cauchy" else squared
 
 
-def _rho_slope(squared: ca.MX, loss: Loss) -> ca.MX:
+def _rho_slope(squared: Any, loss: Loss) -> Any:
     if loss == "soft_l1":
-        return 1 / ca.sqrt(1 + squared)
-    return 1 / (1 + squared) if loss == "cauchy" else ca.MX.ones(*squared.shape)
+        return (1 + squared) ** -0.5
+    return 1 / (1 + squared) if loss == "cauchy" else 1 + 0 * squared

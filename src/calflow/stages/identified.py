@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from calflow.measurements import Measurements
 from calflow.model import Model, build
 from calflow.problems import refuse
 from calflow.robot.description import Base, Marker, Robot
-from calflow.stages.noise import Noise, noise
+from calflow.stages.fit import Loss
+from calflow.stages.noise import Noise, Source
 from calflow.stages.stage import Tables
 
 
@@ -25,12 +26,21 @@ class Identified:
     at_bound: np.ndarray
     sigma: float
     discrepancy: float
-    noise_source: Literal["repeats", "file", "estimated"]
+    rotation_discrepancy: float
+    noise_source: Source
+    loss: Loss
 
     def noise(self, data: Measurements) -> Noise:
         """Return the noise of these rows, from where identify took it."""
-        level = replace(noise(data, self.noise_source), discrepancy=self.discrepancy)
-        return level if self.noise_source == "file" else replace(level, sigma=np.full(len(data), self.sigma))
+        sigma = data.sigma if self.noise_source == "file" else None
+        rotation = data.table["sigma_rotation"].to_numpy() if data.rotation is not None else None
+        return Noise(
+            np.full(len(data), self.sigma) if sigma is None else sigma,
+            self.noise_source,
+            self.discrepancy,
+            rotation,
+            self.rotation_discrepancy,
+        )
 
 
 def identified(robot: Robot, tables: Tables, given: tuple[str, ...]) -> Identified:
@@ -49,7 +59,9 @@ def identified(robot: Robot, tables: Tables, given: tuple[str, ...]) -> Identifi
         parameters["at_bound"].to_numpy(dtype=bool),
         float(summary["sigma_mm"]) / 1e3,
         float(summary["discrepancy_mm"]) / 1e3,
+        float(summary.get("rotation_discrepancy_mrad", 0.0)) / 1e3,
         summary["noise_source"],
+        summary["loss"],
     )
 
 
@@ -60,7 +72,12 @@ def placed(robot: Robot, tables: Tables) -> Robot:
         return robot
     points = placement[["x_m", "y_m", "z_m"]].to_numpy(dtype=float)
     at = {name: tuple(float(v) for v in point) for name, point in zip(placement.index, points, strict=True)}
-    turn = np.deg2rad(placement.loc["base", ["rx_deg", "ry_deg", "rz_deg"]].to_numpy(dtype=float))
-    base = Base.model_construct(origin=at["base"], rotation=tuple(float(a) for a in turn), known=False)
+    base = Base.model_construct(origin=at["base"], rotation=_angles(placement, "base"), known=False)
     markers = {name: Marker.model_construct(point=at[name]) for name in robot.markers}
-    return robot.model_copy(update={"base": base, "markers": markers})
+    tool = None if robot.tool_rotation is None else _angles(placement, "tool")
+    return robot.model_copy(update={"base": base, "markers": markers, "tool_rotation": tool})
+
+
+def _angles(placement: pd.DataFrame, what: str) -> tuple[float, float, float]:
+    rx, ry, rz = np.deg2rad(placement.loc[[what], ["rx_deg", "ry_deg", "rz_deg"]].to_numpy(dtype=float)[0])
+    return float(rx), float(ry), float(rz)

@@ -12,12 +12,12 @@ from scipy.stats import chi2
 
 from calflow.measurements import Measurements
 from calflow.model import Model, build
-from calflow.problems import refuse
+from calflow.problems import nearest, refuse
 from calflow.robot.description import Robot
 from calflow.stages.accuracy import accuracy, errors
 from calflow.stages.fit import Fit, Loss, Problem, draw_starts, fit
 from calflow.stages.identifiability import Identifiability, best_subset, correlations, identifiability
-from calflow.stages.noise import LackOfFit, Noise, lack_of_fit, noise
+from calflow.stages.noise import LackOfFit, Noise, averaged, conditions, lack_of_fit, noise
 from calflow.stages.registration import registered
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
@@ -63,9 +63,10 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
         context.advance(k / len(effects))
 
     found = identifiability(result)
-    level = replace(level, discrepancy=settled.discrepancy)
-    if not level.known:
-        level = replace(level, sigma=np.full(len(data), settled.sigma[0]))
+    level = replace(level, discrepancy=settled.discrepancy, rotation_discrepancy=settled.rotation_discrepancy)
+    if not level.known:  # of a single row: a mean of n repeats is that much better
+        estimated = float(np.max(settled.sigma))
+        level = replace(level, sigma=np.full(len(data), estimated))
     names = [parameter.name for parameter in model.parameters]
     covariance = pd.DataFrame(result.covariance, columns=names)
     covariance.insert(0, "parameter", names)
@@ -77,15 +78,20 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
         "identify/correlations.csv": correlations(result),
         "identify/covariance.csv": covariance,
         "identify/placement.csv": _placement(robot),
-        "identify/summary.csv": _summary(result, found, settled, lack, agree, settings.starts, data),
+        "identify/summary.csv": _summary(result, found, level, lack, agree, settings.starts, settings.loss, data),
     }
     if settings.count:
+        for effect in settings.count:
+            if effect not in effects:
+                raise refuse(
+                    f"unknown effect '{effect}'{nearest(effect, effects)}", study.path, key="stages.identify.count"
+                )
         tables["identify/count.csv"] = best_subset(result, settings.count)
     return tables
 
 
 def _enough_equations(model: Model, train: Measurements, study: Study) -> None:
-    equations = (6 if train.rotation is not None else 3) * train.table.groupby(["pose", "marker"]).ngroups
+    equations = (6 if train.rotation is not None else 3) * len(np.unique(conditions(train)))
     if equations < len(model.parameters):
         poses = train.table["pose"].nunique()
         wanted = -(-len(model.parameters) * poses // equations)
@@ -96,30 +102,41 @@ def _enough_equations(model: Model, train: Measurements, study: Study) -> None:
 def fit_settled(
     model: Model, train: Measurements, level: Noise, settings: IdentifySettings, rng: np.random.Generator
 ) -> tuple[Fit, Noise, LackOfFit, int]:
-    """Fit, and refit until the weights agree with what the fit leaves.
+    """Fit the means of repeats, and refit until the weights agree with what the fit leaves.
 
     A noise that is not known is estimated; to one that is known the model's own discrepancy is added where it shows.
     """
+    train, level = averaged(train, level)
     some = np.arange(len(train)) % max(1, len(train) // START_ROWS) == 0
-    tried, agree = fit(
+    result, agree = fit(
         Problem.of(model, train.only(some), level.only(some)), draw_starts(model, settings.starts, rng), settings.loss
     )
-    result = tried
     if not some.all():
-        result, _ = fit(Problem.of(model, train, level), tried.estimate[None], settings.loss)
-    lack = lack_of_fit(errors(model, result.estimate, train), level, result.effective_parameters)
-    against_noise = lack
+        result, _ = fit(Problem.of(model, train, level), result.estimate[None], settings.loss)
+    against_noise = lack = _lack(result, level, slice(0, 3), settings.loss)
     for _ in range(NOISE_PASSES):
-        before = level.total
+        fitted, before = level, level.total
         if level.known:
             level = replace(level, discrepancy=lack.discrepancy)
         else:
-            level = replace(level, sigma=level.sigma * np.sqrt(result.reduced_chi2))
+            level = replace(level, sigma=level.sigma * np.sqrt(lack.reduced_chi2))
+        if level.rotation is not None:
+            turned = _lack(result, fitted, slice(3, 6), settings.loss)
+            level = replace(level, rotation_discrepancy=turned.discrepancy)
         if np.allclose(level.total, before, rtol=0.01):
             break
         result, _ = fit(Problem.of(model, train, level), result.estimate[None], settings.loss)
-        lack = lack_of_fit(errors(model, result.estimate, train), level, result.effective_parameters)
+        lack = _lack(result, level, slice(0, 3), settings.loss)
     return result, level, against_noise, agree
+
+
+def _lack(result: Fit, level: Noise, axes: slice, loss: Loss) -> LackOfFit:
+    """Lack of fit of the positions (axes 0 to 3) or the orientations (3 to 6); each bears its share of the parameters."""
+    of_rotation = axes.start == 3
+    error = result.residual[:, axes] * level.total[int(of_rotation)][:, None]
+    sigma = level.rotation if of_rotation and level.rotation is not None else level.sigma
+    determined = result.effective_parameters * 3 / result.residual.shape[1]
+    return lack_of_fit(error, sigma, determined, robust=loss != "linear")
 
 
 def _parameters(result: Fit) -> pd.DataFrame:
@@ -182,6 +199,8 @@ def _placement(robot: Robot) -> pd.DataFrame:
     source = "robot file" if robot.base.known else "registered"
     rows = [("base", *robot.base.origin, *np.rad2deg(robot.base.rotation), source)]
     rows += [(name, *marker.point, 0.0, 0.0, 0.0, source) for name, marker in robot.markers.items()]
+    if robot.tool_rotation is not None:
+        rows.append(("tool", 0.0, 0.0, 0.0, *np.rad2deg(robot.tool_rotation), source))
     return pd.DataFrame(rows, columns=["what", "x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg", "source"])
 
 
@@ -192,6 +211,7 @@ def _summary(
     lack: LackOfFit,
     agree: int,
     starts: int,
+    loss: Loss,
     data: Measurements,
 ) -> pd.DataFrame:
     rows = [
@@ -201,13 +221,19 @@ def _summary(
         ("reduced_chi2", f"{lack.reduced_chi2 if level.known else 1.0:.6g}"),
         ("lack_of_fit_p", f"{lack.p:.3g}" if level.known else "cannot tell"),
         ("discrepancy_mm", f"{1e3 * level.discrepancy:.6g}"),
+        *([] if level.rotation is None else [("rotation_discrepancy_mrad", f"{1e3 * level.rotation_discrepancy:.6g}")]),
         ("rank", f"{found.rank} of {found.n_parameters} parameters"),
         *((f"rank_{effect}", str(rank)) for effect, rank in found.rank_by_effect.items()),
         ("effective_parameters", f"{result.effective_parameters:.4g}"),
+        ("loss", loss),
         ("training_poses", str(data.table.loc[data.train, "pose"].nunique())),
         ("heldout_poses", str(data.table.loc[~data.train, "pose"].nunique())),
         ("solver", f"IPOPT: {result.status}, {result.iterations} iterations"),
         ("converged", str(result.converged)),
+        (
+            "equilibrium_error_um",
+            f"{1e6 * result.model.equilibrium_error(result.estimate, data.rows[:, :START_ROWS]):.2g}",
+        ),
         ("starts_agreeing", f"{agree} of {starts}"),
         *(("extrapolation", statement) for statement in extrapolation(data)),
     ]

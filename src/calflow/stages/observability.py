@@ -38,7 +38,7 @@ def greedy(jacobians: np.ndarray, prior: np.ndarray, number: int) -> list[int]:
         gains[chosen] = -np.inf
         best = int(np.argmax(gains))
         chosen.append(best)
-        gain_basis = _updated(gain_basis, jacobians[best], gain_basis[best], +1)
+        gain_basis = _updated(gain_basis, jacobians[best], gain_basis[best])
     return chosen
 
 
@@ -72,7 +72,7 @@ def _gains(jacobians: np.ndarray, gain_basis: np.ndarray) -> np.ndarray:
     return np.linalg.slogdet(np.eye(blocks.shape[1]) + blocks)[1]
 
 
-def _updated(gain_basis: np.ndarray, added: np.ndarray, basis_row: np.ndarray, sign: int) -> np.ndarray:
-    """J C after a pose came (sign +1) or went (-1): C changes by rank n_axes (Woodbury)."""
-    inner = np.linalg.inv(np.eye(len(added)) + sign * basis_row @ added.T)
-    return gain_basis - sign * (gain_basis @ added.T) @ inner @ basis_row
+def _updated(gain_basis: np.ndarray, added: np.ndarray, basis_row: np.ndarray) -> np.ndarray:
+    """J C after a pose came: C changes by rank n_axes (Woodbury)."""
+    inner = np.linalg.inv(np.eye(len(added)) + basis_row @ added.T)
+    return gain_basis - (gain_basis @ added.T) @ inner @ basis_row

@@ -11,11 +11,12 @@ from scipy.spatial.transform import Rotation
 from calflow.effects.geometry import DimensionError, Geometry
 from calflow.measurements import Measurements
 from calflow.model import Model, build
+from calflow.problems import refuse
 from calflow.robot.description import Base, Marker, Robot
 from calflow.stages.fit import Problem, fit
 from calflow.stages.noise import Noise
 
-NOMINAL_ERROR = 1e-3  # m, of a robot as its maker describes it: only sets what counts as an outlier here
+NOMINAL_ERROR = 1e-3  # m and rad, of a robot as its maker describes it: only sets what counts as an outlier here
 
 
 @dataclass(frozen=True)
@@ -40,19 +41,22 @@ def registered(robot: Robot, train: Measurements) -> Robot:
     nominal = build(at_origin, (), train.given)
     points = nominal.position(nominal.nominal, train.on(at_origin).rows)
     centre, measured_centre = points.mean(axis=0), train.position.mean(axis=0)
+    if np.linalg.matrix_rank(train.position - measured_centre, tol=1e-6) < 2:
+        raise refuse("base.known = false: the measured points lie on one line or in one place, so nothing says where the robot "
+                     "stands; measure points that are spread out, or state the base", key=f"robot '{robot.name}'")  # fmt: skip
     turn, _ = Rotation.align_vectors(train.position - measured_centre, points - centre)
     placed = _with_base(at_origin, turn, measured_centre - turn.apply(centre))
 
+    if train.rotation is not None:
+        seen = Rotation.from_matrix(nominal.rotation(nominal.nominal, train.rows))
+        tool = ((turn * seen).inv() * Rotation.from_matrix(train.rotation)).mean()
+        placed = placed.model_copy(update={"tool_rotation": _angles(_tool(placed) * tool)})
+
     model = Model(placed, (Placement(placed),), train.given)
-    noise = Noise(np.full(len(train), NOMINAL_ERROR), "estimated")
+    rough = None if train.rotation is None else np.full(len(train), NOMINAL_ERROR)
+    noise = Noise(np.full(len(train), NOMINAL_ERROR), "estimated", rotation=rough)
     result, _ = fit(Problem.of(model, train.on(placed), noise), loss="soft_l1")
     return _moved(placed, dict(zip((p.name for p in model.parameters), result.estimate, strict=True)))
-
-
-def _with_base(robot: Robot, turn: Rotation, origin: np.ndarray) -> Robot:
-    rotation = tuple(float(angle) for angle in turn.as_euler("XYZ"))
-    base = Base.model_construct(origin=tuple(float(v) for v in origin), rotation=rotation, known=False)
-    return robot.model_copy(update={"base": base})
 
 
 def _moved(robot: Robot, found: dict[str, float]) -> Robot:
@@ -63,4 +67,22 @@ def _moved(robot: Robot, found: dict[str, float]) -> Robot:
         name: Marker.model_construct(point=tuple(m.point[i] + found[f"{name}.{axis}"] for i, axis in enumerate("xyz")))
         for name, m in robot.markers.items()
     }
-    return _with_base(robot, turn * small, origin).model_copy(update={"markers": markers})
+    moved = _with_base(robot, turn * small, origin).model_copy(update={"markers": markers})
+    if robot.tool_rotation is None:
+        return moved
+    tool = _tool(robot) * Rotation.from_euler("XYZ", [found[f"tool.{axis}"] for axis in ("rx", "ry", "rz")])
+    return moved.model_copy(update={"tool_rotation": _angles(tool)})
+
+
+def _with_base(robot: Robot, turn: Rotation, origin: np.ndarray) -> Robot:
+    base = Base.model_construct(origin=tuple(float(v) for v in origin), rotation=_angles(turn), known=False)
+    return robot.model_copy(update={"base": base})
+
+
+def _tool(robot: Robot) -> Rotation:
+    return Rotation.from_euler("XYZ", robot.tool_rotation or (0.0, 0.0, 0.0))
+
+
+def _angles(turn: Rotation) -> tuple[float, float, float]:
+    rx, ry, rz = (float(angle) for angle in turn.as_euler("XYZ"))
+    return rx, ry, rz

@@ -42,11 +42,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     data = study.measurements()
     known = identified(study.robot, context.tables, data.given)
     data = data.on(known.model.robot)
-    train = data.only(data.train)
-    problem = Problem.of(known.model, *averaged(train, known.noise(data).only(data.train)))
-    laplace = Laplace.of(problem, known.estimate, known.at_bound)
-    posterior = Posterior.about(problem, laplace)
-
+    posterior, laplace = posterior_of(known, data)
     n = posterior.n_dimensions
     walkers = settings.walkers or 2 * n
     if walkers < 2 * n:
@@ -65,20 +61,27 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     path = context.folder / "sample" / "chain.h5"
     path.parent.mkdir(parents=True, exist_ok=True)
     backends = open_ensembles(path, settings.ensembles, (walkers, n), independent, context.say)
-    tau = _sample(context, posterior, backends, starts, independent)
+    steps, tau = _sample(context, posterior, backends, starts, independent)
 
-    steps = min(backend.iteration for backend in backends)
-    discard = min(steps // 4, int(np.ceil(5 * tau)))
-    chain = joined(backends, discard)
+    discard = min(steps // 4, int(min(5 * tau, steps)))
+    chain = joined(backends, discard, steps)
     values = posterior.parameters(chain)
     table = _posterior(values, chain, known)
     return {
         "sample/posterior.csv": table,
         "sample/predictive.csv": _predictive(values, known, data, context.rng("predictive")),
         "sample/summary.csv": _summary(
-            table, values, known, laplace, steps, tau, accepted, independent, settings, backends
+            table, values, known, laplace, steps, discard, tau, accepted, independent, settings, backends
         ),
     }
+
+
+def posterior_of(known: Identified, data: Measurements) -> tuple[Posterior, Laplace]:
+    """Return the posterior of what was identified, given the training rows, and its approximation."""
+    means = averaged(data.only(data.train), known.noise(data).only(data.train))
+    problem = Problem.of(known.model, *means).reweighted(known.estimate, known.loss)
+    laplace = Laplace.of(problem, known.estimate, known.at_bound)
+    return Posterior.about(problem, laplace), laplace
 
 
 def _acceptance(posterior: Posterior, walkers: np.ndarray, rng: np.random.Generator) -> float:
@@ -90,33 +93,25 @@ def _acceptance(posterior: Posterior, walkers: np.ndarray, rng: np.random.Genera
 
 
 def _sample(
-    context: Context,
-    posterior: Posterior,
-    backends: list[BlockBackend],
-    starts: list[np.ndarray],
-    independent: float,
-) -> float:
-    """Lengthen all ensembles block by block until they are long enough; return the longest autocorrelation time."""
+    context: Context, posterior: Posterior, backends: list[BlockBackend], starts: list[np.ndarray], independent: float
+) -> tuple[int, float]:
+    """Lengthen all ensembles block by block until they are long enough; return the steps and the autocorrelation time.
+
+    Only as many steps count as a fresh run would have made, however long the chain is already.
+    """
     settings = context.settings
     seeds = [context.rng(f"moves{i}").integers(2**31) for i in range(len(backends))]
+    steps = 0
     while True:
-        steps = min(backend.iteration for backend in backends)
-        tau, ess = _mixing(backends)
-        progress = min(1.0, steps / (ENOUGH_TAU * tau), ess / settings.ess) if steps else 0.0
+        steps = min(steps + settings.block, settings.max_steps)
+        for backend, start, seed in zip(backends, starts, seeds, strict=True):
+            if backend.iteration < steps:
+                _extend(backend, posterior, start, int(seed), independent, steps - backend.iteration)
+        tau, ess = _mixing(backends, steps)
+        progress = min(1.0, steps / (ENOUGH_TAU * tau), ess / settings.ess)
         context.advance(progress)
         if progress >= 1 or steps >= settings.max_steps:
-            return tau
-        for backend, start, seed in zip(backends, starts, seeds, strict=True):
-            if backend.iteration > steps:
-                continue
-            _extend(
-                backend,
-                posterior,
-                start,
-                int(seed),
-                independent,
-                min(settings.block, settings.max_steps - steps),
-            )
+            return steps, tau
 
 
 def _extend(
@@ -138,12 +133,9 @@ def _extend(
     backend.append(block, sampler.random_state)
 
 
-def _mixing(backends: list[BlockBackend]) -> tuple[float, float]:
-    """Longest autocorrelation time in steps, and the effective sample size that goes with it."""
-    steps = min(backend.iteration for backend in backends)
-    if steps == 0:
-        return np.inf, 0.0
-    chain = joined(backends, steps // 4)
+def _mixing(backends: list[BlockBackend], steps: int) -> tuple[float, float]:
+    """Longest autocorrelation time of the first steps, and the effective sample size that goes with it."""
+    chain = joined(backends, steps // 4, steps)
     moved = np.ptp(chain, axis=1).all(axis=2)  # a walker that never moved has no autocorrelation
     if not moved.any(axis=1).all():
         return np.inf, 0.0
@@ -188,7 +180,7 @@ def _predictive(values: np.ndarray, known: Identified, data: Measurements, rng: 
     """Each row's error against the interval in which the posterior and the noise say it should be."""
     flat = values.reshape(-1, values.shape[-1])
     draws = flat[rng.choice(len(flat), size=min(DRAWS, len(flat)), replace=False)]
-    sigma = known.noise(data).total
+    sigma = known.noise(data).total[0]
     centre = known.model.position(flat[:, :-1].mean(axis=0), data.rows)
     error = 1e3 * np.linalg.norm(data.position - centre, axis=1)
     expected = np.empty((len(draws), len(data)))
@@ -204,20 +196,24 @@ def _predictive(values: np.ndarray, known: Identified, data: Measurements, rng: 
 
 
 def _summary(
-    table: pd.DataFrame, values: np.ndarray, known: Identified, laplace: Laplace, steps: int, tau: float, accepted: float,
-    independent: float, settings: SampleSettings, backends: list[BlockBackend],
+    table: pd.DataFrame, values: np.ndarray, known: Identified, laplace: Laplace, steps: int, discard: int, tau: float,
+    accepted: float, independent: float, settings: SampleSettings, backends: list[BlockBackend],
 ) -> pd.DataFrame:  # fmt: skip
     ratio = (table["sd"].to_numpy()[:-1] / np.sqrt(np.diag(laplace.covariance)))[~known.at_bound]
-    missing = int(np.ceil(ENOUGH_TAU * tau)) - steps
+    missing = int(np.ceil(min(ENOUGH_TAU * tau, 1e9))) - steps
     short = missing > 0 or table["ess"].min() < settings.ess
     rows = [
         ("steps", str(steps)),
+        ("burn_in_steps", str(discard)),
         ("ensembles", f"{len(backends)} of {values.shape[2]} walkers"),
         ("autocorrelation_steps", f"{tau:.3g}"),
         ("acceptance_independent", f"{accepted:.3f}" if independent else "not used"),
         ("worst_rhat", f"{table['rhat'].max():.4f}"),
         ("smallest_ess", f"{table['ess'].min():.0f}"),
-        ("sd_over_laplace", f"{ratio.min():.3f} to {ratio.max():.3f}"),
+        (
+            "sd_over_laplace",
+            f"{ratio.min():.3f} to {ratio.max():.3f}" if len(ratio) else "every parameter is at a bound",
+        ),
         ("length", _length(short, missing, steps, table["ess"].min(), settings)),
     ]
     for i, parameter in enumerate(known.model.parameters):

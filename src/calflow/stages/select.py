@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from calflow.model import Model, build
 from calflow.problems import nearest, refuse
@@ -12,6 +12,7 @@ from calflow.stages.candidates import candidates
 from calflow.stages.identifiability import NULL
 from calflow.stages.observability import exchange, greedy, indices, log_determinant
 from calflow.stages.stage import Context, Stage
+from calflow.study import known_effects
 from calflow.toml_file import FileModel, Length, Lengths3
 
 TASK_POSES = 400  # candidates over which the tool's expected error is averaged
@@ -32,8 +33,15 @@ class SelectSettings(FileModel):
     sigma: Length = Field(default=5e-5, gt=0)
     also_effects: tuple[str, ...] = ()
 
+    @field_validator("also_effects")
+    @classmethod
+    def _known(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
+        return known_effects(effects) if effects else effects
+
     @model_validator(mode="after")
     def _whole_region(self) -> SelectSettings:
+        if self.poses > self.candidates:
+            raise ValueError("poses: there must be at least as many candidates")
         if (self.region_min is None) != (self.region_max is None):
             raise ValueError("region_min and region_max go together")
         return self
@@ -97,14 +105,17 @@ def _observability(whitened: np.ndarray, order: list[int], task: np.ndarray, set
 
 
 def _poses(model: Model, readings: np.ndarray, rows: np.ndarray, payload: str, marker: str) -> pd.DataFrame:
-    """What a robot programmer needs: joints in measuring order, the side each comes from, and where the tool will be."""
+    """What a robot programmer needs: joints in measuring order, the side each comes from, and where the tool will be.
+
+    The first pose comes from wherever the robot is, so its approach is 0.
+    """
     robot = model.robot
     table: dict[str, object] = {"pose": np.arange(1, len(readings) + 1)}
     for i, joint in enumerate(robot.joints):
         revolute = joint.kind == "revolute"
         unit = np.rad2deg(1.0) if revolute else 1e3
         table[f"q{i + 1}_{'deg' if revolute else 'mm'}"] = np.round(readings[:, i] * unit, 4)
-    came = np.sign(np.diff(readings, axis=0, prepend=readings[-1:])).astype(int)
+    came = np.sign(np.diff(readings, axis=0, prepend=readings[:1])).astype(int)
     for i in range(robot.n_joints):
         table[f"approach{i + 1}"] = came[:, i]
     position = 1e3 * model.position(model.nominal, rows)

@@ -84,8 +84,8 @@ def _chain(material: Material) -> list[Block]:
     path = material.run_folder / "sample" / "chain.h5"
     if not path.exists():
         return []
-    posterior, summary = material.tables["sample/posterior.csv"], material.tables["sample/summary.csv"]
-    chain = Chain.read(path, material, float(item(summary, "autocorrelation_steps") or 1))
+    posterior = material.tables["sample/posterior.csv"]
+    chain = Chain.read(path, material)
     names = posterior["parameter"].astype(str).tolist()
     units = [readable(str(unit)) for unit in posterior["unit"]]
 
