@@ -31,7 +31,7 @@ def accuracies(train: float = 0.05, holdout: float | None = 0.06) -> pd.DataFram
 
 def parameter_table(**changed: object) -> pd.DataFrame:
     row = {"parameter": "joint2.a", "effect": "geometry", "unit": "m", "nominal": 0.0, "estimate": 0.02, "sd": 1e-5,
-           "lower": -0.02, "upper": 0.02, "at_bound": False, "prior_share": 0.01}  # fmt: skip
+           "lower": -0.02, "upper": 0.02, "at_bound": False, "prior_share": 0.01, "meaning": ""}  # fmt: skip
     return pd.DataFrame([row | changed])
 
 
@@ -79,7 +79,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, pd.DataFrame], int, str]] = [
     (identifiability.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;E.z"))}, 3, "joint6.d from"),
     (identifiability.unseen_compliance,
      {"identify/identifiability.csv": statements(("silent", "joint1.s")),
-      "identify/parameters.csv": parameter_table(parameter="joint1.s", effect="joint-compliance")}, 3, "joint 1"),
+      "identify/parameters.csv": parameter_table(parameter="joint1.s", unit="rad/Nm")}, 3, "joint 1"),
     (posterior.too_short, {"sample/summary.csv": pd.DataFrame([("length", "too short: about 90 more steps are needed")],
                                                               columns=["item", "value"])}, 2, "about 90 more steps"),
     (posterior.ensembles_disagree, {"sample/posterior.csv": pd.DataFrame({"parameter": ["a", "b"], "rhat": [1.2, 1.0]})}, 2,
@@ -140,11 +140,17 @@ def test_open_questions_name_what_the_data_leave_open() -> None:
             ("bound", "joint2.s"),
             ("correlated", "a;b"),
         ),
-        "identify/parameters.csv": parameter_table(parameter="joint4.a", prior_share=0.9),
+        "identify/parameters.csv": pd.concat(
+            [
+                parameter_table(parameter="joint4.a", prior_share=0.9),
+                parameter_table(parameter="joint1.s", meaning="compliance of joint 1"),
+                parameter_table(parameter="joint6.d", meaning="length d of link 6"),
+            ]
+        ),
     }
     said = identifiability.open_questions(tables)
     assert "joint1.s (compliance of joint 1)" in said[0]
-    assert "joint6.d (length d of link 6) with E.z (z of marker E)" in said[1]
+    assert "joint6.d (length d of link 6) with E.z" in said[1]
     assert "joint2.s" in said[2]
     assert "joint1.s" not in said[2]
     assert "joint4.a" in said[3]

@@ -10,7 +10,7 @@ from calflow.report.figures.residuals import magnification
 from calflow.report.material import lack_of_fit, steps
 from calflow.report.sections.parameters import known_from
 from calflow.report.sections.posterior import corner_names
-from calflow.report.words import interval, listed, mm, number, plural, readable, spoken, with_sd
+from calflow.report.words import interval, listed, mm, number, plural, readable, with_sd
 
 
 @pytest.mark.parametrize(
@@ -70,13 +70,6 @@ def test_numbers_have_a_true_minus_and_none_before_zero() -> None:
     assert number(-1.25, ".1f") == "−1.2"
     assert number(-0.01, ".1f") == "0.0"
     assert interval(-3000.0, 3000.0) == "−3,000 … 3,000"
-
-
-def test_parameters_are_spoken_of_as_what_they_are() -> None:
-    assert spoken("joint1.s") == "joint1.s (compliance of joint 1)"
-    assert spoken("T.1.z") == "T.1.z (z of marker T.1)"
-    assert spoken("base.x") == "base.x"
-    assert spoken("loop.rod") == "loop.rod"
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ class Parameter:
     """A bounded decision variable (SI units); at its nominal value the effect is absent.
 
     The prior is normal about the nominal value with standard deviation prior_sd, cut at the bounds. figure is the
-    maker's figure that the parameter's value is added to, for tables that show the sum.
+    maker's figure that the parameter's value is added to, for tables that show the sum; meaning says in words what it is.
     """
 
     effect: str
@@ -32,6 +32,7 @@ class Parameter:
     upper: float
     nominal: float = 0.0
     figure: float = 0.0
+    meaning: str = ""
 
     @property
     def name(self) -> str:

@@ -19,6 +19,18 @@ LINK_SD, LINK_BOUND = 2e-3, 20e-3
 PLACED_SD, PLACED_BOUND = 20e-3, 0.2  # base and markers stand where somebody put them
 UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # a base whose place nobody wrote down, about the registered place
 
+MEANINGS = {  # by field of `Dimensions`
+    "base": "base, {symbol}",
+    "alpha": "twist alpha of link {link}",
+    "beta": "twist beta of link {link}",
+    "theta": "zero of joint {link}",
+    "a": "length a of link {link}",
+    "d": "length d of link {link}",
+    "bars": "length of the loop's {symbol}",
+    "markers": "{symbol} of marker {part}",
+    "tool_rotation": "turn of the tool, {symbol}",
+}
+
 
 @dataclass(frozen=True)
 class DimensionError:
@@ -65,7 +77,10 @@ def _error(
 ) -> DimensionError:
     unit = "rad" if symbol in ("alpha", "beta", "theta", "rx", "ry", "rz") else "m"
     figure = float(getattr(nominal_dimensions(robot), field)[index])
-    return DimensionError(Parameter(Geometry.id, part, symbol, unit, sd, -bound, bound, figure=figure), field, index)
+    link = part.removeprefix("joint")
+    words = MEANINGS.get(field, "").format(symbol=symbol, link=link, part=part)
+    parameter = Parameter(Geometry.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=words)
+    return DimensionError(parameter, field, index)
 
 
 def _base(robot: Robot) -> Iterator[DimensionError]:

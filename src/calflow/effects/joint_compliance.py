@@ -30,7 +30,16 @@ class JointCompliance(Effect):
         """Return one compliance a joint."""
         units = {"revolute": "rad/Nm", "prismatic": "m/N"}
         return tuple(
-            Parameter(self.id, f"joint{i + 1}", "s", units[joint.kind], WINDUP_SD / rated, 0.0, WINDUP_BOUND / rated)
+            Parameter(
+                self.id,
+                f"joint{i + 1}",
+                "s",
+                units[joint.kind],
+                WINDUP_SD / rated,
+                0.0,
+                WINDUP_BOUND / rated,
+                meaning=f"compliance of joint {i + 1}",
+            )
             for i, (joint, rated) in enumerate(zip(self.robot.joints, rated_torques(self.robot), strict=True))
         )
 

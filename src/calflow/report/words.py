@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 
-LINK = {
-    "alpha": "twist alpha of link", "beta": "twist beta of link", "theta": "zero of joint", "a": "length a of link",
-    "d": "length d of link", "s": "compliance of joint",
-}  # fmt: skip
 READABLE = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
 
 
@@ -76,17 +71,6 @@ def listed(names: Sequence[object], limit: int = 12) -> str:
 def plural(number: int, noun: str) -> str:
     """Return a number with its noun."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
-def spoken(name: str) -> str:
-    """Return a parameter's name with what it is: joint1.s (compliance of joint 1)."""
-    part, _, symbol = name.rpartition(".")
-    joint = re.fullmatch(r"joint(\d+)", part)
-    if joint and symbol in LINK:
-        return f"{name} ({LINK[symbol]} {joint.group(1)})"
-    if symbol in ("x", "y", "z") and part not in ("base", "tool"):
-        return f"{name} ({symbol} of marker {part})"
-    return name
 
 
 def effect_words(effect: str) -> str:

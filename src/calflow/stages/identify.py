@@ -159,6 +159,7 @@ def _parameters(result: Fit) -> pd.DataFrame:
             "prior_share": np.minimum(1.0, share),
             "figure": table["figure"],
             "calibrated": table["figure"] + result.estimate,
+            "meaning": table["meaning"],
         }
     )
 

@@ -9,7 +9,7 @@ from calflow.report.document import Block, bullets, heading, paragraph, table
 from calflow.report.material import Material, item
 from calflow.report.section import Advice, Section
 from calflow.report.sections.parameters import prior_names
-from calflow.report.words import effect_words, interval, listed, number, readable, spoken
+from calflow.report.words import effect_words, interval, listed, number, readable
 from calflow.stages.stage import Tables
 
 SHOWN = 15  # correlations in the table
@@ -21,6 +21,9 @@ HARMLESS = (
 BRACKETS = (
     "Numbers in brackets: by how many of its prior standard deviations a parameter makes up for one of the first."
 )
+
+
+LOAD_DRIVEN = ("rad/Nm", "m/N")  # units of what only a load shows
 
 
 def write(material: Material) -> list[Block]:
@@ -127,7 +130,7 @@ def second_marker(tables: Tables) -> list[Advice]:
 def unseen_compliance(tables: Tables) -> list[Advice]:
     """A joint that no load turned keeps an unknown compliance."""
     parameters = tables["identify/parameters.csv"]
-    compliant = set(parameters.loc[parameters["effect"] == "joint-compliance", "parameter"].astype(str))
+    compliant = set(parameters.loc[parameters["unit"].isin(LOAD_DRIVEN), "parameter"].astype(str))
     unseen = [name for name in _of_kind(tables, "silent") if name in compliant]
     if not unseen:
         return []
@@ -153,30 +156,33 @@ def open_questions(tables: Tables) -> list[str]:
     said = []
     if silent:
         it = "it" if len(silent) == 1 else "them"
-        said.append(f"Anything about {_spoken(silent)}: the value given for {it} is prior knowledge.")
+        said.append(f"Anything about {_spoken(silent, tables)}: the value given for {it} is prior knowledge.")
     if trades:
         more = f" and {len(trades) - 4} more combinations" if len(trades) > 4 else ""
-        apart = "; ".join(_trade(names) for names in trades[:4])
+        apart = "; ".join(_trade(names, tables) for names in trades[:4])
         said.append(f"Apart from each other: {apart}{more}. Only what they do together is known.")
     if bound:
         said.append(
-            f"The size of {_spoken(bound)}: at the end of the allowed range, so no standard deviation is given."
+            f"The size of {_spoken(bound, tables)}: at the end of the allowed range, so no standard deviation is given."
         )
     if prior:
-        said.append(f"More about {_spoken(prior)} than was known before.")
+        said.append(f"More about {_spoken(prior, tables)} than was known before.")
     if pairs:
         further = "further pair of parameters is" if len(pairs) == 1 else "further pairs of parameters are"
         said.append(f"{len(pairs)} {further} known better together than apart.")
     return said
 
 
-def _spoken(names: list[str]) -> str:
-    return listed([spoken(name) for name in names], 8)
+def _spoken(names: list[str], tables: Tables) -> str:
+    """Names with what they mean: joint1.s (compliance of joint 1)."""
+    meaning = tables["identify/parameters.csv"].set_index("parameter")["meaning"].fillna("")
+    return listed([f"{name} ({meaning[name]})" if meaning.get(name) else name for name in names], 8)
 
 
-def _trade(names: str) -> str:
+def _trade(names: str, tables: Tables) -> str:
     first, *rest = names.split(";")
-    return f"{spoken(first)} with {_spoken(rest) if len(rest) <= NAMED else f'{len(rest)} other parameters'}"
+    others = _spoken(rest, tables) if len(rest) <= NAMED else f"{len(rest)} other parameters"
+    return f"{_spoken([first], tables)} with {others}"
 
 
 def _sentence(statement: str) -> str:

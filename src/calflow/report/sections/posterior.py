@@ -112,12 +112,13 @@ def _chain(material: Material) -> list[Block]:
 
 
 def corner_names(tables: Tables) -> list[str]:
-    """Return the parameters worth a look in pairs: at a bound, then the most correlated, then compliances; six at most."""
+    """Return the parameters worth a look in pairs: at a bound, then the most correlated, then the last effect's; six at most."""
     parameters = tables["identify/parameters.csv"]
     names = parameters.loc[parameters["at_bound"].astype(bool), "parameter"].astype(str).tolist()[:2]
     if "identify/correlations.csv" in tables:
         names += tables["identify/correlations.csv"][["first", "second"]].to_numpy().ravel().tolist()
-    names += parameters.loc[parameters["effect"] == "joint-compliance", "parameter"].astype(str).tolist()
+    last = parameters["effect"].iloc[-1]
+    names += parameters.loc[parameters["effect"] == last, "parameter"].astype(str).tolist()
     chosen = list(dict.fromkeys(names))[:PAIRED]
     return [name for name in parameters["parameter"] if name in chosen]
 
