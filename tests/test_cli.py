@@ -163,7 +163,7 @@ def test_status_tells_each_stage(finished, tmp_path, monkeypatch):
     lines = by_run.out.splitlines()
     assert lines[0] == f"{finished / 'runs'}: study small, workflow quick, calflow {metadata.version('calflow')}"
     assert [line.split()[:2] for line in lines[1:]] == [[stage, "done"] for stage in ("select", "identify", "sample")]
-    assert all(line.endswith("s  was never run") for line in lines[1:])
+    assert all(line.endswith("s  ran because: was never run") for line in lines[1:])
     monkeypatch.chdir(tmp_path)
     (told,) = finished.refused("status", finished.path)
     assert told.startswith("runs/small: nothing was run here yet")
@@ -175,7 +175,7 @@ def test_a_run_ends_with_what_it_reached(finished):
     """Fails if the accuracy is not the table's, or the folder of the results is not told."""
     lines = finished.calflow("run").out.splitlines()
     table = pd.read_csv(finished / "runs" / "identify" / "accuracy.csv")
-    shown = [line.rsplit(None, 3) for line in lines[4:-1]]
+    shown = [line.rsplit(None, 3) for line in lines[4:-1] if not line.startswith("! ")]
     assert [(row[0].strip(), row[1], float(row[2]), float(row[3])) for row in shown] == [
         (row.model, row.split, round(row.mean_mm, 3), round(row.max_mm, 3)) for row in table.itertuples()
     ]
@@ -205,3 +205,21 @@ def test_a_terminal_gets_a_bar_with_the_same_words(small, monkeypatch):
     answer = small.calflow("run")
     assert answer.code == 2
     assert "joints[2].a: needs its unit" in answer.err
+
+
+def test_a_run_tells_what_is_wrong(small):
+    """Fails if a reader of the last lines alone takes a failed calibration for a good one."""
+    swapped = small.rows.rename(columns={"x_mm": "y_mm", "y_mm": "x_mm"})
+    small.measure(swapped)
+    lines = small.calflow("run", "--stage", "identify").out.splitlines()
+    assert any(line.startswith("! Do not use this result") and "swapped axes" in line for line in lines)
+
+
+def test_simulate_does_not_write_over_measurements(small):
+    """Fails if simulated rows take the place of measured ones unasked."""
+    target = small / "measurements.csv"
+    target.write_text("my own rows\n", encoding="utf-8")
+    (told,) = small.refused("simulate", small / "truth.toml")
+    assert "--force" in told
+    assert target.read_text(encoding="utf-8") == "my own rows\n"
+    assert small.calflow("simulate", small / "truth.toml", "--force").code == 0

@@ -50,7 +50,7 @@ def test_without_noise_the_file_holds_the_true_positions(small):
     table = simulated(small, (DEVICE, ""))
     assert "sigma_mm" not in table
     np.testing.assert_allclose(table[X], true_positions(small, table), atol=6e-5)
-    small.calflow("simulate", small / "truth.toml")
+    assert small.calflow("simulate", small / "truth.toml", "--force").code == 0
     assert small.calflow("check").code == 0
 
 

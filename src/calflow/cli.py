@@ -19,6 +19,7 @@ OUT = click.option("--out", type=click.Path(path_type=Path), help="Run folder; r
 STAGE = click.option("--stage", help="This stage alone, with what it needs.")
 FORCE = click.option("--force", is_flag=True, help="Do not reuse earlier results.")
 FILE = click.Path(path_type=Path)
+WRONG = 2  # urgency of advice that the command line repeats
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -94,6 +95,7 @@ def run(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
     with _listener() as listener:
         result = run_study(load_study(study), out, stage, force, listener)
     _show_accuracy(result.tables)
+    _show_advice(result.tables)
     report = result.folder / "report.pdf"
     click.echo(f"report: {report}" if report.is_file() else f"results: {result.folder}")
 
@@ -115,7 +117,7 @@ def status(study_or_run: Path) -> None:
     click.echo(f"{folder}: study {manifest['study']}, workflow {manifest['workflow']}, calflow {manifest['calflow']}")
     for name, entry in manifest["stages"].items():
         seconds = f"{entry['seconds']:.1f} s" if "seconds" in entry else ""
-        click.echo(f"{name:10} {entry['status']:12} {seconds:>8}  {entry['reason']}")
+        click.echo(f"{name:10} {entry['status']:12} {seconds:>8}  ran because: {entry['reason']}")
 
 
 @cli.command()
@@ -134,12 +136,18 @@ def report(study: Path, out: Path | None) -> None:
 @cli.command()
 @click.argument("truth", type=FILE)
 @click.option("--out", type=FILE, help="Measurement CSV; measurements.csv beside the truth file by default.")
-def simulate(truth: Path, out: Path | None) -> None:
+@click.option("--force", is_flag=True, help="Write over a file that holds something else.")
+def simulate(truth: Path, out: Path | None, force: bool) -> None:
     """Write the measurements that a truth file describes."""
+    from calflow.problems import refuse
+    from calflow.runs import csv_text
     from calflow.simulation import simulate as simulate_truth
 
     path = out or truth.parent / "measurements.csv"
-    _write(simulate_truth(truth), path)
+    table = simulate_truth(truth)
+    if path.exists() and not force and path.read_bytes() != csv_text(table).encode():
+        raise refuse("is there already and holds something else; give --force to write over it, or --out", path)
+    _write(table, path)
     click.echo(f"wrote {path}")
 
 
@@ -204,6 +212,15 @@ def _show_accuracy(tables: dict[str, pd.DataFrame]) -> None:
     click.echo(f"{'position error':{width}}  split      mean mm    max mm")
     for row in accuracy.itertuples():
         click.echo(f"{row.model:{width}}  {row.split:8} {row.mean_mm:9.3f} {row.max_mm:9.3f}")
+
+
+def _show_advice(tables: dict[str, pd.DataFrame]) -> None:
+    """What stands on the report's first page about things that are wrong; what could be better is left to the report."""
+    from calflow.report.section import advice, sections
+
+    for item in advice(sections(), tables):
+        if item.urgency <= WRONG:
+            click.echo(f"! {item.sentence}")
 
 
 def _listener() -> _Lines | _Bar:

@@ -250,6 +250,7 @@ def column_names(robot: Robot) -> dict[str, str]:
     names = dict.fromkeys((*LABELS, "qw", "qx", "qy", "qz", *_numbered("approach", n)), "")
     names |= {f"q{i + 1}": "angle" if joint.kind == "revolute" else "length" for i, joint in enumerate(robot.joints)}
     names |= dict.fromkeys(("x", "y", "z", "sigma"), "length")
+    names |= dict.fromkeys(("nominal_x", "nominal_y", "nominal_z"), "length")  # of select/poses.csv, filled in
     names |= dict.fromkeys(("rx", "ry", "rz", "sigma_rotation"), "angle")
     names |= dict.fromkeys(("fx", "fy", "fz"), "force") | dict.fromkeys(("mx", "my", "mz"), "moment")
     names |= dict.fromkeys(_numbered("tau", n), "moment")
@@ -285,12 +286,12 @@ def _read_table(path: Path, source: MeasurementSource) -> pd.DataFrame:
         raise refuse(empty, path) from None
     except (OSError, ValueError) as error:
         raise refuse(f"cannot be read: {str(error).strip()}", path) from None
-    if not isinstance(raw.index, pd.RangeIndex):
-        raise refuse(f"has more values in a row than the {len(raw.columns)} names of the header line", path, 2)
     other = next((sign for sign in ";\t|," if sign in str(raw.columns[0])), None)
     if len(raw.columns) == 1 and other:
         raise refuse(f"has no {source.separator!r} in its header line, but {other!r}: say separator = {json.dumps(other)} "
-                     "in the study's [measurements]", path, 1)  # fmt: skip
+                     "in the study's [measurements] (and decimal = \",\" where numbers have a decimal comma)", path, 1)  # fmt: skip
+    if not isinstance(raw.index, pd.RangeIndex):
+        raise refuse(f"has more values in a row than the {len(raw.columns)} names of the header line", path, 2)
     raw = raw.fillna("").apply(lambda column: column.str.strip())
     raw.index = pd.RangeIndex(2, len(raw) + 2)
     raw = raw[(raw != "").any(axis=1)]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from calflow.measurements import LABELS, read_measurements
+from calflow.measurements import LABELS, Measurements, read_measurements
 from calflow.problems import refuse
 from calflow.robot.description import read_robot
 from calflow.runs import outdated, read_manifest, read_tables
@@ -49,5 +49,18 @@ def predict(run_folder: str | Path, rows: str | Path) -> pd.DataFrame:
         asked[f"{axis}_mm"] = 1e3 * position[:, i]
     for i, axis in enumerate("xyz"):
         asked[f"sd_{axis}_mm"] = 1e3 * np.sqrt(variance[:, i])
-    asked.attrs["notes"] = data.notes
+    asked.attrs["notes"] = (*data.notes, *_beyond_limits(data))
     return asked
+
+
+def _beyond_limits(data: Measurements) -> list[str]:
+    """Name the rows at which a joint is past its limits: what is predicted there is extrapolated."""
+    q = data.joints @ data.robot.reading_matrix.T
+    low, high = data.robot.limits.T
+    past = (q < low - 1e-9) | (q > high + 1e-9)
+    lines = data.table["line"].to_numpy()
+    return [
+        f"joint {i + 1} is past its limits in line {', '.join(map(str, lines[past[:, i]][:5]))}"
+        f"{' and more' if past[:, i].sum() > 5 else ''}: the prediction there is extrapolated"
+        for i in np.flatnonzero(past.any(axis=0))
+    ]

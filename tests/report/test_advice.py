@@ -63,6 +63,7 @@ QUIET: dict[str, pd.DataFrame] = {
 }
 
 SPEAKS: list[tuple[Rule, Mapping[str, pd.DataFrame], int, str]] = [
+    (accuracy.nominal_far_off, {"identify/summary.csv": summary(spread_mm="40.0")}, 1, "swapped axes"),
     (accuracy.not_converged, {"identify/summary.csv": summary(converged="False", solver="IPOPT: Max_Iter")}, 1, "Max_Iter"),
     (accuracy.starts_disagree, {"identify/summary.csv": summary(starts_agreeing="1 of 3")}, 2, "Only 1 of 3"),
     (accuracy.model_lacks, {"identify/summary.csv": summary(reduced_chi2="9.0")}, 2, "leaves 3.0 times the noise"),

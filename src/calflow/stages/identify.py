@@ -223,6 +223,7 @@ def _summary(
         ("lack_of_fit_p", f"{lack.p:.3g}" if level.known else "cannot tell"),
         ("discrepancy_mm", f"{1e3 * level.discrepancy:.6g}"),
         *([] if level.rotation is None else [("rotation_discrepancy_mrad", f"{1e3 * level.rotation_discrepancy:.6g}")]),
+        ("spread_mm", f"{1e3 * np.linalg.norm(data.position - data.position.mean(axis=0), axis=1).mean():.6g}"),
         ("rank", f"{found.rank} of {found.n_parameters} parameters"),
         *((f"rank_{effect}", str(rank)) for effect, rank in found.rank_by_effect.items()),
         ("effective_parameters", f"{result.effective_parameters:.4g}"),

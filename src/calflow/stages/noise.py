@@ -18,6 +18,7 @@ ESTIMATE_START = 1e-4  # m; only the weight of the data against the priors in th
 SIGNIFICANT = 0.01  # p-value below which a lack of fit is believed
 MIN_REPEATS = 10  # degrees of freedom below which repeats say too little
 LEAST_SCATTER = 1e-7  # m; repeats that scatter less are one reading written twice
+BROKEN = 3.0  # times the median by which the mean square may exceed it: else a few rows are wrong, not the device bad
 GROSS = 4.0  # robust standard deviations from which a robust fit takes an error for an outlier
 NORMAL_MEDIAN = 0.6745  # median of |x| of a standard normal
 
@@ -80,7 +81,8 @@ def noise(data: Measurements, source: Literal["auto", "repeats", "file", "estima
     """Return the noise by the best source there is, or by the one asked for.
 
     Repeats are pooled over training poses: sigma² is the sum of squares about each pose's mean over its degrees of
-    freedom, after the nominal robot's part is taken off, so that repeats need not stand at the very same readings.
+    freedom, after the nominal robot's part is taken off, so that repeats need not stand at the very same readings. Where
+    a few gross errors make most of it, the median of the scatter stands for it, and those rows are flagged.
 
     Raises:
         InputError: the source asked for is not in the data.
@@ -173,4 +175,9 @@ def _pooled(data: Measurements) -> tuple[float, int]:
     nominal = build(train.robot, (), train.given)
     error = train.position - nominal.position(nominal.nominal, train.rows)
     means = np.stack([np.bincount(group, weights=axis) / count for axis in error.T], axis=1)
-    return float(np.sqrt(((error - means[group]) ** 2).sum() / freedom)), freedom
+    apart = error - means[group]
+    pooled = float(np.sqrt((apart**2).sum() / freedom))
+    several = count[group] > 1
+    shrunk = np.sqrt(1 - 1 / count[group][several])  # what taking a mean of few leaves of the scatter
+    middle = float(np.median(np.abs(apart[several]) / shrunk[:, None])) / NORMAL_MEDIAN
+    return (middle if pooled > BROKEN * middle > 0 else pooled), freedom

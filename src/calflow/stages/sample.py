@@ -220,7 +220,7 @@ def _summary(
         sample = values[..., i].ravel()
         near = NEAR_BOUND * sample.std()
         if ((sample - parameter.lower < near) | (parameter.upper - sample < near)).mean() > CUT:
-            rows.append(("cut", f"the bounds {parameter.lower:g} to {parameter.upper:g} {parameter.unit} cut the posterior of "
+            rows.append(("cut", f"the bounds {parameter.lower:.3g} to {parameter.upper:.3g} {parameter.unit} cut the posterior of "
                          f"{parameter.name}: read its quantiles, not its mean and sd"))  # fmt: skip
     return pd.DataFrame(rows, columns=["item", "value"])
 

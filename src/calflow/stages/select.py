@@ -44,6 +44,12 @@ class SelectSettings(FileModel):
             raise ValueError("poses: there must be at least as many candidates")
         if (self.region_min is None) != (self.region_max is None):
             raise ValueError("region_min and region_max go together")
+        if (
+            self.region_min
+            and self.region_max
+            and not all(a < b for a, b in zip(self.region_min, self.region_max, strict=True))
+        ):
+            raise ValueError("region_min must lie below region_max on every axis")
         return self
 
 
@@ -54,7 +60,10 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     marker = settings.marker or next(iter(robot.markers))
     for name, known in ((marker, robot.markers), (settings.payload, {**robot.payloads, "": None})):
         if name not in known:
-            raise refuse(f"unknown name '{name}'{nearest(name, known)}", study.path, key="stages.select")
+            there = ", ".join(filter(None, known)) or "none"
+            raise refuse(
+                f"unknown name '{name}'; there are {there}{nearest(name, known)}", study.path, key="stages.select"
+            )
     model = build(robot, tuple(dict.fromkeys((*study.file.effects, *settings.also_effects))))
     region = None if settings.region_min is None else np.array([settings.region_min, settings.region_max])
     readings, rows = candidates(model, settings.candidates, settings.payload, marker, region, context.rng("candidates"))

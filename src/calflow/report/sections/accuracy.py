@@ -12,6 +12,7 @@ from calflow.report.words import effect_words, listed, mm, ratio
 from calflow.stages.noise import MIN_REPEATS
 from calflow.stages.stage import Tables
 
+FAR_OFF = 0.1  # share of the measured space by which a nominal robot may miss
 LACKS = 1.5  # times the noise from which a lack of fit is told
 DASHED = " Dashed: the mean error that measurement noise alone would give."
 SPREAD = "Errors of the calibrated model: in bins (left) and cumulative (right). "
@@ -114,6 +115,20 @@ def noise_unknown(tables: Tables) -> list[Advice]:
     return [Advice(2, sentence)]
 
 
+def nominal_far_off(tables: Tables) -> list[Advice]:
+    """A nominal robot that misses by a tenth of the measured space was described or read wrongly."""
+    accuracy = tables["identify/accuracy.csv"]
+    spread = float(item(tables["identify/summary.csv"], "spread_mm") or "inf")
+    off = float(accuracy["mean_mm"].iloc[0])
+    if off < FAR_OFF * spread:
+        return []
+    sentence = (
+        f"Do not use this result: the nominal robot misses by {mm(off)} mm, which no robot does. Check for swapped axes, a "
+        "joint's sign or order, the DH convention, and single wild rows."
+    )
+    return [Advice(1, sentence)]
+
+
 def nothing_held_out(tables: Tables) -> list[Advice]:
     """Accuracy on the poses of the fit flatters."""
     if split_judged(tables["identify/accuracy.csv"]) == "holdout":
@@ -159,6 +174,7 @@ SECTION = Section(
     ("identify/accuracy.csv", "identify/residuals.csv", "identify/summary.csv"),
     write,
     (
+        nominal_far_off,
         not_converged,
         starts_disagree,
         model_lacks,

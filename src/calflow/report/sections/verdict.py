@@ -14,6 +14,7 @@ from calflow.report.sections.predictive import coverage_words
 from calflow.report.words import listed, mm, plural, ratio
 
 ENOUGH = 1.1  # times the noise up to which a model counts as complete
+USELESS = 0.95  # share of the nominal error above which calibration gained nothing
 CARDS = 3
 TEXT = 10.5  # points
 FINE = "Nothing needs attention: the parameters can be used for the tools, loads and workspace that were measured."
@@ -34,7 +35,9 @@ def write(material: Material) -> list[Block]:
         paragraph(material.title, 21, bold=True),
         paragraph(_measured(material), 10),
         gap(20),
-        paragraph(headline(found, split), 14, bold=True),
+        paragraph(judgement(material, found), 14, bold=True),
+        gap(6),
+        paragraph(headline(found, split), 12),
         gap(16),
         side_by_side(cards, [1] * len(cards), 8),
         gap(16),
@@ -50,13 +53,27 @@ def write(material: Material) -> list[Block]:
     ]  # fmt: skip
 
 
+def judgement(material: Material, found: list[Step]) -> str:
+    """Say in a few words whether to use the model."""
+    first, last = found[0], found[-1]
+    urgent = any(found.urgency == 1 for found in advice(sections(), material.tables))
+    if urgent or last.mean > USELESS * first.mean:
+        return "Do not use this model: see what to do next."
+    times = lack_of_fit(material.tables["identify/summary.csv"])
+    if math.isnan(times):
+        return "Usable where it was measured; how much better it could be is not known."
+    if times <= ENOUGH:
+        return "Calibrated: as good as the measuring device can tell."
+    return "Usable where it was measured, but the model lacks something."
+
+
 def headline(found: list[Step], split: str) -> str:
     """Say in one sentence what calibration gained."""
     first, last = found[0], found[-1]
     seen = "that no fit has seen" if split == "holdout" else "used for the fit (none were held out)"
     if len(found) == 1:
         return f"At poses {seen}, the nominal robot is off by {mm(first.mean)} mm on average."
-    verb = "reduces" if last.mean < first.mean else "changes"
+    verb = "reduces" if last.mean < first.mean else "increases"
     return (
         f"At poses {seen}, calibration {verb} the tool-position error from {mm(first.mean)} mm to {mm(last.mean)} mm "
         f"on average, and the largest from {mm(first.max)} mm to {mm(last.max)} mm."
