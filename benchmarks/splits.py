@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.measurements import Measurements, draw_split, read_measurements
+from calflow.measurement_file import read_measurements
+from calflow.measurements import Measurements, draw_split
 from calflow.model import build
 from calflow.stages.accuracy import errors
 from calflow.stages.identify import IdentifySettings, extrapolation, fit_settled

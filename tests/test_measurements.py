@@ -10,7 +10,8 @@ import pytest
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
-from calflow.measurements import MeasurementSource, known_columns, locate, read_measurements
+from calflow.measurement_file import known_columns, locate, read_measurements
+from calflow.measurements import MeasurementSource
 from calflow.problems import InputError
 from calflow.robot.description import read_robot
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.measurements import read_measurements
+from calflow.measurement_file import read_measurements
 from calflow.prediction import predict
 from calflow.robot.description import read_robot
 from calflow.runs import read_tables

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from calflow.measurements import LABELS, Measurements, read_measurements
+from calflow.measurement_file import read_measurements
+from calflow.measurements import LABELS, Measurements
 from calflow.problems import refuse
 from calflow.robot.description import read_robot
 from calflow.runs import outdated, read_manifest, read_tables

@@ -20,7 +20,7 @@ from typing import Any, Protocol
 
 import pandas as pd
 
-from calflow.measurements import sha256
+from calflow.measurement_file import sha256
 from calflow.problems import InputError, nearest, refuse, together
 from calflow.robot.description import Robot
 from calflow.stages.stage import Context, Stage

@@ -9,7 +9,8 @@ from typing import Any
 
 from pydantic import Field, field_validator
 
-from calflow.measurements import Measurements, MeasurementSource, draw_split, locate, read_measurements
+from calflow.measurement_file import locate, read_measurements
+from calflow.measurements import Measurements, MeasurementSource, draw_split
 from calflow.problems import InputError, Problem, nearest, refuse, together
 from calflow.robot.description import Robot, read_robot
 from calflow.toml_file import FileModel, Origin, read_toml, validate

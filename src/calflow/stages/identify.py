@@ -41,6 +41,11 @@ class IdentifySettings(FileModel):
 def run(context: Context) -> dict[str, pd.DataFrame]:
     """Fit the nominal robot's errors, effect by effect, and say what the data determine."""
     study, settings = context.study, context.settings
+    effects = study.file.effects
+    for effect in settings.count:
+        if effect not in effects:
+            known = nearest(effect, effects)
+            raise refuse(f"unknown effect '{effect}'{known}", study.path, key="stages.identify.count")
     data = study.measurements()
     for note in data.notes:
         context.say(note)
@@ -51,7 +56,6 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
 
     nominal = build(robot, (), data.given)
     rows = accuracy("nominal", errors(nominal, nominal.nominal, data), data)
-    effects = study.file.effects
     for k in range(1, len(effects) + 1):
         model = build(robot, effects[:k], data.given)
         _enough_equations(model, train, study)
@@ -81,11 +85,6 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
         "identify/summary.csv": _summary(result, found, level, lack, agree, settings.starts, settings.loss, data),
     }
     if settings.count:
-        for effect in settings.count:
-            if effect not in effects:
-                raise refuse(
-                    f"unknown effect '{effect}'{nearest(effect, effects)}", study.path, key="stages.identify.count"
-                )
         tables["identify/count.csv"] = best_subset(result, settings.count)
     return tables
 
