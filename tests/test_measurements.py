@@ -10,10 +10,11 @@ import pytest
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
-from calflow.measurement_file import known_columns, locate, read_measurements
-from calflow.measurements import MeasurementSource
+from calflow.measurement_file import locate, read_measurements
+from calflow.measurements import MeasurementSource, column_names
 from calflow.problems import InputError
 from calflow.robot.description import read_robot
+from calflow.units import SUFFIXES
 
 Q = ["q1_deg", "q2_deg", "q3_deg"]
 X = ["x_mm", "y_mm", "z_mm"]
@@ -231,11 +232,11 @@ def test_what_cannot_be_fetched_is_explained(small, url, monkeypatch, tmp_path):
 
 
 def test_the_known_columns_are_those_that_are_read(small, read):
-    """Fails if the list that help texts show has a name that is refused."""
+    """Fails if the list of columns has a name that is refused."""
     rows = small.rows
     extra = [
-        name
-        for name in known_columns(read_robot(small / "robot.toml"))
+        f"{name}_{SUFFIXES[dimension][0]}" if dimension else name
+        for name, dimension in column_names(read_robot(small / "robot.toml")).items()
         if name.startswith(("time", "temp", "tau", "appr"))
     ]
     assert len(extra) == 8

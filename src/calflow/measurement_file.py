@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from calflow.measurement_checks import at_rows, check_header, check_loop, check_
 from calflow.measurements import Measurements, MeasurementSource, column_names, numbered, split_column
 from calflow.problems import InputError, Problem, nearest, refuse
 from calflow.robot.description import Robot
-from calflow.units import SUFFIXES, to_si
+from calflow.units import to_si
 
 NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
 
@@ -87,11 +86,6 @@ def sha256(path: Path) -> str:
 
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def known_columns(robot: Robot) -> Iterable[str]:
-    """Return every column name with its SI unit, for help texts."""
-    return [f"{name}_{SUFFIXES[d][0]}" if d else name for name, d in column_names(robot).items()]
 
 
 def _fetch(source: MeasurementSource) -> Path:

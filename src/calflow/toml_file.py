@@ -40,7 +40,6 @@ Length = Annotated[float, Unit("length")]
 Angle = Annotated[float, Unit("angle")]
 Mass = Annotated[float, Unit("mass")]
 Moment = Annotated[float, Unit("moment")]
-Compliance = Annotated[float, Unit("compliance")]
 Lengths3 = Annotated[tuple[float, float, float], Unit("length")]
 Angles3 = Annotated[tuple[float, float, float], Unit("angle")]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 
 from calflow.measurements import Measurements
 from calflow.model import Model
@@ -24,9 +23,3 @@ def accuracy(name: str, error: np.ndarray, measured: Measurements) -> list[dict[
             rows.append({"model": name, "split": split, "n": len(part), "mean_mm": part.mean(),
                          "rms_mm": np.sqrt((part**2).mean()), "max_mm": part.max()})  # fmt: skip
     return rows
-
-
-def heldout_mean(table: pd.DataFrame, model: str) -> float:
-    """Return a model's held-out mean error [mm] from accuracy.csv (the training one where nothing was held out)."""
-    rows = table[table["model"] == model].set_index("split")["mean_mm"]
-    return float(rows.get("holdout", rows.iloc[0]))
