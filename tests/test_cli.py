@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import shutil
 import signal
@@ -12,6 +13,7 @@ from importlib import metadata
 import pandas as pd
 import pytest
 
+from calflow import cli
 from calflow.templates import write_study
 from conftest import Folder, in_process
 
@@ -223,3 +225,12 @@ def test_simulate_does_not_write_over_measurements(small):
     assert "--force" in told
     assert target.read_text(encoding="utf-8") == "my own rows\n"
     assert small.calflow("simulate", small / "truth.toml", "--force").code == 0
+
+
+def test_an_interruption_that_a_library_swallows_is_heeded():
+    """Fails if Ctrl-C, cleared by compiled code, leaves a run that goes on for hours."""
+    with cli._Lines() as listener:
+        with contextlib.suppress(KeyboardInterrupt):  # as a library's clean-up does
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            listener.advance(0.5)

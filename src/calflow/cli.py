@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -228,16 +230,32 @@ def _listener() -> _Lines | _Bar:
 
 
 class _Lines:
-    """Progress as plain lines, for a log."""
+    """Progress as plain lines, for a log.
+
+    CasADi's conversions clear a KeyboardInterrupt that comes while they run, so it is remembered and raised again at the
+    next progress.
+    """
 
     def __init__(self) -> None:
         self._told = 0.0
+        self._interrupted = False
 
     def __enter__(self) -> _Lines:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, self._interrupt)
         return self
 
     def __exit__(self, *_: object) -> None:
-        return
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def _interrupt(self, *_: object) -> None:
+        self._interrupted = True
+        raise KeyboardInterrupt
+
+    def _heed(self) -> None:
+        if self._interrupted:
+            raise KeyboardInterrupt
 
     def start(self, stage: Stage, reason: str) -> None:
         self._told = time.monotonic()
@@ -250,6 +268,7 @@ class _Lines:
         click.echo(f"  {line}")
 
     def advance(self, share: float) -> None:
+        self._heed()
         if time.monotonic() - self._told > 10:
             self._told = time.monotonic()
             click.echo(f"  {share:.0%}")
@@ -262,6 +281,7 @@ class _Bar(_Lines):
     """Progress as a bar, for a terminal."""
 
     def __enter__(self) -> _Bar:
+        super().__enter__()
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
@@ -278,6 +298,7 @@ class _Bar(_Lines):
 
     def __exit__(self, *_: object) -> None:
         self._progress.stop()
+        super().__exit__()
 
     def start(self, stage: Stage, reason: str) -> None:
         self.say(f"{stage.name}: {stage.title} ({reason})")
@@ -290,6 +311,7 @@ class _Bar(_Lines):
         self._progress.print(line, markup=False)
 
     def advance(self, share: float) -> None:
+        self._heed()
         self._progress.update(self._task, completed=share)
 
     def finish(self, stage: Stage, seconds: float) -> None:
