@@ -10,9 +10,10 @@ from calflow.measurement_file import read_measurements
 from calflow.measurements import Measurements, draw_split
 from calflow.model import build
 from calflow.stages.accuracy import errors
-from calflow.stages.identify import IdentifySettings, extrapolation, fit_settled
+from calflow.stages.identify import extrapolation
 from calflow.stages.noise import noise
 from calflow.stages.registration import registered
+from calflow.stages.settle import fit_settled
 from calflow.study import load_study
 
 STUDY = Path(__file__).parents[1] / "studies" / "fanuc-r2000" / "study.toml"
@@ -44,7 +45,7 @@ def heldout(data: Measurements, effects: tuple[str, ...]) -> np.ndarray:
     data = data.on(robot)
     model = build(robot, effects, data.given)
     level = noise(data).only(data.train)
-    result = fit_settled(model, data.only(data.train), level, IdentifySettings(starts=1), np.random.default_rng(0))[0]
+    result = fit_settled(model, data.only(data.train), level, model.nominal[None], "linear")[0]
     return 1e3 * np.linalg.norm(errors(model, result.estimate, data), axis=1)[~data.train]
 
 

@@ -8,7 +8,7 @@ import casadi as ca
 
 from calflow.robot.description import Robot
 
-OPTIONAL = ("approach", "wrench", "torque", "time", "temperature")
+OPTIONAL = ("approach", "travel", "wrench", "torque", "time", "temperature", "order", "range")
 
 
 @dataclass(frozen=True)
@@ -16,18 +16,23 @@ class Row:
     """Symbols of one row's conditions, in SI units; an optional one that the data lack is structurally zero.
 
     reading are the joint readings and q the joint angles they mean (signs and couplings resolved); payload and marker are
-    one-hot over the robot's names; approach is the direction each joint came from (-1, 0, +1); wrench (force, moment)
-    acts at the marker, in the base frame; torque are measured motor torques, which replace the computed ones.
+    one-hot over the robot's names; approach is the direction each joint came from (-1, 0, +1) and travel how far since it
+    last turned back; wrench (force, moment) acts at the marker, in the base frame; torque are measured motor torques, which
+    replace the computed ones; time counts from the first row, order is the row's place in measuring order, range the
+    distance from the measuring device.
     """
 
     reading: ca.SX
     payload: ca.SX
     marker: ca.SX
     approach: ca.SX
+    travel: ca.SX
     wrench: ca.SX
     torque: ca.SX
     time: ca.SX
     temperature: ca.SX
+    order: ca.SX
+    range: ca.SX
     q: ca.SX
 
     @staticmethod
@@ -35,8 +40,13 @@ class Row:
         """Length of each condition in a packed row, in order; given names the optional ones that the data have."""
         n = robot.n_joints
         fixed = {"reading": n, "payload": len(robot.payloads), "marker": len(robot.markers)}
-        optional = {"approach": n, "wrench": 6, "torque": n, "time": 1, "temperature": 1}
+        optional = {"approach": n, "travel": n, "wrench": 6, "torque": n} | dict.fromkeys(OPTIONAL[4:], 1)
         return fixed | {name: size for name, size in optional.items() if name in given}
+
+    @staticmethod
+    def symbols(robot: Robot, given: tuple[str, ...] = OPTIONAL) -> Row:
+        """Return a row of symbols."""
+        return Row.unpack(robot, ca.SX.sym("c", sum(Row.sizes(robot, given).values())), given)
 
     @staticmethod
     def unpack(robot: Robot, packed: ca.SX, given: tuple[str, ...] = ()) -> Row:

@@ -49,7 +49,8 @@ def read_measurements(
     problems = wrong + check_values(table, robot, path)
     if problems:
         raise InputError(problems)
-    measured = Measurements(robot, table, tuple(notes))
+    table, more = _placed_in_time(table, robot, source, conditions_only)
+    measured = Measurements(robot, table, (*notes, *more))
     named = {unit for _, unit in columns.values()}
     problems = check_units(measured, named, path, conditions_only) or check_loop(measured, path)
     if problems:
@@ -217,6 +218,40 @@ def _numbers(cells: pd.Series, spelled: str, source: MeasurementSource, path: Pa
         problems.append(Problem(f"column '{spelled}': expected a number, found '{first}'{hint}{count}", path,
                                 int(cells.index[text][0])))  # fmt: skip
     return numbers, problems
+
+
+def _placed_in_time(
+    table: pd.DataFrame, robot: Robot, source: MeasurementSource, conditions_only: bool
+) -> tuple[pd.DataFrame, list[str]]:
+    """Add what follows from when and where a row was measured: time from the first, order, range, approach and travel."""
+    table = table.copy()
+    if "time" in table:
+        table["time"] -= table["time"].min()
+    if conditions_only:
+        return table, []
+    table["order"] = table["time"].rank(method="dense") if "time" in table else np.arange(1.0, len(table) + 1)
+    at_origin = robot.base.known and not np.any(robot.base.origin)
+    if source.tracker is not None or not at_origin:
+        table["range"] = np.linalg.norm(table[["x", "y", "z"]] - np.array(source.tracker or (0.0, 0.0, 0.0)), axis=1)
+    if not source.in_order or "approach1" in table:
+        return table, []
+    came, far = _approach(table, numbered("q", robot.n_joints))
+    table[numbered("approach", robot.n_joints)] = came
+    table[numbered("travel", robot.n_joints)] = far
+    return table, ["in_order = true: approach directions and travel follow from the order of the rows"]
+
+
+def _approach(table: pd.DataFrame, readings: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return each row's approach directions and its travel since the joints last turned back, (n_rows, n_joints) each."""
+    q = table.sort_values("order", kind="stable")[readings].to_numpy()
+    came, far = np.zeros_like(q), np.zeros_like(q)
+    for k in range(1, len(q)):
+        step = q[k] - q[k - 1]
+        same = (np.sign(step) == came[k - 1]) | (step == 0)
+        came[k] = np.where(step == 0, came[k - 1], np.sign(step))
+        far[k] = np.where(same, far[k - 1], 0.0) + np.abs(step)
+    back = np.argsort(np.argsort(table["order"].to_numpy(), kind="stable"), kind="stable")
+    return came[back], far[back]
 
 
 def _label(table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, list[str]]:

@@ -13,7 +13,7 @@ from pydantic import Field, field_validator, model_validator
 
 from calflow.conditions import OPTIONAL, Row
 from calflow.robot.description import Robot
-from calflow.toml_file import Angle, FileModel, Length
+from calflow.toml_file import Angle, FileModel, Length, Lengths3
 from calflow.units import split_unit
 
 LABELS = ("pose", "repeat", "marker", "payload", "split")
@@ -24,6 +24,8 @@ class MeasurementSource(FileModel):
 
     A url is fetched once and kept; its sha256 is then required. The folder that CALFLOW_DATA names is looked in first.
     columns maps calflow's names to a foreign file's; markers does so for files with several markers side by side.
+    in_order says that the rows stand in the order of measuring, so that each pose's approach is known from the one before.
+    tracker is where the device stands in the measuring frame, if not at its origin.
     """
 
     file: str
@@ -35,6 +37,8 @@ class MeasurementSource(FileModel):
     markers: dict[str, dict[str, str]] = {}
     sigma: Length | None = Field(default=None, gt=0)
     sigma_rotation: Angle | None = Field(default=None, gt=0)
+    in_order: bool = False
+    tracker: Lengths3 | None = None
 
     @model_validator(mode="after")
     def _fetched_is_checked(self) -> MeasurementSource:
@@ -63,7 +67,10 @@ class MeasurementSource(FileModel):
 
 @dataclass(frozen=True)
 class Measurements:
-    """Checked rows in SI units: columns pose, repeat, marker, payload, split, line, q1 …, x, y, z and optional ones."""
+    """Checked rows in SI units: columns pose, repeat, marker, payload, split, line, order, q1 …, x, y, z and optional ones.
+
+    split is train, holdout, or "" for rows that are left out of both.
+    """
 
     robot: Robot
     table: pd.DataFrame
@@ -104,29 +111,18 @@ class Measurements:
         return (self.table["split"] == "train").to_numpy()
 
     @property
+    def held_out(self) -> np.ndarray:
+        """Which rows no fit may see, shape (n_rows,)."""
+        return (self.table["split"] == "holdout").to_numpy()
+
+    @property
     def given(self) -> tuple[str, ...]:
         """The optional conditions that the rows have."""
-        first = {
-            "approach": "approach1",
-            "wrench": "fx",
-            "torque": "tau1",
-            "time": "time",
-            "temperature": "temperature",
-        }
-        return tuple(name for name in OPTIONAL if first[name] in self.table)
+        return tuple(name for name in OPTIONAL if condition_columns(name, self.robot)[0] in self.table)
 
     @cached_property
     def rows(self) -> np.ndarray:
         """Packed conditions, shape (n_conditions, n_rows), as `conditions.Row` orders them."""
-        n = self.robot.n_joints
-        columns = {
-            "reading": numbered("q", n),
-            "approach": numbered("approach", n),
-            "wrench": ["fx", "fy", "fz", "mx", "my", "mz"],
-            "torque": numbered("tau", n),
-            "time": ["time"],
-            "temperature": ["temperature"],
-        }
         parts = []
         for name in Row.sizes(self.robot, self.given):
             if name == "payload":
@@ -134,7 +130,7 @@ class Measurements:
             elif name == "marker":
                 parts += [self.table["marker"] == known for known in self.robot.markers]
             else:
-                parts += [self.table[column] for column in columns[name]]
+                parts += [self.table[column] for column in condition_columns(name, self.robot)]
         return np.array([part.to_numpy(dtype=float) for part in parts])
 
     def only(self, mask: np.ndarray) -> Measurements:
@@ -161,11 +157,20 @@ def draw_split(measured: Measurements, holdout: float, seed: int) -> Measurement
     return Measurements(measured.robot, table, measured.notes)
 
 
+def condition_columns(condition: str, robot: Robot) -> list[str]:
+    """Return the columns of a table that hold a condition."""
+    stems = {"reading": "q", "approach": "approach", "travel": "travel", "torque": "tau"}
+    if condition == "wrench":
+        return ["fx", "fy", "fz", "mx", "my", "mz"]
+    return numbered(stems[condition], robot.n_joints) if condition in stems else [condition]
+
+
 def column_names(robot: Robot) -> dict[str, str]:
     """Return every column a measurement file may have, without its unit, and the column's dimension ('' for none)."""
     n = robot.n_joints
     names = dict.fromkeys((*LABELS, "qw", "qx", "qy", "qz", *numbered("approach", n)), "")
-    names |= {f"q{i + 1}": "angle" if joint.kind == "revolute" else "length" for i, joint in enumerate(robot.joints)}
+    for stem in ("q", "travel"):
+        names |= {f"{stem}{i + 1}": "angle" if j.kind == "revolute" else "length" for i, j in enumerate(robot.joints)}
     names |= dict.fromkeys(("x", "y", "z", "sigma"), "length")
     names |= dict.fromkeys(("nominal_x", "nominal_y", "nominal_z"), "length")  # of select/poses.csv, filled in
     names |= dict.fromkeys(("rx", "ry", "rz", "sigma_rotation"), "angle")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ from calflow.robot.transforms import apply, placement
 
 # Each turn shrinks the distance to equilibrium by about the wind-up angle (some 1e-3), so three reach nanometres.
 EQUILIBRIUM_TURNS = 3
-BLOCK_ROWS = 8192  # rows evaluated at once: bounds the memory
+BLOCK_ROWS, BLOCK_VALUES = 8192, 1 << 22  # rows and values of one output evaluated at once: they bound the memory
 
 
 class Prediction(NamedTuple):
@@ -44,7 +44,7 @@ class Model:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, effect by effect."""
-        return tuple(parameter for effect in self.effects for parameter in effect.parameters())
+        return tuple(parameter for effect in self.effects for parameter in effect.declared)
 
     @cached_property
     def nominal(self) -> np.ndarray:
@@ -72,7 +72,7 @@ class Model:
         turns is how often the loads are evaluated anew at the deflected pose.
         """
         row = Row.unpack(self.robot, c, self.given)
-        ends = np.cumsum([0, *(len(effect.parameters()) for effect in self.effects)])
+        ends = np.cumsum([0, *(len(effect.declared) for effect in self.effects)])
         parts = [(effect, p[int(i) : int(j)]) for effect, (i, j) in zip(self.effects, pairwise(ends), strict=True)]
         dims, loads = nominal_dimensions(self.robot), nominal_loads(self.robot)
         for effect, part in parts:
@@ -162,12 +162,27 @@ def build(robot: Robot, effects: Sequence[str], given: tuple[str, ...] = ()) -> 
 
 
 def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
-    """Evaluate a function (p, row, ...) -> outputs over many rows, each (size, n_rows); outputs side by side."""
+    """Evaluate a function (p, row, ...) -> dense outputs over many rows, each (size, n_rows); outputs side by side."""
     n_rows = rows[0].shape[1]
-    blocks = []
-    for start in range(0, n_rows, BLOCK_ROWS):
-        part = [np.asfortranarray(row[:, start : start + BLOCK_ROWS]) for row in rows]
-        mapped = function.map("mapped", "serial", part[0].shape[1], [0], [])
-        values = mapped(p, *part)
-        blocks.append([np.asarray(value) for value in (values if isinstance(values, tuple) else (values,))])
-    return [np.concatenate(parts, axis=1) for parts in zip(*blocks, strict=True)]
+    values = [np.empty((n_rows, function.numel_out(k))) for k in range(function.n_out())]
+    per_row = max(map(function.numel_out, range(function.n_out())))
+    size = max(1, min(n_rows, BLOCK_ROWS, BLOCK_VALUES // max(1, per_row)))
+    for first in range(0, n_rows, size):
+        part = slice(first, min(first + size, n_rows))
+        mapped = _mapped(function, part.stop - part.start)
+        buffer, evaluate = mapped.buffer()  # CasADi reads and writes NumPy's memory: no lists between
+        arguments = [np.ascontiguousarray(p, dtype=float), *(np.ascontiguousarray(row[:, part].T) for row in rows)]
+        for k, argument in enumerate(arguments):
+            buffer.set_arg(k, memoryview(argument.ravel()))
+        for k, value in enumerate(values):
+            buffer.set_res(k, memoryview(value[part].reshape(-1)))
+        evaluate()
+    return [
+        value.reshape(n_rows * function.size2_out(k), function.size1_out(k)).T for k, value in enumerate(values)
+    ]
+
+
+@lru_cache(maxsize=64)
+def _mapped(function: ca.Function, n_rows: int) -> ca.Function:
+    """The function over so many rows at once; building it takes longer than evaluating it."""
+    return function.map("mapped", "serial", n_rows, [0], [])

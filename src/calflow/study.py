@@ -115,16 +115,13 @@ def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> N
         InputError: they do not.
     """
     from calflow.effects import catalogue
+    from calflow.effects.base import unmet
 
-    problems = []
-    for effect in effects:
-        for need in catalogue()[effect].needs:
-            if need == "masses" and not data.robot.has_masses and "torque" not in data.given:
-                problems.append(
-                    Problem(f"effect '{effect}' needs masses in the robot file, or measured torques tau1_Nm …", path)
-                )
-            elif need != "masses" and need not in data.given:
-                problems.append(Problem(f"effect '{effect}' needs columns that the measurements lack: {need}", path))
+    problems = [
+        Problem(f"effect '{effect}' needs {lacking}", path)
+        for effect in effects
+        for lacking in unmet(catalogue()[effect].needs, data.robot, data.given)
+    ]
     if problems:
         raise InputError(problems)
 

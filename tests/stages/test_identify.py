@@ -7,8 +7,8 @@ import pytest
 
 from calflow.model import build
 from calflow.stages.fit import Problem, fit
-from calflow.stages.identify import IdentifySettings, fit_settled
 from calflow.stages.posterior import Laplace
+from calflow.stages.settle import fit_settled
 from robots import industrial
 from stages.data import SIGMA, drawn_truth, measured, stated
 
@@ -26,7 +26,7 @@ def test_repeats_and_discrepancy_leave_honest_deviations(model):
         truth = drawn_truth(model, rng)
         data = measured(model, truth, 50, rng, repeats=10)
         data.table[["x", "y", "z"]] += (1e-4 * rng.standard_normal((50, 3)))[data.table["pose"]]
-        result = fit_settled(model, data, stated(data), IdentifySettings(starts=1), rng)[0]
+        result = fit_settled(model, data, stated(data), model.nominal[None], "linear")[0]
         z.append((result.estimate - truth) / np.sqrt(np.diag(result.covariance)))
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.2)
 
@@ -37,8 +37,7 @@ def test_a_robust_fit_stays_robust(model):
     truth = drawn_truth(model, rng)
     data = measured(model, truth, 60, rng)
     data.table.loc[:2, ["x", "y", "z"]] += 2e-2
-    settings = IdentifySettings(starts=1, loss="cauchy")
-    result, level, *_ = fit_settled(model, data, stated(data), settings, rng)
+    result, level, *_ = fit_settled(model, data, stated(data), model.nominal[None], "cauchy")
     assert level.discrepancy < SIGMA
     probe = measured(model, truth, 50, rng, sigma=0.0)
     assert np.linalg.norm(model.position(result.estimate, probe.rows) - probe.position, axis=1).mean() < 2 * SIGMA

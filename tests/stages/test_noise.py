@@ -12,7 +12,7 @@ from scipy.stats import kstest
 from calflow.model import build
 from calflow.problems import InputError
 from calflow.stages.fit import Problem, fit
-from calflow.stages.identify import IdentifySettings, fit_settled
+from calflow.stages.settle import fit_settled
 from calflow.stages.noise import averaged, lack_of_fit, noise
 from robots import industrial
 from stages.data import SIGMA, drawn_truth, measured, stated
@@ -117,6 +117,6 @@ def test_full_poses_have_a_discrepancy_of_their_own(model):
     off = Rotation.from_rotvec(3e-4 * rng.standard_normal((80, 3)))
     data.table[["rx", "ry", "rz"]] = (Rotation.from_matrix(turning.rotation(truth, data.rows)) * off).as_euler("XYZ")
     data.table["sigma_rotation"] = 1e-4
-    settled = fit_settled(turning, data, stated(data), IdentifySettings(starts=1), rng)[1]
+    settled = fit_settled(turning, data, stated(data), turning.nominal[None], "linear")[1]
     assert settled.discrepancy == 0
     assert settled.rotation_discrepancy == pytest.approx(np.sqrt(3e-4**2 - 1e-4**2), rel=0.2)

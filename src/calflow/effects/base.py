@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 
@@ -14,12 +15,16 @@ from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions, Loads
 from calflow.robot.statics import State
 
+if TYPE_CHECKING:
+    from calflow.measurements import Measurements
+
 
 @dataclass(frozen=True)
 class Parameter:
     """A bounded decision variable (SI units); at its nominal value the effect is absent.
 
-    The prior is normal about the nominal value with standard deviation prior_sd, cut at the bounds. figure is the
+    The prior is normal about the nominal value with standard deviation prior_sd, cut at the bounds. Parameters of one
+    part stand and fall together; joint is the number of the joint or link that it belongs to, 0 for none. figure is the
     maker's figure that the parameter's value is added to, for tables that show the sum; meaning says in words what it is.
     """
 
@@ -33,6 +38,7 @@ class Parameter:
     nominal: float = 0.0
     figure: float = 0.0
     meaning: str = ""
+    joint: int = 0
 
     @property
     def name(self) -> str:
@@ -45,17 +51,45 @@ class Effect(ABC):
     """One physical cause. A subclass declares its parameters and overrides the one place where it acts.
 
     p is the column of this effect's parameters in the order declared; every default below means "does not act here".
+    Fields besides the robot are what cannot be a decision variable, such as the order of a periodic error: `variants`
+    says which values to try.
     """
 
     robot: Robot
 
     id: ClassVar[str]
     title: ClassVar[str]
-    needs: ClassVar[tuple[str, ...]] = ()  # what it cannot do without: columns of the data, or "masses"
+    needs: ClassVar[tuple[str, ...]] = ()  # what it cannot do without: see `unmet`
+    family: ClassVar[str] = ""  # what to call it when the data do not tell it from others of its family
+    alike: ClassVar[tuple[str, ...]] = ()  # ids that no pose tells from it: only another sensor or load would
 
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the parameters for this robot."""
+
+    @cached_property
+    def declared(self) -> tuple[Parameter, ...]:
+        """The parameters, worked out once."""
+        return self.parameters()
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return the forms in which to look for it in these data; none where the data cannot show it (see `lacking`)."""
+        return (cls(robot),)
+
+    @classmethod
+    def lacking(cls, robot: Robot, data: Measurements) -> str:
+        """Say what these data lack for a test of it; empty where nothing."""
+        return ", ".join(unmet(cls.needs, robot, data.given))
+
+    def finer(self, data: Measurements) -> tuple[Self, ...]:
+        """Return variants between this one and its neighbours."""
+        return ()
+
+    @property
+    def detail(self) -> str:
+        """Say which variant it is, e.g. `order 7`."""
+        return ""
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Change lengths and angles."""
@@ -76,3 +110,30 @@ class Effect(ABC):
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Change the position that the measuring device reports, (3,) [m]."""
         return point
+
+    def variance(self, p: ca.SX, row: Row) -> ca.SX | float:
+        """Add to the variance of the reported position, per axis [m²]."""
+        return 0.0
+
+
+def unmet(needs: tuple[str, ...], robot: Robot, given: tuple[str, ...]) -> list[str]:
+    """Return in words which needs robot file and data leave unmet.
+
+    A need is a condition of the data (`conditions.OPTIONAL`), or of the robot file: masses (which measured torques may
+    stand for), payload, gear_ratio.
+    """
+    said = {
+        "masses": ("mass_kg and com_mm of every link in the robot file, or measured torques tau1_Nm …",
+                   robot.has_masses or "torque" in given),
+        "payload": ("a payload with a mass in the robot file", any(load.mass for load in robot.payloads.values())),
+        "gear_ratio": ("gear_ratio of a joint in the robot file", any(joint.gear_ratio for joint in robot.joints)),
+        "approach": ("columns approach1 … (or in_order = true in the study's [measurements])", "approach" in given),
+        "travel": ("columns travel1_deg … (or in_order = true in the study's [measurements])", "travel" in given),
+        "wrench": ("columns fx_N … mz_Nm", "wrench" in given),
+        "torque": ("columns tau1_Nm …", "torque" in given),
+        "time": ("a column time_s", "time" in given),
+        "temperature": ("a column temperature_degC", "temperature" in given),
+        "order": ("rows in measuring order", "order" in given),
+        "range": ("the device's place, tracker_mm in the study's [measurements]", "range" in given),
+    }  # fmt: skip
+    return [said[need][0] for need in needs if not said[need][1]]

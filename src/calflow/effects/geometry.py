@@ -79,7 +79,8 @@ def _error(
     figure = float(getattr(nominal_dimensions(robot), field)[index])
     link = part.removeprefix("joint")
     words = MEANINGS.get(field, "").format(symbol=symbol, link=link, part=part)
-    parameter = Parameter(Geometry.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=words)
+    number = int(link) if link.isdigit() else 0
+    parameter = Parameter(Geometry.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=words, joint=number)
     return DimensionError(parameter, field, index)
 
 

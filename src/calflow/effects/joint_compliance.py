@@ -39,6 +39,7 @@ class JointCompliance(Effect):
                 0.0,
                 WINDUP_BOUND / rated,
                 meaning=f"compliance of joint {i + 1}",
+                joint=i + 1,
             )
             for i, (joint, rated) in enumerate(zip(self.robot.joints, rated_torques(self.robot), strict=True))
         )

@@ -32,6 +32,13 @@ class State:
     bearing: ca.SX
     link: ca.SX
 
+    @staticmethod
+    def symbols(robot: Robot) -> State:
+        """Return a state of symbols."""
+        n = robot.n_joints
+        sizes = {"q": (n, 1), "torque": (n, 1), "bearing": (6, n), "link": (6, n + 1)}
+        return State(**{name: ca.SX.sym(name, *size) for name, size in sizes.items()})
+
     def with_torque(self, extra: ca.SX | float) -> State:
         """Return the state with more torque on the driven joints [Nm]."""
         return replace(self, torque=self.torque + extra)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Literal
 
 import casadi as ca
@@ -18,7 +18,6 @@ from calflow.stages.noise import Noise
 Loss = Literal["linear", "soft_l1", "cauchy"]
 AT_BOUND = 0.05  # posterior standard deviations from a bound: closer than that, IPOPT's barrier stopped it
 LINEARISED_ROWS = 4096  # rows whose Jacobian is handed out at once
-BLOCK_ROWS = 128  # rows whose Jacobian the solver holds at once
 EXPECTED_EVALUATIONS = 40  # of each row, in a typical fit: decides whether compiling pays
 SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two starts found the same
 
@@ -156,7 +155,7 @@ def fit(problem: Problem, starts: np.ndarray | None = None, loss: Loss = "linear
         starts: parameter values to start from, shape (n_starts, n_parameters); nominal by default.
         loss: how the square of a row's whitened residual counts; soft_l1 and cauchy weigh outliers less.
     """
-    solver = _solver(problem, loss)
+    solver, _callbacks = _solver(problem, loss)
     model = problem.model
     starts = model.nominal[None] if starts is None else starts
     lower, upper = model.bounds.T / model.prior_sd
@@ -191,38 +190,71 @@ def draw_starts(model: Model, n_starts: int, rng: np.random.Generator) -> np.nda
     return np.vstack([model.nominal, np.clip(drawn, *model.bounds.T)])
 
 
-def _solver(problem: Problem, loss: Loss) -> ca.Function:
-    """Build IPOPT's functions in coordinates scaled by the priors: objective, gradient and Gauss-Newton Hessian.
+@dataclass(frozen=True)
+class Expansion:
+    """The objective at one point, its gradient and Gauss-Newton Hessian, in coordinates scaled by the priors."""
 
-    Rows are summed in blocks, so that memory grows with the data alone and not with their Jacobian.
-    """
-    model, n_rows = problem.model, problem.rows.shape[1]
-    n_blocks = -(-n_rows // BLOCK_ROWS)
-    size = -(-n_rows // n_blocks)
-    padding = n_blocks * size - n_rows  # copies of the last row, at no weight
-    data = [
-        np.pad(part, ((0, 0), (0, padding)), mode="edge") for part in (problem.rows, problem.measured, problem.weight)
-    ]
-    data[2][:, n_rows:] = 0.0
-    n = len(model.parameters)
-    x = ca.MX.sym("x", n)
-    offset = x - ca.DM(model.nominal / model.prior_sd)
+    value: float
+    gradient: np.ndarray
+    hessian: np.ndarray
 
-    def summed(function: ca.Function) -> list[ca.MX]:
-        over_blocks = function.map("blocks", "serial", n_blocks, [0], list(range(function.n_out())))
-        outputs = over_blocks(x, *data)
-        return list(outputs) if isinstance(outputs, tuple) else [outputs]
 
-    value, both = (_block(problem, function, size, loss) for function in problem.functions)
-    objective = summed(value)[0] + 0.5 * ca.sumsqr(offset)
-    cost, gradient, hessian = summed(both)
-    p, factor, multipliers = ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
+def expansion(problem: Problem, x: np.ndarray, loss: Loss) -> Expansion:
+    """Expand the objective about scaled parameters x, block by block of rows, so that memory does not grow with them."""
+    model, n = problem.model, len(x)
+    offset = x - model.nominal / model.prior_sd
+    value, gradient, hessian = 0.5 * offset @ offset, offset.copy(), np.eye(n)
+    for residual, jacobian in problem.linearised(x * model.prior_sd):
+        squared = (residual**2).sum(axis=1)
+        slope = _rho_slope(squared, loss)[:, None, None]
+        scaled = (jacobian * model.prior_sd).reshape(-1, n)
+        weighted = scaled if loss == "linear" else (slope * jacobian * model.prior_sd).reshape(-1, n)
+        value += 0.5 * float(_rho(squared, loss).sum())
+        gradient += weighted.T @ residual.ravel()
+        hessian += weighted.T @ scaled
+    return Expansion(value, gradient, hessian)
+
+
+class _Objective(ca.Callback):
+    """One of the functions that IPOPT asks for, from an expansion that all of them share."""
+
+    def __init__(self, name: str, sizes: list[int], shape: tuple[int, int], answer: Callable[..., Any]) -> None:
+        ca.Callback.__init__(self)
+        self._sizes, self._shape, self._answer = sizes, shape, answer
+        self.construct(name, {"enable_fd": False})
+
+    def get_n_in(self) -> int:
+        return len(self._sizes)
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._sizes[i], 1)
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(*self._shape)
+
+    def eval(self, arg: Any) -> list[ca.DM]:
+        return [ca.DM(self._answer(*(np.array(a).ravel() for a in arg)))]
+
+
+def _solver(problem: Problem, loss: Loss) -> tuple[ca.Function, list[_Objective]]:
+    """Build IPOPT's solver in coordinates scaled by the priors; the callbacks must live as long as it does."""
+    n, n_rows = len(problem.model.parameters), problem.rows.shape[1]
+
+    @lru_cache(maxsize=2)
+    def at(point: bytes) -> Expansion:
+        return expansion(problem, np.frombuffer(point), loss)
+
+    value = _Objective("value", [n], (1, 1), lambda x: at(x.tobytes()).value)
+    gradient = _Objective("gradient", [n], (n, 1), lambda x: at(x.tobytes()).gradient)
+    hessian = _Objective("hessian", [n, 1], (n, n), lambda x, factor: float(factor[0]) * at(x.tobytes()).hessian)
+    x, p, factor, multipliers = ca.MX.sym("x", n), ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
     options: dict[str, Any] = {
-        "grad_f": ca.Function(
-            "grad_f", [x, p], [cost + 0.5 * ca.sumsqr(offset), gradient + offset], ["x", "p"], ["f", "grad_f_x"]
-        ),
+        "grad_f": ca.Function("grad_f", [x, p], [value(x), gradient(x)], ["x", "p"], ["f", "grad_f_x"]),
         "hess_lag": ca.Function(
-            "hess_lag", [x, p, factor, multipliers], [ca.triu(factor * (hessian + ca.MX.eye(n)))],
+            "hess_lag", [x, p, factor, multipliers], [ca.triu(hessian(x, factor))],
             ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"],
         ),
         "no_nlp_grad": True,
@@ -230,35 +262,17 @@ def _solver(problem: Problem, loss: Loss) -> ca.Function:
         "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-6, "max_iter": 200, "nlp_scaling_method": "none",
                   "obj_scaling_factor": 1 / n_rows, "mu_init": 1e-4, "bound_relax_factor": 0.0},
     }  # fmt: skip
-    nlp: Any = {"x": x, "f": objective}
-    return ca.nlpsol("fit", "ipopt", nlp, options)
+    nlp: Any = {"x": x, "f": value(x)}
+    return ca.nlpsol("fit", "ipopt", nlp, options), [value, gradient, hessian]
 
 
-def _block(problem: Problem, function: ca.Function, size: int, loss: Loss) -> ca.Function:
-    """Return (x, rows, measured, weight of one block) -> objective, and with a Jacobian gradient and Hessian too."""
-    scale = ca.DM(problem.model.prior_sd)
-    x = ca.MX.sym("x", scale.numel())
-    data = [ca.MX.sym("part", part.shape[0], size) for part in (problem.rows, problem.measured, problem.weight)]
-    outputs = function.map("rows", "serial", size, [0], [])(x * scale, *data)
-    parts = list(outputs) if isinstance(outputs, tuple) else [outputs]
-    residual = ca.vec(parts[0])
-    squared = ca.sum1(parts[0] ** 2)
-    results = [0.5 * ca.sum2(_rho(squared, loss))]
-    for jacobian in parts[1:]:
-        scaled = jacobian * ca.repmat(scale, 1, jacobian.shape[1])
-        slope = ca.vec(ca.repmat(_rho_slope(squared, loss), problem.axes, 1)).T
-        weighted = scaled if loss == "linear" else scaled * ca.repmat(slope, scale.numel(), 1)
-        results += [weighted @ residual, weighted @ scaled.T]
-    return ca.Function("block", [x, *data], results)
-
-
-def _rho(squared: ca.MX, loss: Loss) -> ca.MX:
+def _rho(squared: np.ndarray, loss: Loss) -> np.ndarray:
     if loss == "soft_l1":
-        return 2 * (ca.sqrt(1 + squared) - 1)
-    return ca.log1p(squared) if loss == "cauchy" else squared
+        return 2 * (np.sqrt(1 + squared) - 1)
+    return np.log1p(squared) if loss == "cauchy" else squared
 
 
-def _rho_slope(squared: Any, loss: Loss) -> Any:
+def _rho_slope(squared: np.ndarray, loss: Loss) -> np.ndarray:
     if loss == "soft_l1":
         return (1 + squared) ** -0.5
     return 1 / (1 + squared) if loss == "cauchy" else 1 + 0 * squared

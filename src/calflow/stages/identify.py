@@ -15,18 +15,18 @@ from calflow.model import Model, build
 from calflow.problems import nearest, refuse
 from calflow.robot.description import Robot
 from calflow.stages.accuracy import accuracy, errors
-from calflow.stages.fit import Fit, Loss, Problem, draw_starts, fit
+from calflow.stages.fit import Fit, Loss, Problem, draw_starts
 from calflow.stages.identifiability import Identifiability, best_subset, correlations, identifiability
-from calflow.stages.noise import LackOfFit, Noise, averaged, conditions, lack_of_fit, noise
+from calflow.stages.noise import LackOfFit, Noise, conditions, noise
 from calflow.stages.registration import registered
+from calflow.stages.settle import fit_settled
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 from calflow.toml_file import FileModel
 
 FALSE_FLAGS = 0.01  # chance that any good row of a whole data set is flagged
 BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted ones
-START_ROWS = 2000  # rows on which several starts are compared; all rows are fitted from the best
-NOISE_PASSES = 4  # fits in which an estimated noise settles
+EQUILIBRIUM_ROWS = 2000  # rows at which the equilibrium is checked
 
 
 class IdentifySettings(FileModel):
@@ -60,9 +60,8 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
         model = build(robot, effects[:k], data.given)
         _enough_equations(model, train, study)
         context.say(f"{' + '.join(effects[:k])}: {len(model.parameters)} parameters, {len(train)} rows")
-        result, settled, lack, agree = fit_settled(
-            model, train, level.only(data.train), settings, context.rng("starts")
-        )
+        starts = draw_starts(model, settings.starts, context.rng("starts"))
+        result, settled, lack, agree = fit_settled(model, train, level.only(data.train), starts, settings.loss)
         rows += accuracy(" + ".join(effects[:k]), errors(model, result.estimate, data), data)
         context.advance(k / len(effects))
 
@@ -96,46 +95,6 @@ def _enough_equations(model: Model, train: Measurements, study: Study) -> None:
         wanted = -(-len(model.parameters) * poses // equations)
         raise refuse(f"{equations} equations ({poses} training poses) for {len(model.parameters)} parameters: measure at least "
                      f"{wanted} training poses, better twice as many", study.measurement_path)  # fmt: skip
-
-
-def fit_settled(
-    model: Model, train: Measurements, level: Noise, settings: IdentifySettings, rng: np.random.Generator
-) -> tuple[Fit, Noise, LackOfFit, int]:
-    """Fit the means of repeats, and refit until the weights agree with what the fit leaves.
-
-    A noise that is not known is estimated; to one that is known the model's own discrepancy is added where it shows.
-    """
-    train, level = averaged(train, level)
-    some = np.arange(len(train)) % max(1, len(train) // START_ROWS) == 0
-    result, agree = fit(
-        Problem.of(model, train.only(some), level.only(some)), draw_starts(model, settings.starts, rng), settings.loss
-    )
-    if not some.all():
-        result, _ = fit(Problem.of(model, train, level), result.estimate[None], settings.loss)
-    against_noise = lack = _lack(result, level, slice(0, 3), settings.loss)
-    for _ in range(NOISE_PASSES):
-        fitted, before = level, level.total
-        if level.known:
-            level = replace(level, discrepancy=lack.discrepancy)
-        else:
-            level = replace(level, sigma=level.sigma * np.sqrt(lack.reduced_chi2))
-        if level.rotation is not None:
-            turned = _lack(result, fitted, slice(3, 6), settings.loss)
-            level = replace(level, rotation_discrepancy=turned.discrepancy)
-        if np.allclose(level.total, before, rtol=0.01):
-            break
-        result, _ = fit(Problem.of(model, train, level), result.estimate[None], settings.loss)
-        lack = _lack(result, level, slice(0, 3), settings.loss)
-    return result, level, against_noise, agree
-
-
-def _lack(result: Fit, level: Noise, axes: slice, loss: Loss) -> LackOfFit:
-    """Lack of fit of the positions (axes 0 to 3) or the orientations (3 to 6); each bears its share of the parameters."""
-    of_rotation = axes.start == 3
-    error = result.residual[:, axes] * level.total[int(of_rotation)][:, None]
-    sigma = level.rotation if of_rotation and level.rotation is not None else level.sigma
-    determined = result.effective_parameters * 3 / result.residual.shape[1]
-    return lack_of_fit(error, sigma, determined, robust=loss != "linear")
 
 
 def _parameters(result: Fit) -> pd.DataFrame:
@@ -233,7 +192,7 @@ def _summary(
         ("converged", str(result.converged)),
         (
             "equilibrium_error_um",
-            f"{1e6 * result.model.equilibrium_error(result.estimate, data.rows[:, :START_ROWS]):.2g}",
+            f"{1e6 * result.model.equilibrium_error(result.estimate, data.rows[:, :EQUILIBRIUM_ROWS]):.2g}",
         ),
         ("starts_agreeing", f"{agree} of {starts}"),
         *(("extrapolation", statement) for statement in extrapolation(data)),

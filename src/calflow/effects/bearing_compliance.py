@@ -1,0 +1,39 @@
+"""Bearing compliance: joints that tilt off their axes under the moments they carry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import casadi as ca
+
+from calflow.conditions import Row
+from calflow.effects.base import Effect, Parameter
+from calflow.robot.chain import Deflection
+from calflow.robot.statics import State, rated_torques
+
+TILT_SD, TILT_BOUND = 2e-3, 20e-3  # rad at the largest rated torque of all joints
+
+
+@dataclass(frozen=True)
+class BearingCompliance(Effect):
+    """A turn by (cx Mx, cy My) at the joint's frame, M the moment of all that the joint carries."""
+
+    id: ClassVar[str] = "bearing-compliance"
+    title: ClassVar[str] = "bearing compliance (tilt off the joint's axis)"
+    needs: ClassVar[tuple[str, ...]] = ("masses",)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return two compliances a joint."""
+        largest = float(rated_torques(self.robot).max())
+        return tuple(
+            Parameter(self.id, f"joint{i + 1}", symbol, "rad/Nm", TILT_SD / largest, 0.0, TILT_BOUND / largest,
+                      meaning=f"bearing compliance of joint {i + 1} about {symbol[1]}", joint=i + 1)
+            for i in range(self.robot.n_joints) for symbol in ("cx", "cy")
+        )  # fmt: skip
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Tilt each bearing."""
+        bearing = ca.SX(still.bearing)
+        bearing[3:5, :] = ca.reshape(p, 2, self.robot.n_joints) * state.bearing[3:5, :]
+        return replace(still, bearing=bearing)

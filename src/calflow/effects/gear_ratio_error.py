@@ -1,0 +1,23 @@
+"""Gear ratio error: a joint that turns more, or less, than its reading says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from calflow.conditions import Row
+from calflow.effects.joint_error import JointError, Term
+from calflow.robot.statics import State
+
+
+@dataclass(frozen=True)
+class GearRatioError(JointError):
+    """dq = kappa q."""
+
+    id: ClassVar[str] = "gear-ratio-error"
+    title: ClassVar[str] = "gear ratio error"
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the joint's angle."""
+        return [Term("kappa", "1", 1e-3, 0.1, state.q[joint])]

@@ -1,0 +1,47 @@
+"""Gear transmission error: what repeats with every turn of a joint's motor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import casadi as ca
+
+from calflow.conditions import Row
+from calflow.effects.joint_error import TRANSMISSION, JointError, Term
+from calflow.robot.description import Robot
+from calflow.robot.statics import State
+
+if TYPE_CHECKING:
+    from calflow.measurements import Measurements
+
+
+@dataclass(frozen=True)
+class GearTransmissionError(JointError):
+    """dq = A cos(m N q) + B sin(m N q) at the gear ratio N, m = 1 or 2."""
+
+    multiple: int = 1
+
+    id: ClassVar[str] = "gear-transmission-error"
+    title: ClassVar[str] = "gear transmission error"
+    needs: ClassVar[tuple[str, ...]] = ("gear_ratio",)
+    family: ClassVar[str] = TRANSMISSION
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return once and twice a turn."""
+        return cls(robot, 1), cls(robot, 2)
+
+    @property
+    def detail(self) -> str:
+        """Say how often it repeats."""
+        return f"{self.multiple} a motor turn"
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the two phases."""
+        ratio = self.robot.joints[joint].gear_ratio
+        if ratio is None:
+            return []
+        angle = self.multiple * ratio * state.q[joint]
+        return [Term("cos", "rad", 1.5e-4, 5e-3, ca.cos(angle)), Term("sin", "rad", 1.5e-4, 5e-3, ca.sin(angle))]

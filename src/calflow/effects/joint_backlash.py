@@ -1,0 +1,25 @@
+"""Joint backlash: gears that rest on the flank which the last motion left them on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from calflow.conditions import Row
+from calflow.effects.joint_error import JointError, Term
+from calflow.robot.statics import State
+
+
+@dataclass(frozen=True)
+class JointBacklash(JointError):
+    """dq = b/2 · direction of approach."""
+
+    id: ClassVar[str] = "joint-backlash"
+    title: ClassVar[str] = "backlash by direction of approach"
+    needs: ClassVar[tuple[str, ...]] = ("approach",)
+    alike: ClassVar[tuple[str, ...]] = ("joint-hysteresis",)  # where it has fully developed at every pose
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the half of the play, on the side the joint came from."""
+        return [Term("b", "rad", 3e-4, 10e-3, row.approach[joint] / 2)]

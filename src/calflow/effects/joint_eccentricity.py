@@ -1,0 +1,45 @@
+"""Joint eccentricity: encoder discs and gears that do not run true."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import casadi as ca
+
+from calflow.conditions import Row
+from calflow.effects.joint_error import TRANSMISSION, JointError, Term
+from calflow.robot.description import Robot
+from calflow.robot.statics import State
+
+if TYPE_CHECKING:
+    from calflow.measurements import Measurements
+
+
+@dataclass(frozen=True)
+class JointEccentricity(JointError):
+    """dq = A cos(order q) + B sin(order q), of first order (off centre) or second (oval, or tilted)."""
+
+    order: int = 1
+
+    id: ClassVar[str] = "joint-eccentricity"
+    title: ClassVar[str] = "eccentricity"
+    family: ClassVar[str] = TRANSMISSION
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return both orders."""
+        return cls(robot, 1), cls(robot, 2)
+
+    @property
+    def detail(self) -> str:
+        """Say the order."""
+        return f"order {self.order}"
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the two phases."""
+        if self.robot.joints[joint].kind == "prismatic":
+            return []
+        angle = self.order * state.q[joint]
+        return [Term("cos", "rad", 3e-4, 10e-3, ca.cos(angle)), Term("sin", "rad", 3e-4, 10e-3, ca.sin(angle))]

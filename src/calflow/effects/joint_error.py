@@ -1,0 +1,54 @@
+"""Joint errors: what all effects share that add something to single joint angles."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+
+from calflow.conditions import Row
+from calflow.effects.base import Effect, Parameter
+from calflow.robot.chain import Deflection
+from calflow.robot.statics import State
+
+TRANSMISSION = "angular transmission error"
+
+
+@dataclass(frozen=True)
+class Term:
+    """One parameter of a joint's error: dq = parameter · value."""
+
+    symbol: str
+    unit: str
+    prior_sd: float
+    bound: float
+    value: ca.SX
+
+
+@dataclass(frozen=True)
+class JointError(Effect):
+    """dq_i = sum of parameter · term, for every joint apart; a subclass says which terms."""
+
+    @abstractmethod
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the terms of one joint (index from 0); none where it does not apply."""
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return each joint's parameters."""
+        state, row = State.symbols(self.robot), Row.symbols(self.robot)
+        return tuple(
+            Parameter(self.id, f"joint{i + 1}", term.symbol, term.unit, term.prior_sd, -term.bound, term.bound,
+                      meaning=f"{self.title}, joint {i + 1}", joint=i + 1)
+            for i in range(self.robot.n_joints) for term in self.terms(i, state, row)
+        )  # fmt: skip
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Turn each joint by its terms."""
+        turned, k = [], 0
+        for i in range(self.robot.n_joints):
+            values = [term.value for term in self.terms(i, state, row)]
+            turned.append(ca.dot(p[k : k + len(values)], ca.vertcat(*values)) if values else ca.SX(0))
+            k += len(values)
+        return replace(still, joint=ca.vertcat(*turned))

@@ -1,0 +1,93 @@
+"""Joint error map: a transmission or encoder error of no single order, as a smooth curve over the joint's travel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import gamma, pi, sqrt
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from calflow.conditions import Row
+from calflow.effects.joint_error import TRANSMISSION, JointError, Term
+from calflow.robot.description import Robot
+from calflow.robot.statics import State
+
+if TYPE_CHECKING:
+    from calflow.measurements import Measurements
+
+AMPLITUDE = 2e-4  # rad rms, before any data
+LENGTHS = (0.15, 0.5)  # rad: how far along the travel neighbouring errors are alike
+FINEST = 0.1  # rad, resolved at best
+NEGLIGIBLE = 1e-3  # share of the largest prior standard deviation below which a wave is left out
+MARGIN = 1.1  # times half the travel at which the waves are tied to zero
+DENSE = 4  # readings that each finest step of the travel must hold
+
+
+@dataclass(frozen=True)
+class JointErrorMap(JointError):
+    """dq = f(q), f a Gaussian process (Matern 5/2) written in sine waves over the joint's travel.
+
+    The waves' amplitudes are independent, with the process's spectrum as their priors (Solin and Saerkkae 2020), so that
+    smoothness is a prior like any other. low and high are the travels that the data cover [rad].
+    """
+
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+    length: float = LENGTHS[0]
+
+    id: ClassVar[str] = "joint-error-map"
+    title: ClassVar[str] = "joint error map"
+    family: ClassVar[str] = TRANSMISSION
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return a smooth and a rough map of every joint that is covered densely."""
+        q = data.joints @ robot.reading_matrix.T
+        low, high = q.min(axis=0), q.max(axis=0)
+        dense = _dense(robot, data)
+        if not dense.any():
+            return ()
+        covered = np.where(dense, low, 0.0), np.where(dense, high, 0.0)
+        return tuple(cls(robot, *(tuple(map(float, side)) for side in covered), length) for length in LENGTHS)
+
+    @classmethod
+    def lacking(cls, robot: Robot, data: Measurements) -> str:
+        """Say that the readings are too few."""
+        return "" if _dense(robot, data).any() else f"at least {DENSE} different readings per {FINEST} rad of a joint"
+
+    @property
+    def detail(self) -> str:
+        """Say how smooth it is."""
+        return f"alike over {self.length:g} rad"
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the waves, the longest first."""
+        if not self.low or self.high[joint] <= self.low[joint]:
+            return []
+        middle, half = (self.high[joint] + self.low[joint]) / 2, MARGIN * (self.high[joint] - self.low[joint]) / 2
+        number = np.arange(1, int(2 * half / FINEST) + 1)
+        sd = np.sqrt(_spectrum(pi * number / (2 * half), self.length) / half)
+        angle = pi * (state.q[joint] - middle + half) / (2 * half)
+        return [
+            Term(f"wave{k}", "rad", float(AMPLITUDE * s), 0.05, ca.sin(float(k) * angle))
+            for k, s in zip(number, sd, strict=True)
+            if s > NEGLIGIBLE * sd[0]
+        ]
+
+
+def _spectrum(omega: np.ndarray, length: float) -> np.ndarray:
+    """Spectral density of a Matern 5/2 process of variance 1 (Rasmussen and Williams 2006, equation 4.15)."""
+    rate = 5 / length**2
+    return np.asarray(2 * sqrt(pi) * gamma(3) / gamma(2.5) * rate**2.5 * (rate + omega**2) ** -3)
+
+
+def _dense(robot: Robot, data: Measurements) -> np.ndarray:
+    """Which joints are covered densely enough."""
+    q = data.joints @ robot.reading_matrix.T
+    steps = np.ptp(q, axis=0) / FINEST
+    different = np.array([len(np.unique(np.round(column, 4))) for column in q.T])
+    turns = np.array([joint.kind == "revolute" for joint in robot.joints])
+    return turns & (steps > 5) & (different >= DENSE * steps)

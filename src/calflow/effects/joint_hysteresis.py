@@ -1,0 +1,47 @@
+"""Joint hysteresis: friction that winds a drive up after each reversal, until it slips."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from calflow.conditions import Row
+from calflow.effects.joint_error import JointError, Term
+from calflow.robot.description import Robot
+from calflow.robot.statics import State
+
+if TYPE_CHECKING:
+    from calflow.measurements import Measurements
+
+LENGTHS = np.deg2rad([1.0, 2.0, 4.0, 8.0, 16.0])  # travel to look for, over which friction develops
+
+
+@dataclass(frozen=True)
+class JointHysteresis(JointError):
+    """dq = h · direction · (1 - 2 exp(-travel / length)): from one side to the other after a reversal (Dahl 1968)."""
+
+    length: float = float(LENGTHS[2])
+
+    id: ClassVar[str] = "joint-hysteresis"
+    title: ClassVar[str] = "hysteresis by friction"
+    needs: ClassVar[tuple[str, ...]] = ("approach", "travel")
+    alike: ClassVar[tuple[str, ...]] = ("joint-backlash",)
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return a choice of lengths of travel."""
+        return tuple(cls(robot, float(length)) for length in LENGTHS)
+
+    @property
+    def detail(self) -> str:
+        """Say the travel over which it develops."""
+        return f"developed after {np.rad2deg(self.length):.3g} deg"
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the wind-up after the travel since the last reversal."""
+        developed = 1 - 2 * ca.exp(-row.travel[joint] / self.length)
+        return [Term("h", "rad", 2e-4, 10e-3, row.approach[joint] * developed)]

@@ -1,0 +1,42 @@
+"""Link mass: links that are heavier or lighter than the robot file says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+import casadi as ca
+
+from calflow.conditions import Row
+from calflow.effects.base import Effect, Parameter
+from calflow.robot.description import Robot
+from calflow.robot.dimensions import Loads
+
+if TYPE_CHECKING:
+    from calflow.measurements import Measurements
+
+
+@dataclass(frozen=True)
+class LinkMass(Effect):
+    """Mass (1 + e) of each link."""
+
+    id: ClassVar[str] = "link-mass"
+    title: ClassVar[str] = "link mass"
+    needs: ClassVar[tuple[str, ...]] = ("masses",)
+
+    @classmethod
+    def lacking(cls, robot: Robot, data: Measurements) -> str:
+        """Say that there is no mass to be wrong where the torques were measured."""
+        return "" if robot.has_masses else "mass_kg and com_mm of every link in the robot file"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return a relative error a link."""
+        return tuple(
+            Parameter(self.id, f"link{i + 1}", "e", "1", 0.2, -0.9, 2.0, meaning=f"error of the mass of link {i + 1}",
+                      joint=i + 1)
+            for i in range(self.robot.n_joints)
+        )  # fmt: skip
+
+    def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
+        """Make the links heavier."""
+        return replace(loads, mass=loads.mass * (1 + p))

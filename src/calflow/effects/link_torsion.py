@@ -1,0 +1,42 @@
+"""Link torsion: links that twist about their own axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import casadi as ca
+
+from calflow.conditions import Row
+from calflow.effects.base import Effect, Parameter
+from calflow.effects.link_bending import SOFT_BOUND, SOFT_SD, spans, tip_load
+from calflow.robot.chain import Deflection
+from calflow.robot.statics import State, rated_torques
+
+
+@dataclass(frozen=True)
+class LinkTorsion(Effect):
+    """A twist by L/GJ times the moment about the link's own axis, 1/GJ a link."""
+
+    id: ClassVar[str] = "link-torsion"
+    title: ClassVar[str] = "link torsion"
+    needs: ClassVar[tuple[str, ...]] = ("masses",)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return one flexibility a long link."""
+        largest = float(rated_torques(self.robot).max())
+        return tuple(
+            Parameter(self.id, f"link{span.link + 1}", "1/GJ", "1/Nm2", SOFT_SD / largest, 0.0, SOFT_BOUND / largest,
+                      meaning=f"torsion of link {span.link + 1}", joint=span.link + 1)
+            for span in spans(self.robot)
+        )  # fmt: skip
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Twist each link."""
+        link = ca.SX(still.link)
+        for k, beam in enumerate(spans(self.robot)):
+            _, moment = tip_load(state, beam)
+            u = beam.span / beam.length
+            twist = p[k] * beam.length * u * ca.dot(u, moment)
+            link[:, beam.link + 1] = ca.vertcat(-ca.cross(twist, beam.tip), twist)
+        return replace(still, link=link)

@@ -1,0 +1,57 @@
+"""Nonlinear joint stiffness: drives that do not wind up in proportion to their torque."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from calflow.conditions import Row
+from calflow.effects.joint_error import JointError, Term
+from calflow.robot.description import Robot
+from calflow.robot.statics import State, rated_torques
+
+if TYPE_CHECKING:
+    from calflow.measurements import Measurements
+
+BREAKS = (0.2, 0.35, 0.5, 0.65)  # shares of the rated torque at which a stiffer branch may begin
+
+
+@dataclass(frozen=True)
+class NonlinearJointStiffness(JointError):
+    """dq = c3 (torque / rated)^3, or dq = -c · (|torque| / rated - break) · sign(torque) beyond the break torque.
+
+    knee is that torque over the rated one; 0 stands for the cubic law. Both come besides the linear compliance.
+    """
+
+    knee: float = 0.0
+
+    id: ClassVar[str] = "nonlinear-joint-stiffness"
+    title: ClassVar[str] = "nonlinear joint stiffness"
+    needs: ClassVar[tuple[str, ...]] = ("masses",)
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return the cubic law and a choice of break torques."""
+        return tuple(cls(robot, knee) for knee in (0.0, *BREAKS))
+
+    @property
+    def detail(self) -> str:
+        """Say the law."""
+        return f"stiffer beyond {self.knee:.0%} of the rated torque" if self.knee else "cubic"
+
+    @cached_property
+    def rated(self) -> np.ndarray:
+        """Rated torques [Nm], shape (n_joints,)."""
+        return rated_torques(self.robot)
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the cube of the torque, or what of it is beyond the break."""
+        share = state.torque[joint] / self.rated[joint]
+        if not self.knee:
+            return [Term("c3", "rad", 1e-3, 20e-3, share**3)]
+        return [Term("c", "rad", 2e-3, 40e-3, -ca.sign(share) * ca.fmax(ca.fabs(share) - self.knee, 0))]

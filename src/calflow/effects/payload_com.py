@@ -1,0 +1,32 @@
+"""Payload centre: a load whose centre is not where the robot file says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import casadi as ca
+
+from calflow.conditions import Row
+from calflow.effects.base import Effect, Parameter
+from calflow.robot.dimensions import Loads
+
+
+@dataclass(frozen=True)
+class PayloadCom(Effect):
+    """Centre + (x, y, z) in the flange's frame, of all payloads alike."""
+
+    id: ClassVar[str] = "payload-com"
+    title: ClassVar[str] = "payload centre of mass"
+    needs: ClassVar[tuple[str, ...]] = ("masses", "payload")
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the shift."""
+        return tuple(
+            Parameter(self.id, "payloads", axis, "m", 0.05, -0.5, 0.5, meaning=f"{axis} of the payloads' centre")
+            for axis in "xyz"
+        )
+
+    def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
+        """Shift the payloads' centres."""
+        return replace(loads, payload_com=loads.payload_com + ca.repmat(p, 1, len(self.robot.payloads)))

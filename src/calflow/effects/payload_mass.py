@@ -1,0 +1,40 @@
+"""Payload mass: a load that is heavier or lighter than the robot file says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import casadi as ca
+
+from calflow.conditions import Row
+from calflow.effects.base import Effect, Parameter
+from calflow.robot.dimensions import Loads
+
+
+@dataclass(frozen=True)
+class PayloadMass(Effect):
+    """Mass (1 + e), of all payloads alike (one scale, one density) and of each alone."""
+
+    id: ClassVar[str] = "payload-mass"
+    title: ClassVar[str] = "payload mass"
+    needs: ClassVar[tuple[str, ...]] = ("masses", "payload")
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return a relative error of all, and of each where there are several."""
+        return tuple(
+            Parameter(self.id, part, "e", "1", 0.2, -0.9, 2.0, meaning=f"error of the mass of {part}")
+            for part in ("payloads", *self._single)
+        )
+
+    def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
+        """Make the payloads heavier."""
+        names, factor = list(self.robot.payloads), ca.SX.ones(len(self.robot.payloads), 1) * (1 + p[0])
+        for k, name in enumerate(self._single):
+            factor[names.index(name)] += p[k + 1]
+        return replace(loads, payload_mass=loads.payload_mass * factor)
+
+    @property
+    def _single(self) -> list[str]:
+        heavy = [name for name, load in self.robot.payloads.items() if load.mass]
+        return heavy if len(heavy) > 1 else []

@@ -1,0 +1,60 @@
+"""Periodic joint error: a transmission or encoder error that repeats an unknown number of times a turn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from calflow.conditions import Row
+from calflow.effects.joint_error import TRANSMISSION, JointError, Term
+from calflow.robot.description import Robot
+from calflow.robot.statics import State
+
+if TYPE_CHECKING:
+    from calflow.measurements import Measurements
+
+LOWEST, HIGHEST = 2.5, 30.0  # orders looked for; lower ones are eccentricity
+PHASE = 0.8  # rad at the ends of a joint's travel by which neighbouring orders may differ
+FINER = 9  # orders tried about the best one of the scan
+
+
+@dataclass(frozen=True)
+class PeriodicJointError(JointError):
+    """dq = A cos(order q) + B sin(order q)."""
+
+    order: float = 3.0
+
+    id: ClassVar[str] = "periodic-joint-error"
+    title: ClassVar[str] = "periodic error"
+    family: ClassVar[str] = TRANSMISSION
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return orders so dense that one between them hardly differs over the largest travel."""
+        return tuple(cls(robot, float(order)) for order in np.arange(LOWEST, HIGHEST, _step(data)))
+
+    def finer(self, data: Measurements) -> tuple[Self, ...]:
+        """Return orders about this one."""
+        step = _step(data)
+        orders = self.order + np.linspace(-step, step, FINER)
+        return tuple(type(self)(self.robot, float(order)) for order in orders if order >= LOWEST - step)
+
+    @property
+    def detail(self) -> str:
+        """Say the order."""
+        return f"order {self.order:.3g}"
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the two phases."""
+        if self.robot.joints[joint].kind == "prismatic":
+            return []
+        angle = self.order * state.q[joint]
+        return [Term("cos", "rad", 3e-4, 10e-3, ca.cos(angle)), Term("sin", "rad", 3e-4, 10e-3, ca.sin(angle))]
+
+
+def _step(data: Measurements) -> float:
+    return 2 * PHASE / max(1.0, float(np.ptp(data.joints, axis=0).max()))

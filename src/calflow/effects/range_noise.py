@@ -1,0 +1,28 @@
+"""Range noise: a measuring device that scatters more the further it looks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+
+from calflow.conditions import Row
+from calflow.effects.base import Effect, Parameter
+
+
+@dataclass(frozen=True)
+class RangeNoise(Effect):
+    """Variance + (g · range)²: no shift, but a model of the noise; g enters by its square."""
+
+    id: ClassVar[str] = "range-noise"
+    title: ClassVar[str] = "noise that grows with range"
+    needs: ClassVar[tuple[str, ...]] = ("range",)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the growth per metre of range."""
+        return (Parameter(self.id, "device", "g", "m/m", 1e-5, 0.0, 1e-3, meaning="noise per range"),)
+
+    def variance(self, p: ca.SX, row: Row) -> ca.SX | float:
+        """Add the range's part."""
+        return (p * row.range) ** 2 if row.range.nnz() else 0.0

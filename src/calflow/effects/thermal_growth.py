@@ -1,0 +1,68 @@
+"""Thermal growth: links that are longer when they are warm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import casadi as ca
+
+from calflow.conditions import Row
+from calflow.effects.base import Effect, Parameter
+from calflow.robot.description import Robot
+from calflow.robot.dimensions import Dimensions
+
+if TYPE_CHECKING:
+    from calflow.measurements import Measurements
+
+REFERENCE = 293.15  # K, at which drawings hold (ISO 1)
+WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s, time constants to look for
+SPREAD = 0.2  # K: less than this a thermometer's column says nothing
+
+
+@dataclass(frozen=True)
+class ThermalGrowth(Effect):
+    """All links' lengths times 1 + alpha (T - 20 degC), or 1 + e (1 - exp(-t / constant)) while a robot warms up.
+
+    constant is the warm-up's time constant [s]; 0 stands for a measured temperature.
+    """
+
+    constant: float = 0.0
+
+    id: ClassVar[str] = "thermal-growth"
+    title: ClassVar[str] = "thermal growth"
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return growth with the temperature, or a choice of time constants."""
+        found = (cls(robot),) if _measured(data) else ()
+        return (*found, *(cls(robot, constant) for constant in WARM_UPS)) if "time" in data.given else found
+
+    @classmethod
+    def lacking(cls, robot: Robot, data: Measurements) -> str:
+        """Say that neither temperature nor time is there."""
+        known = _measured(data) or "time" in data.given
+        return "" if known else "a column temperature_degC (that changes), or time_s"
+
+    @property
+    def detail(self) -> str:
+        """Say what it grows with."""
+        return f"warming up in {self.constant / 3600:.2g} h" if self.constant else "with the temperature"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the expansion."""
+        if self.constant:
+            return (Parameter(self.id, "links", "e", "1", 2e-4, -5e-3, 5e-3, meaning="growth when warm"),)
+        return (Parameter(self.id, "links", "alpha", "1/K", 2e-5, -2e-4, 2e-4, meaning="thermal expansion"),)
+
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Lengthen all links."""
+        if self.constant:
+            growth = 1 + p * (1 - ca.exp(-row.time / self.constant)) if row.time.nnz() else ca.SX(1)
+        else:
+            growth = 1 + p * (row.temperature - REFERENCE) if row.temperature.nnz() else ca.SX(1)
+        return replace(dims, a=dims.a * growth, d=dims.d * growth, bars=dims.bars * growth)
+
+
+def _measured(data: Measurements) -> bool:
+    return "temperature" in data.given and float(data.table["temperature"].std()) > SPREAD

@@ -1,0 +1,28 @@
+"""Tracker scale: a measuring device whose metre is too long or too short."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+
+from calflow.conditions import Row
+from calflow.effects.base import Effect, Parameter
+
+
+@dataclass(frozen=True)
+class TrackerScale(Effect):
+    """Reported position times 1 + s; all links longer by as much look the same."""
+
+    id: ClassVar[str] = "tracker-scale"
+    title: ClassVar[str] = "scale of the measuring device"
+    alike: ClassVar[tuple[str, ...]] = ("geometry",)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the scale error."""
+        return (Parameter(self.id, "device", "s", "1", 3e-5, -1e-3, 1e-3, meaning="scale error"),)
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Stretch what is reported."""
+        return point * (1 + p)

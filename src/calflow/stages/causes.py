@@ -1,0 +1,124 @@
+"""Causes: the catalogue's effects, each at one place of this robot, in the forms that these data can show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from calflow.conditions import Row
+from calflow.effects import Effect, Parameter, catalogue
+from calflow.measurements import Measurements
+from calflow.robot.chain import Deflection
+from calflow.robot.dimensions import Dimensions, Loads
+from calflow.robot.statics import State
+
+
+@dataclass(frozen=True)
+class Cause(Effect):
+    """One effect at one place: of its parameters only those of one part, the others at zero."""
+
+    effect: Effect
+    part: str
+
+    @property
+    def id(self) -> str:  # type: ignore[override]
+        """The effect's id."""
+        return self.effect.id
+
+    @property
+    def title(self) -> str:  # type: ignore[override]
+        """The effect's title."""
+        return self.effect.title
+
+    @property
+    def detail(self) -> str:
+        """The effect's variant."""
+        return self.effect.detail
+
+    @property
+    def joint(self) -> int:
+        """Number of the joint or link, 0 for none."""
+        return self.declared[0].joint
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """What stays the same in all its variants."""
+        return self.effect.id, self.part
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the part's parameters."""
+        return self._own
+
+    @cached_property
+    def _own(self) -> tuple[Parameter, ...]:
+        return tuple(parameter for parameter in self.effect.declared if parameter.part == self.part)
+
+    @cached_property
+    def _at(self) -> list[int]:
+        return [k for k, parameter in enumerate(self.effect.declared) if parameter.part == self.part]
+
+    @cached_property
+    def _size(self) -> int:
+        return len(self.effect.declared)
+
+    def _whole(self, p: ca.SX) -> ca.SX:
+        whole = ca.SX(self._size, 1)
+        whole[self._at] = p
+        return whole
+
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Act as the effect does."""
+        return self.effect.dimensions(self._whole(p), dims, row)
+
+    def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
+        """Act as the effect does."""
+        return self.effect.loads(self._whole(p), loads, row)
+
+    def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
+        """Act as the effect does."""
+        return self.effect.torque(self._whole(p), state, row)
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Act as the effect does."""
+        return self.effect.deflection(self._whole(p), state, row, still)
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Act as the effect does."""
+        return self.effect.device(self._whole(p), point, row)
+
+    def variance(self, p: ca.SX, row: Row) -> ca.SX | float:
+        """Act as the effect does."""
+        return self.effect.variance(self._whole(p), row)
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """The effects to look for in some data, every variant, and why others cannot be tested (id -> what is lacking)."""
+
+    effects: tuple[Effect, ...]
+    lacking: dict[str, str]
+
+    @staticmethod
+    def of(data: Measurements, without: Sequence[str], only: Sequence[str] = ()) -> Catalogue:
+        """Collect what can be tested on these training data, without the effects that the model has already."""
+        effects: list[Effect] = []
+        lacking = {}
+        for name, kind in catalogue().items():
+            if name in without or (only and name not in only):
+                continue
+            reason = kind.lacking(data.robot, data)
+            if reason:
+                lacking[name] = reason
+            else:
+                effects += kind.variants(data.robot, data)
+        return Catalogue(tuple(effects), lacking)
+
+
+def parts(effect: Effect) -> dict[str, np.ndarray]:
+    """Return the indices of each part's parameters."""
+    named = [parameter.part for parameter in effect.declared]
+    return {part: np.flatnonzero(np.array(named) == part) for part in dict.fromkeys(named)}

@@ -1,0 +1,279 @@
+"""Screening: which causes explain what the model leaves, tested all at once from one Jacobian.
+
+The whitened residual e is a point where the fit's objective is least. For a candidate with whitened regressors X, the fit's
+Jacobian J and the priors' precision P, what J cannot imitate of it has the information S = XᵀX - XᵀJ (JᵀJ + P)⁻¹ JᵀX, and
+the score u = Xᵀe - XᵀJ (JᵀJ + P)⁻¹ (Jᵀe + P δ): uᵀ(S + prior)⁻¹u is the drop of chi² that a refit would bring.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.stats import f as f_distribution
+
+from calflow.effects import Effect
+from calflow.model import Model, over_rows
+from calflow.stages.causes import Cause, parts
+from calflow.stages.fit import Fit, Problem
+
+INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
+DRAWS = 1000  # of the bootstrap
+LEVEL = 0.05  # of the smallest p-value, at which the bootstrap counts how many tests the family is worth
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One variant of a cause: its regressors are these columns."""
+
+    cause: Cause
+    columns: np.ndarray
+
+
+@dataclass(frozen=True)
+class Regressors:
+    """All candidates' whitened regressors side by side, with the model's own Jacobian.
+
+    residual (n,) and jacobian (n, n_free) are the fit's, pull (n_free,) the priors' part of the gradient; matrix is
+    (n, n_columns), prior_sd (n_columns,).
+    """
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    precision: np.ndarray
+    pull: np.ndarray
+    prior_rss: float
+    matrix: np.ndarray
+    prior_sd: np.ndarray
+    candidates: tuple[Candidate, ...]
+
+    @staticmethod
+    def of(fit: Fit, problem: Problem, effects: Sequence[Effect]) -> Regressors:
+        """Linearise the fitted model with all these effects at zero, which costs one Jacobian."""
+        model = fit.model
+        large = Model(model.robot, (*model.effects, *effects), model.given)
+        wide = replace(problem, model=large)
+        n = len(model.parameters)
+        inputs, residual = wide.expression()
+        both = ca.densify(ca.jacobian(residual, inputs[0])).T
+        function = ca.Function("screen", inputs, [residual, both])
+        point = np.concatenate([fit.estimate, large.nominal[n:]])
+        data = (problem.rows, problem.measured, problem.weight)
+        values, slopes = over_rows(function, point, *data)
+        matrix = slopes.T  # (n, all parameters)
+        free = np.flatnonzero(~fit.at_bound)
+        offset = fit.estimate - model.nominal
+        precision = model.prior_sd**-2.0
+        return Regressors(
+            values.T.ravel(),
+            matrix[:, free],
+            precision[free],
+            (precision * offset)[free],
+            float(precision @ offset**2),
+            matrix[:, n:],
+            large.prior_sd[n:],
+            _candidates(effects),
+        )
+
+    def without(self, columns: np.ndarray, effect: np.ndarray, pull: np.ndarray) -> Regressors:
+        """Return the regressors of the model without some free parameters, whose effect (n,) is taken off the residual."""
+        keep = np.setdiff1d(np.arange(self.jacobian.shape[1]), columns)
+        return replace(
+            self,
+            residual=self.residual - effect,
+            jacobian=self.jacobian[:, keep],
+            precision=self.precision[keep],
+            pull=self.pull[keep],
+            prior_rss=self.prior_rss - float(pull @ pull),
+        )
+
+
+@dataclass(frozen=True)
+class Score:
+    """What one candidate would gain, without a refit.
+
+    drop is that of chi², freedom the degrees of freedom it costs, p the p-value of this test alone; delta_bic is negative
+    where it pays. visible_share is how much of the effect the model's own parameters cannot imitate.
+    """
+
+    candidate: Candidate
+    drop: float
+    freedom: float
+    p: float
+    delta_bic: float
+    visible_share: float
+    estimate: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def cause(self) -> Cause:
+        """The cause."""
+        return self.candidate.cause
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Candidates with equally many columns d, stacked.
+
+    roots (n_members, d, d) turns scores into independent standard normals, zero in directions that the data cannot show;
+    weight (n_members, d) is what the priors leave of each, freedom (n_members,) how many there are.
+    """
+
+    members: tuple[int, ...]
+    columns: np.ndarray
+    roots: np.ndarray
+    weight: np.ndarray
+    freedom: np.ndarray
+
+
+@dataclass(frozen=True)
+class Screening:
+    """The test of all candidates against what a model leaves."""
+
+    regressors: Regressors
+
+    @cached_property
+    def _factor(self) -> np.ndarray:
+        """Lower triangular factor of the model's information, scaled by the priors."""
+        r = self.regressors
+        return np.linalg.cholesky(r.jacobian.T @ r.jacobian + np.diag(r.precision))
+
+    @cached_property
+    def _imitated(self) -> np.ndarray:
+        """Regressors as the model's parameters can imitate them, (n_free, n_columns)."""
+        r = self.regressors
+        return np.asarray(solve_triangular(self._factor, r.jacobian.T @ r.matrix, lower=True))
+
+    @cached_property
+    def _gradient(self) -> np.ndarray:
+        """The fit's own gradient in the same coordinates; zero at an optimum."""
+        r = self.regressors
+        return np.asarray(solve_triangular(self._factor, r.jacobian.T @ r.residual + r.pull, lower=True))
+
+    @cached_property
+    def score(self) -> np.ndarray:
+        """u of all columns."""
+        r = self.regressors
+        return np.asarray(r.matrix.T @ r.residual - self._imitated.T @ self._gradient)
+
+    @cached_property
+    def chi2(self) -> float:
+        """What the model leaves, priors included, after its own parameters have settled."""
+        r = self.regressors
+        return float(r.residual @ r.residual + r.prior_rss - self._gradient @ self._gradient)
+
+    def information(self, columns: np.ndarray) -> np.ndarray:
+        """S of some columns."""
+        x, imitated = self.regressors.matrix[:, columns], self._imitated[:, columns]
+        return np.asarray(x.T @ x - imitated.T @ imitated)
+
+    @cached_property
+    def _blocks(self) -> list[_Block]:
+        sizes = np.array([len(candidate.columns) for candidate in self.regressors.candidates])
+        blocks = []
+        for d in np.unique(sizes):
+            members = np.flatnonzero(sizes == d)
+            columns = np.array([self.regressors.candidates[m].columns for m in members])
+            x, imitated = self.regressors.matrix[:, columns], self._imitated[:, columns]
+            s = np.einsum("nmi,nmj->mij", x, x, optimize=True) - np.einsum("nmi,nmj->mij", imitated, imitated, optimize=True)
+            sd = self.regressors.prior_sd[columns]
+            values, vectors = np.linalg.eigh(s * sd[:, :, None] * sd[:, None, :])
+            shown = values > INVISIBLE
+            normal = vectors * np.where(shown, np.abs(values) + 1e-300, np.inf)[:, None, :] ** -0.5
+            weight = np.where(shown, values / (values + 1), 0.0)
+            some = shown.any(axis=1)
+            roots = normal.transpose(0, 2, 1) * sd[:, None, :]
+            blocks.append(_Block(tuple(members[some]), columns[some], roots[some], weight[some], shown[some].sum(axis=1)))
+        return [block for block in blocks if block.members]
+
+    @property
+    def visible(self) -> set[int]:
+        """Indices of the candidates that the data can show."""
+        return {member for block in self._blocks for member in block.members}
+
+    @cached_property
+    def scores(self) -> list[Score]:
+        """Every visible candidate's score, best first."""
+        n = len(self.regressors.residual)
+        counts = _variants(self.regressors.candidates)
+        found = []
+        for block in self._blocks:
+            squared = np.einsum("mij,mj->mi", block.roots, self.score[block.columns]) ** 2
+            p = self._p(squared.sum(axis=1), self.chi2, block)
+            drops, spent = (squared * block.weight).sum(axis=1), block.weight.sum(axis=1)
+            for k, member in enumerate(block.members):
+                candidate, columns = self.regressors.candidates[member], block.columns[k]
+                s, sd = self.information(columns), self.regressors.prior_sd[columns]
+                covariance = np.linalg.inv(s + np.diag(sd**-2.0))
+                penalty = spent[k] * np.log(n) + 2 * np.log(counts[candidate.cause.place])
+                gained = n * np.log1p(-min(drops[k] / self.chi2, 1 - 1e-12))
+                whole = self.regressors.matrix[:, columns]
+                share = np.sqrt((np.diag(s) * sd**2).sum() / ((whole**2).sum(axis=0) * sd**2).sum())
+                found.append(Score(candidate, float(drops[k]), float(spent[k]), float(p[k]), float(gained + penalty),
+                                   float(share), -covariance @ self.score[columns], covariance))  # fmt: skip
+        return sorted(found, key=lambda score: score.delta_bic)
+
+    def family(self, rng: np.random.Generator) -> float:
+        """Return how many independent tests all these are worth, by a bootstrap of the smallest p-value.
+
+        Each row's residual keeps its size and gets a random sign (wild bootstrap: Liu 1988), so that heavy tails and noise
+        that differs from row to row are in the null as they are in the data.
+        """
+        r = self.regressors
+        n = len(r.residual)
+        settled = r.residual - r.jacobian @ solve_triangular(self._factor.T, self._gradient, lower=False)
+        leverage = (solve_triangular(self._factor, r.jacobian.T, lower=True) ** 2).sum(axis=0)
+        size = settled / np.sqrt(np.maximum(1 - leverage, 0.05))
+        smallest = np.full(DRAWS, 1.0)
+        for start in range(0, DRAWS, 250):
+            part = slice(start, min(start + 250, DRAWS))
+            count = part.stop - part.start
+            noise = size[:, None] * rng.choice([-1.0, 1.0], (n, count))
+            pseudo = np.sqrt(r.precision)[:, None] * rng.standard_normal((r.jacobian.shape[1], count))
+            gradient = solve_triangular(self._factor, r.jacobian.T @ noise + pseudo, lower=True)
+            score = r.matrix.T @ noise - self._imitated.T @ gradient
+            chi2 = (noise**2).sum(axis=0) + (pseudo**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
+            for block in self._blocks:
+                whitened = np.einsum("mij,mjk->mik", block.roots, score[block.columns])
+                drops = (whitened**2).sum(axis=1)
+                smallest[part] = np.minimum(smallest[part], self._p(drops, chi2, block).min(axis=0))
+        quantile = float(np.quantile(smallest, LEVEL))
+        return max(1.0, np.log1p(-LEVEL) / np.log1p(-min(quantile, LEVEL)))
+
+    def _p(self, drops: np.ndarray, chi2: float | np.ndarray, block: _Block) -> np.ndarray:
+        """p-values of F tests: drops (n_members, …) of chi² (…)."""
+        shape = (-1, *[1] * (drops.ndim - 1))
+        freedom = block.freedom.reshape(shape)
+        left = np.maximum(len(self.regressors.residual) - freedom, 1.0)
+        ratio = drops / freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
+        return np.asarray(f_distribution.sf(ratio, freedom, left))
+
+
+def p_family(p: float, tests: float) -> float:
+    """Return the chance that any of so many tests shows a p-value like this where nothing is hidden."""
+    return float(-np.expm1(tests * np.log1p(-min(p, 1 - 1e-16))))
+
+
+def _variants(candidates: Sequence[Candidate]) -> dict[tuple[str, str], int]:
+    counts: dict[tuple[str, str], int] = {}
+    for candidate in candidates:
+        counts[candidate.cause.place] = counts.get(candidate.cause.place, 0) + 1
+    return counts
+
+
+def _candidates(effects: Sequence[Effect]) -> tuple[Candidate, ...]:
+    found, start = [], 0
+    for effect in effects:
+        if isinstance(effect, Cause):
+            size = len(effect.declared)
+            found.append(Candidate(effect, start + np.arange(size)))
+            start += size
+            continue
+        for part, columns in parts(effect).items():
+            found.append(Candidate(Cause(effect.robot, effect, part), start + columns))
+        start += len(effect.declared)
+    return tuple(found)

@@ -1,0 +1,384 @@
+"""Hidden causes: what a real robot does, or what went wrong with its data, each a few lines of physics. SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from hidden.simulator import Array, Motion, Robot, Rows, State, equilibrium, tool_point
+
+WIND_UP = np.deg2rad(5.0)  # travel over which friction winds a joint up
+WARM_UP = 3600.0  # s
+COLUMN, ARM = 0.6, 0.15  # m: where a gas cylinder is hinged, below joint 2 and along the arm
+PAYLOADS = ("none", "half", "full")
+XYZ = ["x_mm", "y_mm", "z_mm"]
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A cause: its id, the joint or link (from 1; 0 where there is none), its size, a variant, and its random figures' seed."""
+
+    cause: str
+    joint: int = 0
+    size: float = 0.0
+    extra: float | str = ""
+    seed: int = 0
+
+    @property
+    def rng(self) -> np.random.Generator:
+        """A generator that always draws the same phase, direction or moment."""
+        return np.random.default_rng(self.seed)
+
+    @property
+    def number(self) -> float:
+        """The variant as a number, 1 where none is given."""
+        return float(self.extra or 1)
+
+
+def measured_points(robot: Robot, rows: Rows, hidden: tuple[Hidden, ...]) -> Array:
+    """Where the device sees each row's marker, without noise (rows, 3) [m]."""
+    for h in hidden:
+        if h.cause in ON_ROBOT:
+            robot = ON_ROBOT[h.cause](h, robot, rows)
+    motion, state = equilibrium(robot, rows, lambda state: response(robot, rows, state, hidden))
+    point = tool_point(robot, rows, motion, state.frames.tips[-1])
+    for h in hidden:
+        if h.cause in ON_DEVICE:
+            point = ON_DEVICE[h.cause](h, robot, rows, point)
+    return point
+
+
+def response(robot: Robot, rows: Rows, state: State, hidden: tuple[Hidden, ...]) -> Motion:
+    """What gives way under given loads."""
+    helped = sum(
+        (gravity_compensator(h, state) for h in hidden if h.cause == "gravity-compensator"), np.zeros(len(rows))
+    )
+    torque = state.torque.copy()
+    torque[:, 1] += helped
+    motion = replace(Motion.none(len(rows), robot.n), joint=robot.compliance * torque)
+    for h in hidden:
+        if h.cause in ON_JOINT:
+            motion.joint[:, _driven(h)] += ON_JOINT[h.cause](h, robot, rows, torque)
+        elif h.cause in ON_MOTION:
+            motion = motion + ON_MOTION[h.cause](h, robot, rows, replace(state, torque=torque))
+    return motion
+
+
+def _driven(h: Hidden) -> int:
+    """Index of the joint that a cause turns; the wrist's coupling names it in its variant, cables pull at joint 5."""
+    if h.cause == "wrist-coupling":
+        return int(str(h.extra or "54")[0]) - 1
+    return 4 if h.cause == "cable-drag" else h.joint - 1
+
+
+# --- Joints: rad added to one driven joint (rows,) ---------------------------------------------------
+
+
+def nonlinear_stiffness(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
+    """A cubic part, or with extra "break" a stiffer branch past half the largest torque."""
+    load = torque[:, h.joint - 1] / np.abs(torque[:, h.joint - 1]).max()
+    if h.extra == "break":
+        return -h.size * np.sign(load) * np.maximum(2 * np.abs(load) - 1, 0)
+    return h.size * load**3
+
+
+def joint_backlash(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
+    """Half the play, on the side that the joint came from."""
+    return h.size / 2 * rows.approach[:, h.joint - 1]
+
+
+def torque_backlash(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
+    """Half the play, on the side that the load presses to."""
+    return h.size / 2 * np.sign(torque[:, h.joint - 1])
+
+
+def joint_hysteresis(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
+    """Friction wind-up as the joint's whole way has left it."""
+    return h.size * rows.wound[:, h.joint - 1]
+
+
+def _harmonic(h: Hidden, rows: Rows, order: float) -> Array:
+    return h.size * np.cos(order * rows.q[:, h.joint - 1] + h.rng.uniform(0, 2 * np.pi))
+
+
+def joint_eccentricity(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
+    """Once a turn, or extra times."""
+    return _harmonic(h, rows, h.number)
+
+
+def gear_transmission_error(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
+    """Once a turn of the motor, or extra times."""
+    return _harmonic(h, rows, h.number * robot.gears[h.joint - 1])
+
+
+def third_order(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
+    """Three times a turn."""
+    return _harmonic(h, rows, 3.0)
+
+
+def joint_error_map(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
+    """A smooth random function of the joint's angle, its rms over the joint's range as stated."""
+    smooth = _random_function(h.rng, inputs=1, outputs=1, length=0.3)
+    grid = smooth(np.linspace(*robot.limits[h.joint - 1], 1000)[:, None])
+    return h.size * (smooth(rows.q[:, [h.joint - 1]]) - grid.mean())[:, 0] / grid.std()
+
+
+def gear_ratio_error(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
+    """In proportion to the joint's angle."""
+    return h.size * rows.q[:, h.joint - 1]
+
+
+def wrist_coupling(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
+    """In proportion to the angle of a joint before: extra "54", "64" or "65"."""
+    return h.size * rows.q[:, int(str(h.extra or "54")[1]) - 1]
+
+
+def cable_drag(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
+    """A hose's pull, which no sum of functions of joint 4 and joint 6 makes up."""
+    first, second = h.rng.uniform(0, 2 * np.pi, 2)
+    q4, q6 = rows.q[:, 3], rows.q[:, 5]
+    return h.size * (np.sin(q4 + first) * np.sin(q6 + second) + 0.5 * np.cos(q4 - q6 / 2))
+
+
+def _random_function(rng: np.random.Generator, inputs: int, outputs: int, length: float) -> Callable[[Array], Array]:
+    """A random function of rms about one (points, inputs) -> (points, outputs), a sum of 200 waves."""
+    waves = rng.normal(0, 1 / length, (outputs, inputs, 200))
+    phases = rng.uniform(0, 2 * np.pi, (outputs, 1, 200))
+    return lambda x: np.cos(x @ waves + phases).sum(axis=-1).T / 10
+
+
+# --- Links, bearings, base and tool ------------------------------------------------------------------
+
+
+def _motion(robot: Robot, rows: Rows, part: str, values: Array, at: int | None = None) -> Motion:
+    motion = Motion.none(len(rows), robot.n)
+    getattr(motion, part)[:, slice(None) if at is None else at] = values
+    return motion
+
+
+def joint_compliance(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """A linear spring at one joint."""
+    return _motion(robot, rows, "joint", h.size * state.torque[:, h.joint - 1], h.joint - 1)
+
+
+def bearing_compliance(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """Tilt off the joint's axis; extra is how much softer it is about y than about x."""
+    soft = h.size * np.array([1.0, h.number, 0.0])
+    return _motion(robot, rows, "bearing", soft * state.moment[:, h.joint - 1], h.joint - 1)
+
+
+def base_compliance(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """Tilt of the base under the overturning moment."""
+    return _motion(robot, rows, "base", h.size * np.array([1.0, 1.0, 0.0]) * state.base_moment)
+
+
+def link_bending(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """A cantilever from this joint's axis to the next, bent by force and moment at its tip; the size is 1/EI."""
+    length, along = _beam(robot, h.joint - 1)
+    force, moment = (load[:, h.joint - 1] for load in (state.tip_force, state.tip_moment))
+    force, moment = force - (force @ along)[:, None] * along, moment - (moment @ along)[:, None] * along
+    sag = length**3 / 3 * force + length**2 / 2 * np.cross(moment, along)
+    slope = length**2 / 2 * np.cross(along, force) + length * moment
+    return _motion(robot, rows, "tip", h.size * np.concatenate([sag, slope], axis=1), h.joint - 1)
+
+
+def link_torsion(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """Twist about the line to the next joint under the moment carried at the tip; the size is 1/GJ."""
+    length, along = _beam(robot, h.joint - 1)
+    twist = h.size * length * (state.tip_moment[:, h.joint - 1] @ along)[:, None] * along
+    return _motion(robot, rows, "tip", np.concatenate([np.zeros_like(twist), twist], axis=1), h.joint - 1)
+
+
+def _beam(robot: Robot, i: int) -> tuple[float, Array]:
+    """Length and direction of a link in its own frame, from its joint's origin to the next joint's."""
+    line = np.array([robot.a[..., i + 1].mean() if i + 1 < robot.n else 0.0, 0.0, robot.d[..., i].mean()])
+    length = float(np.linalg.norm(line))
+    return length, line / length
+
+
+def gravity_compensator(h: Hidden, state: State) -> Array:
+    """Torque [Nm] on joint 2 of a gas cylinder that pushes with a constant force between column and arm."""
+    joint = state.frames.joints[1]
+    arm = ARM * joint[:, :3, 0]
+    push = arm - np.array([0.0, 0.0, -COLUMN])
+    push /= np.linalg.norm(push, axis=1)[:, None]
+    return h.size * (np.cross(arm, push) * joint[:, :3, 2]).sum(axis=1)
+
+
+def tool_deflection(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """The payload's weight moves the tool; with extra "anisotropic" twice and ten times less across x."""
+    soft = h.size * (np.array([1.0, 0.5, 0.1]) if h.extra == "anisotropic" else np.ones(3))
+    down = -state.frames.tips[-1][:, 2, :3]
+    return _motion(robot, rows, "tool", soft * down * 9.80665 * robot.payload_mass[rows.payload][:, None])
+
+
+# --- What differs from the robot file ----------------------------------------------------------------
+
+
+def payload_mass(h: Hidden, robot: Robot, rows: Rows) -> Robot:
+    """All payloads, or the one that extra names, are heavier than stated by this share."""
+    wrong = np.array([h.extra in ("", name) for name in PAYLOADS])
+    return replace(robot, payload_mass=robot.payload_mass * (1 + h.size * wrong))
+
+
+def payload_com(h: Hidden, robot: Robot, rows: Rows) -> Robot:
+    """The payloads' centre lies elsewhere."""
+    return replace(robot, payload_com=robot.payload_com + h.size * direction(h.rng))
+
+
+def link_mass(h: Hidden, robot: Robot, rows: Rows) -> Robot:
+    """A link is heavier than stated by this share."""
+    return replace(robot, mass=robot.mass * (1 + h.size * (np.arange(robot.n) == h.joint - 1)))
+
+
+def thermal_growth(h: Hidden, robot: Robot, rows: Rows) -> Robot:
+    """All lengths grow by size a kelvin above 20 °C, or with extra "warm-up" by size in the end."""
+    warm = 1 - np.exp(-rows.time / WARM_UP) if h.extra == "warm-up" else rows.temperature - 20
+    grown = (1 + h.size * warm)[:, None]
+    loop = robot.loop and replace(robot.loop, bars=robot.loop.bars * grown)
+    return replace(robot, a=robot.a * grown, d=robot.d * grown, loop=loop)
+
+
+# --- The measuring device and its floor --------------------------------------------------------------
+
+
+def direction(rng: np.random.Generator) -> Array:
+    """A random unit vector."""
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
+
+
+def frame_drift(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
+    """Steadily in time, by size from beginning to end."""
+    return point + h.size * (rows.time / rows.time.max())[:, None] * direction(h.rng)
+
+
+def frame_step(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
+    """At one moment between a quarter and three quarters of the measuring time."""
+    rng = h.rng
+    return point + h.size * (rows.time > rng.uniform(0.25, 0.75) * rows.time.max())[:, None] * direction(rng)
+
+
+def tracker_scale(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
+    """All distances from the tracker."""
+    return point * (1 + h.size)
+
+
+def floor_vibration(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
+    """The floor goes up and down, once in 20 to 60 s."""
+    period, phase = h.rng.uniform([20, 0], [60, 2 * np.pi])
+    return point + h.size * np.sin(2 * np.pi * rows.time / period + phase)[:, None] * robot.base[:3, 2]
+
+
+def random_field(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
+    """A smooth random displacement, a function of the first extra (3) joints' angles."""
+    smooth = _random_function(h.rng, inputs=int(h.extra or 3), outputs=3, length=1.0)
+    return point + h.size / np.sqrt(3) * smooth(rows.q[:, : int(h.extra or 3)])
+
+
+# --- Faults of the data: the table as it is written, and which of its rows are wrong ------------------
+
+
+def _some_poses(h: Hidden, table: pd.DataFrame, share: float = 0.03) -> Array:
+    poses = table["pose"].unique()
+    return table["pose"].isin(h.rng.choice(poses, max(2, round(share * len(poses))), replace=False)).to_numpy()
+
+
+def outlier(h: Hidden, table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, Array]:
+    """A share of the rows (size, or 2 %) is off by 2 to 20 mm."""
+    rng = h.rng
+    rows = rng.choice(len(table), max(1, round((h.size or 0.02) * len(table))), replace=False)
+    for row in rows:
+        table.loc[row, XYZ] += rng.uniform(2, 20) * direction(rng)
+    return table, np.isin(np.arange(len(table)), rows)
+
+
+def marker_swap(h: Hidden, table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, Array]:
+    """Two markers were taken for each other in a few poses."""
+    poses, markers = _some_poses(h, table), table["marker"].unique()
+    first, second = (poses & (table["marker"] == marker).to_numpy() for marker in markers[:2])
+    table.loc[first, XYZ], table.loc[second, XYZ] = table.loc[second, XYZ].to_numpy(), table.loc[first, XYZ].to_numpy()
+    return table, first | second
+
+
+def joint_sign(h: Hidden, table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, Array]:
+    """One joint's readings have the opposite sign, throughout."""
+    table[f"q{h.joint}_deg"] *= -1
+    return table, np.ones(len(table), dtype=bool)
+
+
+def encoder_turn(h: Hidden, table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, Array]:
+    """A reading is off by a turn in a few poses, or with extra "gear" by a turn of the motor in a block of poses."""
+    wrong, turn = _some_poses(h, table), 360.0
+    if h.extra == "gear":
+        first = h.rng.integers(1, table["pose"].max() * 2 // 3)
+        wrong = table["pose"].between(first, first + max(3, table["pose"].max() // 6)).to_numpy()
+        turn = round(360 / robot.gears[h.joint - 1], 4)
+    table.loc[wrong, f"q{h.joint}_deg"] += h.rng.choice([-1, 1]) * turn
+    return table, wrong
+
+
+def unit_mistake(h: Hidden, table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, Array]:
+    """In a few poses positions are in m, or where a joint is named its reading is in rad."""
+    wrong = _some_poses(h, table)
+    columns, factor = ([f"q{h.joint}_deg"], np.pi / 180) if h.joint else (XYZ, 1e-3)
+    table.loc[wrong, columns] *= factor
+    return table, wrong
+
+
+def row_misalignment(h: Hidden, table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, Array]:
+    """From some row on, positions stand one row too early, as if one had been missed; the last row is lost."""
+    first = int(h.rng.uniform(0.3, 0.7) * len(table))
+    table.loc[first : len(table) - 2, XYZ] = table.loc[first + 1 :, XYZ].to_numpy()
+    return table[:-1], np.arange(len(table) - 1) >= first
+
+
+ON_JOINT = {
+    "nonlinear-joint-stiffness": nonlinear_stiffness,
+    "joint-backlash": joint_backlash,
+    "torque-backlash": torque_backlash,
+    "joint-hysteresis": joint_hysteresis,
+    "joint-eccentricity": joint_eccentricity,
+    "periodic-joint-error": joint_eccentricity,
+    "gear-transmission-error": gear_transmission_error,
+    "third-order": third_order,
+    "joint-error-map": joint_error_map,
+    "gear-ratio-error": gear_ratio_error,
+    "wrist-coupling": wrist_coupling,
+    "cable-drag": cable_drag,
+}
+ON_MOTION = {
+    "joint-compliance": joint_compliance,
+    "gravity-deflection": joint_compliance,  # the same spring, where the study does not know the masses
+    "bearing-compliance": bearing_compliance,
+    "base-compliance": base_compliance,
+    "link-bending": link_bending,
+    "link-torsion": link_torsion,
+    "tool-deflection": tool_deflection,
+}
+ON_ROBOT = {
+    "payload-mass": payload_mass,
+    "payload-com": payload_com,
+    "link-mass": link_mass,
+    "thermal-growth": thermal_growth,
+}
+ON_DEVICE = {
+    "frame-drift": frame_drift,
+    "frame-step": frame_step,
+    "tracker-scale": tracker_scale,
+    "floor-vibration": floor_vibration,
+    "random-field": random_field,
+}
+ON_TABLE = {
+    "outlier": outlier,
+    "marker-swap": marker_swap,
+    "joint-sign": joint_sign,
+    "encoder-turn": encoder_turn,
+    "unit-mistake": unit_mistake,
+    "row-misalignment": row_misalignment,
+}
+PHYSICAL = {*ON_JOINT, *ON_MOTION, *ON_ROBOT, *ON_DEVICE, "gravity-compensator"}
+KNOWN = {*PHYSICAL, *ON_TABLE, "range-noise"}
