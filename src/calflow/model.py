@@ -177,9 +177,7 @@ def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[n
         for k, value in enumerate(values):
             buffer.set_res(k, memoryview(value[part].reshape(-1)))
         evaluate()
-    return [
-        value.reshape(n_rows * function.size2_out(k), function.size1_out(k)).T for k, value in enumerate(values)
-    ]
+    return [value.reshape(n_rows * function.size2_out(k), function.size1_out(k)).T for k, value in enumerate(values)]
 
 
 @lru_cache(maxsize=64)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
+import numpy as np
 
 from calflow.conditions import Row
 from calflow.robot.chain import Deflection
@@ -44,6 +46,16 @@ class Parameter:
     def name(self) -> str:
         """The name that tables show, e.g. `joint2.alpha`."""
         return f"{self.part}.{self.symbol}"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """What a cause's error is drawn against: its label, the unit drawn in, and its value times factor in that unit."""
+
+    label: str
+    unit: str
+    value: Callable[[State, Row], ca.SX]
+    factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -85,6 +97,16 @@ class Effect(ABC):
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return variants between this one and its neighbours."""
         return ()
+
+    def variable(self, joint: int) -> Variable:
+        """Return what explains it at a joint (0 for none): the row's place in measuring order unless it knows better."""
+        return Variable("place in measuring order", "", lambda state, row: row.order)
+
+    def size(self, values: np.ndarray) -> float:
+        """Return one figure for the parameters of one part: their length, of those with the first one's unit."""
+        unit = self.declared[0].unit
+        same = [parameter.unit == unit for parameter in self.declared[: len(values)]]
+        return float(np.linalg.norm(values[np.array(same)]))
 
     @property
     def detail(self) -> str:

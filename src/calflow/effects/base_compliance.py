@@ -8,7 +8,7 @@ from typing import ClassVar
 import casadi as ca
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection
 from calflow.robot.statics import State, rated_torques
 
@@ -36,3 +36,7 @@ class BaseCompliance(Effect):
         link = ca.SX(still.link)
         link[3:5, 0] = p * state.link[3:5, 0]
         return replace(still, link=link)
+
+    def variable(self, joint: int) -> Variable:
+        """Return the overturning moment."""
+        return Variable("overturning moment", "Nm", lambda state, row: ca.norm_2(state.link[3:5, 0]))

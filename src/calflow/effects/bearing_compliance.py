@@ -8,7 +8,7 @@ from typing import ClassVar
 import casadi as ca
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection
 from calflow.robot.statics import State, rated_torques
 
@@ -37,3 +37,8 @@ class BearingCompliance(Effect):
         bearing = ca.SX(still.bearing)
         bearing[3:5, :] = ca.reshape(p, 2, self.robot.n_joints) * state.bearing[3:5, :]
         return replace(still, bearing=bearing)
+
+    def variable(self, joint: int) -> Variable:
+        """Return the moment across the joint's axis."""
+        moment = lambda state, row: ca.norm_2(state.bearing[3:5, joint - 1])  # noqa: E731
+        return Variable(f"moment across the axis of joint {joint}", "Nm", moment)

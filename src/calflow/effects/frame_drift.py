@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.description import Robot
 
 if TYPE_CHECKING:
@@ -52,3 +52,7 @@ class FrameDrift(Effect):
             return point
         shift = p[:3] + (ca.cross(p[3:], point) if self.turning else 0)
         return point + shift * row.time
+
+    def variable(self, joint: int) -> Variable:
+        """Return the time."""
+        return Variable("time", "h", lambda state, row: row.time, 1 / 3600)

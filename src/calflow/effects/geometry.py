@@ -80,7 +80,9 @@ def _error(
     link = part.removeprefix("joint")
     words = MEANINGS.get(field, "").format(symbol=symbol, link=link, part=part)
     number = int(link) if link.isdigit() else 0
-    parameter = Parameter(Geometry.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=words, joint=number)
+    parameter = Parameter(
+        Geometry.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=words, joint=number
+    )
     return DimensionError(parameter, field, index)
 
 

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import casadi as ca
+import numpy as np
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.statics import State, rated_torques
 
 FIRST_SD, SECOND_SD, BOUND = 0.3, 0.05, 2.0  # times joint 2's rated torque, of the torque's two orders
@@ -46,3 +47,7 @@ class GravityCompensator(Effect):
         torque = ca.SX(self.robot.n_joints, 1)
         torque[1] = ca.dot(p, ca.vertcat(ca.cos(q), ca.sin(q), ca.cos(2 * q), ca.sin(2 * q)))
         return torque
+
+    def variable(self, joint: int) -> Variable:
+        """Return joint 2's angle."""
+        return Variable("angle of joint 2", "deg", lambda state, row: state.q[1], float(np.rad2deg(1.0)))

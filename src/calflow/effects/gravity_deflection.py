@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, Variable
 from calflow.effects.joint_compliance import WINDUP_BOUND, WINDUP_SD
 from calflow.robot.chain import Deflection, pose
 from calflow.robot.description import Robot
@@ -19,7 +19,11 @@ from calflow.robot.statics import State, potential_energy, rated_torques
 if TYPE_CHECKING:
     from calflow.measurements import Measurements
 
-NEAR_SD, FAR_SD, BOUND = 2e-3, 3e-4, 20e-3  # rad, by the first moment of the links next to the joint and of those beyond
+NEAR_SD, FAR_SD, BOUND = (
+    2e-3,
+    3e-4,
+    20e-3,
+)  # rad, by the first moment of the links next to the joint and of those beyond
 
 
 @dataclass(frozen=True)
@@ -93,3 +97,7 @@ class GravityDeflection(Effect):
         if robot.convention == "dh":
             axis = np.array([0.0, 0.0, 1.0])
         return bool(np.linalg.norm(np.cross(axis, robot.gravity)) < 1e-6)
+
+    def variable(self, joint: int) -> Variable:
+        """Return the joint's angle."""
+        return Variable(f"angle of joint {joint}", "deg", lambda state, row: state.q[joint - 1], float(np.rad2deg(1.0)))

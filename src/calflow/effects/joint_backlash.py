@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from calflow.conditions import Row
+from calflow.effects.base import Variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.statics import State
 
@@ -23,3 +24,7 @@ class JointBacklash(JointError):
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the half of the play, on the side the joint came from."""
         return [Term("b", "rad", 3e-4, 10e-3, row.approach[joint] / 2)]
+
+    def variable(self, joint: int) -> Variable:
+        """Return the direction of approach."""
+        return Variable(f"approach of joint {joint}", "", lambda state, row: row.approach[joint - 1])

@@ -8,7 +8,7 @@ from typing import ClassVar
 import casadi as ca
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection
 from calflow.robot.statics import State, rated_torques
 
@@ -47,3 +47,7 @@ class JointCompliance(Effect):
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Turn each driven joint by its spring."""
         return replace(still, joint=p * state.torque)
+
+    def variable(self, joint: int) -> Variable:
+        """Return the joint's torque."""
+        return Variable(f"torque of joint {joint}", "Nm", lambda state, row: state.torque[joint - 1])

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
+import numpy as np
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection
 from calflow.robot.statics import State
 
@@ -52,3 +53,9 @@ class JointError(Effect):
             turned.append(ca.dot(p[k : k + len(values)], ca.vertcat(*values)) if values else ca.SX(0))
             k += len(values)
         return replace(still, joint=ca.vertcat(*turned))
+
+    def variable(self, joint: int) -> Variable:
+        """Return the joint's angle."""
+        degrees = self.robot.joints[joint - 1].kind == "revolute"
+        unit, factor = ("deg", float(np.rad2deg(1.0))) if degrees else ("mm", 1e3)
+        return Variable(f"angle of joint {joint}", unit, lambda state, row: state.q[joint - 1], factor)

@@ -63,6 +63,10 @@ class JointErrorMap(JointError):
         """Say how smooth it is."""
         return f"alike over {self.length:g} rad"
 
+    def size(self, values: np.ndarray) -> float:
+        """Return the curve's root mean square: a wave of amplitude 1 has 1/sqrt(2)."""
+        return float(np.linalg.norm(values) / sqrt(2))
+
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the waves, the longest first."""
         if not self.low or self.high[joint] <= self.low[joint]:

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.conditions import Row
+from calflow.effects.base import Variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.description import Robot
 from calflow.robot.statics import State
@@ -45,3 +46,8 @@ class JointHysteresis(JointError):
         """Return the wind-up after the travel since the last reversal."""
         developed = 1 - 2 * ca.exp(-row.travel[joint] / self.length)
         return [Term("h", "rad", 2e-4, 10e-3, row.approach[joint] * developed)]
+
+    def variable(self, joint: int) -> Variable:
+        """Return the travel since the reversal, by its direction."""
+        return Variable(f"travel of joint {joint} since its reversal", "deg",
+                        lambda state, row: row.approach[joint - 1] * row.travel[joint - 1], float(np.rad2deg(1.0)))  # fmt: skip

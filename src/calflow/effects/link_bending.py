@@ -8,7 +8,7 @@ from typing import ClassVar
 import casadi as ca
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import nominal_dimensions
@@ -83,6 +83,10 @@ class LinkBending(Effect):
             shift = p[k] * (length**3 / 3 * across + length**2 / 2 * ca.cross(bends, u))
             link[:, beam.link + 1] = ca.vertcat(shift - ca.cross(slope, beam.tip), slope)
         return replace(still, link=link)
+
+    def variable(self, joint: int) -> Variable:
+        """Return the moment at the link's end."""
+        return Variable(f"moment at the end of link {joint}", "Nm", lambda state, row: ca.norm_2(state.link[3:, joint]))
 
 
 def tip_load(state: State, beam: Span) -> tuple[ca.SX, ca.SX]:

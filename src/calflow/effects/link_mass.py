@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import casadi as ca
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import Loads
 
@@ -40,3 +40,7 @@ class LinkMass(Effect):
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
         """Make the links heavier."""
         return replace(loads, mass=loads.mass * (1 + p))
+
+    def variable(self, joint: int) -> Variable:
+        """Return joint 2's torque, to which every link adds."""
+        return Variable("torque of joint 2", "Nm", lambda state, row: state.torque[1])

@@ -8,7 +8,7 @@ from typing import ClassVar
 import casadi as ca
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, Variable
 from calflow.effects.link_bending import SOFT_BOUND, SOFT_SD, spans, tip_load
 from calflow.robot.chain import Deflection
 from calflow.robot.statics import State, rated_torques
@@ -40,3 +40,7 @@ class LinkTorsion(Effect):
             twist = p[k] * beam.length * u * ca.dot(u, moment)
             link[:, beam.link + 1] = ca.vertcat(-ca.cross(twist, beam.tip), twist)
         return replace(still, link=link)
+
+    def variable(self, joint: int) -> Variable:
+        """Return the moment at the link's end."""
+        return Variable(f"moment at the end of link {joint}", "Nm", lambda state, row: ca.norm_2(state.link[3:, joint]))

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.conditions import Row
+from calflow.effects.base import Variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.description import Robot
 from calflow.robot.statics import State, rated_torques
@@ -55,3 +56,7 @@ class NonlinearJointStiffness(JointError):
         if not self.knee:
             return [Term("c3", "rad", 1e-3, 20e-3, share**3)]
         return [Term("c", "rad", 2e-3, 40e-3, -ca.sign(share) * ca.fmax(ca.fabs(share) - self.knee, 0))]
+
+    def variable(self, joint: int) -> Variable:
+        """Return the joint's torque."""
+        return Variable(f"torque of joint {joint}", "Nm", lambda state, row: state.torque[joint - 1])

@@ -8,7 +8,7 @@ from typing import ClassVar
 import casadi as ca
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.dimensions import Loads
 
 
@@ -30,3 +30,8 @@ class PayloadCom(Effect):
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
         """Shift the payloads' centres."""
         return replace(loads, payload_com=loads.payload_com + ca.repmat(p, 1, len(self.robot.payloads)))
+
+    def variable(self, joint: int) -> Variable:
+        """Return the payload's mass."""
+        masses = ca.DM([load.mass for load in self.robot.payloads.values()])
+        return Variable("payload", "kg", lambda state, row: ca.dot(masses, row.payload))

@@ -8,7 +8,7 @@ from typing import ClassVar
 import casadi as ca
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.dimensions import Loads
 
 
@@ -38,3 +38,8 @@ class PayloadMass(Effect):
     def _single(self) -> list[str]:
         heavy = [name for name, load in self.robot.payloads.items() if load.mass]
         return heavy if len(heavy) > 1 else []
+
+    def variable(self, joint: int) -> Variable:
+        """Return the payload's mass."""
+        masses = ca.DM([load.mass for load in self.robot.payloads.values()])
+        return Variable("payload", "kg", lambda state, row: ca.dot(masses, row.payload))

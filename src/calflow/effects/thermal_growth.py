@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions
 
@@ -62,6 +62,12 @@ class ThermalGrowth(Effect):
         else:
             growth = 1 + p * (row.temperature - REFERENCE) if row.temperature.nnz() else ca.SX(1)
         return replace(dims, a=dims.a * growth, d=dims.d * growth, bars=dims.bars * growth)
+
+    def variable(self, joint: int) -> Variable:
+        """Return the temperature, or the time."""
+        if self.constant:
+            return Variable("time", "h", lambda state, row: row.time, 1 / 3600)
+        return Variable("temperature above 20 degC", "K", lambda state, row: row.temperature - REFERENCE)
 
 
 def _measured(data: Measurements) -> bool:

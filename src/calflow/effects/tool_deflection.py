@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection
 from calflow.robot.description import Robot
 from calflow.robot.statics import State
@@ -56,3 +56,8 @@ class ToolDeflection(Effect):
         link = ca.SX(still.link)
         link[:3, -1] = (p if self.directions == 3 else ca.repmat(p, 3, 1)) * state.link[:3, -1]
         return replace(still, link=link)
+
+    def variable(self, joint: int) -> Variable:
+        """Return the payload's mass."""
+        masses = ca.DM([load.mass for load in self.robot.payloads.values()])
+        return Variable("payload", "kg", lambda state, row: ca.dot(masses, row.payload))

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.conditions import Row
+from calflow.effects.base import Variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.statics import State, rated_torques
 
@@ -33,3 +34,7 @@ class TorqueBacklash(JointError):
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the half of the play, on the side the load presses."""
         return [Term("b", "rad", 3e-4, 10e-3, ca.tanh(state.torque[joint] / (PLAY * self.rated[joint])) / 2)]
+
+    def variable(self, joint: int) -> Variable:
+        """Return the joint's torque."""
+        return Variable(f"torque of joint {joint}", "Nm", lambda state, row: state.torque[joint - 1])

@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from calflow.conditions import Row
+from calflow.effects.base import Variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.statics import State
 
@@ -25,3 +28,9 @@ class WristCoupling(JointError):
         if n < 6 or joint <= first:
             return []
         return [Term(f"k{joint + 1}{k + 1}", "1", 1e-3, 0.1, state.q[k]) for k in range(first, joint)]
+
+    def variable(self, joint: int) -> Variable:
+        """Return the angle of the joint before."""
+        return Variable(
+            f"angle of joint {joint - 1}", "deg", lambda state, row: state.q[joint - 2], float(np.rad2deg(1.0))
+        )

@@ -64,9 +64,10 @@ def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Po
 
     A modified-DH link is Rx(alpha) Tx(a) Ry(beta) Rz(theta) Tz(d) (Craig; equations 1 and 6 of the HH800 paper), a DH link
     Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta). In both the joint's own frame is the one just after Rz.
+    A loop is closed at the place to which its pin S has moved in the loop's plane.
     """
     driven = q + deflection.joint
-    angles, closure = _chain_angles(robot, dims, driven)
+    angles, closure = _chain_angles(robot, dims, driven, deflection)
     end = _twist(deflection.link[:, 0])
     joints: list[ca.SX] = []
     ends, links = [end], list[ca.SX]()
@@ -95,17 +96,33 @@ def marker_point(dims: Dimensions, pose: Pose, choice: ca.SX) -> ca.SX:
     return apply(pose.flange, dims.markers @ choice)
 
 
-def _chain_angles(robot: Robot, dims: Dimensions, driven: ca.SX) -> tuple[ca.SX, Closure | None]:
+def _chain_angles(
+    robot: Robot, dims: Dimensions, driven: ca.SX, deflection: Deflection
+) -> tuple[ca.SX, Closure | None]:
     """Joint variables along the chain from the driven ones: the loop turns its motor's angle into its joint's."""
     if robot.loop is None:
         return driven, None
     j = robot.loop.joint - 1
-    link = dims.a[j] if robot.convention == "modified-dh" else dims.a[j - 1]
-    link_angle = driven[j - 1] + dims.theta[j - 1]
-    closure = close(assembly_side(robot), link, dims.bars, link_angle, driven[j])
+    turn = driven[j - 1] + dims.theta[j - 1]
+    arm = _arm(robot, dims, deflection, j - 1)
+    pin = (rot_z(turn) @ arm)[:2, 3]
+    closure = close(assembly_side(robot), pin, dims.bars, driven[j])
+    # The rod holds the rocker in its plane: a slope of the arm at S does not turn it.
+    slope = ca.atan2(arm[1, 0], arm[0, 0])
     angles = ca.SX(driven)
-    angles[j] = closure.rocker_angle - link_angle + robot.loop.offset
+    angles[j] = closure.rocker_angle - (turn + slope) + robot.loop.offset
     return angles, closure
+
+
+def _arm(robot: Robot, dims: Dimensions, deflection: Deflection, i: int) -> ca.SX:
+    """Frame at S with x along the arm PS, which is link i, seen from the arm's joint before its bearing gives way."""
+    joint = _twist(deflection.bearing[:, i]) @ translation(0, 0, dims.d[i])
+    bend = _twist(deflection.link[:, i + 1])
+    if robot.convention == "modified-dh":
+        return joint @ bend @ translation(dims.a[i + 1], 0, 0)
+    turns, still = rot_x(dims.alpha[i]) @ rot_y(dims.beta[i]), ca.SX.eye(4)
+    # The bend is in the turned axes. As a difference it leaves no operations where nothing bends.
+    return joint @ translation(dims.a[i], 0, 0) @ (still + turns @ (bend - still) @ turns.T)
 
 
 def _bar_frames(ground: ca.SX, dims: Dimensions, crank_angle: ca.SX, closure: Closure) -> tuple[ca.SX, ...]:

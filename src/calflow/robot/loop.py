@@ -51,7 +51,8 @@ def reachable(robot: Robot, q: np.ndarray) -> np.ndarray:
     symbols = ca.SX.sym("link_angle"), ca.SX.sym("crank_angle")
     link = robot.joints[j if robot.convention == "modified-dh" else j - 1].a
     bars = ca.SX([loop.crank.length, loop.rod.length, loop.rocker])
-    cosine = ca.Function("cosine", symbols, [close(assembly_side(robot), ca.SX(link), bars, *symbols).cosine])
+    pin = link * ca.vertcat(ca.cos(symbols[0]), ca.sin(symbols[0]))
+    cosine = ca.Function("cosine", symbols, [close(assembly_side(robot), pin, bars, symbols[1]).cosine])
     middle = robot.limits.mean(axis=1)
     ways = middle + np.linspace(0, 1, WAY_POINTS)[:, None, None] * (q - middle)
     angles = ways[..., j - 1].ravel() + robot.joints[j - 1].theta, ways[..., j].ravel()
@@ -59,16 +60,15 @@ def reachable(robot: Robot, q: np.ndarray) -> np.ndarray:
     return np.asarray((np.abs(along) < DEAD_POINT).all(axis=0))
 
 
-def close(side: int, link: ca.SX, bars: ca.SX, link_angle: ca.SX, crank_angle: ca.SX) -> Closure:
-    """Solve the loop for given bar lengths and the two driven angles; side is that of `assembly_side`.
+def close(side: int, pin: ca.SX, bars: ca.SX, crank_angle: ca.SX) -> Closure:
+    """Solve the loop for its bar lengths, S's place (2,) in its plane and the crank's angle; side is `assembly_side`'s.
 
-    With Q = crank e^{i·crank_angle}, S = link e^{i·link_angle} and D = S - Q, the rocker's direction e^{iφ} follows from
-    |D + rocker e^{iφ}| = rod (equation 5 of Model based robot calibration, 2021, solved without its parallelogram
-    assumption).
+    With Q = crank e^{i·crank_angle} and D = S - Q, the rocker's direction e^{iφ} follows from |D + rocker e^{iφ}| = rod
+    (equation 5 of Model based robot calibration, 2021, solved without its parallelogram assumption).
     """
     crank, rod, rocker = bars[0], bars[1], bars[2]
-    dx = link * ca.cos(link_angle) - crank * ca.cos(crank_angle)
-    dy = link * ca.sin(link_angle) - crank * ca.sin(crank_angle)
+    dx = pin[0] - crank * ca.cos(crank_angle)
+    dy = pin[1] - crank * ca.sin(crank_angle)
     squared = dx**2 + dy**2
     cosine = (rod**2 - squared - rocker**2) / (2 * rocker * ca.sqrt(squared))
     # Past the end of its travel the loop has no solution; the clamp keeps derivatives finite and `cosine` tells.

@@ -103,12 +103,12 @@ class Catalogue:
     lacking: dict[str, str]
 
     @staticmethod
-    def of(data: Measurements, without: Sequence[str], only: Sequence[str] = ()) -> Catalogue:
-        """Collect what can be tested on these training data, without the effects that the model has already."""
+    def of(data: Measurements, have: Sequence[str], only: Sequence[str] = (), without: Sequence[str] = ()) -> Catalogue:
+        """Collect what can be tested on these training data: all, or only some, but what the model has already."""
         effects: list[Effect] = []
         lacking = {}
         for name, kind in catalogue().items():
-            if name in without or (only and name not in only):
+            if name in have or name in without or (only and name not in only):
                 continue
             reason = kind.lacking(data.robot, data)
             if reason:

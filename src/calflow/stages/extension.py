@@ -11,11 +11,12 @@ from calflow.measurements import Measurements
 from calflow.model import Model
 from calflow.stages.causes import Catalogue, Cause
 from calflow.stages.fit import Fit, Loss, Problem
-from calflow.stages.noise import LackOfFit, Noise, averaged
-from calflow.stages.screening import Regressors, Score, Screening, p_family
+from calflow.stages.identified import Identified
+from calflow.stages.noise import LackOfFit, Noise
+from calflow.stages.screening import Family, Regressors, Score, Screening
 from calflow.stages.settle import fit_settled
 
-ROUNDS = 3  # of second thoughts about all causes found
+ROUNDS = 2  # of second thoughts, for each cause found
 SETTLED = 0.1  # relative change of the noise below which an intermediate fit is not repeated
 
 
@@ -39,6 +40,29 @@ class Fitted:
         """The problem that was solved, robust weights included."""
         return Problem.of(self.model, self.data, self.noise).reweighted(self.fit.estimate, self.loss)
 
+    def columns(self, cause: Cause) -> np.ndarray:
+        """Return the indices of a cause's parameters."""
+        start = 0
+        for effect in self.model.effects:
+            size = len(effect.declared)
+            if effect == cause:
+                return np.arange(start, start + size)
+            start += size
+        raise ValueError("the cause is not in the model")
+
+    def weighed(self, sigma: np.ndarray) -> Fitted:
+        """Fit anew with other noise (n_rows,) [m]."""
+        noise = replace(self.noise, sigma=sigma, discrepancy=0.0)
+        fit, settled, lack, _ = fit_settled(self.model, self.data, noise, self.fit.estimate[None], self.loss)
+        return Fitted(fit, self.data, settled, lack, self.loss)
+
+    @staticmethod
+    def of(known: Identified, data: Measurements, noise: Noise) -> Fitted:
+        """Fit an identified model anew on training rows, from where identify left it."""
+        bare = replace(noise, discrepancy=0.0, rotation_discrepancy=0.0)
+        fit, settled, lack, _ = fit_settled(known.model, data, bare, known.estimate[None], known.loss)
+        return Fitted(fit, data, settled, lack, known.loss)
+
     def with_causes(self, base: int, causes: Sequence[Cause], start: np.ndarray) -> Fitted:
         """Fit the first effects of the model with these causes, by IPOPT from a start that is moved inside the bounds."""
         model = Model(self.model.robot, (*self.model.effects[:base], *causes), self.model.given)
@@ -57,14 +81,11 @@ class Gate:
 
 @dataclass(frozen=True)
 class Finding:
-    """A cause in the extended model, with all candidates' scores where it is taken out and the others stay.
-
-    tests is how many independent tests the family of candidates is worth.
-    """
+    """A cause in the extended model, with all candidates' scores where it is taken out and the others stay."""
 
     cause: Cause
     scores: tuple[Score, ...]
-    tests: float
+    family: Family
 
     @property
     def own(self) -> Score:
@@ -74,19 +95,36 @@ class Finding:
     @property
     def p(self) -> float:
         """The chance that anything in the family looks like this where nothing is hidden."""
-        return p_family(self.own.p, self.tests)
+        return self.family.p(self.own)
 
 
 @dataclass(frozen=True)
 class Extended:
-    """The extended model, its findings in the order of importance, and the first and the last screening's scores."""
+    """The extended model, its findings, the models on the way (one a finding), and the first and the last screening."""
 
     fitted: Fitted
     findings: tuple[Finding, ...]
-    first: tuple[Score, ...]
-    first_tests: float
-    last: tuple[Score, ...]
-    last_tests: float
+    path: tuple[Fitted, ...]
+    first: Screened
+    last: Screened
+
+
+@dataclass(frozen=True)
+class Screened:
+    """All candidates' scores against one model, best first, what their number costs, and which places cannot be seen."""
+
+    scores: tuple[Score, ...]
+    family: Family
+    hidden: tuple[Cause, ...]
+
+    @staticmethod
+    def of(now: Fitted, catalogue: Catalogue, rng: np.random.Generator) -> Screened:
+        """Screen a fitted model."""
+        screening = Screening(Regressors.of(now.fit, now.problem, catalogue.effects))
+        shown = {score.cause.place for score in screening.scores}
+        every = {candidate.cause.place: candidate.cause for candidate in screening.regressors.candidates}
+        hidden = tuple(cause for place, cause in every.items() if place not in shown)
+        return Screened(tuple(screening.scores), screening.family(rng), hidden)
 
 
 def extend(
@@ -94,35 +132,40 @@ def extend(
 ) -> Extended:
     """Add causes while one passes the gate, then drop those that the others make needless and swap mistaken ones."""
     base, now, causes = len(start.model.effects), start, list[Cause]()
-    first: tuple[tuple[Score, ...], float] | None = None
-    while True:
-        screening = Screening(Regressors.of(now.fit, now.problem, catalogue.effects))
-        scores, tests = screening.scores, screening.family(rng)
-        first = first or (tuple(scores), tests)
-        passed = [s for s in scores if s.cause not in causes and _passes(s, tests, gate)]
-        if not passed or len(causes) == gate.most:
+    first = last = Screened.of(now, catalogue, rng)
+    trail = [now]
+    while len(causes) < gate.most:
+        passed = [s for s in last.scores if s.cause not in causes and _passes(s, last.family, gate)]
+        if not passed:
             break
         best = _refined(passed[0], now)
-        say(f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {p_family(best.p, tests):.2g}")
+        say(f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {last.family.p(best):.2g}")
         causes.append(best.cause)
         now = now.with_causes(base, causes, np.concatenate([now.fit.estimate, best.estimate]))
-    last = (tuple(scores), tests)
+        trail.append(now)
+        last = Screened.of(now, catalogue, rng)
     findings: list[Finding] = []
-    for _ in range(ROUNDS if causes else 0):
-        findings = _conditional(now, base, causes, catalogue, tests)
-        better = _second_thoughts(findings, now, gate)
+    for _ in range(ROUNDS * len(causes)):
+        findings = _conditional(now, base, causes, catalogue, first.family)
+        better = _second_thoughts(findings, gate)
         if better == causes:
             break
-        for old, new in zip(findings, better, strict=False):
-            if old.cause != new:
-                say(f"{words(old.cause)} gives way to {words(new)}")
+        say(f"{', '.join(words(c) for c in causes if c not in better)} gives way to "
+            f"{', '.join(words(c) for c in better if c not in causes) or 'nothing'}")  # fmt: skip
         causes = better
         now = now.with_causes(base, causes, _start(now, base, causes))
-        findings = _conditional(now, base, causes, catalogue, tests)
-        screening = Screening(Regressors.of(now.fit, now.problem, catalogue.effects))
-        last = (tuple(screening.scores), screening.family(rng))
-    findings.sort(key=lambda finding: finding.own.delta_bic)
-    return Extended(now, tuple(findings), *first, *last)
+        trail.append(now)
+        last = Screened.of(now, catalogue, rng)
+    path = tuple(_fitted(trail, start, base, causes[: k + 1]) for k in range(len(causes)))
+    return Extended(now, tuple(findings), path, first, last)
+
+
+def _fitted(trail: Sequence[Fitted], start: Fitted, base: int, causes: Sequence[Cause]) -> Fitted:
+    """Return the model with these causes from the models fitted on the way, or fit it."""
+    for fitted in trail:
+        if list(fitted.model.effects[base:]) == list(causes):
+            return fitted
+    return start.with_causes(base, causes, _start(trail[-1], base, causes))
 
 
 def words(cause: Cause) -> str:
@@ -130,8 +173,8 @@ def words(cause: Cause) -> str:
     return " ".join(filter(None, (cause.id, cause.part, f"({cause.detail})" if cause.detail else "")))
 
 
-def _passes(score: Score, tests: float, gate: Gate) -> bool:
-    return score.delta_bic < 0 and p_family(score.p, tests) < gate.false_alarm
+def _passes(score: Score, family: Family, gate: Gate) -> bool:
+    return score.delta_bic < 0 and family.p(score) < gate.false_alarm
 
 
 def _refined(score: Score, now: Fitted) -> Score:
@@ -145,7 +188,7 @@ def _refined(score: Score, now: Fitted) -> Score:
 
 
 def _conditional(
-    now: Fitted, base: int, causes: Sequence[Cause], catalogue: Catalogue, tests: float
+    now: Fitted, base: int, causes: Sequence[Cause], catalogue: Catalogue, family: Family
 ) -> list[Finding]:
     """Score all candidates in each cause's place, the others staying in the model; linear, without a refit."""
     whole = Regressors.of(now.fit, now.problem, (*catalogue.effects, *causes))
@@ -158,17 +201,17 @@ def _conditional(
         value = now.fit.estimate[free[columns]]
         apart = whole.without(columns, whole.jacobian[:, columns] @ value, value * np.sqrt(whole.precision[columns]))
         others = tuple(c for c in apart.candidates if c.cause == cause or c.cause not in causes)
-        found.append(Finding(cause, tuple(Screening(replace(apart, candidates=others)).scores), tests))
+        found.append(Finding(cause, tuple(Screening(replace(apart, candidates=others)).scores), family))
     return found
 
 
-def _second_thoughts(findings: Sequence[Finding], now: Fitted, gate: Gate) -> list[Cause]:
+def _second_thoughts(findings: Sequence[Finding], gate: Gate) -> list[Cause]:
     """Return the causes that stay, a rival in the place of the one it explains better; one change at a time."""
     causes = [finding.cause for finding in findings]
     weakest = sorted(findings, key=lambda finding: -_own_bic(finding))
     for finding in weakest:
         own = [score for score in finding.scores if score.cause == finding.cause]
-        if not own or not _passes(own[0], finding.tests, gate):
+        if not own or not _passes(own[0], finding.family, gate):
             return [cause for cause in causes if cause != finding.cause]
     for finding in weakest:
         best = finding.scores[0]

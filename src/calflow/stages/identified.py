@@ -1,16 +1,21 @@
-"""What identify found, rebuilt from its tables for the stages after it."""
+"""What identify and diagnose found, rebuilt from their tables for the stages after them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from calflow.effects import Effect, catalogue
 from calflow.measurements import Measurements
 from calflow.model import Model, build
 from calflow.problems import refuse
 from calflow.robot.description import Base, Marker, Robot
+from calflow.stages.causes import Cause
 from calflow.stages.fit import Loss
 from calflow.stages.noise import Noise, Source
 from calflow.stages.stage import Tables
@@ -18,7 +23,10 @@ from calflow.stages.stage import Tables
 
 @dataclass(frozen=True)
 class Identified:
-    """The fitted model with its estimate, covariance (SI units), and the noise and discrepancy it left [m]."""
+    """The fitted model with its estimate, covariance (SI units), and the noise and discrepancy it left [m].
+
+    sigma is that of a single row, of noise that grows with range at no distance; growth is per metre of range.
+    """
 
     model: Model
     estimate: np.ndarray
@@ -29,40 +37,50 @@ class Identified:
     rotation_discrepancy: float
     noise_source: Source
     loss: Loss
+    growth: float = 0.0
 
     def noise(self, data: Measurements) -> Noise:
-        """Return the noise of these rows, from where identify took it."""
-        sigma = data.sigma if self.noise_source == "file" else None
+        """Return the noise of these rows, from where it was taken."""
+        sigma = data.sigma if self.noise_source == "file" and not self.growth else None
+        if sigma is None:
+            distance = data.table["range"].to_numpy() if self.growth else 0.0
+            sigma = np.hypot(np.full(len(data), self.sigma), self.growth * distance)
         rotation = data.table["sigma_rotation"].to_numpy() if data.rotation is not None else None
-        return Noise(
-            np.full(len(data), self.sigma) if sigma is None else sigma,
-            self.noise_source,
-            self.discrepancy,
-            rotation,
-            self.rotation_discrepancy,
-        )
+        return Noise(sigma, self.noise_source, self.discrepancy, rotation, self.rotation_discrepancy)
 
 
 def identified(robot: Robot, tables: Tables, given: tuple[str, ...]) -> Identified:
     """Rebuild the model that identify fitted, for rows with these optional conditions."""
-    parameters = tables["identify/parameters.csv"]
     robot = placed(robot, tables)
-    model = build(robot, tuple(dict.fromkeys(parameters["effect"])), given)
-    names = [parameter.name for parameter in model.parameters]
-    if names != list(parameters["parameter"]):
-        raise refuse("identify/parameters.csv does not fit the study's robot and effects; run identify again")
-    summary = tables["identify/summary.csv"].set_index("item")["value"]
-    return Identified(
-        model,
-        parameters["estimate"].to_numpy(dtype=float),
-        tables["identify/covariance.csv"][names].to_numpy(dtype=float),
-        parameters["at_bound"].to_numpy(dtype=bool),
-        float(summary["sigma_mm"]) / 1e3,
-        float(summary["discrepancy_mm"]) / 1e3,
-        float(summary.get("rotation_discrepancy_mrad", 0.0)) / 1e3,
-        summary["noise_source"],
-        summary["loss"],
-    )
+    names = tuple(dict.fromkeys(tables["identify/parameters.csv"]["effect"]))
+    return _read("identify", build(robot, names, given), tables)
+
+
+def calibrated(robot: Robot, tables: Tables, given: tuple[str, ...]) -> Identified:
+    """Rebuild the best model there is: the one that diagnose extended, else identify's."""
+    if "diagnose/effects.csv" not in tables:
+        return identified(robot, tables, given)
+    robot = placed(robot, tables)
+    return _read("diagnose", Model(robot, read_effects(tables["diagnose/effects.csv"], robot), given), tables)
+
+
+def effect_table(effects: Sequence[Effect]) -> pd.DataFrame:
+    """Return a row an effect: its id, its part ("" for all), and the figures that make its variant."""
+    rows = []
+    for effect in effects:
+        whole, part = (effect.effect, effect.part) if isinstance(effect, Cause) else (effect, "")
+        variant = {name: value for name, value in asdict(whole).items() if name != "robot"}
+        rows.append({"effect": whole.id, "part": part, "variant": json.dumps(variant)})
+    return pd.DataFrame(rows, columns=["effect", "part", "variant"])
+
+
+def read_effects(table: pd.DataFrame, robot: Robot) -> tuple[Effect, ...]:
+    """Rebuild the effects of a table that `effect_table` wrote."""
+    found: list[Effect] = []
+    for effect, part, variant in table.fillna("")[["effect", "part", "variant"]].itertuples(index=False):
+        whole = catalogue()[effect](robot, **{name: _frozen(value) for name, value in json.loads(variant).items()})
+        found.append(Cause(robot, whole, part) if part else whole)
+    return tuple(found)
 
 
 def placed(robot: Robot, tables: Tables) -> Robot:
@@ -76,6 +94,30 @@ def placed(robot: Robot, tables: Tables) -> Robot:
     markers = {name: Marker.model_construct(point=at[name]) for name in robot.markers}
     tool = None if robot.tool_rotation is None else _angles(placement, "tool")
     return robot.model_copy(update={"base": base, "markers": markers, "tool_rotation": tool})
+
+
+def _read(stage: str, model: Model, tables: Tables) -> Identified:
+    parameters = tables[f"{stage}/parameters.csv"]
+    names = [parameter.name for parameter in model.parameters]
+    if names != list(parameters["parameter"]):
+        raise refuse(f"{stage}/parameters.csv does not fit the study's robot and effects; run {stage} again")
+    summary = tables[f"{stage}/summary.csv"].set_index("item")["value"]
+    return Identified(
+        model,
+        parameters["estimate"].to_numpy(dtype=float),
+        tables[f"{stage}/covariance.csv"].iloc[:, 1:].to_numpy(dtype=float),
+        parameters["at_bound"].to_numpy(dtype=bool),
+        float(summary["sigma_mm"]) / 1e3,
+        float(summary["discrepancy_mm"]) / 1e3,
+        float(summary.get("rotation_discrepancy_mrad", 0.0)) / 1e3,
+        summary["noise_source"],
+        summary["loss"],
+        float(summary.get("noise_growth_mm_per_m", 0.0)) / 1e3,
+    )
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
 
 
 def _angles(placement: pd.DataFrame, what: str) -> tuple[float, float, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from calflow.stages.accuracy import accuracy, errors
 from calflow.stages.fit import Fit, Loss, Problem, draw_starts
 from calflow.stages.identifiability import Identifiability, best_subset, correlations, identifiability
 from calflow.stages.noise import LackOfFit, Noise, conditions, noise
+from calflow.stages.parameters import parameter_table
 from calflow.stages.registration import registered
 from calflow.stages.settle import fit_settled
 from calflow.stages.stage import Context, Stage
@@ -74,7 +75,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     covariance = pd.DataFrame(result.covariance, columns=names)
     covariance.insert(0, "parameter", names)
     tables = {
-        "identify/parameters.csv": _parameters(result),
+        "identify/parameters.csv": parameter_table(result),
         "identify/accuracy.csv": pd.DataFrame(rows),
         "identify/residuals.csv": _residuals(result, data, level),
         "identify/identifiability.csv": found.statements,
@@ -95,35 +96,6 @@ def _enough_equations(model: Model, train: Measurements, study: Study) -> None:
         wanted = -(-len(model.parameters) * poses // equations)
         raise refuse(f"{equations} equations ({poses} training poses) for {len(model.parameters)} parameters: measure at least "
                      f"{wanted} training poses, better twice as many", study.measurement_path)  # fmt: skip
-
-
-def _parameters(result: Fit) -> pd.DataFrame:
-    variance = np.diag(result.covariance)
-    free = ~result.at_bound
-    alone = np.diag(np.linalg.inv(_scaled_information(result)))  # a parameter at a bound: what it would have off it
-    share = np.where(free, variance / result.model.prior_sd**2, alone)
-    table = pd.DataFrame(asdict(parameter) for parameter in result.model.parameters)
-    return pd.DataFrame(
-        {
-            "parameter": [parameter.name for parameter in result.model.parameters],
-            "effect": table["effect"],
-            "unit": table["unit"],
-            "nominal": table["nominal"],
-            "estimate": result.estimate,
-            "sd": np.where(free, np.sqrt(variance), np.nan),
-            "lower": table["lower"],
-            "upper": table["upper"],
-            "at_bound": result.at_bound,
-            "prior_share": np.minimum(1.0, share),
-            "figure": table["figure"],
-            "calibrated": table["figure"] + result.estimate,
-            "meaning": table["meaning"],
-        }
-    )
-
-
-def _scaled_information(result: Fit) -> np.ndarray:
-    return result.information * np.outer(result.model.prior_sd, result.model.prior_sd)
 
 
 def _residuals(result: Fit, data: Measurements, level: Noise) -> pd.DataFrame:

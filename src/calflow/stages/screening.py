@@ -22,7 +22,7 @@ from calflow.stages.causes import Cause, parts
 from calflow.stages.fit import Fit, Problem
 
 INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
-DRAWS = 1000  # of the bootstrap
+DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
 LEVEL = 0.05  # of the smallest p-value, at which the bootstrap counts how many tests the family is worth
 
 
@@ -116,6 +116,27 @@ class Score:
 
 
 @dataclass(frozen=True)
+class Family:
+    """What the number of tests costs: scans is how many each place's variants are worth, places all places together.
+
+    A place pays for its own scan first, so that a cause without variants need not pay for the others'.
+    """
+
+    scans: dict[tuple[str, str], float]
+    places: float
+
+    @property
+    def worth(self) -> float:
+        """How many independent tests a place without a scan pays for."""
+        return self.places
+
+    def p(self, score: Score) -> float:
+        """Return the chance that anything in the family looks like this where nothing is hidden."""
+        tests = self.scans.get(score.cause.place, 1.0) * self.places
+        return float(-np.expm1(tests * np.log1p(-min(score.p, 1 - 1e-16))))
+
+
+@dataclass(frozen=True)
 class _Block:
     """Candidates with equally many columns d, stacked.
 
@@ -179,7 +200,9 @@ class Screening:
             members = np.flatnonzero(sizes == d)
             columns = np.array([self.regressors.candidates[m].columns for m in members])
             x, imitated = self.regressors.matrix[:, columns], self._imitated[:, columns]
-            s = np.einsum("nmi,nmj->mij", x, x, optimize=True) - np.einsum("nmi,nmj->mij", imitated, imitated, optimize=True)
+            s = np.einsum("nmi,nmj->mij", x, x, optimize=True) - np.einsum(
+                "nmi,nmj->mij", imitated, imitated, optimize=True
+            )
             sd = self.regressors.prior_sd[columns]
             values, vectors = np.linalg.eigh(s * sd[:, :, None] * sd[:, None, :])
             shown = values > INVISIBLE
@@ -187,7 +210,9 @@ class Screening:
             weight = np.where(shown, values / (values + 1), 0.0)
             some = shown.any(axis=1)
             roots = normal.transpose(0, 2, 1) * sd[:, None, :]
-            blocks.append(_Block(tuple(members[some]), columns[some], roots[some], weight[some], shown[some].sum(axis=1)))
+            blocks.append(
+                _Block(tuple(members[some]), columns[some], roots[some], weight[some], shown[some].sum(axis=1))
+            )
         return [block for block in blocks if block.members]
 
     @property
@@ -217,20 +242,21 @@ class Screening:
                                    float(share), -covariance @ self.score[columns], covariance))  # fmt: skip
         return sorted(found, key=lambda score: score.delta_bic)
 
-    def family(self, rng: np.random.Generator) -> float:
-        """Return how many independent tests all these are worth, by a bootstrap of the smallest p-value.
+    def family(self, rng: np.random.Generator) -> Family:
+        """Return how many independent tests each place's scan and all places together are worth, by a bootstrap.
 
-        Each row's residual keeps its size and gets a random sign (wild bootstrap: Liu 1988), so that heavy tails and noise
-        that differs from row to row are in the null as they are in the data.
+        Each residual keeps its size and gets a random sign (wild bootstrap: Liu 1988), so that heavy tails and noise that
+        differs from row to row are in the null as they are in the data.
         """
         r = self.regressors
         n = len(r.residual)
         settled = r.residual - r.jacobian @ solve_triangular(self._factor.T, self._gradient, lower=False)
         leverage = (solve_triangular(self._factor, r.jacobian.T, lower=True) ** 2).sum(axis=0)
         size = settled / np.sqrt(np.maximum(1 - leverage, 0.05))
-        smallest = np.full(DRAWS, 1.0)
-        for start in range(0, DRAWS, 250):
-            part = slice(start, min(start + 250, DRAWS))
+        places = list(dict.fromkeys(r.candidates[m].cause.place for block in self._blocks for m in block.members))
+        smallest = np.ones((len(places), DRAWS))
+        for start in range(0, DRAWS, DRAWN_AT_ONCE):
+            part = slice(start, min(start + DRAWN_AT_ONCE, DRAWS))
             count = part.stop - part.start
             noise = size[:, None] * rng.choice([-1.0, 1.0], (n, count))
             pseudo = np.sqrt(r.precision)[:, None] * rng.standard_normal((r.jacobian.shape[1], count))
@@ -239,10 +265,12 @@ class Screening:
             chi2 = (noise**2).sum(axis=0) + (pseudo**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
             for block in self._blocks:
                 whitened = np.einsum("mij,mjk->mik", block.roots, score[block.columns])
-                drops = (whitened**2).sum(axis=1)
-                smallest[part] = np.minimum(smallest[part], self._p(drops, chi2, block).min(axis=0))
-        quantile = float(np.quantile(smallest, LEVEL))
-        return max(1.0, np.log1p(-LEVEL) / np.log1p(-min(quantile, LEVEL)))
+                p = self._p((whitened**2).sum(axis=1), chi2, block)
+                at = [places.index(r.candidates[member].cause.place) for member in block.members]
+                np.minimum.at(smallest[:, part], at, p)
+        scans = np.array([_worth(row) for row in smallest])
+        adjusted = -np.expm1(scans[:, None] * np.log1p(-np.minimum(smallest, 1 - 1e-16)))
+        return Family(dict(zip(places, scans, strict=True)), _worth(adjusted.min(axis=0)) if places else 1.0)
 
     def _p(self, drops: np.ndarray, chi2: float | np.ndarray, block: _Block) -> np.ndarray:
         """p-values of F tests: drops (n_members, …) of chi² (…)."""
@@ -253,9 +281,10 @@ class Screening:
         return np.asarray(f_distribution.sf(ratio, freedom, left))
 
 
-def p_family(p: float, tests: float) -> float:
-    """Return the chance that any of so many tests shows a p-value like this where nothing is hidden."""
-    return float(-np.expm1(tests * np.log1p(-min(p, 1 - 1e-16))))
+def _worth(smallest: np.ndarray) -> float:
+    """How many independent tests have a smallest p-value that is distributed like this."""
+    quantile = float(np.quantile(smallest, LEVEL))
+    return float(max(1.0, np.log1p(-LEVEL) / np.log1p(-min(quantile, LEVEL))))
 
 
 def _variants(candidates: Sequence[Candidate]) -> dict[tuple[str, str], int]:

@@ -1,0 +1,141 @@
+"""The stage diagnose: what the model still gets wrong, named by its physical cause, added to it and judged on unseen rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from pydantic import Field, field_validator
+
+from calflow.measurements import Measurements
+from calflow.stages.accuracy import accuracy, errors
+from calflow.stages.causes import Catalogue
+from calflow.stages.curves import curves
+from calflow.stages.discrimination import poses_table, separation, separations_table
+from calflow.stages.extension import Fitted, Gate, extend, words
+from calflow.stages.findings import Diagnosis, candidates_table, findings_table
+from calflow.stages.identified import Identified, effect_table, identified
+from calflow.stages.noise import averaged
+from calflow.stages.noise_growth import growth
+from calflow.stages.parameters import covariance_table, parameter_table
+from calflow.stages.remainder import remainder
+from calflow.stages.stage import Context, Stage
+from calflow.stages.verdict import verdict
+from calflow.study import known_effects
+from calflow.toml_file import FileModel
+
+def mended(data, table):  # TEMPORARY
+    return data
+
+
+SHARES = {"causes": 0.7, "remainder": 0.2, "noise": 0.1}  # of the false alarms that are allowed
+
+
+class DiagnoseSettings(FileModel):
+    """Settings of diagnose: the chance of a false alarm, the most causes to add, and which effects to look for (all)."""
+
+    false_alarm: float = Field(default=0.01, gt=0, lt=0.5)
+    causes: int = Field(default=8, ge=1)
+    catalogue: tuple[str, ...] = ()
+    leave_out: tuple[str, ...] = ()
+
+    @field_validator("catalogue", "leave_out")
+    @classmethod
+    def _known(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
+        return known_effects(effects) if effects else effects
+
+
+def run(context: Context) -> dict[str, pd.DataFrame]:
+    """Find what the model lacks, extend it, and tell the gain on held-out rows."""
+    study = context.study
+    data = study.measurements()
+    known = identified(study.robot, context.tables, data.given)
+    data = mended(data.on(known.model.robot), context.tables.get("identify/faults.csv", pd.DataFrame(columns=["cause", "joint", "line", "statement"])))
+    found = diagnose(known, data, context)
+    final = found.extended.fitted
+    faults = context.tables.get("identify/faults.csv", pd.DataFrame(columns=["cause", "joint", "line", "statement"]))
+    separations = [separation(v, final, context.rng(f"poses{k}")) for k, v in enumerate(found.verdicts)]
+    return {
+        "diagnose/findings.csv": findings_table(found, data, faults, context.rng("resamples")),
+        "diagnose/candidates.csv": candidates_table(found),
+        "diagnose/accuracy.csv": _accuracy(found, data, context.tables["identify/accuracy.csv"]),
+        "diagnose/next_poses.csv": poses_table(separations, final),
+        "diagnose/separations.csv": separations_table(separations),
+        "diagnose/parameters.csv": parameter_table(final.fit),
+        "diagnose/covariance.csv": covariance_table(final.fit),
+        "diagnose/effects.csv": effect_table(final.model.effects),
+        "diagnose/residuals.csv": _residuals(final, data),
+        "diagnose/curves.csv": curves(final, found.causes, data),
+        "diagnose/summary.csv": _summary(found, known),
+    }
+
+
+def diagnose(known: Identified, data: Measurements, context: Context) -> Diagnosis:
+    """Extend the identified model on the training rows, and weigh what was found."""
+    settings = context.settings
+    train, level = averaged(data.only(data.train), known.noise(data).only(data.train))
+    start = Fitted.of(known, train, level)
+    alarm = SHARES["noise"] * settings.false_alarm
+    plain = start.noise.sigma
+    if grown := growth(start, alarm):
+        start = start.weighed(grown.sigma(train.table["range"].to_numpy()))
+    have = [effect.id for effect in known.model.effects]
+    catalogue = Catalogue.of(train, have, settings.catalogue, settings.leave_out)
+    context.advance(0.1)
+    gate = Gate(SHARES["causes"] * settings.false_alarm, settings.causes)
+    extended = extend(start, catalogue, gate, context.rng("bootstrap"), context.say)
+    context.advance(0.7)
+    level_left = SHARES["remainder"] * settings.false_alarm
+    left = remainder(extended.fitted, level_left, context.rng("decoys"), context.say)
+    context.advance(0.8)
+    last = extended.fitted
+    if again := growth(last.weighed(plain) if grown else last, alarm):
+        context.say(f"the noise grows with range: {1e6 * again.slope:.3g} um/m, p = {again.p:.2g}")
+    verdicts = tuple(verdict(finding) for finding in extended.findings)
+    return Diagnosis(start, extended, verdicts, tuple(left), again, catalogue.lacking)
+
+
+def _accuracy(found: Diagnosis, data: Measurements, before: pd.DataFrame) -> pd.DataFrame:
+    """The rows of identify/accuracy.csv, and one step for each cause."""
+    name = str(before["model"].iloc[-1])
+    steps = [before]
+    for verdict, fitted in zip(found.verdicts, found.extended.path, strict=True):
+        name += f" + {words(verdict.finding.cause)}"
+        steps.append(pd.DataFrame(accuracy(name, errors(fitted.model, fitted.fit.estimate, data), data)))
+    return pd.concat(steps, ignore_index=True)
+
+
+def _residuals(final: Fitted, data: Measurements) -> pd.DataFrame:
+    error = errors(final.model, final.fit.estimate, data)
+    table = data.table[["pose", "repeat", "marker"]].copy()
+    for i, axis in enumerate("xyz"):
+        table[f"d{axis}_mm"] = 1e3 * error[:, i]
+    return table.assign(split=data.table["split"], line=data.table["line"])
+
+
+def _summary(found: Diagnosis, known: Identified) -> pd.DataFrame:
+    final, first = found.extended.fitted, found.start
+    sigma = known.sigma
+    if not final.noise.known or found.growth:
+        sigma = found.growth.floor if found.growth else float(np.max(final.noise.sigma))
+    rows = [
+        ("sigma_mm", f"{1e3 * sigma:.6g}"),
+        ("noise_source", final.noise.source),
+        ("noise_growth_mm_per_m", f"{1e3 * found.growth.slope if found.growth else 0:.6g}"),
+        ("discrepancy_mm", f"{1e3 * final.noise.discrepancy:.6g}"),
+        *(
+            []
+            if final.noise.rotation is None
+            else [("rotation_discrepancy_mrad", f"{1e3 * final.noise.rotation_discrepancy:.6g}")]
+        ),
+        ("loss", final.loss),
+        ("reduced_chi2_before", f"{first.lack.reduced_chi2:.6g}" if first.noise.known else "cannot tell"),
+        ("reduced_chi2", f"{final.lack.reduced_chi2:.6g}" if final.noise.known else "cannot tell"),
+        ("lack_of_fit_p", f"{final.lack.p:.3g}" if final.noise.known else "cannot tell"),
+        ("causes_tested", str(len({score.cause.place for score in found.extended.first.scores}))),
+        ("tests", f"{found.extended.first.family.worth:.4g}"),
+        ("solver", f"IPOPT: {final.fit.status}, {final.fit.iterations} iterations"),
+    ]
+    return pd.DataFrame(rows, columns=["item", "value"])
+
+
+STAGE = Stage("diagnose", "name what the model lacks", DiagnoseSettings, run, needs=("identify",))

@@ -1,0 +1,183 @@
+"""The tables of a diagnosis: findings, best first, and every candidate that was tested."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from calflow.measurements import Measurements
+from calflow.stages.accuracy import errors
+from calflow.stages.causes import Cause
+from calflow.stages.extension import Extended, Fitted
+from calflow.stages.gain import gain
+from calflow.stages.noise_growth import Growth
+from calflow.stages.remainder import Remainder
+from calflow.stages.screening import Score
+from calflow.stages.verdict import Rival, Verdict, by_place
+
+FINDINGS = [
+    "status", "cause", "joint", "estimate", "sd", "unit", "p_family", "probability", "cannot_tell_from", "gain_mean_mm",
+    "gain_low_mm", "gain_high_mm", "heldout_mean_mm", "detail", "rivals", "rows", "statement",
+]  # fmt: skip
+CANDIDATES = [
+    "cause", "joint", "statistic", "p_family", "delta_bic", "probability", "visible_share", "estimate", "sd", "unit",
+    "part", "detail", "note",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that was found: the model to start from, its extension, a verdict a finding, and what is left.
+
+    growth is the noise's with range where there is one; lacking says by id why an effect was not tested.
+    """
+
+    start: Fitted
+    extended: Extended
+    verdicts: tuple[Verdict, ...]
+    left: tuple[Remainder, ...]
+    growth: Growth | None
+    lacking: Mapping[str, str]
+
+    @property
+    def causes(self) -> list[Cause]:
+        """The causes found, in the order of the findings."""
+        return [verdict.finding.cause for verdict in self.verdicts]
+
+
+def findings_table(
+    found: Diagnosis, data: Measurements, faults: pd.DataFrame, rng: np.random.Generator
+) -> pd.DataFrame:
+    """Return diagnose/findings.csv: data faults, causes, the noise's growth and what nobody can name."""
+    heldout = data.only(data.held_out)
+    rows = [_fault(cause, joint, group) for (cause, joint), group in faults.groupby(["cause", "joint"], sort=False)]
+    before = errors(found.start.model, found.start.fit.estimate, heldout)
+    for verdict, fitted in zip(found.verdicts, found.extended.path, strict=True):
+        after = errors(fitted.model, fitted.fit.estimate, heldout)
+        gained = gain(before, after, heldout, rng)
+        mean = float(np.linalg.norm(after, axis=1).mean()) if len(after) else np.nan
+        rows.append(
+            _cause(verdict, found.extended.fitted, _told_finer(verdict, found.left))
+            | {"gain_mean_mm": 1e3 * gained.mean, "gain_low_mm": 1e3 * gained.low, "gain_high_mm": 1e3 * gained.high,
+               "heldout_mean_mm": 1e3 * mean}
+        )  # fmt: skip
+        before = after
+    if found.growth:
+        rows.append(_growth(found.growth))
+    rows += [_left(remainder) for remainder in found.left]
+    return pd.DataFrame(rows, columns=FINDINGS)
+
+
+def candidates_table(found: Diagnosis) -> pd.DataFrame:
+    """Return diagnose/candidates.csv: every place in its best variant, as first tested, and what could not be tested."""
+    first = found.extended.first
+    places = by_place(first.scores)
+    least = min((bic for bic, _ in places.values()), default=0.0)
+    weights = {place: np.exp(-(bic - least) / 2) for place, (bic, _) in places.items()}
+    total = sum(weights.values()) + np.exp(least / 2)  # nothing at all is a candidate too
+    rows = []
+    for place, (bic, score) in sorted(places.items(), key=lambda item: item[1][0]):
+        rows.append(
+            _score(score) | {"p_family": first.family.p(score), "delta_bic": bic, "probability": weights[place] / total}
+        )
+    for cause in first.hidden:
+        rows.append({"cause": cause.id, "joint": cause.joint or None, "part": cause.part,
+                     "note": "not testable: these data cannot show it, the model's own parameters imitate it"})  # fmt: skip
+    rows += [{"cause": name, "note": f"not testable: needs {what}"} for name, what in found.lacking.items()]
+    return pd.DataFrame(rows, columns=CANDIDATES).astype({"joint": "Int64"})
+
+
+def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+    """Return one figure for a cause's parameters, and its standard deviation; a single parameter keeps its sign."""
+    if len(values) == 1:
+        return float(values[0]), float(np.sqrt(covariance[0, 0]))
+    size = cause.effect.size(values)
+    step = 1e-6 * np.sqrt(np.diag(covariance)) + 1e-300
+    slope = np.array(
+        [(cause.effect.size(values + h) - cause.effect.size(values - h)) / (2 * h.max()) for h in np.diag(step)]
+    )
+    return size, float(np.sqrt(slope @ covariance @ slope))
+
+
+def _score(score: Score) -> dict[str, object]:
+    estimate, sd = amplitude(score.cause, score.estimate, score.covariance)
+    return {
+        "cause": score.cause.id, "joint": score.cause.joint or None, "statistic": score.drop,
+        "visible_share": score.visible_share, "estimate": estimate, "sd": sd, "unit": score.cause.declared[0].unit,
+        "part": score.cause.part, "detail": score.cause.detail, "note": "",
+    }  # fmt: skip
+
+
+def _cause(verdict: Verdict, fitted: Fitted, coarse: bool) -> dict[str, object]:
+    cause = verdict.finding.cause
+    own = fitted.columns(cause)
+    estimate, sd = amplitude(cause, fitted.fit.estimate[own], fitted.fit.covariance[np.ix_(own, own)])
+    others = list(
+        dict.fromkeys(rival.id for rival in verdict.rivals if rival.id != cause.id or rival.joint != cause.joint)
+    )
+    status = "one_of" if coarse and not others else verdict.status
+    return {
+        "status": status, "cause": cause.id, "joint": cause.joint or None, "estimate": estimate,
+        "sd": sd if sd > 0 else np.nan, "unit": cause.declared[0].unit, "p_family": verdict.finding.p,
+        "probability": verdict.probability, "cannot_tell_from": ";".join(others), "detail": cause.detail,
+        "rivals": "; ".join(_named(rival) for rival in verdict.rivals), "rows": "",
+        "statement": _statement(verdict, coarse),
+    }  # fmt: skip
+
+
+def _statement(verdict: Verdict, coarse: bool) -> str:
+    cause = verdict.finding.cause
+    where = f", {_place(cause)}" if cause.joint else ""
+    detail = f" ({cause.detail})" if cause.detail else ""
+    if coarse:
+        return (
+            f"{cause.effect.family}{where}: order not resolved, more of it is left than {cause.title}{detail} explains"
+        )
+    if verdict.family:
+        return f"{verdict.family}{where}: order not resolved, best {cause.title}{detail}"
+    if verdict.rivals:
+        return f"{cause.title}{where}{detail}, or {', or '.join(_named(rival) for rival in verdict.rivals)}"
+    return f"{cause.title}{where}{detail}"
+
+
+def _place(cause: Cause) -> str:
+    return cause.part.replace("joint", "joint ").replace("link", "link ") if cause.joint else ""
+
+
+def _named(rival: Rival) -> str:
+    return f"{rival.id} {rival.joint}" if rival.joint else rival.id
+
+
+def _told_finer(verdict: Verdict, left: tuple[Remainder, ...]) -> bool:
+    """Whether a joint's angular error is named finer than what is left along the same joint allows."""
+    cause = verdict.finding.cause
+    return bool(cause.effect.family) and any(remainder.inputs == (f"q{cause.joint}",) for remainder in left)
+
+
+def _growth(grown: Growth) -> dict[str, object]:
+    return {
+        "status": "named", "cause": "range-noise", "estimate": grown.slope, "sd": grown.sd, "unit": "m/m",
+        "p_family": grown.p, "probability": 1 - grown.p, "cannot_tell_from": "", "rivals": "", "rows": "",
+        "statement": f"noise that grows with range: {1e6 * grown.floor:.3g} um and {1e6 * grown.slope:.3g} um/m",
+    }  # fmt: skip
+
+
+def _left(remainder: Remainder) -> dict[str, object]:
+    inputs = " and ".join(remainder.inputs)
+    detail = remainder.score.cause.detail
+    return {
+        "status": "unexplained", "cause": "", "p_family": remainder.p, "cannot_tell_from": "", "detail": detail,
+        "rivals": "", "rows": "",
+        "statement": f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it",
+    }  # fmt: skip
+
+
+def _fault(cause: object, joint: object, group: pd.DataFrame) -> dict[str, object]:
+    lines = group["line"].dropna().astype(int)
+    return {
+        "status": "data_fault", "cause": cause, "joint": joint or None, "cannot_tell_from": "", "rivals": "", "detail": "",
+        "rows": ";".join(map(str, lines)), "statement": group["statement"].iloc[0],
+    }  # fmt: skip
