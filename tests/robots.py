@@ -244,36 +244,49 @@ def frames(
     bearing = np.zeros((6, n)) if bearing is None else bearing
     link = np.zeros((6, n + 1)) if link is None else link
     angle = [q[..., i] for i in range(n)]
-    if of.loop:
-        k = of.loop.joint - 1
-        length = figs["a"][k] if of.convention == "modified-dh" else figs["a"][k - 1]
-        crank, rod, rocker = figs["bars"]
-        arm = angle[k - 1] + figs["theta"][k - 1]
-        to_r, rod_direction = closed_loop(length, crank, rod, rocker, arm, angle[k], of.loop.assembly)
-        crank_direction = angle[k]
-        angle[k] = to_r - arm + of.loop.offset
-    at = placed(link[:, 0])
+    k = of.loop.joint - 1 if of.loop else n
+    at = ground = placed(link[:, 0])
     result = Frames([], [], [at], bars)
     for i, joint in enumerate(of.joints):
         alpha, a, d, theta, beta = (figs[name][i] for name in ("alpha", "a", "d", "theta", "beta"))
+        if i == k:
+            angle[k], bars[:] = _driven_by_loop(of, figs, ground, at, q[..., k])
         theta, d = (theta + angle[i], d) if joint.kind == "revolute" else (theta, d + angle[i])
-        sideways = turned(0, alpha) @ shifted(a, 0, 0) @ turned(1, beta)
-        if of.convention == "modified-dh":
-            at = at @ sideways
-        if of.loop and i == k - 1:
-            bars += [at @ turned(2, crank_direction)]
-            bars += [
-                at @ turned(2, crank_direction) @ shifted(crank, 0, 0) @ turned(2, rod_direction - crank_direction)
-            ]
+        if of.convention == "modified-dh":  # a link's far end is at the next joint, the base's where the base is
+            at = at @ turned(0, alpha) @ shifted(0 if i else a, 0, 0) @ turned(1, beta)
+        if i == k - 1:
+            ground = at
         at = at @ turned(2, theta) @ placed(bearing[:, i])
         result.joints.append(at)
         at = at @ shifted(0, 0, d)
         if of.convention == "dh":
             at = at @ shifted(a, 0, 0) @ turned(0, alpha) @ turned(1, beta)
         result.links.append(at)
+        if of.convention == "modified-dh" and i + 1 < n:
+            at = at @ shifted(figs["a"][i + 1], 0, 0)
         at = at @ placed(link[:, i + 1])
         result.ends.append(at)
     return result
+
+
+def _driven_by_loop(
+    of: Robot, figs: dict[str, np.ndarray], ground: np.ndarray, end: np.ndarray, crank_angle: np.ndarray
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Angle of the driven joint on the deflected end of the arm PS, and the frames of crank and rod.
+
+    P and the crank stand on the ground, before the arm's joint. S is where the arm's end is in the ground's plane, and the
+    rocker points to where the loop closes there, whatever way the arm's end points.
+    """
+    k = of.loop.joint - 1
+    arm = np.linalg.inv(ground) @ end
+    if of.convention == "dh":
+        arm = arm @ turned(1, -figs["beta"][k - 1]) @ turned(0, -figs["alpha"][k - 1])
+    s, along = (arm[..., 0, column] + 1j * arm[..., 1, column] for column in (3, 0))
+    crank, rod, rocker = figs["bars"]
+    to_r, rod_direction = closed_loop(np.abs(s), crank, rod, rocker, np.angle(s), crank_angle, of.loop.assembly)
+    at_p = ground @ turned(2, crank_angle)
+    at_q = at_p @ shifted(crank, 0, 0) @ turned(2, rod_direction - crank_angle)
+    return to_r - np.angle(along) + of.loop.offset, [at_p, at_q]
 
 
 def base_frame(of: Robot, figs: dict[str, np.ndarray] | None = None) -> np.ndarray:

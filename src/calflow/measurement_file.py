@@ -235,13 +235,13 @@ def _placed_in_time(
         table["range"] = np.linalg.norm(table[["x", "y", "z"]] - np.array(source.tracker or (0.0, 0.0, 0.0)), axis=1)
     if not source.in_order or "approach1" in table:
         return table, []
-    came, far = _approach(table, numbered("q", robot.n_joints))
+    came, far = approach_and_travel(table, numbered("q", robot.n_joints))
     table[numbered("approach", robot.n_joints)] = came
     table[numbered("travel", robot.n_joints)] = far
     return table, ["in_order = true: approach directions and travel follow from the order of the rows"]
 
 
-def _approach(table: pd.DataFrame, readings: list[str]) -> tuple[np.ndarray, np.ndarray]:
+def approach_and_travel(table: pd.DataFrame, readings: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Return each row's approach directions and its travel since the joints last turned back, (n_rows, n_joints) each."""
     q = table.sort_values("order", kind="stable")[readings].to_numpy()
     came, far = np.zeros_like(q), np.zeros_like(q)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -11,9 +13,13 @@ from numpy.testing import assert_allclose
 from scipy.optimize import root
 
 import robots
+from calflow.conditions import Row
 from calflow.model import build
+from calflow.robot.chain import Deflection, pose
 from calflow.robot.description import Robot
-from calflow.robot.loop import close
+from calflow.robot.dimensions import nominal_dimensions, nominal_loads
+from calflow.robot.loop import assembly_side, close
+from calflow.robot.statics import state
 
 LENGTH = st.floats(0.2, 3.0)
 ANGLE = st.floats(-np.pi, np.pi)
@@ -24,12 +30,23 @@ def closure_graph(side: int) -> ca.Function:
     link, bars, link_angle, crank_angle = (
         ca.SX.sym(name, size) for name, size in zip("lbas", (1, 3, 1, 1), strict=True)
     )
-    found = close(side, link, bars, link_angle, crank_angle)
+    pin = link * ca.vertcat(ca.cos(link_angle), ca.sin(link_angle))
+    found = close(side, pin, bars, crank_angle)
     outputs = [found.rocker_angle, found.rod_angle, found.cosine]
     return ca.Function("closure", [link, bars, link_angle, crank_angle], outputs)
 
 
+def askew(robot: Robot) -> Robot:
+    """The robot with its arm's two axes not quite parallel and its arm beside the loop's plane."""
+    joints = list(robot.joints)
+    joints[1] = joints[1].model_copy(update={"alpha": joints[1].alpha + 0.03, "beta": -0.02, "d": 0.15})
+    joints[2] = joints[2].model_copy(update={"alpha": joints[2].alpha - 0.02, "beta": 0.03, "d": -0.1})
+    return robot.model_copy(update={"joints": tuple(joints)})
+
+
 GENERAL = {name: robots.hh800_with_bars(0.75, 1.7, 0.9, name) for name in ("open", "crossed")}
+PLANE = {"hh800": robots.hh800(), **GENERAL, "dh": robots.palletiser()}
+LOOPS = PLANE | {f"{name} askew": askew(PLANE[name]) for name in ("open", "dh")}
 GRAPH = {side: closure_graph(side) for side in (1, -1)}
 ASSEMBLIES = ("open", "crossed")
 
@@ -113,7 +130,7 @@ def test_parallelogram_keeps_the_rocker_parallel_to_the_crank() -> None:
     assert_allclose(model.position(model.nominal, robots.rows(model, q)), wanted, atol=1e-12)
 
 
-@pytest.mark.parametrize("robot", [*GENERAL.values(), robots.palletiser()], ids=[*GENERAL, "dh"])
+@pytest.mark.parametrize("robot", LOOPS.values(), ids=LOOPS)
 def test_chain_follows_a_general_loop(robot: Robot) -> None:
     """Breaks if the chain takes another angle than the closed loop's, or another link for PS in one convention."""
     model = build(robot, [])
@@ -121,6 +138,86 @@ def test_chain_follows_a_general_loop(robot: Robot) -> None:
     wanted = robots.marker_position(robot, q)
     assert np.isfinite(wanted).all()
     assert_allclose(model.position(model.nominal, robots.rows(model, q)), wanted, atol=1e-12)
+
+
+def arm_gives_way(robot: Robot, bearing: np.ndarray, end: np.ndarray) -> dict[str, np.ndarray]:
+    """Motions as in `Deflection` that move only the arm PS: twists of its bearing and of its far end."""
+    j, n = robot.loop.joint - 1, robot.n_joints
+    motions = {"bearing": np.zeros((6, n)), "link": np.zeros((6, n + 1))}
+    motions["bearing"][:, j - 1], motions["link"][:, j] = bearing, end
+    return motions
+
+
+def deflection(motions: dict[str, np.ndarray]) -> Deflection:
+    """The same for the graph, zero entries left out."""
+    bearing, link = (ca.SX(ca.sparsify(ca.DM(motions[part]))) for part in ("bearing", "link"))
+    return Deflection(ca.SX(bearing.shape[1], 1), bearing, link)
+
+
+def mechanism(robot: Robot, given: Deflection) -> ca.Function:
+    """Graph of q -> frames of the driven joint, the crank, the rod and the flange."""
+    q = ca.SX.sym("q", robot.n_joints)
+    at = pose(robot, nominal_dimensions(robot), q, given)
+    return ca.Function("mechanism", [q], [at.joints[robot.loop.joint - 1], *at.bars, at.flange])
+
+
+@pytest.mark.parametrize("robot", PLANE.values(), ids=PLANE)
+def test_loop_closes_where_its_arm_has_given_way(robot: Robot) -> None:
+    """Breaks if an arm that bends or shifts in its plane stretches the rod, or takes the crank or the rocker with it."""
+    in_plane = np.array([1, 1, 0, 0, 0, 1]) * np.random.default_rng(5).normal(0, 5e-3, (2, 6))
+    bent, straight = mechanism(robot, deflection(arm_gives_way(robot, *in_plane))), mechanism(robot, Deflection.zero(6))
+    from_x = -(robot.loop.offset + robot.joints[robot.loop.joint - 1].theta)
+    rocker = robot.loop.rocker * np.array([np.cos(from_x), np.sin(from_x), 0])
+    for q in robots.poses(robot, 10):
+        joint, crank, rod, _ = (np.array(frame) for frame in bent(q))
+        assert_allclose(robots.moved(rod, [robot.loop.rod.length, 0, 0]), robots.moved(joint, rocker), atol=1e-12)
+        assert_allclose(crank, straight(q)[1], atol=1e-12)
+        assert np.linalg.norm(joint[:3, 3] - np.array(straight(q)[0])[:3, 3]) > 1e-3
+
+
+@pytest.mark.parametrize("robot", PLANE.values(), ids=PLANE)
+def test_a_slope_at_the_pin_turns_nothing(robot: Robot) -> None:
+    """Breaks if the upper arm turns with the lower arm's end, which only a serial robot's does."""
+    slope = np.array([0, 0, 0, 0, 0, 0.02])
+    bent = mechanism(robot, deflection(arm_gives_way(robot, np.zeros(6), slope)))
+    straight = mechanism(robot, Deflection.zero(6))
+    for q in robots.poses(robot, 10):
+        assert_allclose(bent(q)[3], straight(q)[3], atol=1e-12)
+
+
+@pytest.mark.parametrize("robot", LOOPS.values(), ids=LOOPS)
+def test_arm_carries_what_the_rod_leaves_it(robot: Robot) -> None:
+    """Breaks if the wrenches on the arm are not the slopes of the energy with the loop closed at the deflected pose."""
+    j, payload = robot.loop.joint - 1, next(iter(robot.payloads))
+    twists = np.random.default_rng(6).normal(0, 5e-3, 12)
+    c = ca.SX.sym("c", sum(Row.sizes(robot).values()))
+    given = deflection(arm_gives_way(robot, *np.split(twists, 2)))
+    found = state(robot, nominal_dimensions(robot), nominal_loads(robot), Row.unpack(robot, c), given)
+    wrenches = ca.Function("wrenches", [c], [ca.vertcat(found.bearing[:, j - 1], found.link[:, j])])
+
+    for q in robots.poses(robot, 5):
+
+        def energy(twists: np.ndarray, q: np.ndarray = q) -> float:
+            return robots.energy(robot, q, payload, **arm_gives_way(robot, *np.split(twists, 2)))
+
+        wanted = [(energy(twists - h) - energy(twists + h)) / 2e-5 for h in 1e-5 * np.eye(12)]
+        assert_allclose(np.array(wrenches([*q, 1, 1])).ravel(), wanted, atol=1e-7 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("robot", LOOPS.values(), ids=LOOPS)
+def test_an_arm_that_stands_still_costs_nothing(robot: Robot) -> None:
+    """Breaks if motions that are zero, left out or put in, leave operations in the graph."""
+    q, still, dims = ca.SX.sym("q", 6), Deflection.zero(6), nominal_dimensions(robot)
+    dims = replace(dims, **{name: ca.SX.sym(name, 6) for name in ("alpha", "a", "d", "theta", "beta")})
+    moving = replace(still, bearing=ca.SX.sym("bearing", 6, 6), link=ca.SX.sym("link", 6, 7))
+    left_out, with_motions = (pose(robot, dims, q, given).flange for given in (still, moving))
+    put_in = ca.substitute(with_motions, ca.veccat(moving.bearing, moving.link), ca.DM.zeros(78))
+    j = robot.loop.joint - 1
+    turn, length = q[j - 1] + dims.theta[j - 1], dims.a[j if robot.convention == "modified-dh" else j - 1]
+    pin, angles = length * ca.vertcat(ca.cos(turn), ca.sin(turn)), ca.SX(q)
+    angles[j] = close(assembly_side(robot), pin, dims.bars, q[j]).rocker_angle - turn + robot.loop.offset
+    by_hand = pose(robot.model_copy(update={"loop": None}), dims, angles, still).flange
+    assert ca.n_nodes(left_out) == ca.n_nodes(put_in) == ca.n_nodes(by_hand)
 
 
 @pytest.mark.parametrize(("rod", "rocker"), [(0.5, 0.4), (2.9, 0.5)], ids=["too short", "too long"])

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from calflow.measurements import Measurements
 
 AMPLITUDE = 2e-4  # rad rms, before any data
-LENGTHS = (0.15, 0.5)  # rad: how far along the travel neighbouring errors are alike
-FINEST = 0.1  # rad, resolved at best
+LENGTHS = (0.06, 0.15, 0.5)  # rad: how far along the travel neighbouring errors are alike
+FINEST = 0.05  # rad, resolved at best
 NEGLIGIBLE = 1e-3  # share of the largest prior standard deviation below which a wave is left out
 MARGIN = 1.1  # times half the travel at which the waves are tied to zero
-DENSE = 4  # readings that each finest step of the travel must hold
+DENSE = 2  # readings that each finest step of the travel must hold
 
 
 @dataclass(frozen=True)

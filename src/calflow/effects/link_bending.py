@@ -21,14 +21,10 @@ SHORTEST = 0.2  # m: stubs do not bend
 
 @dataclass(frozen=True)
 class Span:
-    """A link as a beam: from its joint's axis by the vector span (3,) [m] to its tip.
-
-    link is its index, tip the place of the tip in the frame in which `Deflection.link` moves it.
-    """
+    """A link as a beam: from its joint's axis by the vector span (3,) [m] to its far end; link is its index."""
 
     link: int
     span: ca.DM
-    tip: ca.DM
 
     @property
     def length(self) -> float:
@@ -43,11 +39,10 @@ def spans(robot: Robot) -> tuple[Span, ...]:
     for i in range(robot.n_joints):
         if robot.convention == "modified-dh":  # the next axis is a_(i+1) further along x
             ahead = float(dims.a[i + 1]) if i + 1 < robot.n_joints else 0.0
-            span, tip = ca.DM([ahead, 0.0, float(dims.d[i])]), ca.DM([ahead, 0.0, 0.0])
+            span = ca.DM([ahead, 0.0, float(dims.d[i])])
         else:
-            turned = rot_x(dims.alpha[i])[:3, :3].T @ ca.vertcat(dims.a[i], 0, dims.d[i])
-            span, tip = ca.evalf(turned), ca.DM([0.0, 0.0, 0.0])
-        found.append(Span(i, span, tip))
+            span = ca.evalf(rot_x(dims.alpha[i])[:3, :3].T @ ca.vertcat(dims.a[i], 0, dims.d[i]))
+        found.append(Span(i, span))
     return tuple(span for span in found if span.length >= SHORTEST)
 
 
@@ -76,20 +71,14 @@ class LinkBending(Effect):
         """Move each link's far end."""
         link = ca.SX(still.link)
         for k, beam in enumerate(spans(self.robot)):
-            force, moment = tip_load(state, beam)
+            force, moment = state.link[:3, beam.link + 1], state.link[3:, beam.link + 1]
             u, length = beam.span / beam.length, beam.length
             across, bends = force - u * ca.dot(u, force), moment - u * ca.dot(u, moment)
             slope = p[k] * (length**2 / 2 * ca.cross(u, force) + length * bends)
             shift = p[k] * (length**3 / 3 * across + length**2 / 2 * ca.cross(bends, u))
-            link[:, beam.link + 1] = ca.vertcat(shift - ca.cross(slope, beam.tip), slope)
+            link[:, beam.link + 1] = ca.vertcat(shift, slope)
         return replace(still, link=link)
 
     def variable(self, joint: int) -> Variable:
         """Return the moment at the link's end."""
         return Variable(f"moment at the end of link {joint}", "Nm", lambda state, row: ca.norm_2(state.link[3:, joint]))
-
-
-def tip_load(state: State, beam: Span) -> tuple[ca.SX, ca.SX]:
-    """Return the force [N] and the moment [Nm] at a link's tip."""
-    wrench = state.link[:, beam.link + 1]
-    return wrench[:3], wrench[3:] - ca.cross(beam.tip, wrench[:3])

@@ -9,7 +9,7 @@ import casadi as ca
 
 from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable
-from calflow.effects.link_bending import SOFT_BOUND, SOFT_SD, spans, tip_load
+from calflow.effects.link_bending import SOFT_BOUND, SOFT_SD, spans
 from calflow.robot.chain import Deflection
 from calflow.robot.statics import State, rated_torques
 
@@ -35,10 +35,8 @@ class LinkTorsion(Effect):
         """Twist each link."""
         link = ca.SX(still.link)
         for k, beam in enumerate(spans(self.robot)):
-            _, moment = tip_load(state, beam)
             u = beam.span / beam.length
-            twist = p[k] * beam.length * u * ca.dot(u, moment)
-            link[:, beam.link + 1] = ca.vertcat(-ca.cross(twist, beam.tip), twist)
+            link[3:, beam.link + 1] = p[k] * beam.length * u * ca.dot(u, state.link[3:, beam.link + 1])
         return replace(still, link=link)
 
     def variable(self, joint: int) -> Variable:

@@ -17,8 +17,8 @@ class Deflection:
     """Small motions that load or wear adds to the nominal mechanism.
 
     joint is added to the driven joint angles, (n_joints,). bearing holds a twist (dx, dy, dz, rx, ry, rz) at each joint's
-    frame, (6, n_joints); link the same at each link's far end, (6, n_joints + 1), where column 0 is the base and the last
-    the flange. Units m and rad.
+    frame, (6, n_joints); link the same at each link's far end, where the next joint is, (6, n_joints + 1), where column 0 is
+    the base and the last the flange. Units m and rad.
     """
 
     joint: ca.SX
@@ -75,7 +75,8 @@ def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Po
     for i, joint in enumerate(robot.joints):
         before = end
         if robot.convention == "modified-dh":
-            before = end @ rot_x(dims.alpha[i]) @ translation(dims.a[i], 0, 0) @ rot_y(dims.beta[i])
+            length = dims.a[0] if i == 0 else 0  # the base gives way at its origin
+            before = end @ rot_x(dims.alpha[i]) @ translation(length, 0, 0) @ rot_y(dims.beta[i])
         if robot.loop and i == robot.loop.joint - 2 and closure:
             bars = _bar_frames(before, dims, driven[robot.loop.joint - 1], closure)
         slide = dims.d[i] + (angles[i] if joint.kind == "prismatic" else 0)
@@ -84,7 +85,10 @@ def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Po
         frame = moved @ translation(0, 0, slide)
         if robot.convention == "dh":
             frame = frame @ translation(dims.a[i], 0, 0) @ rot_x(dims.alpha[i]) @ rot_y(dims.beta[i])
-        end = frame @ _twist(deflection.link[:, i + 1])
+        end = frame
+        if robot.convention == "modified-dh" and i + 1 < robot.n_joints:
+            end = frame @ translation(dims.a[i + 1], 0, 0)
+        end = end @ _twist(deflection.link[:, i + 1])
         joints.append(moved)
         links.append(frame)
         ends.append(end)
@@ -119,7 +123,7 @@ def _arm(robot: Robot, dims: Dimensions, deflection: Deflection, i: int) -> ca.S
     joint = _twist(deflection.bearing[:, i]) @ translation(0, 0, dims.d[i])
     bend = _twist(deflection.link[:, i + 1])
     if robot.convention == "modified-dh":
-        return joint @ bend @ translation(dims.a[i + 1], 0, 0)
+        return joint @ translation(dims.a[i + 1], 0, 0) @ bend
     turns, still = rot_x(dims.alpha[i]) @ rot_y(dims.beta[i]), ca.SX.eye(4)
     # The bend is in the turned axes. As a difference it leaves no operations where nothing bends.
     return joint @ translation(dims.a[i], 0, 0) @ (still + turns @ (bend - still) @ turns.T)

@@ -23,6 +23,7 @@ from calflow.stages.verdict import verdict
 from calflow.study import known_effects
 from calflow.toml_file import FileModel
 
+
 def mended(data, table):  # TEMPORARY
     return data
 
@@ -49,7 +50,10 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     study = context.study
     data = study.measurements()
     known = identified(study.robot, context.tables, data.given)
-    data = mended(data.on(known.model.robot), context.tables.get("identify/faults.csv", pd.DataFrame(columns=["cause", "joint", "line", "statement"])))
+    data = mended(
+        data.on(known.model.robot),
+        context.tables.get("identify/faults.csv", pd.DataFrame(columns=["cause", "joint", "line", "statement"])),
+    )
     found = diagnose(known, data, context)
     final = found.extended.fitted
     faults = context.tables.get("identify/faults.csv", pd.DataFrame(columns=["cause", "joint", "line", "statement"]))
@@ -132,7 +136,7 @@ def _summary(found: Diagnosis, known: Identified) -> pd.DataFrame:
         ("reduced_chi2", f"{final.lack.reduced_chi2:.6g}" if final.noise.known else "cannot tell"),
         ("lack_of_fit_p", f"{final.lack.p:.3g}" if final.noise.known else "cannot tell"),
         ("causes_tested", str(len({score.cause.place for score in found.extended.first.scores}))),
-        ("tests", f"{found.extended.first.family.worth:.4g}"),
+        ("tests", f"{found.extended.first.family.places:.4g}"),
         ("solver", f"IPOPT: {final.fit.status}, {final.fit.iterations} iterations"),
     ]
     return pd.DataFrame(rows, columns=["item", "value"])

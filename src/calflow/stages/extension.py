@@ -16,7 +16,6 @@ from calflow.stages.noise import LackOfFit, Noise
 from calflow.stages.screening import Family, Regressors, Score, Screening
 from calflow.stages.settle import fit_settled
 
-ROUNDS = 2  # of second thoughts, for each cause found
 SETTLED = 0.1  # relative change of the noise below which an intermediate fit is not repeated
 
 
@@ -117,14 +116,44 @@ class Screened:
     family: Family
     hidden: tuple[Cause, ...]
 
+
+@dataclass(frozen=True)
+class Look:
+    """One model with causes, and all candidates' regressors there, from one Jacobian."""
+
+    fitted: Fitted
+    causes: tuple[Cause, ...]
+    regressors: Regressors
+
     @staticmethod
-    def of(now: Fitted, catalogue: Catalogue, rng: np.random.Generator) -> Screened:
-        """Screen a fitted model."""
-        screening = Screening(Regressors.of(now.fit, now.problem, catalogue.effects))
+    def at(fitted: Fitted, causes: Sequence[Cause], catalogue: Catalogue) -> Look:
+        """Linearise a fitted model; its own causes are among the candidates, for when they are taken out."""
+        effects = (*catalogue.effects, *causes)
+        return Look(fitted, tuple(causes), Regressors.of(fitted.fit, fitted.problem, effects))
+
+    def screened(self, rng: np.random.Generator) -> Screened:
+        """Test what the model does not have yet."""
+        others = tuple(candidate for candidate in self.regressors.candidates if candidate.cause not in self.causes)
+        screening = Screening(replace(self.regressors, candidates=others))
         shown = {score.cause.place for score in screening.scores}
-        every = {candidate.cause.place: candidate.cause for candidate in screening.regressors.candidates}
+        every = {candidate.cause.place: candidate.cause for candidate in others}
         hidden = tuple(cause for place, cause in every.items() if place not in shown)
         return Screened(tuple(screening.scores), screening.family(rng), hidden)
+
+    def findings(self, family: Family) -> list[Finding]:
+        """Score all candidates in each cause's place, the others staying in the model; linear, without a refit."""
+        whole, estimate = self.regressors, self.fitted.fit.estimate
+        free = np.flatnonzero(~self.fitted.fit.at_bound)
+        found = []
+        for cause in self.causes:
+            columns = np.flatnonzero(np.isin(free, self.fitted.columns(cause)))
+            value = estimate[free[columns]]
+            apart = whole.without(
+                columns, whole.jacobian[:, columns] @ value, value * np.sqrt(whole.precision[columns])
+            )
+            others = tuple(c for c in apart.candidates if c.cause == cause or c.cause not in self.causes)
+            found.append(Finding(cause, tuple(Screening(replace(apart, candidates=others)).scores), family))
+        return found
 
 
 def extend(
@@ -132,10 +161,11 @@ def extend(
 ) -> Extended:
     """Add causes while one passes the gate, then drop those that the others make needless and swap mistaken ones."""
     base, now, causes = len(start.model.effects), start, list[Cause]()
-    first = last = Screened.of(now, catalogue, rng)
+    look = Look.at(now, causes, catalogue)
+    first = last = look.screened(rng)
     trail = [now]
     while len(causes) < gate.most:
-        passed = [s for s in last.scores if s.cause not in causes and _passes(s, last.family, gate)]
+        passed = [score for score in last.scores if _passes(score, last.family, gate)]
         if not passed:
             break
         best = _refined(passed[0], now)
@@ -143,19 +173,19 @@ def extend(
         causes.append(best.cause)
         now = now.with_causes(base, causes, np.concatenate([now.fit.estimate, best.estimate]))
         trail.append(now)
-        last = Screened.of(now, catalogue, rng)
-    findings: list[Finding] = []
-    for _ in range(ROUNDS * len(causes)):
-        findings = _conditional(now, base, causes, catalogue, first.family)
-        better = _second_thoughts(findings, gate)
-        if better == causes:
-            break
-        say(f"{', '.join(words(c) for c in causes if c not in better)} gives way to "
-            f"{', '.join(words(c) for c in better if c not in causes) or 'nothing'}")  # fmt: skip
+        look = Look.at(now, causes, catalogue)
+        last = look.screened(rng)
+    findings = look.findings(first.family)
+    tried = [causes]
+    while (better := _second_thoughts(findings, gate)) not in tried:
+        gone, come = ([c for c in these if c not in those] for these, those in ((causes, better), (better, causes)))
+        say(f"{' and '.join(map(words, gone))} gives way to {' and '.join(map(words, come)) or 'nothing'}")
         causes = better
+        tried.append(causes)
         now = now.with_causes(base, causes, _start(now, base, causes))
         trail.append(now)
-        last = Screened.of(now, catalogue, rng)
+        look = Look.at(now, causes, catalogue)
+        last, findings = look.screened(rng), look.findings(first.family)
     path = tuple(_fitted(trail, start, base, causes[: k + 1]) for k in range(len(causes)))
     return Extended(now, tuple(findings), path, first, last)
 
@@ -185,24 +215,6 @@ def _refined(score: Score, now: Fitted) -> Score:
     scores = Screening(Regressors.of(now.fit, now.problem, finer)).scores
     best = max(scores, key=lambda s: s.drop, default=score)
     return best if best.drop > score.drop else score
-
-
-def _conditional(
-    now: Fitted, base: int, causes: Sequence[Cause], catalogue: Catalogue, family: Family
-) -> list[Finding]:
-    """Score all candidates in each cause's place, the others staying in the model; linear, without a refit."""
-    whole = Regressors.of(now.fit, now.problem, (*catalogue.effects, *causes))
-    free = np.flatnonzero(~now.fit.at_bound)
-    found, end = [], len(now.fit.estimate) - sum(len(cause.declared) for cause in causes)
-    for cause in causes:
-        own = np.arange(end, end + len(cause.declared))
-        end = own[-1] + 1
-        columns = np.flatnonzero(np.isin(free, own))
-        value = now.fit.estimate[free[columns]]
-        apart = whole.without(columns, whole.jacobian[:, columns] @ value, value * np.sqrt(whole.precision[columns]))
-        others = tuple(c for c in apart.candidates if c.cause == cause or c.cause not in causes)
-        found.append(Finding(cause, tuple(Screening(replace(apart, candidates=others)).scores), family))
-    return found
 
 
 def _second_thoughts(findings: Sequence[Finding], gate: Gate) -> list[Cause]:

@@ -24,7 +24,7 @@ FINDINGS = [
 ]  # fmt: skip
 CANDIDATES = [
     "cause", "joint", "statistic", "p_family", "delta_bic", "probability", "visible_share", "estimate", "sd", "unit",
-    "part", "detail", "note",
+    "tests", "part", "detail", "note",
 ]  # fmt: skip
 
 

@@ -125,15 +125,13 @@ class Family:
     scans: dict[tuple[str, str], float]
     places: float
 
-    @property
-    def worth(self) -> float:
-        """How many independent tests a place without a scan pays for."""
-        return self.places
+    def tests(self, score: Score) -> float:
+        """Return how many tests a candidate pays for: its place's scan times all places."""
+        return self.scans.get(score.cause.place, 1.0) * self.places
 
     def p(self, score: Score) -> float:
         """Return the chance that anything in the family looks like this where nothing is hidden."""
-        tests = self.scans.get(score.cause.place, 1.0) * self.places
-        return float(-np.expm1(tests * np.log1p(-min(score.p, 1 - 1e-16))))
+        return float(-np.expm1(self.tests(score) * np.log1p(-min(score.p, 1 - 1e-16))))
 
 
 @dataclass(frozen=True)
