@@ -428,6 +428,8 @@ def _key(study: Study, stage: Stage, common: dict[str, str], upstream: dict[str,
     if stage.measured:
         path = study.measurement_path
         key[f"file {path.name}"] = sha256(path)
+        if confirming := study.confirming:
+            key[f"file {confirming.measurement_path.name}"] = sha256(confirming.measurement_path)
     settings = study.validated_settings(stage.name, stage.settings).model_dump(mode="json")
     key |= {f"setting {name}": json.dumps(value) for name, value in settings.items()}
     for name in (*stage.needs, *stage.uses):

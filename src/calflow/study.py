@@ -26,7 +26,7 @@ class Split(FileModel):
 
 
 class StudyFile(FileModel):
-    """A study file as written."""
+    """A study file as written; confirm names the study of an independent series of the same robot."""
 
     name: str
     title: str = ""
@@ -35,6 +35,7 @@ class StudyFile(FileModel):
     seed: int = Field(ge=0)
     effects: tuple[str, ...] = ("geometry", "joint-compliance")
     measurements: MeasurementSource | None = None
+    confirm: str = ""
     split: Split = Split()
     stages: dict[str, dict[str, Any]] = {}
 
@@ -152,6 +153,15 @@ class Study:
         if self.file.measurements is None:
             raise refuse("has no measurements yet: expected a table [measurements] with file = …", self.path)
         return locate(self.file.measurements, self.path.parent)
+
+    @property
+    def confirming(self) -> Study | None:
+        """The study of the independent series, if there is one.
+
+        Raises:
+            InputError: its files are at fault.
+        """
+        return load_study(self.path.parent / self.file.confirm) if self.file.confirm else None
 
     def measurements(self) -> Measurements:
         """Read the measurements, split into train and holdout."""

@@ -9,6 +9,7 @@ from pydantic import Field, field_validator
 from calflow.measurements import Measurements
 from calflow.stages.accuracy import accuracy, errors
 from calflow.stages.causes import Catalogue
+from calflow.stages.confirmation import confirm
 from calflow.stages.curves import curves
 from calflow.stages.discrimination import poses_table, separation, separations_table
 from calflow.stages.extension import Fitted, Gate, extend, words
@@ -57,8 +58,10 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     found = diagnose(known, data, context)
     final = found.extended.fitted
     faults = context.tables.get("identify/faults.csv", pd.DataFrame(columns=["cause", "joint", "line", "statement"]))
+    other = study.confirming
+    confirmed = confirm(final, len(known.model.effects), other.measurements()) if other and found.causes else None
     separations = [separation(v, final, context.rng(f"poses{k}")) for k, v in enumerate(found.verdicts)]
-    return {
+    tables = {
         "diagnose/findings.csv": findings_table(found, data, faults, context.rng("resamples")),
         "diagnose/candidates.csv": candidates_table(found),
         "diagnose/accuracy.csv": _accuracy(found, data, context.tables["identify/accuracy.csv"]),
@@ -71,6 +74,11 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
         "diagnose/curves.csv": curves(final, found.causes, data),
         "diagnose/summary.csv": _summary(found, known),
     }
+    if confirmed:
+        context.say(f"confirmed by {other.name}: " + "; ".join(confirmed.table["words"].unique()))
+        tables |= {"diagnose/confirmation.csv": confirmed.table, "diagnose/confirmation_curves.csv": confirmed.curves,
+                   "diagnose/confirmation_accuracy.csv": confirmed.accuracy}  # fmt: skip
+    return tables
 
 
 def diagnose(known: Identified, data: Measurements, context: Context) -> Diagnosis:
@@ -102,8 +110,8 @@ def _accuracy(found: Diagnosis, data: Measurements, before: pd.DataFrame) -> pd.
     """The rows of identify/accuracy.csv, and one step for each cause."""
     name = str(before["model"].iloc[-1])
     steps = [before]
-    for verdict, fitted in zip(found.verdicts, found.extended.path, strict=True):
-        name += f" + {words(verdict.finding.cause)}"
+    for cause, fitted in zip(found.causes, found.extended.path, strict=True):
+        name += f" + {words(cause)}"
         steps.append(pd.DataFrame(accuracy(name, errors(fitted.model, fitted.fit.estimate, data), data)))
     return pd.concat(steps, ignore_index=True)
 

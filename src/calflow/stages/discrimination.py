@@ -64,7 +64,8 @@ class Separation:
                 f"no pose under these loads tells {self.cause.id} from {self.rival.id} ({then:.1f} sd after {POSES} poses): "
                 "another payload, a load from another direction, or a sensor at the joint is needed"
             )
-        return f"measure the {len(self.proposal.readings)} poses of next_poses.csv: they separate by {then:.1f} sd instead of {now:.1f}"
+        number = len(self.proposal.readings)
+        return f"measure the {number} poses of next_poses.csv: they separate by {then:.1f} sd instead of {now:.1f}"
 
 
 def separation(verdict: Verdict, fitted: Fitted, rng: np.random.Generator) -> list[Separation]:

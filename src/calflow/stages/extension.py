@@ -177,7 +177,7 @@ def extend(
         last = look.screened(rng)
     findings = look.findings(first.family)
     tried = [causes]
-    while (better := _second_thoughts(findings, gate)) not in tried:
+    while (better := second_thoughts(findings, gate)) not in tried:
         gone, come = ([c for c in these if c not in those] for these, those in ((causes, better), (better, causes)))
         say(f"{' and '.join(map(words, gone))} gives way to {' and '.join(map(words, come)) or 'nothing'}")
         causes = better
@@ -217,7 +217,7 @@ def _refined(score: Score, now: Fitted) -> Score:
     return best if best.drop > score.drop else score
 
 
-def _second_thoughts(findings: Sequence[Finding], gate: Gate) -> list[Cause]:
+def second_thoughts(findings: Sequence[Finding], gate: Gate) -> list[Cause]:
     """Return the causes that stay, a rival in the place of the one it explains better; one change at a time."""
     causes = [finding.cause for finding in findings]
     weakest = sorted(findings, key=lambda finding: -_own_bic(finding))

@@ -53,13 +53,32 @@ class JointField(JointError, Decoy):
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return waves of the joint's angle, or products of waves of both."""
-        if len(self.of) == 1:
-            angle = state.q[self.of[0]]
-            values = [wave(k * angle) for k in range(1, ORDERS + 1) for wave in (ca.cos, ca.sin)]
-        else:
-            first, second = (state.q[i] for i in self.of)
-            values = [a(first) * b(second) for a in (ca.cos, ca.sin) for b in (ca.cos, ca.sin)]
-        return [Term(f"wave{k + 1}", "rad", SIZE, 1.0, value) for k, value in enumerate(values)]
+        return [
+            Term(f"wave{k + 1}", "rad", SIZE, 1.0, value) for k, value in enumerate(_waves(state.q, self.of))
+        ]
+
+
+@dataclass(frozen=True)
+class Shift(Decoy):
+    """A shift of the reported point as a smooth function of one joint's angle, or of two together."""
+
+    of: tuple[int, ...] = (0,)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The joints it depends on."""
+        return tuple(f"q{i + 1}" for i in self.of)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the waves along each axis."""
+        number = 2 * ORDERS if len(self.of) == 1 else 4
+        return tuple(
+            Parameter(self.id, "point", f"wave{k + 1}{axis}", "m", SIZE, -1.0, 1.0) for k in range(number) for axis in "xyz"
+        )
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Shift what is reported."""
+        return point + ca.reshape(p, 3, p.numel() // 3) @ ca.vertcat(*_waves(row.q, self.of))
 
 
 @dataclass(frozen=True)
@@ -153,13 +172,22 @@ def decoys(data: Measurements) -> list[Decoy]:
     robot = data.robot
     turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
     chosen: list[Decoy] = [JointField(robot, (i,)) for i in turning]
-    chosen += [JointField(robot, pair) for pair in combinations(turning, 2)]
+    chosen += [Shift(robot, (i,)) for i in turning]
+    chosen += [kind(robot, pair) for pair in combinations(turning, 2) for kind in (JointField, Shift)]
     place = data.position
     centre = place.mean(axis=0)
     chosen.append(InPlace(robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0))
     if "time" in data.given:
         chosen += [InTime(robot, float(rate)) for rate in _rates(data.table["time"].to_numpy())]
     return chosen
+
+
+def _waves(q: ca.SX, of: tuple[int, ...]) -> list[ca.SX]:
+    """Waves of one joint's angle, or products of two joints' without what either does alone."""
+    if len(of) == 1:
+        return [wave(k * q[of[0]]) for k in range(1, ORDERS + 1) for wave in (ca.cos, ca.sin)]
+    first, second = (q[i] for i in of)
+    return [a(first) * b(second) for a in (ca.cos, ca.sin) for b in (ca.cos, ca.sin)]
 
 
 def _rates(time: np.ndarray) -> np.ndarray:

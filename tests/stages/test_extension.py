@@ -1,0 +1,82 @@
+"""The extension adds the causes that are there, drops needless ones, and says where the evidence comes from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calflow.effects import catalogue
+from calflow.model import Model, build
+from calflow.stages.causes import Catalogue, Cause
+from calflow.stages.extension import Fitted, Gate, Look, extend, second_thoughts
+from calflow.stages.settle import fit_settled
+from robots import industrial
+from stages.data import measured, stated
+
+TESTED = ("joint-eccentricity", "gear-ratio-error", "joint-compliance", "base-compliance", "periodic-joint-error")
+GATE = Gate(0.01, 4)
+
+
+def cause(name, part, **variant):
+    """One cause on the industrial robot."""
+    return Cause(robot := industrial(), catalogue()[name](robot, **variant), part)
+
+
+def start(data):
+    """Geometry alone, fitted."""
+    model = build(data.robot, ("geometry",))
+    fit, noise, lack, _ = fit_settled(model, data, stated(data), model.nominal[None], "linear")
+    return Fitted(fit, data, noise, lack, "linear")
+
+
+def hidden(values, poses=80, seed=4):
+    """Poses of a robot with causes of these sizes."""
+    robot = industrial()
+    model = Model(robot, (*build(robot, ("geometry",)).effects, *(cause for cause, _ in values)))
+    sizes = [size for _, value in values for size in value]
+    truth = np.concatenate([np.zeros(len(model.parameters) - len(sizes)), sizes])
+    return measured(model, truth, poses, np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def data():
+    """Poses of a robot with a soft joint 2, and a joint 1 that runs out of true."""
+    soft, eccentric = cause("joint-compliance", "joint2"), cause("joint-eccentricity", "joint1", order=2)
+    return hidden([(soft, (1.5e-6,)), (eccentric, (1.5e-4, -1e-4))])
+
+
+def test_both_causes_are_added_and_nothing_else(data):
+    """Breaks if the extension stops early, goes on with noise, or its models on the way are not those of its findings."""
+    extended = extend(start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None)
+    assert [finding.cause.place for finding in extended.findings] == [
+        ("joint-compliance", "joint2"), ("joint-eccentricity", "joint1"),
+    ]  # fmt: skip
+    assert [len(fitted.model.effects) for fitted in extended.path] == [2, 3]
+    assert extended.path[-1].fit.estimate == pytest.approx(extended.fitted.fit.estimate)
+    assert all(finding.p < 1e-6 for finding in extended.findings)
+    assert extended.fitted.lack.reduced_chi2 == pytest.approx(1.0, abs=0.25)
+
+
+def test_noise_alone_extends_nothing():
+    """Breaks if something is added where nothing is hidden."""
+    data = hidden([])
+    extended = extend(start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None)
+    assert extended.findings == ()
+    assert extended.first == extended.last
+
+
+def test_a_wrong_cause_gives_way_and_a_needless_one_goes(data):
+    """Breaks if what was added too early stays: a rival explains it better, or the others have made it superfluous."""
+    catalogue_ = Catalogue.of(data, ("geometry",), TESTED)
+    begun = start(data)
+    wrong, right = cause("base-compliance", "base"), cause("joint-compliance", "joint2")
+    eccentric, needless = cause("joint-eccentricity", "joint1", order=2), cause("gear-ratio-error", "joint5")
+
+    def thoughts(*causes):
+        fitted = begun.with_causes(1, causes, np.zeros(len(begun.fit.estimate) + sum(len(c.declared) for c in causes)))
+        look = Look.at(fitted, causes, catalogue_)
+        return second_thoughts(look.findings(look.screened(np.random.default_rng(2)).family), GATE)
+
+    assert thoughts(right, eccentric, needless) == [right, eccentric]
+    assert [c.place for c in thoughts(wrong)] == [right.place]
+    assert thoughts(right, eccentric) == [right, eccentric]
