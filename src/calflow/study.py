@@ -93,7 +93,7 @@ def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
     """
     from calflow.effects import catalogue
 
-    needing = [effect for effect in effects if "masses" in catalogue()[effect].needs]
+    needing = [effect for effect in effects if "torques" in catalogue()[effect].needs]
     measured = all(joint.rated_torque for joint in robot.joints)  # measured torques may then stand for masses
     if needing and not robot.has_masses and not measured:
         origin = Origin.of(path)

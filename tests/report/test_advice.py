@@ -9,8 +9,18 @@ import pytest
 
 from calflow.report.material import Step
 from calflow.report.section import Advice, Rule, advice, sections
-from calflow.report.sections import accuracy, identifiability, parameters, posterior, predictive, residuals
+from calflow.report.sections import (
+    accuracy,
+    diagnosis,
+    faults,
+    identifiability,
+    parameters,
+    posterior,
+    predictive,
+    residuals,
+)
 from calflow.report.sections.verdict import headline, leftover
+from calflow.stages.findings import CANDIDATES, FINDINGS
 
 SUMMARY = {
     "noise_source": "file", "reduced_chi2": "1.02", "solver": "IPOPT: Solve_Succeeded, 9 iterations",
@@ -50,13 +60,54 @@ def predictions(inside: int, outside: int, split: str = "holdout") -> pd.DataFra
     return pd.DataFrame({"split": split, "covered": covered})
 
 
+def faulty(*lines: int) -> pd.DataFrame:
+    said = f"lines {', '.join(map(str, lines))} are far off"
+    return pd.DataFrame({"cause": "outlier", "joint": 0, "line": list(lines), "action": "left out", "statement": said})
+
+
+def found(*statuses: str) -> pd.DataFrame:
+    """Findings: backlash of joint 2, or what its angle explains and no cause does."""
+    rows = [
+        {"status": status, "cause": None, "statement": "depends on q2; no cause of the catalogue explains it"}
+        if status == "unexplained"
+        else {"status": status, "cause": "joint-backlash", "joint": 2, "rivals": "joint-hysteresis 2"}
+        for status in statuses
+    ]
+    return pd.DataFrame(rows, columns=FINDINGS)
+
+
+def candidates(*notes: str) -> pd.DataFrame:
+    return pd.DataFrame([{"cause": "frame-drift", "note": note} for note in notes], columns=CANDIDATES)
+
+
+def separations(after: float, words: str) -> pd.DataFrame:
+    row = {"cause": "joint-backlash", "joint": 2, "rival": "joint-hysteresis", "rival_joint": 2, "separation_before_sd": 1.0,
+           "separation_after_sd": after, "words": words}  # fmt: skip
+    return pd.DataFrame([row])
+
+
+def poses(number: int) -> pd.DataFrame:
+    row = {
+        "tells": "joint-backlash",
+        "from": "joint-hysteresis",
+        "separation_before_sd": 1.2,
+        "separation_after_sd": 6.5,
+    }
+    return pd.DataFrame([row] * number, columns=list(row))
+
+
 QUIET: dict[str, pd.DataFrame] = {
     "identify/summary.csv": summary(),
     "identify/accuracy.csv": accuracies(),
+    "identify/faults.csv": faulty(),
     "identify/residuals.csv": pd.DataFrame({"line": [2, 3, 4], "flagged": [False, False, False]}),
     "identify/parameters.csv": parameter_table(),
     "identify/identifiability.csv": statements(),
     "identify/placement.csv": placement("E"),
+    "diagnose/findings.csv": found(),
+    "diagnose/candidates.csv": candidates("", "not testable: needs a column time_s"),
+    "diagnose/separations.csv": separations(9.0, "measure the 3 poses of next_poses.csv").iloc[:0],
+    "diagnose/next_poses.csv": poses(0),
     "sample/posterior.csv": pd.DataFrame({"parameter": ["joint2.a", "E.x"], "rhat": [1.001, 1.009]}),
     "sample/summary.csv": pd.DataFrame([("length", "long enough")], columns=["item", "value"]),
     "sample/predictive.csv": predictions(57, 3),
@@ -72,6 +123,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, pd.DataFrame], int, str]] = [
     (accuracy.nothing_held_out, {"identify/accuracy.csv": accuracies(holdout=None)}, 2, "split.holdout"),
     (accuracy.does_not_carry_over, {"identify/accuracy.csv": accuracies(holdout=0.2)}, 2, "4.0 times"),
     (accuracy.reaches_beyond, {"identify/summary.csv": summary(extrapolation="joint 2: 6 rows")}, 3, "joint 2: 6 rows"),
+    (faults.correct_the_file, {"identify/faults.csv": faulty(9, 12)}, 2, "lines 9, 12 are far off"),
     (residuals.flagged_rows, {"identify/residuals.csv": pd.DataFrame({"line": [2, 9], "flagged": [False, True]})}, 2, "line 9"),
     (parameters.at_bound, {"identify/parameters.csv": parameter_table(at_bound=True)}, 2, "joint2.a"),
     (parameters.at_bound,
@@ -81,6 +133,13 @@ SPEAKS: list[tuple[Rule, Mapping[str, pd.DataFrame], int, str]] = [
     (identifiability.unseen_compliance,
      {"identify/identifiability.csv": statements(("silent", "joint1.s")),
       "identify/parameters.csv": parameter_table(parameter="joint1.s", unit="rad/Nm")}, 3, "joint 1"),
+    (diagnosis.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07)}, 1, "0.070 mm against 0.060 mm"),
+    (diagnosis.unexplained, {"diagnose/findings.csv": found("unexplained")}, 2, "depends on the angle of joint 2 that no cause"),
+    (diagnosis.next_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "Measure the 3 poses of diagnose/next_poses.csv that tell backlash from"),
+    (diagnosis.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(
+        0.0, "no pose tells joint-backlash from joint-hysteresis in these data: log each joint's travel")}, 3,
+     "To tell backlash of joint 2 from friction wind-up of joint 2: log each joint's travel"),
+    (diagnosis.untested, {"diagnose/findings.csv": found("unexplained")}, 3, "with a column time_s (drift of the measuring"),
     (posterior.too_short, {"sample/summary.csv": pd.DataFrame([("length", "too short: about 90 more steps are needed")],
                                                               columns=["item", "value"])}, 2, "about 90 more steps"),
     (posterior.ensembles_disagree, {"sample/posterior.csv": pd.DataFrame({"parameter": ["a", "b"], "rhat": [1.2, 1.0]})}, 2,
@@ -117,6 +176,16 @@ def test_every_rule_is_tested() -> None:
                                          "identify/placement.csv": placement("A", "B")}),
         (identifiability.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;joint5.a"))}),
         (identifiability.unseen_compliance, {"identify/identifiability.csv": statements(("silent", "joint2.a"))}),
+        (accuracy.model_lacks, {"identify/summary.csv": summary(reduced_chi2="9"),
+                                "diagnose/summary.csv": summary(reduced_chi2="1.1")}),
+        (accuracy.model_lacks, {"identify/summary.csv": summary(reduced_chi2="9"),
+                                "diagnose/findings.csv": found("unexplained")}),
+        (diagnosis.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.061)}),
+        (diagnosis.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=None)}),
+        (diagnosis.other_means, {"diagnose/findings.csv": found("named"), "diagnose/separations.csv": separations(0.0, "a: b")}),
+        (diagnosis.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(6.5, "c")}),
+        (diagnosis.untested, {"diagnose/findings.csv": found("unexplained"),
+                              "diagnose/candidates.csv": candidates("not testable: these data cannot show it")}),
         (predictive.too_narrow, {"sample/predictive.csv": predictions(54, 6)}),
         (predictive.too_narrow, {"sample/predictive.csv": predictions(10, 50, split="train")}),
     ],

@@ -27,7 +27,7 @@ def test_proposed_poses_separate_more_than_random_ones():
     near = measured(model, truth, 60, rng)
     near = near.only(np.abs(near.joints[:, 1]) < 0.8)  # on short travel the two are alike
     fit, noise, lack, _ = fit_settled(model, near, stated(near), model.nominal[None], "linear")
-    fitted = Fitted(fit, near, noise, lack, "linear")
+    fitted = Fitted(fit, near, noise, lack, "linear", noise)
     proposal = propose(fitted, ratio, eccentric, SIGMA, np.random.default_rng(1))
     assert proposal.readings.shape == (POSES, 6)
     assert proposal.after > 1.5 * proposal.before
@@ -38,7 +38,9 @@ def test_proposed_poses_separate_more_than_random_ones():
         more.table[[f"q{i + 1}" for i in range(6)]] = readings
         rows = np.hstack([near.rows, more.rows])
         both = Model(robot, (*model.effects, eccentric))
-        jacobian = both.position_jacobian(np.append(fit.estimate, [0.0, 0.0]), rows).reshape(3 * rows.shape[1], -1) / SIGMA
+        jacobian = (
+            both.position_jacobian(np.append(fit.estimate, [0.0, 0.0]), rows).reshape(3 * rows.shape[1], -1) / SIGMA
+        )
         own = len(fit.estimate) - 1
         others = np.delete(np.arange(jacobian.shape[1]), own)
         whole = np.vstack([jacobian[:, others], np.diag(1 / both.prior_sd[others])])

@@ -12,8 +12,8 @@ from scipy.stats import kstest
 from calflow.model import build
 from calflow.problems import InputError
 from calflow.stages.fit import Problem, fit
-from calflow.stages.settle import fit_settled
 from calflow.stages.noise import averaged, lack_of_fit, noise
+from calflow.stages.settle import fit_settled
 from robots import industrial
 from stages.data import SIGMA, drawn_truth, measured, stated
 

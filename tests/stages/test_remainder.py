@@ -28,7 +28,7 @@ def fitted(shift=None, seed=8, poses=100, sigma=None):
         data.table[["x", "y", "z"]] += shift(data.table)
     model = build(robot, ("geometry",), data.given)
     fit, noise, lack, _ = fit_settled(model, data, stated(data), model.nominal[None], "linear")
-    return Fitted(fit, data, noise, lack, "linear")
+    return Fitted(fit, data, noise, lack, "linear", noise)
 
 
 def test_noise_depends_on_nothing():

@@ -48,7 +48,9 @@ def test_a_score_is_what_a_refit_gains(data, fitted, regressors):
     before, asked = fitted
     scores = {(s.cause.place, s.cause.detail): s for s in Screening(regressors).scores}
     for (_, part), detail in ((("joint-eccentricity", "joint2"), "order 1"), (("gear-ratio-error", "joint4"), "")):
-        score = next(s for (place, d), s in scores.items() if place[1] == part and d == detail and place[0] in TESTED[:2])
+        score = next(
+            s for (place, d), s in scores.items() if place[1] == part and d == detail and place[0] in TESTED[:2]
+        )
         wider = Model(data.robot, (*before.model.effects, score.cause))
         after = fit(replace(asked, model=wider), np.concatenate([before.estimate, score.estimate])[None])[0]
         assert 2 * (before.objective - after.objective) == pytest.approx(score.drop, rel=0.02, abs=0.02)

@@ -141,12 +141,13 @@ class Effect(ABC):
 def unmet(needs: tuple[str, ...], robot: Robot, given: tuple[str, ...]) -> list[str]:
     """Return in words which needs robot file and data leave unmet.
 
-    A need is a condition of the data (`conditions.OPTIONAL`), or of the robot file: masses (which measured torques may
-    stand for), payload, gear_ratio.
+    A need is a condition of the data (`conditions.OPTIONAL`), or of the robot file: masses, torques (computed from
+    masses, or measured), payload, gear_ratio.
     """
     said = {
-        "masses": ("mass_kg and com_mm of every link in the robot file, or measured torques tau1_Nm …",
-                   robot.has_masses or "torque" in given),
+        "masses": ("mass_kg and com_mm of every link in the robot file", robot.has_masses),
+        "torques": ("mass_kg and com_mm of every link in the robot file, or measured torques tau1_Nm …",
+                    robot.has_masses or "torque" in given),
         "payload": ("a payload with a mass in the robot file", any(load.mass for load in robot.payloads.values())),
         "gear_ratio": ("gear_ratio of a joint in the robot file", any(joint.gear_ratio for joint in robot.joints)),
         "approach": ("columns approach1 … (or in_order = true in the study's [measurements])", "approach" in given),

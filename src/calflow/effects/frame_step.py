@@ -40,7 +40,7 @@ class FrameStep(Effect):
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return the moments about this one that were left out."""
         places = np.unique(data.table["order"].to_numpy())
-        between = (places[1:] + places[:-1]) / 2
+        between = ((places[1:] + places[:-1]) / 2)[FEWEST - 1 : len(places) - FEWEST]
         reach = max(1.0, float(np.ptp(places)) / MOMENTS)
         return tuple(type(self)(self.robot, float(m)) for m in between[np.abs(between - self.moment) <= reach])
 

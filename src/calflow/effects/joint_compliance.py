@@ -24,7 +24,7 @@ class JointCompliance(Effect):
 
     id: ClassVar[str] = "joint-compliance"
     title: ClassVar[str] = "joint compliance (linear torsional springs)"
-    needs: ClassVar[tuple[str, ...]] = ("masses",)
+    needs: ClassVar[tuple[str, ...]] = ("torques",)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return one compliance a joint."""

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import casadi as ca
 
 from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable
-from calflow.robot.description import Robot
 from calflow.robot.dimensions import Loads
-
-if TYPE_CHECKING:
-    from calflow.measurements import Measurements
 
 
 @dataclass(frozen=True)
@@ -23,11 +19,6 @@ class LinkMass(Effect):
     id: ClassVar[str] = "link-mass"
     title: ClassVar[str] = "link mass"
     needs: ClassVar[tuple[str, ...]] = ("masses",)
-
-    @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
-        """Say that there is no mass to be wrong where the torques were measured."""
-        return "" if robot.has_masses else "mass_kg and com_mm of every link in the robot file"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return a relative error a link."""

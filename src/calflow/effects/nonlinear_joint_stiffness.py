@@ -33,7 +33,7 @@ class NonlinearJointStiffness(JointError):
 
     id: ClassVar[str] = "nonlinear-joint-stiffness"
     title: ClassVar[str] = "nonlinear joint stiffness"
-    needs: ClassVar[tuple[str, ...]] = ("masses",)
+    needs: ClassVar[tuple[str, ...]] = ("torques",)
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -41,7 +41,7 @@ class PeriodicJointError(JointError):
         """Return orders about this one."""
         step = _step(data)
         orders = self.order + np.linspace(-step, step, FINER)
-        return tuple(type(self)(self.robot, float(order)) for order in orders if order >= LOWEST - step)
+        return tuple(type(self)(self.robot, float(order)) for order in orders if order >= LOWEST)
 
     @property
     def detail(self) -> str:

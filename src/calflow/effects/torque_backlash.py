@@ -24,7 +24,7 @@ class TorqueBacklash(JointError):
 
     id: ClassVar[str] = "torque-backlash"
     title: ClassVar[str] = "backlash by sign of torque"
-    needs: ClassVar[tuple[str, ...]] = ("masses",)
+    needs: ClassVar[tuple[str, ...]] = ("torques",)
 
     @cached_property
     def rated(self) -> np.ndarray:

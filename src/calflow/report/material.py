@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from calflow.faults import mended
 from calflow.measurements import Measurements
+from calflow.report.findings import step_words
 from calflow.report.words import effect_words
-from calflow.stages.identified import Identified, identified
+from calflow.stages.identified import Identified, calibrated
 from calflow.stages.stage import Tables
 from calflow.study import Study
 
@@ -32,7 +34,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Material:
-    """Study, measurements in the order of identify/residuals.csv, what identify found, and all tables."""
+    """Study, measurements without the rows that are left out, the best model that was found, and all tables."""
 
     study: Study
     data: Measurements
@@ -43,9 +45,10 @@ class Material:
     @staticmethod
     def of(study: Study, tables: Tables, run_folder: Path) -> Material:
         """Read the measurements and rebuild the fitted model."""
-        data = study.measurements()
-        known = identified(study.robot, tables, data.given)
-        return Material(study, data.on(known.model.robot), known, tables, run_folder)
+        data = mended(study.measurements(), tables["identify/faults.csv"])
+        known = calibrated(study.robot, tables, data.given)
+        used = data.only(data.train | data.held_out)
+        return Material(study, used.on(known.model.robot), known, tables, run_folder)
 
     @property
     def title(self) -> str:
@@ -55,17 +58,22 @@ class Material:
     @cached_property
     def held(self) -> np.ndarray:
         """Which rows no fit has seen, shape (n_rows,)."""
-        return ~self.data.train
+        return self.data.held_out
 
     @property
     def judged(self) -> np.ndarray:
-        """The rows by which the model is judged: those held out, else all."""
-        return self.held if self.held.any() else np.full(len(self.data), True)
+        """The rows by which the model is judged: those held out, else those fitted."""
+        return self.held if self.held.any() else self.data.train
 
     @cached_property
     def error(self) -> np.ndarray:
         """Predicted minus measured positions, shape (n_rows, 3) [mm]."""
-        return self.tables["identify/residuals.csv"][["dx_mm", "dy_mm", "dz_mm"]].to_numpy(dtype=float)
+        return _errors(latest(self.tables, "residuals"))
+
+    @property
+    def error_before(self) -> np.ndarray:
+        """The same of the study's own model, before causes were added to it."""
+        return _errors(self.tables["identify/residuals.csv"])
 
     @cached_property
     def distance(self) -> np.ndarray:
@@ -92,6 +100,17 @@ class Material:
         return 1e3 * float(np.sqrt(variance.mean()))
 
 
+def _errors(residuals: pd.DataFrame) -> np.ndarray:
+    used = residuals["split"].isin(["train", "holdout"])  # the others were left out as faulty
+    return residuals.loc[used, ["dx_mm", "dy_mm", "dz_mm"]].to_numpy(dtype=float)
+
+
+def latest(tables: Tables, name: str) -> pd.DataFrame:
+    """Return a table of the best model there is: diagnose's, which has the causes that were found, else identify's."""
+    extended = f"diagnose/{name}.csv"
+    return tables[extended] if extended in tables else tables[f"identify/{name}.csv"]
+
+
 def split_judged(accuracy: pd.DataFrame) -> str:
     """Return the split by which models are judged: holdout where there is one."""
     return "holdout" if (accuracy["split"] == "holdout").any() else "train"
@@ -105,6 +124,12 @@ def steps(accuracy: pd.DataFrame, split: str) -> list[Step]:
         label = _label(row["model"], found[-1].model if found else "")
         found.append(Step(row["model"], label, row["n"], row["mean_mm"], row["rms_mm"], row["max_mm"]))
     return found
+
+
+def gathered(found: list[Step], own: int) -> list[Step]:
+    """Return steps of which the first are the study's own and the others, if there are several, are drawn together."""
+    added = len(found) - own
+    return found if added < 2 else [*found[:own], replace(found[-1], label=f"+ {added} causes")]
 
 
 def item(summary: pd.DataFrame, name: str) -> str:
@@ -124,5 +149,5 @@ def _label(model: str, before: str) -> str:
     if model == "nominal":
         return "nominal robot"
     if before and model.startswith(f"{before} + "):
-        return f"+ {effect_words(model[len(before) + 3 :])}"
+        return f"+ {step_words(model[len(before) + 3 :])}"
     return effect_words(model)

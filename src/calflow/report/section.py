@@ -30,7 +30,8 @@ Rule = Callable[[Tables], list[Advice]]
 class Section:
     """A part of the report: where it stands, the tables it cannot do without, how it is written, what it advises.
 
-    rules turn tables into advice for the first page; they apply where the section's tables are there.
+    rules turn tables into advice for the first page; they apply where the section's tables are there. worth_telling says
+    whether the section has anything to say.
     """
 
     order: int
@@ -38,6 +39,7 @@ class Section:
     needs: tuple[str, ...]
     write: Callable[[Material], list[Block]]
     rules: tuple[Rule, ...] = ()
+    worth_telling: Callable[[Tables], bool] = lambda tables: True
 
 
 def sections() -> list[Section]:
@@ -51,8 +53,9 @@ def sections() -> list[Section]:
 
 
 def chosen(every: Sequence[Section], material: Material) -> list[Section]:
-    """Return the sections whose tables are there."""
-    return [section for section in every if set(section.needs) <= set(material.tables)]
+    """Return the sections whose tables are there and hold something to tell."""
+    tables = material.tables
+    return [section for section in every if set(section.needs) <= set(tables) and section.worth_telling(tables)]
 
 
 def advice(every: Sequence[Section], tables: Tables) -> list[Advice]:

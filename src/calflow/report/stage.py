@@ -33,4 +33,6 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     return {}
 
 
-STAGE = Stage("report", "write the report", ReportSettings, run, needs=("identify",), uses=("select", "sample"))
+STAGE = Stage(
+    "report", "write the report", ReportSettings, run, needs=("identify",), uses=("select", "diagnose", "sample")
+)

@@ -72,6 +72,7 @@ def confirm(found: Fitted, base: int, other: Measurements) -> Confirmation:
         "cause",
         "joint",
         "correlation",
+        "correlation_with_first_order",
         "rms_here_urad",
         "rms_there_urad",
         "common_deg",
@@ -141,11 +142,14 @@ def _compared(
     told: dict[str, object] = {"cause": cause.id, "joint": cause.joint, "common_deg": float(np.rad2deg(max(high - low, 0.0))),
                                "share_of_travel": float(max(high - low, 0.0) / travel)}  # fmt: skip
     if matched is None or high <= low:
-        return told | {"words": f"the other series does not cover joint {cause.joint} densely enough to see it"}, None
+        few = f"does not cover joint {cause.joint} densely enough to see it"
+        none = f"has no reading of joint {cause.joint} within the travel that was seen here"
+        return told | {"words": f"the other series {none if high <= low else few}"}, None
     angle = np.linspace(low, high, GRID)
     own = _values(found.model, found.fit.estimate, cause)
     other = _values(alone.model, alone.estimate, matched)
-    first, second = (_free_of_offset(curve(c, v, angle)) for c, v in ((cause, own), (matched, other)))
+    whole = [curve(c, v, angle) for c, v in ((cause, own), (matched, other))]
+    first, second = (_beyond_first_order(values, angle) for values in whole)
     correlation = float(np.corrcoef(first, second)[0, 1])
     share = float((high - low) / travel)
     if correlation >= AGREE:
@@ -156,6 +160,7 @@ def _compared(
         words = "the two series do not agree: at least one curve holds what belongs to something else"
     told |= {
         "correlation": correlation,
+        "correlation_with_first_order": float(np.corrcoef(*whole)[0, 1]),
         "rms_here_urad": 1e6 * first.std(),
         "rms_there_urad": 1e6 * second.std(),
         "words": words,
@@ -165,9 +170,10 @@ def _compared(
     return told, drawn
 
 
-def _free_of_offset(values: np.ndarray) -> np.ndarray:
-    """Take off the mean, which the joint's zero holds in either series."""
-    return values - values.mean()
+def _beyond_first_order(values: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Take off offset, slope and first order, which the joint's zero, geometry and gravity imitate in either series."""
+    imitated = np.column_stack([np.ones_like(angle), angle, np.cos(angle), np.sin(angle)])
+    return np.asarray(values - imitated @ np.linalg.lstsq(imitated, values)[0])
 
 
 def _values(model: Model, estimate: np.ndarray, cause: Cause) -> np.ndarray:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -10,14 +12,16 @@ import pandas as pd
 
 from calflow.conditions import Row
 from calflow.effects.base import Effect, Variable
+from calflow.effects.joint_error import JointError, Term
 from calflow.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.robot.chain import Deflection
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
-from calflow.robot.statics import state
+from calflow.robot.statics import State, state
 from calflow.stages.causes import Cause
 from calflow.stages.extension import Fitted
 
+PARALLEL = 0.02  # share of an effect off its joint's lever below which it counts as that joint's
 COLUMNS = [
     "finding",
     "cause",
@@ -41,7 +45,9 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
     """
     model, estimate = final.model, final.fit.estimate
     left = data.position - model.position(estimate, data.rows)
-    jacobian = model.position_jacobian(estimate, data.rows)
+    turned = Model(model.robot, (*model.effects, _Lever(model.robot)), model.given)
+    whole = turned.position_jacobian(np.append(estimate, np.zeros(model.robot.n_joints)), data.rows)
+    jacobian, levers = np.split(whole, [len(estimate)], axis=2)
     blocks, start = [], 0
     for effect in model.effects:
         own = slice(start, start + len(effect.declared))
@@ -50,7 +56,8 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
             continue
         assert isinstance(effect, Cause)
         moved = jacobian[:, :, own] @ estimate[own]
-        along = _direction(jacobian[:, :, own], estimate[own])
+        lever = levers[:, :, effect.joint - 1] if effect.joint else None
+        along = _direction(jacobian[:, :, own], estimate[own], lever)
         variable = effect.effect.variable(effect.joint)
         after, fitted = (np.einsum("ra,ra->r", part, along) for part in (left, moved))
         block = {
@@ -63,21 +70,33 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
     return pd.concat(blocks, ignore_index=True) if blocks else pd.DataFrame(columns=COLUMNS)
 
 
-def _direction(jacobian: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Unit vectors (n_rows, 3) along which a cause acts: its strongest axis in each row, turned alike in neighbours.
+@dataclass(frozen=True)
+class _Lever(JointError):
+    """A turn of each joint by an angle of its own: how far a joint's error moves the tool."""
 
-    Where all of a cause's parameters act along one line, as on a joint's angle, a row's sign is that of its lever; it must
-    not turn with the effect itself, or every error would look positive.
+    id: ClassVar[str] = "lever"
+    title: ClassVar[str] = "lever"
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the angle."""
+        return [Term("angle", "rad", 1.0, 1.0, ca.SX(1))]
+
+
+def _direction(jacobian: np.ndarray, value: np.ndarray, lever: np.ndarray | None) -> np.ndarray:
+    """Unit vectors (n_rows, 3) along which a cause acts.
+
+    Where all its parameters move the tool as its joint does, that is the joint's lever (n_rows, 3): its sign does not turn
+    with the effect, or every error would look positive. Else it is the strongest axis of each row, to one side.
     """
-    weighted = jacobian * np.abs(value)
-    _, _, axes = np.linalg.svd(weighted.transpose(0, 2, 1), full_matrices=False)
+    moved = jacobian * np.abs(value)
+    if lever is not None:
+        along = lever / np.maximum(np.linalg.norm(lever, axis=1), 1e-12)[:, None]
+        apart = moved - along[:, :, None] * np.einsum("ra,rap->rp", along, moved)[:, None, :]
+        if np.linalg.norm(apart) < PARALLEL * np.linalg.norm(moved):
+            return along
+    _, _, axes = np.linalg.svd(moved.transpose(0, 2, 1), full_matrices=False)
     along = axes[:, 0, :]
-    parallel = np.einsum("rap,rbp->rab", weighted, weighted)
-    largest = np.argmax(np.abs(value) * np.abs(jacobian).sum(axis=(0, 1)))
-    lever = np.einsum("ra,ra->r", along, jacobian[:, :, largest])
-    mean = np.einsum("rab,rb->ra", parallel, along).mean(axis=0)
-    if jacobian.shape[2] == 1:
-        return along * np.where(lever < 0, -1.0, 1.0)[:, None]
+    mean = np.einsum("rap,rbp,rb->a", moved, moved, along)
     return along * np.where(along @ mean < 0, -1.0, 1.0)[:, None]
 
 

@@ -6,13 +6,14 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, field_validator
 
+from calflow.faults import mended
 from calflow.measurements import Measurements
 from calflow.stages.accuracy import accuracy, errors
 from calflow.stages.causes import Catalogue
 from calflow.stages.confirmation import confirm
 from calflow.stages.curves import curves
 from calflow.stages.discrimination import poses_table, separation, separations_table
-from calflow.stages.extension import Fitted, Gate, extend, words
+from calflow.stages.extension import Fitted, Gate, extend
 from calflow.stages.findings import Diagnosis, candidates_table, findings_table
 from calflow.stages.identified import Identified, effect_table, identified
 from calflow.stages.noise import averaged
@@ -24,11 +25,6 @@ from calflow.stages.verdict import verdict
 from calflow.study import known_effects
 from calflow.toml_file import FileModel
 
-
-def mended(data, table):  # TEMPORARY
-    return data
-
-
 SHARES = {"causes": 0.7, "remainder": 0.2, "noise": 0.1}  # of the false alarms that are allowed
 
 
@@ -36,7 +32,7 @@ class DiagnoseSettings(FileModel):
     """Settings of diagnose: the chance of a false alarm, the most causes to add, and which effects to look for (all)."""
 
     false_alarm: float = Field(default=0.01, gt=0, lt=0.5)
-    causes: int = Field(default=8, ge=1)
+    causes: int = Field(default=10, ge=1)
     catalogue: tuple[str, ...] = ()
     leave_out: tuple[str, ...] = ()
 
@@ -53,11 +49,11 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     known = identified(study.robot, context.tables, data.given)
     data = mended(
         data.on(known.model.robot),
-        context.tables.get("identify/faults.csv", pd.DataFrame(columns=["cause", "joint", "line", "statement"])),
+        context.tables["identify/faults.csv"],
     )
     found = diagnose(known, data, context)
     final = found.extended.fitted
-    faults = context.tables.get("identify/faults.csv", pd.DataFrame(columns=["cause", "joint", "line", "statement"]))
+    faults = context.tables["identify/faults.csv"]
     other = study.confirming
     confirmed = confirm(final, len(known.model.effects), other.measurements()) if other and found.causes else None
     separations = [separation(v, final, context.rng(f"poses{k}")) for k, v in enumerate(found.verdicts)]
@@ -87,7 +83,7 @@ def diagnose(known: Identified, data: Measurements, context: Context) -> Diagnos
     train, level = averaged(data.only(data.train), known.noise(data).only(data.train))
     start = Fitted.of(known, train, level)
     alarm = SHARES["noise"] * settings.false_alarm
-    plain = start.noise.sigma
+    plain = start.device.sigma
     if grown := growth(start, alarm):
         start = start.weighed(grown.sigma(train.table["range"].to_numpy()))
     have = [effect.id for effect in known.model.effects]
@@ -111,7 +107,7 @@ def _accuracy(found: Diagnosis, data: Measurements, before: pd.DataFrame) -> pd.
     name = str(before["model"].iloc[-1])
     steps = [before]
     for cause, fitted in zip(found.causes, found.extended.path, strict=True):
-        name += f" + {words(cause)}"
+        name += f" + {cause.id} {cause.part}"
         steps.append(pd.DataFrame(accuracy(name, errors(fitted.model, fitted.fit.estimate, data), data)))
     return pd.concat(steps, ignore_index=True)
 
@@ -128,7 +124,7 @@ def _summary(found: Diagnosis, known: Identified) -> pd.DataFrame:
     final, first = found.extended.fitted, found.start
     sigma = known.sigma
     if not final.noise.known or found.growth:
-        sigma = found.growth.floor if found.growth else float(np.max(final.noise.sigma))
+        sigma = found.growth.floor if found.growth else float(np.median(final.noise.sigma))
     rows = [
         ("sigma_mm", f"{1e3 * sigma:.6g}"),
         ("noise_source", final.noise.source),

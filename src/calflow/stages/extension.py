@@ -16,23 +16,37 @@ from calflow.stages.noise import LackOfFit, Noise
 from calflow.stages.screening import Family, Regressors, Score, Screening
 from calflow.stages.settle import fit_settled
 
-SETTLED = 0.1  # relative change of the noise below which an intermediate fit is not repeated
+FAR, MEDIAN_LENGTH = 4.5, 1.5382  # robust standard deviations; the median length of three unit normals
+CLEAR = 1e-3  # share of the gate below which the cost of the tests need not be worked out anew
+MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
+SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
+WEIGHINGS = 3  # fits in which the weights of rows far off settle
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A fitted model with the training data and the noise it was fitted with; lack is that against the noise alone."""
+    """A fitted model with the training data and the noise it was fitted with.
+
+    lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight.
+    """
 
     fit: Fit
     data: Measurements
     noise: Noise
     lack: LackOfFit
     loss: Loss
+    device: Noise
 
     @property
     def model(self) -> Model:
         """The model."""
         return self.fit.model
+
+    @property
+    def far(self) -> np.ndarray:
+        """By how much rows count less than the device's noise says, at least 1, shape (n_rows,)."""
+        ratio = self.noise.sigma / self.device.sigma
+        return np.asarray(ratio / ratio.min())
 
     @property
     def problem(self) -> Problem:
@@ -51,23 +65,44 @@ class Fitted:
 
     def weighed(self, sigma: np.ndarray) -> Fitted:
         """Fit anew with other noise (n_rows,) [m]."""
-        noise = replace(self.noise, sigma=sigma, discrepancy=0.0)
-        fit, settled, lack, _ = fit_settled(self.model, self.data, noise, self.fit.estimate[None], self.loss)
-        return Fitted(fit, self.data, settled, lack, self.loss)
+        noise = replace(self.device, sigma=sigma, discrepancy=0.0)
+        return _settled(self.model, self.data, noise, self.fit.estimate, self.loss)
 
     @staticmethod
     def of(known: Identified, data: Measurements, noise: Noise) -> Fitted:
         """Fit an identified model anew on training rows, from where identify left it."""
         bare = replace(noise, discrepancy=0.0, rotation_discrepancy=0.0)
-        fit, settled, lack, _ = fit_settled(known.model, data, bare, known.estimate[None], known.loss)
-        return Fitted(fit, data, settled, lack, known.loss)
+        return _settled(known.model, data, bare, known.estimate, known.loss)
 
     def with_causes(self, base: int, causes: Sequence[Cause], start: np.ndarray) -> Fitted:
         """Fit the first effects of the model with these causes, by IPOPT from a start that is moved inside the bounds."""
         model = Model(self.model.robot, (*self.model.effects[:base], *causes), self.model.given)
-        bare = replace(self.noise, discrepancy=0.0, rotation_discrepancy=0.0)
-        fit, noise, lack, _ = fit_settled(model, self.data, bare, start[None], self.loss, SETTLED)
-        return Fitted(fit, self.data, noise, lack, self.loss)
+        bare = replace(self.device, discrepancy=0.0, rotation_discrepancy=0.0)
+        return _settled(model, self.data, bare, start, self.loss, self.far)
+
+
+def _settled(
+    model: Model, data: Measurements, device: Noise, start: np.ndarray, loss: Loss, far: np.ndarray | None = None
+) -> Fitted:
+    """Fit from a start; rows far beyond the others count no more than one at FAR does (Huber 1964).
+
+    far (n_rows,) is by how much rows were beyond that in the fit before.
+    """
+    far = np.ones(len(data)) if far is None else far
+    for _ in range(WEIGHINGS):
+        weighed = replace(device, sigma=device.sigma * far)
+        fit, noise, lack, _ = fit_settled(model, data, weighed, start[None], loss, SETTLED)
+        before, far, start = far, _excess(fit, far), fit.estimate
+        if np.allclose(far, before, rtol=SETTLED):
+            break
+    return Fitted(fit, data, noise, lack, loss, device)
+
+
+def _excess(fit: Fit, far: np.ndarray) -> np.ndarray:
+    """By how much each row's error exceeds FAR robust standard deviations, at least 1, shape (n_rows,)."""
+    size = np.linalg.norm(fit.residual[:, :3], axis=1) * far
+    scale = float(np.median(size)) / MEDIAN_LENGTH
+    return np.asarray(np.maximum(1.0, size / (FAR * scale)))
 
 
 @dataclass(frozen=True)
@@ -99,13 +134,12 @@ class Finding:
 
 @dataclass(frozen=True)
 class Extended:
-    """The extended model, its findings, the models on the way (one a finding), and the first and the last screening."""
+    """The extended model, its findings, the models on the way (one a finding), and the first screening."""
 
     fitted: Fitted
     findings: tuple[Finding, ...]
     path: tuple[Fitted, ...]
     first: Screened
-    last: Screened
 
 
 @dataclass(frozen=True)
@@ -131,14 +165,14 @@ class Look:
         effects = (*catalogue.effects, *causes)
         return Look(fitted, tuple(causes), Regressors.of(fitted.fit, fitted.problem, effects))
 
-    def screened(self, rng: np.random.Generator) -> Screened:
-        """Test what the model does not have yet."""
+    def screened(self, rng: np.random.Generator, known: Family | None = None) -> Screened:
+        """Test what the model does not have yet; known is what the number of tests costs, if that is known."""
         others = tuple(candidate for candidate in self.regressors.candidates if candidate.cause not in self.causes)
         screening = Screening(replace(self.regressors, candidates=others))
         shown = {score.cause.place for score in screening.scores}
         every = {candidate.cause.place: candidate.cause for candidate in others}
         hidden = tuple(cause for place, cause in every.items() if place not in shown)
-        return Screened(tuple(screening.scores), screening.family(rng), hidden)
+        return Screened(tuple(screening.scores), known or screening.family(rng), hidden)
 
     def findings(self, family: Family) -> list[Finding]:
         """Score all candidates in each cause's place, the others staying in the model; linear, without a refit."""
@@ -166,6 +200,13 @@ def extend(
     trail = [now]
     while len(causes) < gate.most:
         passed = [score for score in last.scores if _passes(score, last.family, gate)]
+        if (
+            last.family is first.family
+            and causes
+            and not (passed and last.family.p(passed[0]) < CLEAR * gate.false_alarm)
+        ):
+            last = look.screened(rng)  # what the tests cost depends on what is left, where it matters
+            passed = [score for score in last.scores if _passes(score, last.family, gate)]
         if not passed:
             break
         best = _refined(passed[0], now)
@@ -174,7 +215,7 @@ def extend(
         now = now.with_causes(base, causes, np.concatenate([now.fit.estimate, best.estimate]))
         trail.append(now)
         look = Look.at(now, causes, catalogue)
-        last = look.screened(rng)
+        last = look.screened(rng, first.family)
     findings = look.findings(first.family)
     tried = [causes]
     while (better := second_thoughts(findings, gate)) not in tried:
@@ -185,9 +226,9 @@ def extend(
         now = now.with_causes(base, causes, _start(now, base, causes))
         trail.append(now)
         look = Look.at(now, causes, catalogue)
-        last, findings = look.screened(rng), look.findings(first.family)
+        findings = look.findings(first.family)
     path = tuple(_fitted(trail, start, base, causes[: k + 1]) for k in range(len(causes)))
-    return Extended(now, tuple(findings), path, first, last)
+    return Extended(now, tuple(findings), path, first)
 
 
 def _fitted(trail: Sequence[Fitted], start: Fitted, base: int, causes: Sequence[Cause]) -> Fitted:
@@ -204,7 +245,7 @@ def words(cause: Cause) -> str:
 
 
 def _passes(score: Score, family: Family, gate: Gate) -> bool:
-    return score.delta_bic < 0 and family.p(score) < gate.false_alarm
+    return score.delta_bic < 0 and score.share > MATERIAL and family.p(score) < gate.false_alarm
 
 
 def _refined(score: Score, now: Fitted) -> Score:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from calflow.effects import catalogue
 from calflow.measurements import Measurements
 from calflow.stages.accuracy import errors
 from calflow.stages.causes import Cause
@@ -118,7 +119,9 @@ def _cause(verdict: Verdict, fitted: Fitted, coarse: bool) -> dict[str, object]:
     others = list(
         dict.fromkeys(rival.id for rival in verdict.rivals if rival.id != cause.id or rival.joint != cause.joint)
     )
-    status = "one_of" if coarse and not others else verdict.status
+    if coarse:
+        others += [name for name in _relatives(cause) if name not in others]
+    status = "one_of" if others else verdict.status
     return {
         "status": status, "cause": cause.id, "joint": cause.joint or None, "estimate": estimate,
         "sd": sd if sd > 0 else np.nan, "unit": cause.declared[0].unit, "p_family": verdict.finding.p,
@@ -155,6 +158,11 @@ def _told_finer(verdict: Verdict, left: tuple[Remainder, ...]) -> bool:
     """Whether a joint's angular error is named finer than what is left along the same joint allows."""
     cause = verdict.finding.cause
     return bool(cause.effect.family) and any(remainder.inputs == (f"q{cause.joint}",) for remainder in left)
+
+
+def _relatives(cause: Cause) -> list[str]:
+    """The other members of a cause's family."""
+    return [name for name, kind in catalogue().items() if kind.family == cause.effect.family and name != cause.id]
 
 
 def _growth(grown: Growth) -> dict[str, object]:

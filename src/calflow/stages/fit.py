@@ -113,14 +113,12 @@ class Problem:
         return [p, c, y, w], ca.densify(residual)
 
     @cached_property
-    def functions(self) -> tuple[ca.Function, ca.Function]:
-        """The functions of (p, row, measured, weight): whitened residual, and it with its Jacobian, transposed."""
+    def function(self) -> ca.Function:
+        """The function of (p, row, measured, weight): whitened residual and its Jacobian, transposed."""
         inputs, residual = self.expression()
         jacobian = ca.densify(ca.jacobian(residual, inputs[0])).T
-        value = ca.Function("residual", inputs, [residual])
         both = ca.Function("linearised", inputs, [residual, jacobian])
-        expected = EXPECTED_EVALUATIONS * self.rows.shape[1]
-        return compiled(value, expected), compiled(both, expected)
+        return compiled(both, EXPECTED_EVALUATIONS * self.rows.shape[1])
 
     def linearised(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield the whitened residual (n_rows, n_axes) and Jacobian (n_rows, n_axes, n_parameters) at p, block by block."""
@@ -128,7 +126,7 @@ class Problem:
         for start in range(0, n_rows, LINEARISED_ROWS):
             part = slice(start, min(start + LINEARISED_ROWS, n_rows))
             data = (self.rows[:, part], self.measured[:, part], self.weight[:, part])
-            residual, jacobian = over_rows(self.functions[1], p, *data)
+            residual, jacobian = over_rows(self.function, p, *data)
             yield residual.T, jacobian.T.reshape(residual.shape[1], self.axes, -1)
 
     def reweighted(self, p: np.ndarray, loss: Loss) -> Problem:

@@ -10,6 +10,7 @@ import pandas as pd
 from pydantic import Field
 from scipy.stats import chi2
 
+from calflow.faults import as_table, search
 from calflow.measurements import Measurements
 from calflow.model import Model, build
 from calflow.problems import nearest, refuse
@@ -50,6 +51,9 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     data = study.measurements()
     for note in data.notes:
         context.say(note)
+    data, faults = search(data)
+    for fault in faults:
+        context.say(f"{fault.cause.replace('-', ' ')}: {fault.statement}")
     train = data.only(data.train)
     robot = registered(study.robot, train)
     data, train = data.on(robot), train.on(robot)
@@ -75,6 +79,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     covariance = pd.DataFrame(result.covariance, columns=names)
     covariance.insert(0, "parameter", names)
     tables = {
+        "identify/faults.csv": as_table(faults, data),
         "identify/parameters.csv": parameter_table(result),
         "identify/accuracy.csv": pd.DataFrame(rows),
         "identify/residuals.csv": _residuals(result, data, level),
@@ -99,7 +104,7 @@ def _enough_equations(model: Model, train: Measurements, study: Study) -> None:
 
 
 def _residuals(result: Fit, data: Measurements, level: Noise) -> pd.DataFrame:
-    """Each row's error; flagged where it is too large for the noise and the discrepancy of the rest.
+    """Each row's error; flagged where it is too large for the noise and the discrepancy of the rest, unless left out.
 
     A training row's residual is studentised by its leverage, so that a row that pulls the fit to itself still shows.
     """
@@ -119,7 +124,7 @@ def _residuals(result: Fit, data: Measurements, level: Noise) -> pd.DataFrame:
         table[f"d{axis}_mm"] = 1e3 * error[:, i]
     return table.assign(
         whitened=whitened,
-        flagged=squared > limit,
+        flagged=(squared > limit) & (data.train | data.held_out),
         split=data.table["split"],
         line=data.table["line"],
     )
@@ -145,6 +150,7 @@ def _summary(
     loss: Loss,
     data: Measurements,
 ) -> pd.DataFrame:
+    used = data.only(data.train | data.held_out)
     rows = [
         ("noise", level.words),
         ("noise_source", level.source),
@@ -153,18 +159,18 @@ def _summary(
         ("lack_of_fit_p", f"{lack.p:.3g}" if level.known else "cannot tell"),
         ("discrepancy_mm", f"{1e3 * level.discrepancy:.6g}"),
         *([] if level.rotation is None else [("rotation_discrepancy_mrad", f"{1e3 * level.rotation_discrepancy:.6g}")]),
-        ("spread_mm", f"{1e3 * np.linalg.norm(data.position - data.position.mean(axis=0), axis=1).mean():.6g}"),
+        ("spread_mm", f"{1e3 * np.linalg.norm(used.position - used.position.mean(axis=0), axis=1).mean():.6g}"),
         ("rank", f"{found.rank} of {found.n_parameters} parameters"),
         *((f"rank_{effect}", str(rank)) for effect, rank in found.rank_by_effect.items()),
         ("effective_parameters", f"{result.effective_parameters:.4g}"),
         ("loss", loss),
         ("training_poses", str(data.table.loc[data.train, "pose"].nunique())),
-        ("heldout_poses", str(data.table.loc[~data.train, "pose"].nunique())),
+        ("heldout_poses", str(data.table.loc[data.held_out, "pose"].nunique())),
         ("solver", f"IPOPT: {result.status}, {result.iterations} iterations"),
         ("converged", str(result.converged)),
         (
             "equilibrium_error_um",
-            f"{1e6 * result.model.equilibrium_error(result.estimate, data.rows[:, :EQUILIBRIUM_ROWS]):.2g}",
+            f"{1e6 * result.model.equilibrium_error(result.estimate, used.rows[:, :EQUILIBRIUM_ROWS]):.2g}",
         ),
         ("starts_agreeing", f"{agree} of {starts}"),
         *(("extrapolation", statement) for statement in extrapolation(data)),
@@ -174,11 +180,11 @@ def _summary(
 
 def extrapolation(data: Measurements) -> list[str]:
     """Name the joints whose held-out readings lie beyond what was fitted: their accuracy is a guess, good or bad."""
-    train, heldout = data.joints[data.train], data.joints[~data.train]
+    train, heldout = data.joints[data.train], data.joints[data.held_out]
     if not len(heldout):
         return []
     low, high = train.min(axis=0), train.max(axis=0)
-    margin = BEYOND * np.maximum(high - low, np.ptp(data.joints, axis=0))
+    margin = BEYOND * np.maximum(high - low, np.ptp(data.joints[data.train | data.held_out], axis=0))
     beyond = (heldout < low - margin) | (heldout > high + margin)
     return [
         f"joint {i + 1}: {int(beyond[:, i].sum())} held-out rows lie beyond the readings that were fitted"

@@ -53,9 +53,7 @@ class JointField(JointError, Decoy):
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return waves of the joint's angle, or products of waves of both."""
-        return [
-            Term(f"wave{k + 1}", "rad", SIZE, 1.0, value) for k, value in enumerate(_waves(state.q, self.of))
-        ]
+        return [Term(f"wave{k + 1}", "rad", SIZE, 1.0, value) for k, value in enumerate(_waves(state.q, self.of))]
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,9 @@ class Shift(Decoy):
         """Return the waves along each axis."""
         number = 2 * ORDERS if len(self.of) == 1 else 4
         return tuple(
-            Parameter(self.id, "point", f"wave{k + 1}{axis}", "m", SIZE, -1.0, 1.0) for k in range(number) for axis in "xyz"
+            Parameter(self.id, "point", f"wave{k + 1}{axis}", "m", SIZE, -1.0, 1.0)
+            for k in range(number)
+            for axis in "xyz"
         )
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:

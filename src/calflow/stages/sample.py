@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
+from calflow.faults import mended
 from calflow.measurements import Measurements
 from calflow.problems import refuse
 from calflow.stages.chain import BlockBackend, joined, open_ensembles
@@ -39,7 +40,7 @@ class SampleSettings(FileModel):
 def run(context: Context) -> dict[str, pd.DataFrame]:
     """Sample the posterior with independent ensembles until it is long enough, and say so if it is not."""
     study, settings = context.study, context.settings
-    data = study.measurements()
+    data = mended(study.measurements(), context.tables["identify/faults.csv"])
     known = identified(study.robot, context.tables, data.given)
     data = data.on(known.model.robot)
     posterior, laplace = posterior_of(known, data)
@@ -177,7 +178,8 @@ def _posterior(values: np.ndarray, chain: np.ndarray, known: Identified) -> pd.D
 
 
 def _predictive(values: np.ndarray, known: Identified, data: Measurements, rng: np.random.Generator) -> pd.DataFrame:
-    """Each row's error against the interval in which the posterior and the noise say it should be."""
+    """Each row's error against the interval in which the posterior and the noise say it should be; rows left out are not in it."""
+    data = data.only(data.train | data.held_out)
     flat = values.reshape(-1, values.shape[-1])
     draws = flat[rng.choice(len(flat), size=min(DRAWS, len(flat)), replace=False)]
     sigma = known.noise(data).total[0]

@@ -96,12 +96,14 @@ class Regressors:
 class Score:
     """What one candidate would gain, without a refit.
 
-    drop is that of chi², freedom the degrees of freedom it costs, p the p-value of this test alone; delta_bic is negative
-    where it pays. visible_share is how much of the effect the model's own parameters cannot imitate.
+    drop is that of chi² and share its part of all, freedom the degrees of freedom it costs, p the p-value of this test
+    alone; delta_bic is negative where it pays. visible_share is how much of the effect the model's own parameters cannot
+    imitate.
     """
 
     candidate: Candidate
     drop: float
+    share: float
     freedom: float
     p: float
     delta_bic: float
@@ -139,7 +141,8 @@ class _Block:
     """Candidates with equally many columns d, stacked.
 
     roots (n_members, d, d) turns scores into independent standard normals, zero in directions that the data cannot show;
-    weight (n_members, d) is what the priors leave of each, freedom (n_members,) how many there are.
+    weight (n_members, d) is what the priors leave of each, freedom (n_members,) how many there are; information
+    (n_members, d, d) is S, share (n_members,) how much of a candidate the model's parameters cannot imitate.
     """
 
     members: tuple[int, ...]
@@ -147,6 +150,8 @@ class _Block:
     roots: np.ndarray
     weight: np.ndarray
     freedom: np.ndarray
+    information: np.ndarray
+    share: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -185,11 +190,6 @@ class Screening:
         r = self.regressors
         return float(r.residual @ r.residual + r.prior_rss - self._gradient @ self._gradient)
 
-    def information(self, columns: np.ndarray) -> np.ndarray:
-        """S of some columns."""
-        x, imitated = self.regressors.matrix[:, columns], self._imitated[:, columns]
-        return np.asarray(x.T @ x - imitated.T @ imitated)
-
     @cached_property
     def _blocks(self) -> list[_Block]:
         sizes = np.array([len(candidate.columns) for candidate in self.regressors.candidates])
@@ -198,9 +198,8 @@ class Screening:
             members = np.flatnonzero(sizes == d)
             columns = np.array([self.regressors.candidates[m].columns for m in members])
             x, imitated = self.regressors.matrix[:, columns], self._imitated[:, columns]
-            s = np.einsum("nmi,nmj->mij", x, x, optimize=True) - np.einsum(
-                "nmi,nmj->mij", imitated, imitated, optimize=True
-            )
+            whole = np.einsum("nmi,nmj->mij", x, x, optimize=True)
+            s = whole - np.einsum("nmi,nmj->mij", imitated, imitated, optimize=True)
             sd = self.regressors.prior_sd[columns]
             values, vectors = np.linalg.eigh(s * sd[:, :, None] * sd[:, None, :])
             shown = values > INVISIBLE
@@ -208,15 +207,11 @@ class Screening:
             weight = np.where(shown, values / (values + 1), 0.0)
             some = shown.any(axis=1)
             roots = normal.transpose(0, 2, 1) * sd[:, None, :]
-            blocks.append(
-                _Block(tuple(members[some]), columns[some], roots[some], weight[some], shown[some].sum(axis=1))
-            )
+            moved = np.maximum(np.einsum("mii,mi->m", whole, sd**2), np.finfo(float).tiny)
+            share = np.sqrt(np.maximum(np.einsum("mii,mi->m", s, sd**2), 0.0) / moved)
+            parts = (columns, roots, weight, shown.sum(axis=1), s, share)
+            blocks.append(_Block(tuple(members[some]), *(part[some] for part in parts)))
         return [block for block in blocks if block.members]
-
-    @property
-    def visible(self) -> set[int]:
-        """Indices of the candidates that the data can show."""
-        return {member for block in self._blocks for member in block.members}
 
     @cached_property
     def scores(self) -> list[Score]:
@@ -225,19 +220,20 @@ class Screening:
         counts = _variants(self.regressors.candidates)
         found = []
         for block in self._blocks:
-            squared = np.einsum("mij,mj->mi", block.roots, self.score[block.columns]) ** 2
+            own = self.score[block.columns]
+            squared = np.einsum("mij,mj->mi", block.roots, own) ** 2
             p = self._p(squared.sum(axis=1), self.chi2, block)
             drops, spent = (squared * block.weight).sum(axis=1), block.weight.sum(axis=1)
-            for k, member in enumerate(block.members):
-                candidate, columns = self.regressors.candidates[member], block.columns[k]
-                s, sd = self.information(columns), self.regressors.prior_sd[columns]
-                covariance = np.linalg.inv(s + np.diag(sd**-2.0))
-                penalty = spent[k] * np.log(n) + 2 * np.log(counts[candidate.cause.place])
-                gained = n * np.log1p(-min(drops[k] / self.chi2, 1 - 1e-12))
-                whole = self.regressors.matrix[:, columns]
-                share = np.sqrt((np.diag(s) * sd**2).sum() / ((whole**2).sum(axis=0) * sd**2).sum())
-                found.append(Score(candidate, float(drops[k]), float(spent[k]), float(p[k]), float(gained + penalty),
-                                   float(share), -covariance @ self.score[columns], covariance))  # fmt: skip
+            scans = np.array([counts[self.regressors.candidates[member].cause.place] for member in block.members])
+            bic = n * np.log1p(-np.minimum(drops / self.chi2, 1 - 1e-12)) + spent * np.log(n) + 2 * np.log(scans)
+            precision = self.regressors.prior_sd[block.columns] ** -2.0
+            covariance = np.linalg.inv(block.information + np.eye(own.shape[1]) * precision[:, None, :])
+            estimate = -np.einsum("mij,mj->mi", covariance, own)
+            found += [
+                Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),
+                      float(p[k]), float(bic[k]), float(block.share[k]), estimate[k], covariance[k])
+                for k, member in enumerate(block.members)
+            ]  # fmt: skip
         return sorted(found, key=lambda score: score.delta_bic)
 
     def family(self, rng: np.random.Generator) -> Family:

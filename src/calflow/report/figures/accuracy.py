@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from calflow.report.style import ACCENT, DARK, LIGHT, MIDDLE, figure, panels
 from calflow.report.words import mm
 
 NOISE_DRAWS = 200_000
+LONGEST = 14  # letters of a line below a bar
 
 
 def before_after(steps: Sequence[Step], floor: float | None) -> Figure:
@@ -131,10 +133,10 @@ def _said(axes: Axes, x: float, y: float, text: str, **look: Any) -> None:
 
 
 def _wrapped(label: str) -> str:
-    """Break a long label after its first words."""
+    """Break a long label after its first word, and where it is too long for its bar."""
     first, _, rest = label.removeprefix("+ ").partition(" ")
     plus = "+ " if label.startswith("+ ") else ""
-    return f"{plus}{first}\n{rest}" if rest else f"{plus}{first}"
+    return "\n".join([f"{plus}{first}", *wrap(rest, LONGEST)])
 
 
 def _log_mm(axes: Axes, low: float, high: float) -> None:

@@ -6,7 +6,9 @@ import numpy as np
 
 from calflow.report.document import Block, paragraph, plot, table
 from calflow.report.figures.accuracy import budget, distribution
-from calflow.report.material import Material, item, lack_of_fit, split_judged, steps
+from calflow.report.figures.diagnosis import waterfall
+from calflow.report.findings import findings
+from calflow.report.material import Material, item, lack_of_fit, latest, split_judged, steps
 from calflow.report.section import Advice, Section
 from calflow.report.words import effect_words, listed, mm, ratio
 from calflow.stages.noise import MIN_REPEATS
@@ -24,17 +26,20 @@ WORSE = 1.5  # held-out over training mean error from which the model does not c
 
 def write(material: Material) -> list[Block]:
     """Say how accurate each model is, where the error went, and how the errors that are left are spread."""
-    accuracy = material.tables["identify/accuracy.csv"]
+    accuracy = latest(material.tables, "accuracy")
+    own = len(material.tables["identify/accuracy.csv"])
     words = {"train": "used for the fit", "holdout": "held out"}
+    label = {step.model: step.label for split in words for step in steps(accuracy, split)}
     rows = [
-        (effect_words(row["model"]), words.get(row["split"], row["split"]), str(row["n"]),
+        (effect_words(row["model"]) if k < own else label[row["model"]], words.get(row["split"], row["split"]), str(row["n"]),
          *(f"{row[name]:.3f}" for name in ("mean_mm", "rms_mm", "max_mm")))
-        for row in accuracy.to_dict("records")
+        for k, row in enumerate(accuracy.to_dict("records"))
     ]  # fmt: skip
     final = frozenset(np.flatnonzero(accuracy["model"] == accuracy["model"].iloc[-1]).tolist())
     split = split_judged(accuracy)
     known = material.noise_floor is not None
-    spent = budget(steps(accuracy, split), material.noise_floor)
+    draw = waterfall if len(accuracy) > own else budget
+    spent = draw(steps(accuracy, split), material.noise_floor)
     name = "noise alone" if known else "normal noise"
     spread = distribution(material.distance, material.held, material.sigma, name)
     return [
@@ -78,10 +83,10 @@ def starts_disagree(tables: Tables) -> list[Advice]:
 
 def model_lacks(tables: Tables) -> list[Advice]:
     """A model that leaves more than the noise lacks something."""
-    summary = tables["identify/summary.csv"]
+    summary = latest(tables, "summary")
     times = lack_of_fit(summary)
-    if not times > LACKS:
-        return []
+    if not times > LACKS or any(found.status == "unexplained" for found in findings(tables)):
+        return []  # what is known of the structure is told where it was found
     stated = item(summary, "noise_source") == "file"
     doubt = "the noise is larger than stated" if stated else "poses repeat worse than repeats in a row show"
     sentence = (
@@ -93,7 +98,7 @@ def model_lacks(tables: Tables) -> list[Advice]:
 
 def noise_doubtful(tables: Tables) -> list[Advice]:
     """A fit cannot leave much less than the noise."""
-    times = lack_of_fit(tables["identify/summary.csv"])
+    times = lack_of_fit(latest(tables, "summary"))
     if not times < TOO_GOOD:
         return []
     sentence = (
@@ -142,7 +147,7 @@ def nothing_held_out(tables: Tables) -> list[Advice]:
 
 def does_not_carry_over(tables: Tables) -> list[Advice]:
     """A model much worse at held-out poses was fitted to too few or too similar poses."""
-    accuracy = tables["identify/accuracy.csv"]
+    accuracy = latest(tables, "accuracy")
     if split_judged(accuracy) == "train" or not (accuracy["split"] == "train").any():
         return []
     train, held = steps(accuracy, "train")[-1], steps(accuracy, "holdout")[-1]

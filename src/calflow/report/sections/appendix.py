@@ -34,12 +34,20 @@ def write(material: Material) -> list[Block]:
         "found by identify",
         *((str(row.item).replace("_", " "), str(row.value)) for row in summary.itertuples(index=False)),
         *(_placement(material)),
+        *_diagnosed(material),
     ]
     return [
         paragraph("Hashes of all input files, durations and the state of each stage are in manifest.json; all tables named in "
                   "this report lie beside it as CSV, in SI units unless a column says otherwise."),
         table(("what", "value"), facts, "ll", size=8.6, wide=1),
     ]  # fmt: skip
+
+
+def _diagnosed(material: Material) -> list[tuple[str, str] | str]:
+    if "diagnose/summary.csv" not in material.tables:
+        return []
+    rows = material.tables["diagnose/summary.csv"].itertuples(index=False)
+    return ["found by diagnose", *((str(row.item).replace("_", " "), str(row.value)) for row in rows)]
 
 
 def _settings(settings: dict[str, object]) -> str:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from calflow.report.document import Block, paragraph, plot, table
 from calflow.report.figures.parameters import estimates
-from calflow.report.material import Material
+from calflow.report.material import Material, latest
 from calflow.report.section import Advice, Section
 from calflow.report.words import effect_words, interval, listed, readable, with_sd
 from calflow.stages.stage import Tables
@@ -25,8 +25,7 @@ LEGEND = (
 )
 NEAR_ZERO = 0.01  # share of the range within which a bound of zero was hit
 REGISTERED = " Base and markers: the difference from where the training poses put them (see the appendix)."
-
-
+ADDED = " At the end: the causes that the section before names."
 CAPTION = (
     "Estimates in units of what was thought likely beforehand (grey band: one prior standard deviation). Bars are ± 2 sd; "
     "where none is seen it is smaller than the dot."
@@ -35,14 +34,15 @@ CAPTION = (
 
 def write(material: Material) -> list[Block]:
     """Tabulate and draw the parameters."""
-    parameters = material.tables["identify/parameters.csv"]
+    parameters = latest(material.tables, "parameters")
     model = material.known.model
+    added = len(parameters) > len(material.tables["identify/parameters.csv"])
     lines, shaded = _lines(parameters, _known_together(material.tables))
     nominal, estimate, sd, share = parameters[["nominal", "estimate", "sd", "prior_share"]].to_numpy(dtype=float).T
     names, effects = (parameters[column].astype(str).tolist() for column in ("parameter", "effect"))
     drawn = estimates(names, effects, (estimate - nominal) / model.prior_sd, sd / model.prior_sd, share > BY_PRIOR)
     return [
-        paragraph(LEGEND + (REGISTERED if not model.robot.base.known else "")),
+        paragraph(LEGEND + (REGISTERED if not model.robot.base.known else "") + (ADDED if added else "")),
         table(("parameter", "unit", "estimate", "sd", "allowed", "known from"), lines, "llrrrl", shaded, 8.6),
         plot("parameters", drawn, CAPTION),
     ]
@@ -96,7 +96,7 @@ def _known_together(tables: Tables) -> set[str]:
 
 def at_bound(tables: Tables) -> list[Advice]:
     """A parameter that the data push against a bound means that something else is wrong."""
-    parameters = tables["identify/parameters.csv"]
+    parameters = latest(tables, "parameters")
     pushed = parameters[parameters["at_bound"].astype(bool) & (parameters["prior_share"] <= BY_PRIOR)]
     zero = (pushed["lower"] == 0) & (pushed["estimate"] < NEAR_ZERO * pushed["upper"])
     found = []

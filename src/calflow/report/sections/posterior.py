@@ -10,7 +10,7 @@ import pandas as pd
 from calflow.report.chain import Chain
 from calflow.report.document import Block, bullets, heading, paragraph, plot, table
 from calflow.report.figures.posterior import against_laplace, corner, traces
-from calflow.report.material import Material, item
+from calflow.report.material import Material, item, latest
 from calflow.report.section import Advice, Section
 from calflow.report.style import WIDTH
 from calflow.report.words import readable, with_sd
@@ -39,7 +39,7 @@ CORNER = (
 def write(material: Material) -> list[Block]:
     """Show mixing, the comparison with Laplace's approximation and the pairs that are not simply normal."""
     posterior, summary = material.tables["sample/posterior.csv"], material.tables["sample/summary.csv"]
-    parameters = material.tables["identify/parameters.csv"]
+    parameters = latest(material.tables, "parameters")
     free = parameters["sd"].notna().to_numpy()
     ratio = posterior["sd"].to_numpy(dtype=float)[: len(free)][free] / parameters["sd"].to_numpy(dtype=float)[free]
     names = parameters.loc[free, "parameter"].astype(str).tolist()
@@ -113,7 +113,7 @@ def _chain(material: Material) -> list[Block]:
 
 def corner_names(tables: Tables) -> list[str]:
     """Return the parameters worth a look in pairs: at a bound, then the most correlated, then the last effect's; six at most."""
-    parameters = tables["identify/parameters.csv"]
+    parameters = latest(tables, "parameters")
     names = parameters.loc[parameters["at_bound"].astype(bool), "parameter"].astype(str).tolist()[:2]
     if "identify/correlations.csv" in tables:
         names += tables["identify/correlations.csv"][["first", "second"]].to_numpy().ravel().tolist()

@@ -38,7 +38,7 @@ def coverage_words(tables: Tables) -> str:
 def _judged(tables: Tables) -> tuple[pd.DataFrame, str]:
     rows = tables["sample/predictive.csv"]
     held = rows[rows["split"] == "holdout"]
-    return (held, HELD_OUT) if len(held) else (rows, "rows used for the fit")
+    return (held, HELD_OUT) if len(held) else (rows[rows["split"] == "train"], "rows used for the fit")
 
 
 def too_narrow(tables: Tables) -> list[Advice]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 
 from calflow.report.document import Block, heading, paragraph, plot, table
 from calflow.report.figures.residuals import against_joints, against_place, in_workspace, magnification
-from calflow.report.material import Material
+from calflow.report.material import Material, latest
 from calflow.report.section import Advice, Section
 from calflow.report.words import listed, mm, plural, ratio
 from calflow.stages.stage import Tables
@@ -51,7 +52,8 @@ def write(material: Material) -> list[Block]:
 
 
 def _flagged(material: Material) -> list[Block]:
-    rows = material.tables["identify/residuals.csv"].assign(distance=material.distance)
+    rows = _flags(material.tables)
+    rows = rows.assign(distance=np.linalg.norm(rows[["dx_mm", "dy_mm", "dz_mm"]], axis=1))
     flagged = rows[rows["flagged"].astype(bool)].sort_values("distance", ascending=False)
     if flagged.empty:
         return [paragraph("No row stands out: none has an error too large for noise and for the spread of the rest.")]
@@ -69,9 +71,15 @@ def _flagged(material: Material) -> list[Block]:
     ]
 
 
+def _flags(tables: Tables) -> pd.DataFrame:
+    """Return the residuals of the last model whose rows were judged one by one."""
+    rows = latest(tables, "residuals")
+    return rows if "flagged" in rows else tables["identify/residuals.csv"]
+
+
 def flagged_rows(tables: Tables) -> list[Advice]:
     """Rows that do not fit are to be looked at."""
-    rows = tables["identify/residuals.csv"]
+    rows = _flags(tables)
     lines = rows.loc[rows["flagged"].astype(bool), "line"].tolist()
     if not lines:
         return []

@@ -6,9 +6,11 @@ import math
 
 from calflow.report.document import Block, bullets, card, gap, heading, paragraph, picture, side_by_side
 from calflow.report.figures.accuracy import before_after
-from calflow.report.material import Material, Step, item, lack_of_fit, split_judged, steps
+from calflow.report.findings import findings
+from calflow.report.material import Material, Step, gathered, item, lack_of_fit, latest, split_judged, steps
 from calflow.report.section import Section, advice, sections
 from calflow.report.sections.accuracy import LACKS
+from calflow.report.sections.diagnosis import lacked, unsure
 from calflow.report.sections.identifiability import open_questions
 from calflow.report.sections.predictive import coverage_words
 from calflow.report.words import listed, mm, plural, ratio
@@ -16,20 +18,27 @@ from calflow.report.words import listed, mm, plural, ratio
 ENOUGH = 1.1  # times the noise up to which a model counts as complete
 USELESS = 0.95  # share of the nominal error above which calibration gained nothing
 CARDS = 3
-TEXT = 10.5  # points
+TEXT, SMALLER = 10.5, 9.5  # points
+LINE, ROOM = 95, 16  # letters in a line, lines of the larger letters below the figure
+TOLD = "Nothing: the data determine every parameter."
 FINE = "Nothing needs attention: the parameters can be used for the tools, loads and workspace that were measured."
 
 
 def write(material: Material) -> list[Block]:
     """Put the verdict on one page."""
-    accuracy = material.tables["identify/accuracy.csv"]
+    accuracy = latest(material.tables, "accuracy")
     split = split_judged(accuracy)
-    found = steps(accuracy, split)
+    found = gathered(steps(accuracy, split), len(steps(material.tables["identify/accuracy.csv"], split)))
     shown = [found[0], *found[1:][-(CARDS - 1) :]]
     cards = [
         [card(step.label, mm(step.mean), f"largest {mm(step.max)} mm", dark=step is found[-1] and len(found) > 1)]
         for step in shown
     ]
+    lists = (
+        [*unsure(material.tables), *open_questions(material.tables)] or [TOLD],
+        next_steps(material) or [FINE],
+    )
+    size = _size([line for lines in lists for line in lines]) if "diagnose/findings.csv" in material.tables else TEXT
     return [
         paragraph("Calibration report", 10),
         paragraph(material.title, 21, bold=True),
@@ -46,10 +55,11 @@ def write(material: Material) -> list[Block]:
              [heading("How sure is this?"), bullets(how_sure(material), TEXT)]],
             [1, 1],
         ),
+        *_lacked(material, size),
         heading("What the data cannot tell"),
-        bullets(open_questions(material.tables) or ["Nothing: the data determine every parameter."], TEXT),
+        bullets(lists[0], size),
         heading("What to do next"),
-        bullets(next_steps(material) or [FINE], TEXT),
+        bullets(lists[1], size),
     ]  # fmt: skip
 
 
@@ -59,7 +69,9 @@ def judgement(material: Material, found: list[Step]) -> str:
     urgent = any(found.urgency == 1 for found in advice(sections(), material.tables))
     if urgent or last.mean > USELESS * first.mean:
         return "Do not use this model: see what to do next."
-    times = lack_of_fit(material.tables["identify/summary.csv"])
+    times = lack_of_fit(latest(material.tables, "summary"))
+    if any(found.status == "unexplained" for found in findings(material.tables)):
+        return "Usable where it was measured, but something unexplained is left."
     if math.isnan(times):
         return "Usable where it was measured; how much better it could be is not known."
     if times <= ENOUGH:
@@ -82,13 +94,13 @@ def headline(found: list[Step], split: str) -> str:
 
 def how_sure(material: Material) -> list[tuple[str, str]]:
     """Say what the numbers are worth: noise, lack of fit, the model's own uncertainty, coverage."""
-    summary = material.tables["identify/summary.csv"]
     alone = material.noise_floor
     floor = f" Noise alone would give a mean error of {mm(alone)} mm." if alone else ""
+    summary = latest(material.tables, "summary")
     own = float(item(summary, "discrepancy_mm") or 0)
     sure = f"where it was tested, its predicted positions are certain to {mm(material.model_sd)} mm (1 sd)."
     said = [
-        ("Noise:", f"{item(summary, 'noise')}.{floor}"),
+        ("Noise:", f"{material.known.noise(material.data).words}.{floor}"),
         ("Left over:", leftover(lack_of_fit(summary), own)),
         ("Calibrated model:", sure),
     ]
@@ -115,6 +127,18 @@ def leftover(times: float, discrepancy: float = 0.0) -> str:
 def next_steps(material: Material) -> list[str]:
     """Return what all sections advise, the most urgent first."""
     return [step.sentence for step in advice(sections(), material.tables)]
+
+
+def _size(lines: list[str]) -> float:
+    """Return the size of letters [points] in which the lists have room on the page."""
+    return TEXT if sum(-(-len(line) // LINE) for line in lines) <= ROOM else SMALLER
+
+
+def _lacked(material: Material, size: float) -> list[Block]:
+    """Say what the study's model lacked, where that was looked for."""
+    if "diagnose/findings.csv" not in material.tables:
+        return []
+    return [heading("What the study's model lacked"), bullets(lacked(material.tables), size)]
 
 
 def _measured(material: Material) -> str:

@@ -1,0 +1,73 @@
+"""Data faults: gross mistakes in the measurements, looked for before any fit, one kind per file."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Sequence
+from functools import lru_cache
+
+import pandas as pd
+
+from calflow.faults.base import COLUMNS, Check, Fault, Mend, mend
+from calflow.faults.reference import Reference
+from calflow.measurements import Measurements
+from calflow.problems import refuse
+
+__all__ = ["Check", "Fault", "Mend", "as_table", "checks", "mended", "search"]
+
+
+@lru_cache
+def checks() -> tuple[Check, ...]:
+    """Return every check in its order; a new file in this folder is enough to add one."""
+    for module in pkgutil.iter_modules(__path__):
+        importlib.import_module(f"{__name__}.{module.name}")
+    here = [kind() for kind in Check.__subclasses__() if kind.__module__.startswith(f"{__name__}.")]
+    return tuple(sorted(here, key=lambda check: check.order))
+
+
+def search(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
+    """Return the rows as the fits are to see them, and what was wrong with them.
+
+    What has one clear correction is corrected; rows that nothing puts right are left out of fit and judgement.
+    """
+    faults: list[Fault] = []
+    reference = Reference(data)
+    for check in checks():
+        found = check.find(data, reference)
+        for fault in found:
+            data = mend(data, fault)
+        if found:
+            faults += found
+            reference = Reference(data)
+    return data, tuple(faults)
+
+
+def as_table(faults: Sequence[Fault], data: Measurements) -> pd.DataFrame:
+    """Return identify/faults.csv: a row a faulty line of the file, or one without a line for a whole column."""
+    if not faults:
+        return pd.DataFrame(columns=COLUMNS)
+    return pd.concat([fault.table(data) for fault in faults], ignore_index=True)
+
+
+def mended(data: Measurements, table: pd.DataFrame) -> Measurements:
+    """Return freshly read rows as identify saw them, by the table that it wrote; nothing is searched for again.
+
+    Raises:
+        InputError: the table is about other rows.
+    """
+    if not len(table):
+        return data
+    lines = table["line"].fillna(0).astype(int)
+    rows = table["row"].astype(int)
+    fits = rows.between(0, len(data)) & (table["source"].astype(int) <= len(data))
+    if not fits.all() or (data.table["line"].iloc[rows - 1].to_numpy() != lines)[rows > 0].any():
+        raise refuse("identify/faults.csv does not fit the measurements; run identify again")
+    for _, own in table.groupby(["cause", "joint", "action", "statement"], sort=False):
+        first = own.iloc[0]
+        values = own.fillna({"quantity": ""})[["row", "quantity", "factor", "offset", "source"]].to_numpy(dtype=object)
+        mends = tuple(
+            Mend(int(row), str(of), float(by), float(more), int(source)) for row, of, by, more, source in values
+        )
+        data = mend(data, Fault(first["cause"], int(first["joint"]), (), first["statement"], first["action"], mends))
+    return data

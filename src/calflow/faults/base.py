@@ -1,0 +1,141 @@
+"""What a fault of the data is, how it is looked for, and how it is put right in memory."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+import pandas as pd
+
+from calflow.faults.reference import Reference
+from calflow.measurement_file import approach_and_travel
+from calflow.measurements import Measurements, numbered
+
+Action = Literal["corrected", "left out"]
+POSITION = "position"  # the quantity x, y, z
+OF_DEVICE = ("x", "y", "z", "rx", "ry", "rz", "qw", "qx", "qy", "qz", "sigma", "sigma_rotation", "range")
+COLUMNS = ("cause", "joint", "line", "pose", "action", "statement", "row", "quantity", "factor", "offset", "source")
+
+
+@dataclass(frozen=True)
+class Mend:
+    """What is done to a row: its quantity times factor plus offset (SI), or the measured values of the row source in it.
+
+    Rows count from 1, in the order of the file; row 0 is every row. A row that is left out has no quantity.
+    """
+
+    row: int
+    quantity: str = ""
+    factor: float = 1.0
+    offset: float = 0.0
+    source: int = 0
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something wrong with the data: its cause, joint (0: none), lines of the file (none: a whole column), what to do."""
+
+    cause: str
+    joint: int
+    lines: tuple[int, ...]
+    statement: str
+    action: Action
+    mends: tuple[Mend, ...] = ()
+
+    def table(self, data: Measurements) -> pd.DataFrame:
+        """Return its rows of identify/faults.csv: one a faulty row, or a single one for a whole column."""
+        rows = [mend.row for mend in self.mends]
+        there = data.table.iloc[[max(row, 1) - 1 for row in rows]]
+        labels = there[["line", "pose"]].astype(object).to_numpy()
+        return pd.DataFrame(
+            {
+                "cause": self.cause,
+                "joint": self.joint,
+                "line": pd.array(
+                    [line if row else pd.NA for row, (line, _) in zip(rows, labels, strict=True)], "Int64"
+                ),
+                "pose": [pose if row else "" for row, (_, pose) in zip(rows, labels, strict=True)],
+                "action": self.action,
+                "statement": self.statement,
+                **pd.DataFrame([asdict(mend) for mend in self.mends]).to_dict("series"),
+            },
+            columns=COLUMNS,
+        )
+
+
+class Check(ABC):
+    """The search for one kind of fault. Checks run in the order of their number, each on what those before it mended."""
+
+    id: ClassVar[str]
+    title: ClassVar[str]
+    order: ClassVar[int]
+
+    @abstractmethod
+    def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
+        """Return the faults of this kind; the reference is what the rows say of one another."""
+
+
+def fault(check: Check, data: Measurements, joint: int, mends: Sequence[Mend], action: Action, statement: str) -> Fault:
+    """Return a fault with the lines of its rows; lines stands in the statement for the lines in words."""
+    lines = tuple(int(line) for line in data.table["line"].iloc[[mend.row - 1 for mend in mends if mend.row]])
+    return Fault(check.id, joint, lines, statement.format(lines=lines_in_words(lines)), action, tuple(mends))
+
+
+def mend(data: Measurements, one: Fault) -> Measurements:
+    """Return the rows with one fault put right, or with the rows it spoils left out of every split."""
+    before, table = data.table, data.table.copy()
+    for quantity in dict.fromkeys(own.quantity for own in one.mends if own.quantity):
+        same = [own for own in one.mends if own.quantity == quantity]
+        which, factor, offset = (np.array([getattr(own, name) for own in same]) for name in ("row", "factor", "offset"))
+        for name in ("x", "y", "z") if quantity == POSITION else (quantity,):
+            values = table[name].to_numpy(copy=True)
+            at = which - 1 if which[0] else slice(None)
+            values[at] = values[at] * factor + offset
+            table[name] = values
+    moved = [(own.row - 1, own.source - 1) for own in one.mends if own.source]
+    if moved:
+        rows, sources = np.array(moved).T
+        for name in (name for name in OF_DEVICE if name in table):
+            values = table[name].to_numpy(copy=True)
+            values[rows] = before[name].to_numpy()[sources]
+            table[name] = values
+    if one.action == "left out":
+        split = table["split"].to_numpy(copy=True)
+        split[[own.row - 1 for own in one.mends]] = ""
+        table["split"] = split
+    return Measurements(data.robot, _followed(table, before, data), data.notes)
+
+
+def _followed(table: pd.DataFrame, before: pd.DataFrame, data: Measurements) -> pd.DataFrame:
+    """Renew what was derived from the mended values: approach and travel from the readings, range from the positions."""
+    readings, place = numbered("q", data.robot.n_joints), ["x", "y", "z"]
+    if any(note.startswith("in_order") for note in data.notes) and not table[readings].equals(before[readings]):
+        came, far = approach_and_travel(table, readings)
+        table[numbered("approach", data.robot.n_joints)] = came
+        table[numbered("travel", data.robot.n_joints)] = far
+    moved = (table[place] != before[place]).any(axis=1) & (table.get("range") == before.get("range"))
+    if "range" in table and moved.any():  # the device stands where the other rows' ranges meet
+        x, r = before.loc[~moved, place].to_numpy(), before.loc[~moved, "range"].to_numpy()
+        equations = np.column_stack([2 * x, np.ones(len(x))])
+        device = np.linalg.lstsq(equations, (x**2).sum(axis=1) - r**2, rcond=None)[0][:3]
+        table.loc[moved, "range"] = np.linalg.norm(table.loc[moved, place] - device, axis=1)
+    return table
+
+
+def lines_in_words(lines: Sequence[int], most: int = 8) -> str:
+    """Return lines of the file as an engineer reads them: runs are drawn together, a long list is cut."""
+    runs: list[list[int]] = []
+    for line in sorted(set(lines)):
+        if runs and line == runs[-1][-1] + 1:
+            runs[-1].append(line)
+        else:
+            runs.append([line])
+    words = []
+    for run in runs[:most]:
+        words += [str(run[0])] if len(run) == 1 else [f"{run[0]} to {run[-1]}"]
+    more = [f"{len(runs) - most} more places"] if len(runs) > most else []
+    noun = "line" if len(set(lines)) == 1 else "lines"
+    return f"{noun} {', '.join([*words, *more])}"

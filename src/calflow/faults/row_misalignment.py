@@ -1,0 +1,196 @@
+"""Row misalignment: from some row on, positions stand a row too early or too late against the readings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import ClassVar
+
+import numpy as np
+
+from calflow.faults.base import Check, Fault, Mend, fault, mend
+from calflow.faults.reference import Reference, Rough, at_origin, best_turn, motion
+from calflow.faults.segments import cost, states
+from calflow.measurements import Measurements
+from calflow.model import build
+
+FEWEST = 3  # rows that are shifted at least
+CHANGE = (
+    25.0  # what another shift costs: as much as some two rows that are a metre off, so that two exchanged rows are none
+)
+FAR_OFF = 0.01  # share of the measured space from which a robust fit's scale says that it found no robot at all
+HALVED = 0.5  # a shift is worth a fit where it brings the nominal robot's error to this share
+BELIEVED = 0.8  # share of the shifted rows that must be far better so
+BLOCK = 5  # poses in a row that are all far off: no robot does that
+FAR_ROW = 0.05  # share of the measured space by which such a row must miss
+MOST = 1 / 3  # of the rows may be in such blocks
+
+
+class RowMisalignment(Check):
+    """Find the rows whose positions belong to the readings of a row nearby."""
+
+    id: ClassVar[str] = "row-misalignment"
+    title: ClassVar[str] = "positions stand in other rows than their readings"
+    order: ClassVar[int] = 20
+
+    def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
+        """Return the shifted rows, realigned, and those left without a partner."""
+        lags, fits = _lags(data), [reference.fit]
+        guess = _guess(data, lags)
+        if guess is not None:
+            fits.append(Reference(_realigned(data, guess)).fit)
+        found = [
+            (left, source)
+            for fit in fits
+            if fit is not None and fit.scale < FAR_OFF * reference.spread
+            for left, source in _realigning(data, fit, lags)
+        ]
+        if not found:
+            return ()
+        _, source = min(found, key=lambda one: one[0])
+        return self._shifted(data, source, np.flatnonzero(source != np.arange(len(data))))
+
+    def _shifted(self, data: Measurements, source: np.ndarray, moved: np.ndarray) -> tuple[Fault, ...]:
+        realigned = moved[source[moved] >= 0]
+        by = source[realigned] - realigned
+        where = "too early" if np.median(by) < 0 else "too late"
+        rows = "a row" if abs(np.median(by)) == 1 else f"{abs(int(np.median(by)))} rows"
+        statement = (
+            f"positions stand {rows} {where} against the readings ({{lines}}): a row was lost or written twice where that "
+            "begins; they were put back to their readings, correct the file"
+        )
+        mends = [Mend(int(row) + 1, source=int(source[row]) + 1) for row in realigned]
+        faults = [fault(self, data, 0, mends, "corrected", statement)]
+        alone = moved[source[moved] < 0]
+        if len(alone):
+            lost = "no position belongs to these readings ({lines}), since positions stand in other rows; left out"
+            faults.append(fault(self, data, 0, [Mend(int(row) + 1) for row in alone], "left out", lost))
+        return tuple(faults)
+
+
+class LostRows(Check):
+    """Leave out blocks of rows whose positions belong to no readings: no motion of the device explains them either."""
+
+    id: ClassVar[str] = RowMisalignment.id
+    title: ClassVar[str] = "positions and readings do not belong together"
+    order: ClassVar[int] = 80
+
+    def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
+        """Return one fault with all such rows."""
+        fit = reference.fit
+        if fit is None or fit.scale > FAR_OFF * reference.spread:
+            return ()
+        predicted, position, pose = fit.predicted(data.rows), data.position, data.table["pose"].to_numpy()
+        far = fit.miss(data) > max(FAR_ROW * reference.spread, fit.gross)
+        rows: list[int] = []
+        for block in np.split(np.arange(len(far)), np.flatnonzero(far[1:] != far[:-1]) + 1):
+            if far[block[0]] and len(set(pose[block])) >= BLOCK:
+                moved = np.median(motion(predicted[block], position[block])[2]) < fit.gross
+                rows += [] if moved else block.tolist()
+        if not 0 < len(rows) <= MOST * len(far):
+            return ()
+        statement = (
+            "positions and readings do not belong together ({lines}), and no shift of the rows puts that right; left out, "
+            "see how these rows came into the file"
+        )
+        return (fault(self, data, 0, [Mend(row + 1) for row in rows], "left out", statement),)
+
+
+def _lags(data: Measurements) -> list[int]:
+    """Return by how many rows positions may be shifted: one, one line of the file, one pose."""
+    sizes = {1}
+    for label in ("line", "pose"):
+        counts = data.table.groupby(label, sort=False).size()
+        sizes.add(int(counts.iloc[0]) if counts.nunique() == 1 else 1)
+    return [lag for size in sorted(sizes) for lag in (size, -size)]
+
+
+def _realigning(data: Measurements, fit: Rough, lags: list[int]) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield for each row of readings the row where its position stands (n_rows,), -1 where there is none.
+
+    Before it stands how many rows are gross all the same; nothing is yielded where shifted rows do not explain the data.
+    """
+    miss = fit.miss(data)
+    if (miss > fit.gross).sum() < FEWEST:
+        return
+    predicted, position = fit.predicted(data.rows), data.position
+    costs = np.stack([cost(np.linalg.norm(position - _later(predicted, lag), axis=1), fit.scale) for lag in (0, *lags)])
+    source = _from_shifts(np.array([0, *lags])[states(costs, CHANGE)])
+    moved = np.flatnonzero(source != np.arange(len(data)))
+    partnered = moved[source[moved] >= 0]
+    after = fit.miss(_realigned(data, source))
+    wrong = partnered[miss[partnered] > fit.gross]  # of repeats, a row late, only each pose's last is wrong
+    if len(wrong) < FEWEST or fit.better(miss[wrong], after[wrong]).mean() < BELIEVED:
+        return
+    if (after[partnered] < fit.gross).mean() >= BELIEVED:
+        yield int((after > fit.gross).sum()), source
+
+
+def _from_shifts(lag: np.ndarray) -> np.ndarray:
+    """Turn "this position belongs to the readings so many rows later" (n_rows,) around; what is in its place stays."""
+    n = len(lag)
+    source = np.full(n, -1)
+    for row in np.argsort(lag == 0, kind="stable"):  # what is in its place comes last and wins
+        if 0 <= row + lag[row] < n:
+            source[row + lag[row]] = row
+    return source
+
+
+def _later(values: np.ndarray, lag: int) -> np.ndarray:
+    """Return values (n_rows, 3) of the row so many rows later; nan beyond the ends."""
+    shifted = np.full_like(values, np.nan)
+    n = len(values)
+    shifted[max(0, -lag) : min(n, n - lag)] = values[max(0, lag) : min(n, n + lag)]
+    return shifted
+
+
+def _realigned(data: Measurements, source: np.ndarray) -> Measurements:
+    moved = np.flatnonzero((source != np.arange(len(data))) & (source >= 0))
+    there = tuple(Mend(int(row) + 1, source=int(source[row]) + 1) for row in moved)
+    data = mend(data, Fault(RowMisalignment.id, 0, (), "", "corrected", there))
+    alone = tuple(Mend(int(i) + 1) for i in np.flatnonzero(source < 0))
+    return mend(data, Fault(RowMisalignment.id, 0, (), "", "left out", alone)) if alone else data
+
+
+def _guess(data: Measurements, lags: list[int]) -> np.ndarray | None:
+    """Return the sources where one shift, before or after one row, brings the nominal robot close to the positions.
+
+    Every row is tried at once: the error of the best rigid motion follows from sums over the rows before and after it.
+    Held-out rows count too, but they say no more than which rows belong together.
+    """
+    robot = at_origin(data.robot)
+    nominal = build(robot, (), data.given)
+    points, measured = nominal.position(nominal.nominal, data.rows), data.position
+    middle = np.median(measured, axis=0)
+    points, measured = points - np.nanmedian(points, axis=0), measured - middle
+    plain = _sums(points, measured)
+    whole = _left(plain.sum(axis=0))
+    best, lag = whole, np.zeros(len(data), dtype=int)
+    for by in lags:
+        other = _sums(_later(points, by), measured)
+        for first, second in ((plain, other), (other, plain)):
+            ends = np.cumsum(first, axis=0) + second.sum(axis=0) - np.cumsum(second, axis=0)
+            errors = _left(ends)
+            k = int(errors.argmin())
+            if errors[k] < best:
+                early = np.arange(len(data)) <= k
+                best, lag = errors[k], np.where(early == (second is other), 0, by)
+    return _from_shifts(lag) if best < HALVED**2 * whole else None
+
+
+def _sums(points: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Return each row's part (n_rows, 17) of the sums that a rigid motion follows from: 1, p, m, p², m², m pᵀ."""
+    there = np.isfinite(points).all(axis=1, keepdims=True)
+    p = np.where(there, points, 0.0)
+    m = np.where(there, measured, 0.0)
+    squares = [(p**2).sum(axis=1), (m**2).sum(axis=1)]
+    return np.column_stack([there, p, m, *squares, (m[:, :, None] * p[:, None, :]).reshape(-1, 9)])
+
+
+def _left(sums: np.ndarray) -> np.ndarray:
+    """Return the mean square error (…) [m²] that the best rigid motion leaves, from sums (…, 18)."""
+    n = np.maximum(sums[..., 0], 1.0)
+    p, m = sums[..., 1:4] / n[..., None], sums[..., 4:7] / n[..., None]
+    correlation = sums[..., 9:].reshape(*sums.shape[:-1], 3, 3) / n[..., None, None] - m[..., :, None] * p[..., None, :]
+    gained = (best_turn(correlation) * correlation).sum(axis=(-2, -1))
+    spread = (sums[..., 7] + sums[..., 8]) / n - (p**2).sum(axis=-1) - (m**2).sum(axis=-1)
+    return np.where(sums[..., 0] > 3, np.maximum(spread - 2 * gained, 0.0), np.inf)

@@ -1,0 +1,338 @@
+"""Findings as an engineer reads them: causes with a name and a place, sizes in readable units, chances in words."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+
+from calflow.effects import catalogue
+from calflow.report.words import effect_words, listed, number, percent, with_sd
+from calflow.stages.stage import Tables
+
+TOLD = ("named", "one_of")  # statuses of what is in the extended model, or in its noise
+CERTAIN = 0.99  # probability beyond which only this is said
+SMALL = 1e-6  # chance below which only this is said
+
+
+@dataclass(frozen=True)
+class Words:
+    """A cause in words: its name, what happens, and what the figure for its size is."""
+
+    name: str
+    what: str
+    size: str
+
+
+CAUSES = {
+    "joint-backlash": Words(
+        "backlash", "the gears rest on one flank or the other, depending on the side the joint came from", "play"
+    ),
+    "torque-backlash": Words(
+        "backlash under load", "the gears change their flank where the load changes its sign", "play"
+    ),
+    "joint-hysteresis": Words(
+        "friction wind-up",
+        "friction leaves the drive wound up after each reversal, until the joint has moved on far enough",
+        "wind-up to one side",
+    ),
+    "joint-eccentricity": Words(
+        "eccentricity", "a gear or an encoder disc does not run true, so that the angle is off as the joint turns", "amplitude"
+    ),
+    "periodic-joint-error": Words(
+        "periodic angle error", "the angle is off by an amount that repeats as the joint turns", "amplitude"
+    ),
+    "gear-transmission-error": Words(
+        "gear transmission error", "the angle is off by an amount that repeats with the turns of the motor", "amplitude"
+    ),
+    "joint-error-map": Words(
+        "angle error curve", "the angle is off by a smooth curve over the joint's travel, of no single order", "rms"
+    ),
+    "gear-ratio-error": Words("gear ratio error", "the joint turns more, or less, than its reading says", "excess"),
+    "wrist-coupling": Words(
+        "wrist coupling", "the joint turns a little where the wrist's joints before it turn", "coupling"
+    ),
+    "joint-compliance": Words("compliance", "the drive twists in proportion to its torque", "compliance"),
+    "nonlinear-joint-stiffness": Words(
+        "nonlinear stiffness", "the drive does not twist in proportion to its torque", "departure at the rated torque"
+    ),
+    "gravity-deflection": Words("gravity deflection", "the joint sags under the robot's own weight", "size"),
+    "bearing-compliance": Words("bearing tilt", "the bearing tilts across the joint's axis under load", "compliance"),
+    "base-compliance": Words("tilt of the base", "the base or its foundation tilts under the overturning moment", "compliance"),
+    "link-bending": Words("bending", "the link bends under what it carries", "stiffness EI"),
+    "link-torsion": Words("torsion", "the link twists under what it carries", "stiffness GJ"),
+    "link-mass": Words("mass error", "the link is not as heavy as the robot file says", "error"),
+    "payload-mass": Words("payload mass error", "the payload is not as heavy as the robot file says", "error"),
+    "payload-com": Words(
+        "payload centre error", "the payload's centre of mass is not where the robot file says", "distance"
+    ),
+    "gravity-compensator": Words(
+        "gravity compensator torque", "a spring or gas cylinder carries a part of the arm's weight", "torque"
+    ),
+    "tool-deflection": Words("give of the tool", "tool or flange give way under the payload", "give"),
+    "thermal-growth": Words("thermal growth", "the links grow as the robot warms up", "growth"),
+    "frame-drift": Words(
+        "drift of the measuring device", "the device wanders steadily while measuring", "speed"
+    ),
+    "frame-step": Words("step of the measuring device", "the device, or the robot's foot, was moved once", "step"),
+    "tracker-scale": Words(
+        "scale error of the measuring device", "the device's metre is too long or too short", "error"
+    ),
+    "range-noise": Words(
+        "noise that grows with range", "the device scatters more the further it looks", "growth"
+    ),
+}  # fmt: skip
+UNITS = {
+    "rad": (1e6, "µrad"), "m": (1e3, "mm"), "1": (100.0, "%"), "rad/Nm": (1e9, "µrad/kNm"), "m/N": (1e6, "µm/N"),
+    "Nm2": (1e-6, "MNm²"), "1/Nm2": (1e6, "1/MNm²"), "Nm": (1e-3, "kNm"), "m/s": (3.6e6, "mm/h"), "rad/s": (3.6e6, "mrad/h"),
+    "1/K": (1e6, "µm/m per °C"), "m/m": (1e6, "µm/m"),
+}  # fmt: skip
+FLEXIBILITY = "1/Nm2"
+LARGE_ANGLE = 2e-3  # rad from which mrad are said
+OWN_UNITS = {  # where the unit alone does not say how to read it
+    ("gear-ratio-error", "1"): (1e6, "µrad/rad"),
+    ("wrist-coupling", "1"): (1e6, "µrad/rad"),
+    ("thermal-growth", "1"): (1e6, "µm/m"),
+    ("tracker-scale", "1"): (1e6, "µm/m"),
+    ("tool-deflection", "m/N"): (9.80665e6, "µm/kg"),
+}
+
+
+GENERAL = ("payloads", "base", "device", "links", "tool")  # parts that a cause's name says already
+
+
+@dataclass(frozen=True)
+class Rival:
+    """What else could explain a finding: an effect's id and its joint (0 for none)."""
+
+    cause: str
+    joint: int
+
+    @property
+    def name(self) -> str:
+        """Its name with its place."""
+        return cause_name(self.cause, self.joint)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A row of findings.csv; nan where a figure is not known. order counts what is in the extended model, from 1."""
+
+    status: str
+    cause: str
+    joint: int
+    detail: str
+    estimate: float
+    sd: float
+    unit: str
+    p: float
+    probability: float
+    gain: tuple[float, float, float]
+    left: float
+    rivals: tuple[Rival, ...]
+    alike: tuple[str, ...]
+    statement: str
+    order: int
+
+    @property
+    def told(self) -> bool:
+        """Whether it is a cause with a name, not a fault of the data or something unexplained."""
+        return self.status in TOLD
+
+    @property
+    def of_family(self) -> bool:
+        """Whether it is an angular error of one joint whose order, or finer form, is not resolved."""
+        return bool(_family(self.cause)) and self.status == "one_of" and (bool(self.kin) or not self.rivals)
+
+    @property
+    def kin(self) -> tuple[str, ...]:
+        """Ids of its own family, at its own joint, that it cannot be told from."""
+        near = [rival.cause for rival in self.rivals if self._is_kin(rival)]
+        elsewhere = {rival.cause for rival in self.rivals}
+        more = [name for name in self.alike if name not in elsewhere and _family(name) == _family(self.cause)]
+        return tuple(dict.fromkeys([*near, *more])) if _family(self.cause) else ()
+
+    @property
+    def others(self) -> tuple[Rival, ...]:
+        """The rivals that a name of its family does not cover."""
+        return tuple(rival for rival in self.rivals if not self._is_kin(rival))
+
+    def _is_kin(self, rival: Rival) -> bool:
+        return bool(_family(self.cause)) and _family(rival.cause) == _family(self.cause) and rival.joint == self.joint
+
+    @property
+    def name(self) -> str:
+        """Its name with its place, as far as it is sure."""
+        if self.of_family:
+            return f"{_family(self.cause)} of joint {self.joint}"
+        return cause_name(self.cause, self.joint)
+
+    @property
+    def names(self) -> str:
+        """Its name with its detail, and the names of what it cannot be told from."""
+        own = f"{self.name} ({self.detail})" if self.detail and not self.of_family else self.name
+        more = " or another cause" if len(self.others) > 2 else ""
+        return " or ".join([own, *(rival.name for rival in self.others[:2])]) + more
+
+    @property
+    def amount(self) -> str:
+        """Its size with its standard deviation, in a unit that is easy to read."""
+        return amount(self.cause, self.estimate, self.sd, self.unit)
+
+    @property
+    def inputs(self) -> str:
+        """What something unexplained depends on, in words."""
+        stated = self.statement.removeprefix("depends on ").partition(";")[0]
+        names = re.sub(r"\(.*\)", "", stated).replace(" and ", " ").split()
+        joints = [name[1:] for name in names if re.fullmatch(r"q\d+", name)]
+        if names and len(joints) == len(names):
+            return f"the {'angle of joint' if len(joints) == 1 else 'angles of joints'} {listed(joints)}"
+        if {"x", "y", "z"} <= set(names):
+            return "where the tool is (x, y and z)"
+        return stated if "time" not in names else f"the time{f' ({self.detail})' if self.detail else ''}"
+
+
+def findings(tables: Tables) -> list[Found]:
+    """Return the rows of findings.csv, none where nothing was diagnosed."""
+    if "diagnose/findings.csv" not in tables:
+        return []
+    found: list[Found] = []
+    for row in tables["diagnose/findings.csv"].to_dict("records"):
+        order = sum(other.told for other in found) + 1 if row["status"] in TOLD else 0
+        rivals = tuple(_rival(name) for name in _text(row["rivals"]).split("; ") if name)
+        alike = tuple(name for name in _text(row["cannot_tell_from"]).split(";") if name)
+        gain, low, high = (_figure(row[f"gain_{name}_mm"]) for name in ("mean", "low", "high"))
+        found.append(
+            Found(
+                status=_text(row["status"]),
+                cause=_text(row["cause"]),
+                joint=_joint(row["joint"]),
+                detail=_text(row["detail"]),
+                estimate=_figure(row["estimate"]),
+                sd=_figure(row["sd"]),
+                unit=_text(row["unit"]),
+                p=_figure(row["p_family"]),
+                probability=_figure(row["probability"]),
+                gain=(gain, low, high),
+                left=_figure(row["heldout_mean_mm"]),
+                rivals=rivals,
+                alike=alike,
+                statement=_text(row["statement"]),
+                order=order,
+            )
+        )
+    return found
+
+
+def cause_name(cause: str, joint: int = 0, part: str = "") -> str:
+    """Return a cause's name with its place; part is said where it is neither joint nor link."""
+    name = cause_words(cause).name
+    if joint:
+        return f"{name} of {'link' if cause.startswith('link-') else 'joint'} {joint}"
+    return f"{name} ({part})" if part else name
+
+
+def step_words(step: str) -> str:
+    """Return what a step of accuracy.csv adds in words: an effect's id, or a cause's with its part and detail."""
+    cause, _, rest = step.partition(" ")
+    part = rest.partition(" (")[0]
+    return place_name(cause, part) if part else effect_words(step)
+
+
+def place_name(cause: str, part: str) -> str:
+    """Return a cause's name with its place, from the part of the robot that it belongs to."""
+    place = re.fullmatch(r"(joint|link)(\d+)", part)
+    general = part in GENERAL
+    return cause_name(cause, int(place[2]) if place else 0, "" if place or general else part)
+
+
+def place_names(cause: str, parts: Sequence[str]) -> str:
+    """Return a cause's name with all its places."""
+    numbered = [place[2] for part in parts if (place := re.fullmatch(r"(joint|link)(\d+)", part))]
+    if len(numbered) < 2 or len(numbered) < len(parts):
+        return listed([place_name(cause, part) for part in parts])
+    return f"{cause_words(cause).name} of {'links' if cause.startswith('link-') else 'joints'} {listed(numbered)}"
+
+
+def cause_words(cause: str) -> Words:
+    """Return a cause in words, its title where nobody has written any."""
+    if cause in CAUSES:
+        return CAUSES[cause]
+    kind = catalogue().get(cause)
+    return Words(kind.title if kind else effect_words(cause), "", "size")
+
+
+def readable_size(cause: str, unit: str) -> tuple[float, str]:
+    """Return the factor and the unit in which a cause's size is easy to read."""
+    return OWN_UNITS.get((cause, unit)) or UNITS.get(unit) or (1.0, unit)
+
+
+def amount(cause: str, estimate: float, sd: float, unit: str) -> str:
+    """Return a size with its standard deviation and unit; a flexibility as the stiffness that it is one over."""
+    if unit == FLEXIBILITY and estimate > 0:
+        estimate, sd, unit = 1 / estimate, sd / estimate**2, "Nm2"
+    factor, said = readable_size(cause, unit)
+    if said == "µrad" and abs(estimate) >= LARGE_ANGLE:
+        factor, said = 1e3, "mrad"
+    value, deviation = with_sd(factor * estimate, factor * sd)
+    return f"{value} ± {deviation} {said}" if deviation != "–" else f"{value} {said}"
+
+
+def chance(p: float) -> str:
+    """Return a small probability as words: one in so many."""
+    if not math.isfinite(p):
+        return "unknown"
+    if p < SMALL:
+        return "less than one in a million"
+    if p > 0.1:
+        return f"about {percent(p)}"
+    digits = 10 ** max(0, math.floor(math.log10(1 / p)) - 1)
+    return f"about one in {round(1 / p / digits) * digits:,}"
+
+
+def chance_figure(p: float) -> str:
+    """Return a small probability for a table."""
+    if not math.isfinite(p):
+        return "–"
+    return "< 10⁻⁶" if p < SMALL else f"{p:.2g}" if p >= 1e-3 else number(p, ".0e")
+
+
+def sureness(probability: float) -> str:
+    """Return a probability as percent that never claims certainty."""
+    if not math.isfinite(probability):
+        return "–"
+    return f"> {percent(CERTAIN)}" if probability > CERTAIN else percent(probability)
+
+
+def named_ids(text: str) -> str:
+    """Return a text with the ids of causes replaced by their names."""
+    known: Sequence[str] = sorted({*CAUSES, *catalogue()}, key=len, reverse=True)
+    return re.sub(rf"\b({'|'.join(map(re.escape, known))})\b", lambda match: cause_words(match[1]).name, text)
+
+
+def _family(cause: str) -> str:
+    kind = catalogue().get(cause)
+    return kind.family if kind else ""
+
+
+def _rival(text: str) -> Rival:
+    cause, _, joint = text.partition(" ")
+    return Rival(cause, int(joint) if joint.isdecimal() else 0)
+
+
+def _text(value: object) -> str:
+    """Return a cell as text; a CSV column of numbers and gaps comes back as floats."""
+    if pd.isna(value):  # type: ignore[call-overload]
+        return ""
+    return f"{value:.0f}" if isinstance(value, float) and value.is_integer() else str(value)
+
+
+def _figure(value: object) -> float:
+    return float("nan") if pd.isna(value) else float(value)  # type: ignore[call-overload, arg-type]
+
+
+def _joint(value: object) -> int:
+    return 0 if pd.isna(value) else int(value)  # type: ignore[call-overload]

@@ -1,0 +1,713 @@
+"""Every effect of the catalogue against the independent simulator, and what effects say of themselves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+
+import robots
+from calflow.conditions import Row
+from calflow.effects import Effect, catalogue
+from calflow.effects.joint_error_map import AMPLITUDE, LENGTHS
+from calflow.measurement_file import read_measurements
+from calflow.measurements import Measurements, condition_columns, numbered
+from calflow.model import Model, over_rows
+from calflow.robot.chain import Deflection
+from calflow.robot.description import Robot, read_robot
+from calflow.robot.dimensions import nominal_dimensions, nominal_loads
+from calflow.robot.statics import State, rated_torques, state
+from calflow.robot.transforms import rot_x
+from calflow.stages.candidates import pack
+from hidden import simulator
+from hidden.case import Case, draw, robot_file, stated_tables, write_case
+from hidden.causes import WARM_UP, Hidden, direction, gravity_compensator, joint_error_map, measured_points, response
+from hidden.simulator import Motion, Rows, equilibrium, statics
+
+ROBOTS = ("serial", "hh800")
+BASE = ((3500.0, -500.0, -800.0), (0.4, -0.3, 165.0))  # mm and degrees: away from the measuring device
+EVERYTHING = ("approach", "travel", "time", "temperature")
+DOCUMENT = Path(__file__).parents[2] / "docs" / "effects.md"
+
+
+@dataclass(frozen=True)
+class Twin:
+    """An effect with values by parameter name, and the same cause in the simulator; compared at the rows of where.
+
+    A cause that the simulator lacks is a function of its points and rows. Not soft: the joints do not give way besides.
+    """
+
+    effect: Effect
+    values: dict[str, float]
+    cause: Hidden | Callable[[np.ndarray, Rows], np.ndarray]
+    where: np.ndarray | None = None
+    close: float = 1e-3  # largest difference over largest effect
+    soft: bool = True
+
+
+@dataclass(frozen=True)
+class Bench:
+    """One robot as stated, read by calflow from its files, and as the simulator knows it, at some rows of its file."""
+
+    robot: Robot
+    data: Measurements
+    real: simulator.Robot
+    rows: Rows
+    few: np.ndarray  # of the data's rows, those in rows
+    still: simulator.State  # loads in the commanded poses
+
+    @property
+    def table(self) -> Measurements:
+        """The rows that are compared."""
+        return self.data.only(self.few)
+
+    def points(self, *causes: Hidden, soft: bool = True) -> np.ndarray:
+        """The simulator's points."""
+        real = self.real if soft else replace(self.real, compliance=0 * self.real.compliance)
+        return measured_points(real, self.rows, causes)
+
+    def torque(self, joint: int, *causes: Hidden) -> np.ndarray:
+        """The simulator's torque on a joint at equilibrium."""
+        _, loads = equilibrium(self.real, self.rows, lambda s: response(self.real, self.rows, s, causes))
+        return loads.torque[:, joint - 1]
+
+    def rated(self, joint: int) -> float:
+        """Rated torque of a joint."""
+        return float(rated_torques(self.robot)[joint - 1])
+
+
+@pytest.fixture(scope="module")
+def benches(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Bench]:
+    """Both robots with files in which nothing is missing."""
+    found = {}
+    for name in ROBOTS:
+        folder = tmp_path_factory.mktemp(name)
+        case = Case(robot=name, poses=500, columns=EVERYTHING, base=BASE)
+        write_case(folder, case, np.random.default_rng(1))
+        world = draw(case, np.random.default_rng(1))
+        robot = read_robot(folder / "robot.toml")
+        data = read_measurements(folder / "measurements.csv", robot)
+        few = np.arange(len(data)) % 8 == 0
+        rows = Rows(**{part: values[few] for part, values in vars(world.rows).items()})
+        rows = replace(rows, time=np.round(rows.time, 2) - world.rows.time.min().round(2))
+        still = statics(world.stated, rows, Motion.none(len(rows), world.stated.n))
+        found[name] = Bench(robot, data, world.stated, rows, few, still)
+    return found
+
+
+# --- Against the simulator ---------------------------------------------------------------------------
+
+
+def made(bench: Bench, name: str, **variant: Any) -> Effect:
+    """An effect of the catalogue."""
+    return catalogue()[name](bench.robot, **variant)
+
+
+def one(name: str, parameter: str, hidden: Hidden, **variant: Any) -> Callable[[Bench], Twin]:
+    """An effect with one parameter, which is the hidden cause's size."""
+    return lambda bench: Twin(made(bench, name, **variant), {parameter: hidden.size}, hidden)
+
+
+def wave(name: str, joint: int, size: float, number: float = 1.0, **variant: Any) -> Callable[[Bench], Twin]:
+    """A periodic error: the simulator's size and phase as cosine and sine."""
+    hidden = Hidden(name, joint, size, number, seed=3)
+    phase = hidden.rng.uniform(0, 2 * pi)
+    values = {f"joint{joint}.cos": size * np.cos(phase), f"joint{joint}.sin": -size * np.sin(phase)}
+    return lambda bench: Twin(made(bench, name, **variant), values, hidden)
+
+
+def cubic(bench: Bench) -> Twin:
+    """The simulator's torque is over the largest of all rows, calflow's over the rated one."""
+    hidden = Hidden("nonlinear-joint-stiffness", 2, 1.5e-3)
+    share = bench.rated(2) / np.abs(bench.torque(2, hidden)).max()
+    return Twin(made(bench, hidden.cause), {"joint2.c3": hidden.size * share**3}, hidden)
+
+
+def knee(bench: Bench) -> Twin:
+    """The simulator's break is at half the largest torque."""
+    hidden = Hidden("nonlinear-joint-stiffness", 2, 1.5e-3, "break")
+    share = bench.rated(2) / np.abs(bench.torque(2, hidden)).max()
+    return Twin(made(bench, hidden.cause, knee=0.5 / share), {"joint2.c": 2 * hidden.size * share}, hidden)
+
+
+def torque_backlash(bench: Bench) -> Twin:
+    """The simulator's flank changes at once, calflow's over a few per cent of the rated torque."""
+    hidden = Hidden("torque-backlash", 3, 3e-4)
+    clear = np.abs(bench.torque(3, hidden)) > 0.05 * bench.rated(3)
+    return Twin(made(bench, hidden.cause), {"joint3.b": hidden.size}, hidden, clear)
+
+
+def hysteresis(bench: Bench) -> Twin:
+    """The simulator remembers the way before a reversal, calflow does not: after far travel it is forgotten."""
+    hidden = Hidden("joint-hysteresis", 2, 1e-4)
+    far = bench.rows.travel[:, 1] > np.deg2rad(15)
+    return Twin(made(bench, hidden.cause, length=np.deg2rad(5)), {"joint2.h": hidden.size}, hidden, far, close=0.01)
+
+
+def bearing(joint: int, size: float) -> Callable[[Bench], Twin]:
+    """A bearing that is softer about x than about y."""
+    hidden = Hidden("bearing-compliance", joint, size, 0.3)
+    values = {f"joint{joint}.cx": hidden.size, f"joint{joint}.cy": 0.3 * hidden.size}
+    return lambda bench: Twin(made(bench, hidden.cause), values, hidden)
+
+
+def compensator(bench: Bench) -> Twin:
+    """The best four parameters for the cylinder's torque."""
+    hidden = Hidden("gravity-compensator", 2, 2e4)
+    basis = compensator_basis(bench)
+    values = np.linalg.lstsq(basis, gravity_compensator(hidden, bench.still), rcond=None)[0]
+    effect = made(bench, hidden.cause)
+    names = [parameter.name for parameter in effect.declared]
+    return Twin(effect, dict(zip(names, values, strict=True)), hidden, close=0.02)
+
+
+def compensator_basis(bench: Bench) -> np.ndarray:
+    """What each parameter of the compensator adds to joint 2's torque (rows, 4)."""
+    effect, loads, p = made(bench, "gravity-compensator"), State.symbols(bench.robot), ca.SX.sym("p", 4)
+    added = ca.jacobian(effect.torque(p, loads, Row.symbols(bench.robot)), p)
+    at = ca.Function("added", [loads.q], [added])
+    every = np.array([np.array(at(q)) for q in bench.table.joints])
+    assert not every[:, [0, 2, 3, 4, 5]].any()
+    return every[:, 1]
+
+
+def payload_com(bench: Bench) -> Twin:
+    """A shift in a direction that is drawn."""
+    hidden = Hidden("payload-com", 0, 0.1, seed=4)
+    shift = hidden.size * direction(hidden.rng)
+    return Twin(
+        made(bench, hidden.cause), dict(zip(("payloads.x", "payloads.y", "payloads.z"), shift, strict=True)), hidden
+    )
+
+
+def tool_alike(bench: Bench) -> Twin:
+    """The simulator's payload does not move with the tool, so that joints must not feel it."""
+    hidden = Hidden("tool-deflection", 0, 3e-7)
+    return Twin(made(bench, hidden.cause), {"tool.c": hidden.size}, hidden, soft=False)
+
+
+def tool_by_direction(bench: Bench) -> Twin:
+    """A tool that is stiffer across x."""
+    hidden = Hidden("tool-deflection", 0, 3e-7, "anisotropic")
+    values = {"tool.cx": hidden.size, "tool.cy": 0.5 * hidden.size, "tool.cz": 0.1 * hidden.size}
+    return Twin(made(bench, hidden.cause, directions=3), values, hidden, soft=False)
+
+
+def drift(bench: Bench) -> Twin:
+    """The simulator's size is from beginning to end."""
+    hidden = Hidden("frame-drift", 0, 3e-4, seed=5)
+    velocity = hidden.size * direction(hidden.rng) / bench.rows.time.max()
+    return Twin(
+        made(bench, hidden.cause), dict(zip(("device.vx", "device.vy", "device.vz"), velocity, strict=True)), hidden
+    )
+
+
+def turning_drift(bench: Bench) -> Twin:
+    """The simulator's device does not turn: written here."""
+    rate = np.array([2e-8, -3e-8, 5e-8])
+    values = dict(zip(("device.wx", "device.wy", "device.wz"), rate, strict=True))
+    turned = lambda point, rows: point + rows.time[:, None] * np.cross(rate, point)  # noqa: E731
+    return Twin(made(bench, "frame-drift", turning=True), values, turned)
+
+
+def step(bench: Bench) -> Twin:
+    """The simulator's moment is a time, calflow's a place in measuring order."""
+    hidden = Hidden("frame-step", 0, 2e-4, seed=6)
+    rng = hidden.rng
+    before = bench.rows.time <= rng.uniform(0.25, 0.75) * bench.rows.time.max()
+    moment = float(bench.table.table["order"][before].max()) + 0.5
+    shift = hidden.size * direction(rng)
+    values = dict(zip(("device.x", "device.y", "device.z"), shift, strict=True))
+    return Twin(made(bench, hidden.cause, moment=moment), values, hidden)
+
+
+TWINS: dict[str, Callable[[Bench], Twin]] = {
+    "joint-compliance": one("joint-compliance", "joint2.s", Hidden("joint-compliance", 2, 5e-8)),
+    "nonlinear-joint-stiffness, cubic": cubic,
+    "nonlinear-joint-stiffness, knee": knee,
+    "joint-backlash": one("joint-backlash", "joint3.b", Hidden("joint-backlash", 3, 1.5e-4)),
+    "torque-backlash": torque_backlash,
+    "joint-hysteresis": hysteresis,
+    "joint-eccentricity, first order": wave("joint-eccentricity", 1, 3e-4, 1, order=1),
+    "joint-eccentricity, second order": wave("joint-eccentricity", 5, 3e-4, 2, order=2),
+    "periodic-joint-error": wave("periodic-joint-error", 2, 1.5e-4, 7.3, order=7.3),
+    "gear-transmission-error, once": wave("gear-transmission-error", 2, 1e-4, 1, multiple=1),
+    "gear-transmission-error, twice": wave("gear-transmission-error", 3, 1e-4, 2, multiple=2),
+    "gear-ratio-error": one("gear-ratio-error", "joint4.kappa", Hidden("gear-ratio-error", 4, 2e-3)),
+    **{
+        f"wrist-coupling, {pair}": one("wrist-coupling", f"joint{pair[0]}.k{pair}", Hidden("wrist-coupling", 0, 2e-3, pair))
+        for pair in ("54", "64", "65")
+    },
+    **{f"bearing-compliance, joint {j}": bearing(j, c) for j, c in ((1, 1e-8), (2, 5e-8), (3, 5e-8), (5, 1e-7))},
+    **{
+        f"link-{kind}, link {link}": one(f"link-{kind}", f"link{link}.1/{key}", Hidden(f"link-{kind}", link, size))
+        for kind, key, sizes in (("bending", "EI", (3e-9, 5e-8, 1e-7, 5e-8)), ("torsion", "GJ", (3e-8, 3e-7, 3e-7, 3e-7)))
+        for link, size in enumerate(sizes, start=1)
+    },
+    "base-compliance": one("base-compliance", "base.c", Hidden("base-compliance", 0, 1e-8)),
+    "gravity-compensator": compensator,
+    "payload-mass, all": one("payload-mass", "payloads.e", Hidden("payload-mass", 0, 0.2)),
+    "payload-mass, one": one("payload-mass", "full.e", Hidden("payload-mass", 0, 0.2, "full")),
+    "payload-com": payload_com,
+    "link-mass": one("link-mass", "link3.e", Hidden("link-mass", 3, 0.3)),
+    "tool-deflection, alike": tool_alike,
+    "tool-deflection, by direction": tool_by_direction,
+    "thermal-growth, temperature": one("thermal-growth", "links.alpha", Hidden("thermal-growth", 0, 2.3e-5)),
+    "thermal-growth, warm-up": one("thermal-growth", "links.e", Hidden("thermal-growth", 0, 2.5e-4, "warm-up"), constant=WARM_UP),
+    "frame-drift, shifting": drift,
+    "frame-drift, turning": turning_drift,
+    "frame-step": step,
+    "tracker-scale": one("tracker-scale", "device.s", Hidden("tracker-scale", 0, 3e-5)),
+}  # fmt: skip
+APART = {"geometry", "gravity-deflection", "joint-error-map", "range-noise"}  # compared in tests of their own
+
+
+@pytest.fixture(scope="module")
+def compared(benches: dict[str, Bench]) -> Callable[[str], tuple[dict[str, Twin], Callable[..., np.ndarray]]]:
+    """All twins of a robot in one graph, and its points with springs and one twin's values."""
+
+    @lru_cache
+    def of(name: str) -> tuple[dict[str, Twin], Callable[..., np.ndarray]]:
+        bench = benches[name]
+        twins = {key: make(bench) for key, make in TWINS.items()}
+        springs = made(bench, "joint-compliance")
+        effects = (springs, *(twin.effect for twin in twins.values()))
+        model = Model(bench.robot, effects, bench.data.given)
+        p, c = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("c", model.n_conditions)
+        position = ca.Function("position", [p, c], [ca.densify(model.expression(p, c).position)])
+        sizes = [len(effect.declared) for effect in effects]
+
+        def points(key: str, soft: bool = True) -> np.ndarray:
+            values = np.zeros(len(model.parameters))
+            values[: sizes[0]] = soft * bench.real.compliance
+            if key:
+                k = list(twins).index(key) + 1
+                names = [parameter.name for parameter in effects[k].declared]
+                for parameter, value in twins[key].values.items():
+                    values[sum(sizes[:k]) + names.index(parameter)] = value
+            return over_rows(position, values, bench.table.rows)[0].T
+
+        return twins, points
+
+    return of
+
+
+def test_every_effect_is_compared() -> None:
+    """Breaks if an effect was added without a comparison, or without its row in the document."""
+    assert {name.split(",")[0] for name in TWINS} | APART == set(catalogue())
+    rows = re.findall(r"^\| `([\w-]+)` \|", DOCUMENT.read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(rows) == sorted(catalogue())
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("soft", [True, False])
+def test_effects_at_zero_are_absent(benches: dict[str, Bench], compared: Any, name: str, soft: bool) -> None:
+    """Breaks if an effect acts though its parameters are zero, or leaves something that is no number."""
+    assert_allclose(compared(name)[1]("", soft), benches[name].points(soft=soft), rtol=0, atol=2e-8)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("key", TWINS)
+def test_an_effect_moves_the_tool_as_the_simulator_does(
+    benches: dict[str, Bench], compared: Any, name: str, key: str
+) -> None:
+    """Breaks if sign, factor, frame, place or reference of an effect differ: neither program knows the other."""
+    bench = benches[name]
+    twins, points = compared(name)
+    twin = twins[key]
+    plain = bench.points(soft=twin.soft)
+    real = bench.points(twin.cause, soft=twin.soft) if isinstance(twin.cause, Hidden) else twin.cause(plain, bench.rows)
+    where = slice(None) if twin.where is None else twin.where
+    effect = np.linalg.norm(real - plain, axis=1)[where]
+    assert len(effect) > 20
+    assert 5e-6 < np.sqrt(np.mean(effect**2)) < 3e-3
+    apart = np.linalg.norm(points(key, twin.soft) - real, axis=1)[where]
+    assert apart.max() < twin.close * effect.max()
+
+
+def modified(of: Robot) -> Robot:
+    """The same robot in modified DH: a link's frame is where its axis is, not where the next one is."""
+    joints, aside, twist = [], 0.0, 0.0
+    for joint in of.joints:
+        rotation = np.array(ca.DM(rot_x(joint.alpha)))[:3, :3]
+        com = rotation @ np.array(joint.com) + [joint.a, 0.0, 0.0]
+        joints.append(joint.model_copy(update={"a": aside, "alpha": twist, "com": tuple(map(float, com))}))
+        aside, twist = joint.a, joint.alpha
+    assert aside == twist == 0  # the flange's frame is the last link's
+    return of.model_copy(update={"convention": "modified-dh", "joints": tuple(joints)})
+
+
+OF_ONE_CONVENTION = {
+    "geometry",
+    "gravity-deflection",
+    "joint-error-map",
+    "range-noise",
+}  # their parameters are frames' own
+
+
+@pytest.fixture(scope="module")
+def conventions() -> Callable[[str], list[np.ndarray]]:
+    """Points of a UR10 stated in both conventions, with springs and one effect as large as its prior, or none."""
+    dh = robots.ur10(base=robots.ASKEW)
+    geared = tuple(joint.model_copy(update={"gear_ratio": 100.0}) for joint in dh.joints)
+    dh = dh.model_copy(update={"joints": geared})
+    q, rng = robots.poses(dh, 20), np.random.default_rng(9)
+    given = (*EVERYTHING, "order")
+    names = [name for name in catalogue() if name not in OF_ONE_CONVENTION]
+    found = []
+    for robot in (dh, modified(dh)):
+        model = Model(robot, tuple(catalogue()[name](robot) for name in names), given)
+        p, c = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("c", model.n_conditions)
+        position = ca.Function("position", [p, c], [ca.densify(model.expression(p, c).position)])
+        found.append((model, position))
+    rows = pack(found[0][0], q, "load", "E")
+    rest = [rng.choice([-1.0, 1.0], (6, 20)), rng.uniform(0, 1, (6, 20)), rng.uniform(0, 7e3, (1, 20)),
+            rng.uniform(290, 310, (1, 20)), np.arange(20.0)[None]]  # fmt: skip
+    rows[-15:] = np.vstack(rest)
+
+    def points(name: str) -> list[np.ndarray]:
+        share = {"joint-compliance": 0.1} | {name: 1.0}
+        return [
+            over_rows(position, model.prior_sd * [share.get(p.effect, 0.0) for p in model.parameters], rows)[0].T
+            for model, position in found
+        ]
+
+    return points
+
+
+@pytest.mark.parametrize("name", [name for name in catalogue() if name not in OF_ONE_CONVENTION])
+def test_effects_are_the_same_in_both_conventions(conventions: Callable[[str], list[np.ndarray]], name: str) -> None:
+    """Breaks if an effect takes a link's far end, axis or frame for what it is in the other convention."""
+    (plain, other_plain), (dh, other) = conventions(""), conventions(name)
+    assert_allclose(plain, other_plain, rtol=0, atol=1e-12)
+    effect = np.abs(dh - plain).max()
+    assert effect > 1e-6
+    assert_allclose(dh, other, rtol=0, atol=2e-3 * effect)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_gravity_deflection_stands_for_springs(benches: dict[str, Bench], name: str) -> None:
+    """Breaks if first moments and compliance, of a robot without masses, leave a part of what springs do under any load."""
+    bench = benches[name]
+    bare = without_masses(name)
+    model = Model(bare, (catalogue()["gravity-deflection"](bare),), bench.data.given)
+    real, plain = bench.points(), bench.points(soft=False)
+    seen = np.arange(len(real)) % 4 != 1
+    assert {0, 1, 2} == set(bench.rows.payload[seen]) == set(bench.rows.payload[~seen])
+    rows, p = bench.table.rows, np.zeros(len(model.parameters))
+    for _ in range(2):
+        slope = model.position_jacobian(p, rows[:, seen]).reshape(-1, len(p)) * model.prior_sd
+        left = (real[seen] - model.position(p, rows[:, seen])).ravel()
+        p = p + model.prior_sd * np.linalg.lstsq(slope, left, rcond=1e-9)[0]
+    apart, effect = (np.linalg.norm(shift[~seen], axis=1) for shift in (model.position(p, rows) - real, real - plain))
+    assert effect.max() > 2e-3
+    assert apart.max() < 0.01 * effect.max()
+
+
+def without_masses(name: str) -> Robot:
+    """The robot whose links' masses nobody knows."""
+    return Robot.model_validate(robot_file(stated_tables(Case(robot=name, base=BASE)), masses=False))
+
+
+def waves(effect: Effect, joint: int, angle: np.ndarray) -> np.ndarray:
+    """What each parameter of a joint's error adds to it at these angles (n_angles, n_parameters)."""
+    loads = State.symbols(effect.robot)
+    terms = effect.terms(joint - 1, loads, Row.symbols(effect.robot))
+    values = ca.Function("terms", [loads.q], [ca.vertcat(*(term.value for term in terms))])
+    q = np.zeros((effect.robot.n_joints, len(angle)))
+    q[joint - 1] = angle
+    return np.array(values(q)).T
+
+
+@pytest.fixture(scope="module")
+def dense(benches: dict[str, Bench]) -> Measurements:
+    """Readings all over the joints' travel."""
+    robot = benches["serial"].robot
+    q = np.random.default_rng(8).uniform(*robot.limits.T, (800, robot.n_joints))
+    return Measurements(robot, pd.DataFrame(q, columns=numbered("q", robot.n_joints)))
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+@pytest.mark.parametrize("joint", [2, 6])
+def test_a_joint_error_map_follows_a_smooth_curve(
+    benches: dict[str, Bench], dense: Measurements, joint: int, length: float
+) -> None:
+    """Breaks if the waves do not reach the travel's ends, are too few, or their priors are those of other waves."""
+    effect = next(e for e in catalogue()["joint-error-map"].variants(dense.robot, dense) if e.length == length)
+    sd = np.array([parameter.prior_sd for parameter in effect.declared if parameter.joint == joint])
+    angle = dense.joints[:, joint - 1]
+    real = benches["serial"].real
+    rows = replace(benches["serial"].rows, q=dense.joints)
+    curve = joint_error_map(
+        Hidden("joint-error-map", joint, AMPLITUDE, seed=7), real, rows, np.zeros_like(dense.joints)
+    )
+    seen, noise = np.arange(len(angle)) % 4 != 0, 0.01 * AMPLITUDE
+    scaled = waves(effect, joint, angle) * sd
+    found = np.linalg.solve(scaled[seen].T @ scaled[seen] + noise**2 * np.eye(len(sd)), scaled[seen].T @ curve[seen])
+    left = (scaled @ found - curve)[~seen]
+    assert np.sqrt(np.mean(left**2)) < 0.01 * curve.std()
+
+    middle = np.array([(effect.low[joint - 1] + effect.high[joint - 1]) / 2])
+    variance = ((waves(effect, joint, middle) * sd) ** 2).sum()
+    assert variance == pytest.approx(AMPLITUDE**2, rel=0.03)
+
+
+def test_far_travel_makes_hysteresis_backlash(benches: dict[str, Bench]) -> None:
+    """Breaks if friction develops to another size than h, or does not begin on the side where the joint was before."""
+    robot = benches["serial"].robot
+    loads, row = State.symbols(robot), Row.symbols(robot)
+    length = np.deg2rad(4.0)
+    hysteresis, backlash = (
+        made(benches["serial"], "joint-hysteresis", length=length),
+        made(benches["serial"], "joint-backlash"),
+    )
+    terms = [effect.terms(2, loads, row)[0].value for effect in (hysteresis, backlash)]
+    values = ca.Function("terms", [row.approach, row.travel], terms)
+    for side in (-1.0, 1.0):
+        approach, travel = np.full(6, side), np.full(6, 100 * length)
+        h, b = (float(value) for value in values(approach, travel))
+        assert h == pytest.approx(2 * b) == side  # as large for h = b / 2
+        assert float(values(approach, 0 * travel)[0]) == -side
+        assert float(values(approach, np.full(6, np.log(2) * length))[0]) == pytest.approx(0)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_range_noise_grows_with_distance(benches: dict[str, Bench], name: str) -> None:
+    """Breaks if the variance is not that of noise in proportion to the distance from the device, or a point is moved."""
+    bench = benches[name]
+    model = Model(bench.robot, (made(bench, "range-noise"),), bench.data.given)
+    p, c = ca.SX.sym("p"), ca.SX.sym("c", model.n_conditions)
+    row = Row.unpack(bench.robot, c, bench.data.given)
+    variance = ca.Function("variance", [p, c], [ca.densify(ca.SX(model.effects[0].variance(p, row)))])
+    found = over_rows(variance, np.array([2.5e-5]), bench.table.rows)[0].ravel()
+    assert_allclose(found, (2.5e-5 * np.linalg.norm(bench.table.position, axis=1)) ** 2, rtol=1e-12)
+    assert model.effects[0].variance(p, Row.unpack(bench.robot, c)) == 0  # of rows whose distance nobody knows
+    assert not ca.jacobian(model.expression(p, c).position, p).nnz()
+
+
+# --- What effects say of themselves ------------------------------------------------------------------
+
+VARIANTS = {  # how many forms there are to try, where not one
+    "nonlinear-joint-stiffness": 5,
+    "joint-eccentricity": 2,
+    "gear-transmission-error": 2,
+    "joint-hysteresis": 5,
+    "joint-error-map": 3,
+    "tool-deflection": 2,
+    "thermal-growth": 5,
+    "frame-drift": 2,
+}
+
+
+def figures(effect: Effect) -> tuple[Any, ...]:
+    """What makes the variant."""
+    return tuple(getattr(effect, field.name) for field in fields(effect) if field.name != "robot")
+
+
+@pytest.fixture(scope="module")
+def full(benches: dict[str, Bench], dense: Measurements) -> Measurements:
+    """Rows in which nothing is missing, and that cover the joints' travel."""
+    data = benches["serial"].data
+    table = data.table.copy()
+    table[numbered("q", 6)] = dense.joints[: len(table)]
+    return Measurements(data.robot, table)
+
+
+@pytest.mark.parametrize("name", catalogue())
+def test_variants_are_distinct_and_told_apart(full: Measurements, name: str) -> None:
+    """Breaks if one form is tried twice, two forms are called alike, or one of several has no words of its own."""
+    variants = catalogue()[name].variants(full.robot, full)
+    assert all(type(effect) is catalogue()[name] and effect.robot == full.robot for effect in variants)
+    if name not in ("periodic-joint-error", "frame-step"):
+        assert len(variants) == VARIANTS.get(name, 1)
+    assert len({figures(effect) for effect in variants}) == len(variants)
+    details = {effect.detail for effect in variants}
+    assert len(details) == len(variants)
+    assert ("" in details) == (len(variants) == 1)
+    for effect in variants[:8]:
+        names = [parameter.name for parameter in effect.declared]
+        assert names
+        assert len(set(names)) == len(names)
+    if name not in ("periodic-joint-error", "frame-step"):
+        assert variants[0].finer(full) == ()
+
+
+def test_orders_are_scanned_without_gaps(full: Measurements) -> None:
+    """Breaks if an order between two that are tried could be missed, or refinement leaves the neighbourhood."""
+    variants = catalogue()["periodic-joint-error"].variants(full.robot, full)
+    orders = np.array([effect.order for effect in variants])
+    half = np.ptp(full.joints, axis=0).max() / 2
+    assert (np.diff(orders) > 0).all()
+    assert np.diff(orders).max() * half < 1  # rad of phase at the ends of the longest travel
+    assert orders[0] <= 2.5
+    assert orders[-1] > 29.5
+    finer = np.array([effect.order for effect in variants[20].finer(full)])
+    assert orders[19] - 1e-9 <= finer.min() < orders[20] < finer.max() <= orders[21] + 1e-9
+    assert np.diff(finer).max() < 0.3 * np.diff(orders).min()
+    assert min(effect.order for effect in variants[0].finer(full)) > 2  # below is eccentricity
+
+
+def test_every_moment_of_a_step_is_within_reach(full: Measurements) -> None:
+    """Breaks if moments that a long scan leaves out are not tried about the best one, or lie at a row."""
+    order = full.table["order"].to_numpy()
+    variants = catalogue()["frame-step"].variants(full.robot, full)
+    moments = np.array([effect.moment for effect in variants])
+    assert len(moments) <= 120 < len(order)
+    assert not np.isin(moments, order).any()
+    fewest = [(order < moments.min()).sum(), (order > moments.max()).sum()]
+    assert min(fewest) >= 3
+    reached = {effect.moment for variant in variants for effect in variant.finer(full)}
+    assert reached >= set(np.arange(order.min() + 2.5, order.max() - 2.5))
+    short = full.only(np.arange(len(full)) < 20)
+    every = catalogue()["frame-step"].variants(short.robot, short)
+    assert len(every) == 20 - 2 * 3 + 1
+    assert catalogue()["frame-step"].variants(short.robot, full.only(np.arange(len(full)) < 5)) == ()
+
+
+def test_thermal_growth_goes_with_what_was_measured(full: Measurements) -> None:
+    """Breaks if a thermometer that stood still is believed, or time is not taken where no temperature is."""
+    kind = catalogue()["thermal-growth"]
+    assert [effect.constant > 0 for effect in kind.variants(full.robot, full)] == [False, True, True, True, True]
+    timeless = without(full, "time")
+    assert [effect.constant for effect in kind.variants(full.robot, timeless)] == [0.0]
+    still = Measurements(full.robot, full.table.assign(temperature=293.0))
+    assert all(effect.constant > 0 for effect in kind.variants(full.robot, still))
+    assert kind.lacking(full.robot, without(still, "time"))
+
+
+def without(data: Measurements, *conditions: str) -> Measurements:
+    """The rows without some optional conditions."""
+    columns = [column for name in conditions for column in condition_columns(name, data.robot)]
+    return Measurements(data.robot, data.table.drop(columns=columns))
+
+
+def changed(data: Measurements, **fields: Any) -> Measurements:
+    """The rows of a robot whose file says something else."""
+    return Measurements(data.robot.model_copy(update=fields), data.table)
+
+
+def bare(data: Measurements) -> Measurements:
+    """The rows of a robot whose file tells no masses."""
+    return changed(data, joints=tuple(joint.model_copy(update={"mass": None}) for joint in data.robot.joints))
+
+
+def gearless(data: Measurements) -> Measurements:
+    """The rows of a robot whose file tells no gear ratio."""
+    return changed(data, joints=tuple(joint.model_copy(update={"gear_ratio": None}) for joint in data.robot.joints))
+
+
+OF_MASSES = (
+    "joint-compliance", "nonlinear-joint-stiffness", "torque-backlash", "bearing-compliance", "link-bending",
+    "link-torsion", "base-compliance", "gravity-compensator", "payload-mass", "payload-com", "link-mass",
+)  # fmt: skip
+LACKING: list[tuple[str, Callable[[Measurements], Measurements], str]] = [
+    *((name, bare, "mass_kg and com_mm") for name in OF_MASSES),
+    *((name, lambda data: changed(data, payloads={}), "payload") for name in ("payload-mass", "payload-com", "tool-deflection")),
+    ("gear-transmission-error", gearless, "gear_ratio"),
+    ("joint-backlash", lambda data: without(data, "approach"), "approach1"),
+    ("joint-hysteresis", lambda data: without(data, "approach"), "approach1"),
+    ("joint-hysteresis", lambda data: without(data, "travel"), "travel1_deg"),
+    ("thermal-growth", lambda data: without(data, "time", "temperature"), "temperature_degC .* time_s"),
+    ("frame-drift", lambda data: without(data, "time"), "time_s"),
+    ("frame-step", lambda data: without(data, "order"), "measuring order"),
+    ("range-noise", lambda data: without(data, "range"), "tracker_mm"),
+    ("joint-error-map", lambda data: data.only(np.arange(len(data)) < 50), "readings per 0.05 rad"),
+    ("gravity-deflection", lambda data: data, "joint-compliance"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "taken", "words"), LACKING, ids=[f"{row[0]}-{row[2]}" for row in LACKING])
+def test_what_is_lacking_is_told_in_words(
+    full: Measurements, name: str, taken: Callable[[Measurements], Measurements], words: str
+) -> None:
+    """Breaks if an effect is looked for in data that cannot show it, or the column that would help is not named."""
+    data = taken(full)
+    assert re.search(words, catalogue()[name].lacking(data.robot, data))
+    if name != "gravity-deflection":
+        assert catalogue()[name].lacking(full.robot, full) == ""
+
+
+@pytest.mark.parametrize("name", [name for name in catalogue() if name not in {row[0] for row in LACKING}])
+def test_the_others_need_nothing(full: Measurements, name: str) -> None:
+    """Breaks if an effect asks for a column that its equation does not have."""
+    poor = gearless(changed(bare(without(full, *full.given)), payloads={}))
+    poor = poor.only(np.arange(len(poor)) < 50)
+    assert catalogue()[name].lacking(poor.robot, poor) == ""
+    assert catalogue()[name].variants(poor.robot, poor)
+
+
+ANGLE = lambda bench, joint: np.rad2deg(bench.rows.q[:, joint - 1])  # noqa: E731
+TORQUE = lambda bench, joint: bench.still.torque[:, joint - 1]  # noqa: E731
+PLACE = lambda bench, joint: bench.table.table["order"].to_numpy()  # noqa: E731
+LOAD = lambda bench, joint: bench.real.payload_mass[bench.rows.payload]  # noqa: E731
+HOURS = lambda bench, joint: bench.rows.time / 3600  # noqa: E731
+END = lambda bench, joint: np.linalg.norm(bench.still.tip_moment[:, joint - 1], axis=1)  # noqa: E731
+AGAINST: dict[str, tuple[str, Callable[[Bench, int], np.ndarray]]] = {
+    **dict.fromkeys(("joint-eccentricity", "periodic-joint-error", "gear-transmission-error", "joint-error-map",
+                     "gear-ratio-error", "gravity-deflection", "gravity-compensator"), ("deg", ANGLE)),
+    "wrist-coupling": ("deg", lambda bench, joint: ANGLE(bench, joint - 1)),
+    **dict.fromkeys(("joint-compliance", "nonlinear-joint-stiffness", "torque-backlash"), ("Nm", TORQUE)),
+    "link-mass": ("Nm", lambda bench, joint: TORQUE(bench, 2)),
+    "joint-backlash": ("", lambda bench, joint: bench.rows.approach[:, joint - 1]),
+    "joint-hysteresis": ("deg", lambda bench, joint: np.rad2deg(bench.rows.approach * bench.rows.travel)[:, joint - 1]),
+    "bearing-compliance": ("Nm", lambda bench, joint: np.linalg.norm(bench.still.moment[:, joint - 1, :2], axis=1)),
+    "base-compliance": ("Nm", lambda bench, joint: np.linalg.norm(bench.still.base_moment[:, :2], axis=1)),
+    **dict.fromkeys(("link-bending", "link-torsion"), ("Nm", END)),
+    **dict.fromkeys(("payload-mass", "payload-com", "tool-deflection"), ("kg", LOAD)),
+    "thermal-growth": ("K", lambda bench, joint: bench.rows.temperature - 20),
+    "frame-drift": ("h", HOURS),
+    **dict.fromkeys(("frame-step", "tracker-scale", "range-noise", "geometry"), ("", PLACE)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("effect", catalogue())
+def test_effects_are_drawn_against_what_explains_them(benches: dict[str, Bench], name: str, effect: str) -> None:
+    """Breaks if a curve's variable is that of another joint, in another unit, or called so."""
+    bench = benches[name]
+    model = Model(bench.robot, (), bench.data.given)
+    c = ca.SX.sym("c", model.n_conditions)
+    row = Row.unpack(bench.robot, c, bench.data.given)
+    nominal, still = (nominal_dimensions(bench.robot), nominal_loads(bench.robot)), Deflection.zero(6)
+    loads = state(bench.robot, *nominal, row, still)
+    found = catalogue()[effect].variants(bench.robot, bench.data)[0]
+    joints = sorted({parameter.joint for parameter in found.declared})
+    shown = [found.variable(joint) for joint in joints]
+    values = ca.vertcat(*(variable.value(loads, row) for variable in shown))
+    found_at = over_rows(
+        ca.Function("variables", [model.symbols[0], c], [ca.densify(values)]), np.zeros(0), bench.table.rows
+    )
+    unit, expected = AGAINST[effect]
+    for joint, variable, value in zip(joints, shown, found_at[0], strict=True):
+        assert variable.unit == unit
+        assert variable.label
+        wanted = expected(bench, joint)
+        finest = 6e-4 if effect == "joint-hysteresis" else 1e-6  # a file's travel is in thousandths of a degree
+        assert_allclose(variable.factor * value, wanted, atol=finest * max(1.0, 1e-2 * np.abs(wanted).max()))
+
+
+def test_warm_up_is_drawn_against_time(benches: dict[str, Bench]) -> None:
+    """Breaks if growth in time is drawn against a temperature."""
+    variable = made(benches["serial"], "thermal-growth", constant=1800.0).variable(0)
+    assert (variable.label, variable.unit, variable.factor) == ("time", "h", 1 / 3600)
+
+
+def test_a_size_is_of_one_unit(benches: dict[str, Bench]) -> None:
+    """Breaks if metres and radians are added, or a map's size is not the curve's root mean square."""
+    drift = made(benches["serial"], "frame-drift", turning=True)
+    assert drift.size(np.array([3.0, 4.0, 0.0, 9.0, 9.0, 9.0])) == 5.0
+    of_map = made(benches["serial"], "joint-error-map", low=(-1.0,) * 6, high=(1.0,) * 6)
+    values = np.zeros(sum(parameter.joint == 1 for parameter in of_map.declared))
+    values[[1, 4]] = 3e-4, 4e-4
+    curve = waves(of_map, 1, np.linspace(-1.1, 1.1, 2001)) @ values
+    assert of_map.size(values) == pytest.approx(np.sqrt(np.mean(curve**2)), rel=1e-3)
