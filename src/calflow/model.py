@@ -173,9 +173,9 @@ def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[n
         buffer, evaluate = mapped.buffer()  # CasADi reads and writes NumPy's memory: no lists between
         arguments = [np.ascontiguousarray(p, dtype=float), *(np.ascontiguousarray(row[:, part].T) for row in rows)]
         for k, argument in enumerate(arguments):
-            buffer.set_arg(k, memoryview(argument.ravel()))
+            buffer.set_arg(k, memoryview(argument.ravel()))  # type: ignore[call-arg, arg-type]
         for k, value in enumerate(values):
-            buffer.set_res(k, memoryview(value[part].reshape(-1)))
+            buffer.set_res(k, memoryview(value[part].reshape(-1)))  # type: ignore[call-arg, arg-type]
         evaluate()
     return [value.reshape(n_rows * function.size2_out(k), function.size1_out(k)).T for k, value in enumerate(values)]
 

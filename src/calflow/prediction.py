@@ -12,7 +12,7 @@ from calflow.measurements import LABELS, Measurements
 from calflow.problems import refuse
 from calflow.robot.description import read_robot
 from calflow.runs import outdated, read_manifest, read_tables
-from calflow.stages.identified import identified
+from calflow.stages.identified import calibrated
 
 
 def predict(run_folder: str | Path, rows: str | Path) -> pd.DataFrame:
@@ -34,10 +34,12 @@ def predict(run_folder: str | Path, rows: str | Path) -> pd.DataFrame:
     if reason:
         raise refuse(f"holds no identified robot: {reason}; run the study again", folder)
     tables = read_tables(folder, "identify")
+    if outdated(folder, "diagnose", robot) is None:
+        tables |= read_tables(folder, "diagnose")
     if path.suffix.lower() == ".mat":
         raise refuse("expected a CSV", path)
     data = read_measurements(path, robot, conditions_only=True)
-    known = identified(robot, tables, data.given)
+    known = calibrated(robot, tables, data.given)
     position = known.model.position(known.estimate, data.rows)
     jacobian = known.model.position_jacobian(known.estimate, data.rows)
     variance = np.einsum("nai,ij,naj->na", jacobian, known.covariance, jacobian)

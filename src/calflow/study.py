@@ -49,7 +49,14 @@ class StudyFile(FileModel):
     @field_validator("effects")
     @classmethod
     def _known_effects(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
-        return known_effects(effects)
+        from calflow.effects import catalogue
+
+        for effect in known_effects(effects):
+            if catalogue()[effect].is_noise():
+                raise ValueError(
+                    f"effect '{effect}' is a model of the noise, which no fit can have; diagnose looks for it"
+                )
+        return effects
 
 
 class WorkflowFile(FileModel):

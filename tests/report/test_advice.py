@@ -135,7 +135,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, pd.DataFrame], int, str]] = [
       "identify/parameters.csv": parameter_table(parameter="joint1.s", unit="rad/Nm")}, 3, "joint 1"),
     (diagnosis.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07)}, 1, "0.070 mm against 0.060 mm"),
     (diagnosis.unexplained, {"diagnose/findings.csv": found("unexplained")}, 2, "depends on the angle of joint 2 that no cause"),
-    (diagnosis.next_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "Measure the 3 poses of diagnose/next_poses.csv that tell backlash from"),
+    (diagnosis.next_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "the 3 poses of diagnose/next_poses.csv that tell backlash"),
     (diagnosis.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(
         0.0, "no pose tells joint-backlash from joint-hysteresis in these data: log each joint's travel")}, 3,
      "To tell backlash of joint 2 from friction wind-up of joint 2: log each joint's travel"),

@@ -17,7 +17,9 @@ def catalogue() -> dict[str, type[Effect]]:
     for module in pkgutil.iter_modules(__path__):
         importlib.import_module(f"{__name__}.{module.name}")
     here = [
-        effect for effect in _kinds(Effect) if effect.__module__.startswith(f"{__name__}.") and hasattr(effect, "id")
+        effect
+        for effect in _kinds(Effect)  # type: ignore[type-abstract]
+        if effect.__module__.startswith(f"{__name__}.") and hasattr(effect, "id")
     ]
     return {effect.id: effect for effect in sorted(here, key=lambda effect: effect.id)}
 

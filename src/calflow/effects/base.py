@@ -94,6 +94,11 @@ class Effect(ABC):
         """Say what these data lack for a test of it; empty where nothing."""
         return ", ".join(unmet(cls.needs, robot, data.given))
 
+    @classmethod
+    def is_noise(cls) -> bool:
+        """Whether it widens the noise and shifts nothing, so that it is tested by what the fit leaves."""
+        return cls.variance is not Effect.variance
+
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return variants between this one and its neighbours."""
         return ()

@@ -50,8 +50,8 @@ class JointErrorMap(JointError):
         dense = _dense(robot, data)
         if not dense.any():
             return ()
-        covered = np.where(dense, low, 0.0), np.where(dense, high, 0.0)
-        return tuple(cls(robot, *(tuple(map(float, side)) for side in covered), length) for length in LENGTHS)
+        first, last = (tuple(map(float, np.where(dense, side, 0.0))) for side in (low, high))
+        return tuple(cls(robot, first, last, length) for length in LENGTHS)
 
     @classmethod
     def lacking(cls, robot: Robot, data: Measurements) -> str:

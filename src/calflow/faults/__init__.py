@@ -32,14 +32,14 @@ def search(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
     What has one clear correction is corrected; rows that nothing puts right are left out of fit and judgement.
     """
     faults: list[Fault] = []
-    reference = Reference(data)
+    reference = Reference.of(data)
     for check in checks():
-        found = check.find(data, reference)
+        found = check.find(data, reference) if reference else ()
         for fault in found:
             data = mend(data, fault)
         if found:
             faults += found
-            reference = Reference(data)
+            reference = Reference.of(data)
     return data, tuple(faults)
 
 

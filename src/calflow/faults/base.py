@@ -79,9 +79,10 @@ class Check(ABC):
 
 
 def fault(check: Check, data: Measurements, joint: int, mends: Sequence[Mend], action: Action, statement: str) -> Fault:
-    """Return a fault with the lines of its rows; lines stands in the statement for the lines in words."""
-    lines = tuple(int(line) for line in data.table["line"].iloc[[mend.row - 1 for mend in mends if mend.row]])
-    return Fault(check.id, joint, lines, statement.format(lines=lines_in_words(lines)), action, tuple(mends))
+    """Return a fault with the lines of its rows; LINES stands in the statement for these in words."""
+    rows = [mend.row - 1 for mend in mends if mend.row]
+    lines = tuple(dict.fromkeys(int(line) for line in data.table["line"].iloc[rows]))
+    return Fault(check.id, joint, lines, statement.replace("LINES", lines_in_words(lines)), action, tuple(mends))
 
 
 def mend(data: Measurements, one: Fault) -> Measurements:

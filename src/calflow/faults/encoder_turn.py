@@ -55,11 +55,8 @@ class EncoderTurn(Check):
     def _motor(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         fit = reference.fit
         geared = [j for j, joint in enumerate(data.robot.joints) if joint.kind == "revolute" and joint.gear_ratio]
-        if fit is None or not geared:
-            return ()
-        before = fit.miss(data)
-        pose = data.table["pose"].to_numpy()
-        if len(set(pose[before > fit.gross])) < FEWEST:
+        before, pose = reference.miss, data.table["pose"].to_numpy()
+        if not geared or len(set(pose[reference.gross])) < FEWEST:
             return ()
         best: tuple[int, int, float, np.ndarray] | None = None
         for joint in geared:
@@ -82,7 +79,7 @@ class EncoderTurn(Check):
 
     def _fault(self, data: Measurements, joint: int, rows: np.ndarray, step: float, what: str, why: str) -> Fault:
         statement = (
-            f"joint {joint + 1}: in {{lines}} the reading {why}, and is right with one {what} "
+            f"joint {joint + 1}: in LINES the reading {why}, and is right with one {what} "
             f"{'more' if step > 0 else 'less'}; corrected so, correct the file and check the joint's zero"
         )
         offset = float(f"{step:.10g}")  # as the table will say it

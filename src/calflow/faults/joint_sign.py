@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import Check, Fault, Mend, fault, mend
-from calflow.faults.reference import LEAST_GROSS, Reference, Rough, at_origin, chosen, motion, placement, rough
+from calflow.faults.reference import TINY, Reference, at_origin, chosen, lengths, motion, placement, rough
 from calflow.measurements import Measurements
 from calflow.model import build
 
@@ -17,8 +17,10 @@ FAR_OFF = 0.02  # share of the measured space from which a nominal robot's error
 CLOSE = 2.0  # times the error as read up to which another sign is worth a fit, where that error is small
 TRIED = 8  # combinations of signs that are placed at most, besides single ones
 FITTED, NEARLY = 3, 4.0  # that are fitted at most, and times by which the best of them may be better placed
-CLEAR = 10.0  # times by which the right signs must lessen the error of a robust fit
-ALIKE = 2.0  # times by which the errors of two combinations may differ: the one with fewer turned signs is meant
+FEWEST = 3  # poses that are grossly off as read
+CLEAR = 0.2  # share of the rows grossly off as read that may be so with the right signs
+ALIKE = 0.01  # share of the rows by which combinations may differ: the one with fewer turned signs is meant
+FAR = 1e3  # m: where a loop cannot be closed
 EVERY = 7  # joints up to which all combinations are tried, else one or two signs at a time
 
 Signs = tuple[int, ...]  # the joints (index from 0) whose signs are turned
@@ -36,21 +38,33 @@ class JointSign(Check):
 
     def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         """Return one fault a joint whose sign is wrong."""
-        likely = _likely(data, reference.spread)
-        if not likely or reference.fit is None:
+        turned = {joints: _with(data, joints) for joints in _likely(data, reference.spread)}
+        fits = {joints: again.fit for joints, other in turned.items() if (again := Reference.of(other)) is not None}
+        if not fits:
             return ()
-        fits = {turned: fit for turned in likely if (fit := Reference(_with(self, data, turned)).fit) is not None}
-        best, before = min(fit.scale for fit in fits.values()), reference.fit
-        if before.scale < max(CLEAR * best, LEAST_GROSS):
+        limit = min(fit.gross for fit in fits.values())
+        before = reference.miss
+        after = {joints: fit.miss(turned[joints]) for joints, fit in fits.items()}
+        gross = {joints: int((miss > limit).sum()) for joints, miss in after.items()}
+        few = min(gross.values()) + ALIKE * len(data)
+        meant = min(
+            (joints for joints in fits if gross[joints] <= few), key=lambda j: (len(j), gross[j], fits[j].scale)
+        )
+        off = before > limit
+        if data.table["pose"][off].nunique() < FEWEST or gross[meant] > CLEAR * off.sum():
             return ()
-        meant = min((t for t in fits if fits[t].scale < ALIKE * best), key=lambda t: (len(t), fits[t].scale))
-        return tuple(_fault(self, data, joint, before, fits[meant]) for joint in meant)
+        return tuple(_fault(self, data, joint, _typical(before[off]), _typical(after[meant][off])) for joint in meant)
 
 
-def _fault(check: Check, data: Measurements, joint: int, before: Rough, after: Rough) -> Fault:
+def _typical(miss: np.ndarray) -> float:
+    """Return the median of some errors (n_rows,) [mm]."""
+    return 1e3 * float(np.median(miss))
+
+
+def _fault(check: Check, data: Measurements, joint: int, before: float, after: float) -> Fault:
     statement = (
-        f"joint {joint + 1}: all readings have the wrong sign (with it turned, a rough fit misses by "
-        f"{1e3 * after.scale:.2g} mm instead of {1e3 * before.scale:.3g} mm); turn the sign of column q{joint + 1}, or say "
+        f"joint {joint + 1}: all readings have the wrong sign (with it turned, rows that a rough fit "
+        f"misses by {before:.3g} mm are met to {after:.2g} mm); turn the sign of column q{joint + 1}, or say "
         f"sign = {-data.robot.joints[joint].sign} for this joint in the robot file"
     )
     return fault(check, data, joint + 1, [_turn(joint)], "corrected", statement)
@@ -60,8 +74,8 @@ def _turn(joint: int) -> Mend:
     return Mend(0, f"q{joint + 1}", factor=-1.0)
 
 
-def _with(check: Check, data: Measurements, turned: Signs) -> Measurements:
-    return mend(data, Fault(check.id, 0, (), "", "corrected", tuple(map(_turn, turned))))
+def _with(data: Measurements, turned: Signs) -> Measurements:
+    return mend(data, Fault(JointSign.id, 0, (), "", "corrected", tuple(map(_turn, turned))))
 
 
 def _likely(data: Measurements, spread: float) -> list[Signs]:
@@ -76,21 +90,26 @@ def _likely(data: Measurements, spread: float) -> list[Signs]:
     nominal = build(robot, (), data.given)
     points = nominal.position(nominal.nominal, np.concatenate(list(rows), axis=1)).reshape(len(every), len(few), 3)
     turn, shift, error = motion(points, few.position)
-    miss = np.median(error, axis=1)
+    miss = _level(error)
     single = np.array([len(turned) == 1 for turned in every])
     if miss[0] < FAR_OFF * spread:
         worth = np.flatnonzero(single & (miss < CLOSE * miss[0]))
     else:
         worth = np.union1d(np.flatnonzero(single), np.argsort(miss)[:TRIED])
-    worth = worth[(worth > 0) & np.isfinite(miss[worth])]
+    worth = worth[worth > 0]
     if not len(worth):
         return []
     model = placement(robot, data.given)
-    placed = {
-        k: rough(model, rows[k], (few.position - shift[k]) @ turn[k]).scale for k in (0, *worth) if np.isfinite(miss[k])
-    }
+    placed = {}
+    for k in (0, *worth):
+        measured = (few.position - shift[k]) @ turn[k]
+        fit = rough(model, rows[k], measured)
+        placed[k] = float(_level(lengths(measured - fit.predicted(rows[k]))))
     best = min(placed.values())
-    left = sorted(
-        (k for k in placed if k and placed[k] < min(placed.get(0, np.inf), NEARLY * best)), key=placed.__getitem__
-    )
+    left = sorted((k for k in placed if k and placed[k] < min(placed[0], NEARLY * best)), key=placed.__getitem__)
     return [every[k] for k in left[:FITTED]]
+
+
+def _level(error: np.ndarray) -> np.ndarray:
+    """Return the geometric mean of errors (…, n_rows): a few rows that are off show, and one alone does not decide."""
+    return np.asarray(np.exp(np.log(np.minimum(error, FAR) + TINY).mean(axis=-1)))

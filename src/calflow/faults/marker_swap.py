@@ -22,11 +22,10 @@ class MarkerSwap(Check):
     def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         """Return one fault with all exchanged rows."""
         fit = reference.fit
-        if fit is None or data.table["marker"].nunique() < 2:
+        gross, miss = np.flatnonzero(reference.gross), reference.miss
+        if len(gross) < 2 or data.table["marker"].nunique() < 2:
             return ()
         predicted, position = fit.predicted(data.rows), data.position
-        miss = lengths(position - predicted)
-        gross = np.flatnonzero(miss > fit.gross)
         mends: list[Mend] = []
         for _, group in data.table.iloc[gross].assign(row=gross).groupby(["pose", "repeat"], sort=False):
             pairs = [np.array(pair) for pair in combinations(group["row"], 2)]
@@ -38,5 +37,5 @@ class MarkerSwap(Check):
         if not mends:
             return ()
         markers = " and ".join(dict.fromkeys(data.table["marker"].iloc[[mend.row - 1 for mend in mends]].astype(str)))
-        statement = f"markers {markers} were taken for each other in {{lines}}; exchanged, correct the file"
+        statement = f"markers {markers} were taken for each other in LINES; exchanged, correct the file"
         return (fault(self, data, 0, mends, "corrected", statement),)

@@ -34,22 +34,19 @@ class Outlier(Check):
     def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         """Return one fault with all outliers."""
         fit = reference.fit
-        if fit is None:
-            return ()
         error = data.position - fit.predicted(data.rows)
-        miss, used = fit.miss(data), data.train | data.held_out
+        miss, used = reference.miss, data.train | data.held_out
         limit = limit_of(miss[used], fit)
         off = used & (miss > limit)
-        if off.any():  # where the fit itself is unsure a row may be farther off
-            off[off] = (miss[off] / fit.uncertainty(data.rows[:, off])) > limit
         off &= ~_together(data, error, off)
         if not 0 < off.sum() <= MOST * used.sum() or _of_a_joint(data, fit, error, np.flatnonzero(off)):
             return ()
         rows = np.flatnonzero(off)
-        least, most = 1e3 * miss[off].min(), 1e3 * miss[off].max()
+        far = np.linalg.norm(error[off], axis=1)
+        least, most = 1e3 * far.min(), 1e3 * far.max()
         size = f"{most:.3g} mm" if len(rows) == 1 else f"{least:.3g} to {most:.3g} mm"
         statement = (
-            f"the position in {{lines}} is {size} from where all other rows say it is, which miss by "
+            f"the position in LINES is {size} from where all other rows say it is, which miss by "
             f"{1e3 * float(np.median(miss[used])):.2g} mm; left out, measure again or correct the file"
         )
         return (fault(self, data, 0, [Mend(int(row) + 1) for row in rows], "left out", statement),)

@@ -17,11 +17,12 @@ from calflow.stages.noise import conditions
 from calflow.stages.registration import Placement
 
 FIT_ROWS = 400  # training rows that are fitted: more would hardly tell more
-EQUATIONS = 2.0  # a parameter: with fewer some rows are met exactly whatever they hold, and others look gross
+EQUATIONS = 2.4  # a parameter: with fewer some rows are met exactly whatever they hold, and others look gross
 PLACED_SD = 0.5  # m and rad: where base and tool are is left to the data
 NORMAL_LENGTH = 1.5382  # median length of a vector of three unit normals
 WIDTH = 2.5  # robust standard deviations at which a row counts half
 LINEARISED, REWEIGHTED = 6, 8  # rounds of the fit, and in each of the weights
+BLOCK = 60  # equations that are multiplied at once
 SETTLED = 0.02  # standard deviations by which the last round moves a row
 TINY = 1e-9  # m: below it errors are rounding
 
@@ -55,14 +56,17 @@ class Rough:
         return self.model.position(self.estimate, rows)
 
     def miss(self, data: Measurements) -> np.ndarray:
-        """Return how far each row's position is from where the others say it should be, shape (n_rows,) [m]."""
-        return lengths(data.position - self.predicted(data.rows))
+        """Return how far each row's position is from where the others say it should be, shape (n_rows,) [m].
 
-    def uncertainty(self, rows: np.ndarray) -> np.ndarray:
-        """Return how much larger than a fitted row's a row's error may be, since the fit itself is unsure there."""
-        jacobian = self.model.position_jacobian(self.estimate, rows)
-        variance = np.einsum("nai,ij,naj->na", jacobian, self.covariance, jacobian, optimize=True)
-        return np.sqrt(1 + variance.max(axis=1) / max(self.scale, TINY) ** 2)
+        A gross row counts less where the fit itself is unsure, as it is far from the rows that were fitted.
+        """
+        miss = lengths(data.position - self.predicted(data.rows))
+        far = np.isfinite(miss) & (miss > self.gross)
+        if far.any():
+            jacobian = self.model.position_jacobian(self.estimate, data.rows[:, far])
+            variance = ((jacobian @ self.covariance) * jacobian).sum(axis=2).max(axis=1)
+            miss[far] /= np.sqrt(1 + variance / self.scale**2)
+        return miss
 
     def better(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Whether errors (…) [m] fall from gross to what the other rows have."""
@@ -71,37 +75,38 @@ class Rough:
 
 @dataclass(frozen=True)
 class Reference:
-    """What the rows of a data set say of one another; each part is worked out when first asked for."""
+    """What the rows of a data set say of one another: spread is the size of the measured space [m]."""
 
     data: Measurements
+    fit: Rough
+    spread: float
 
-    @cached_property
-    def train(self) -> Measurements:
-        """The training rows to be fitted, evenly over all there are."""
-        train = np.flatnonzero(self.data.train)
-        return self.data.only(chosen(train, FIT_ROWS, len(self.data)))
+    @staticmethod
+    def of(data: Measurements) -> Reference | None:
+        """Fit the richest robot that the training rows are enough for: with springs, without, or only placed.
 
-    @cached_property
-    def spread(self) -> float:
-        """Median distance [m] of the training rows from their middle."""
-        return float(np.median(lengths(self.train.position - np.median(self.train.position, axis=0))))
-
-    @cached_property
-    def robot(self) -> Robot:
-        """The robot with its base where the training rows put it, all else as its maker says."""
-        return stood(self.data.robot, self.train)
-
-    @cached_property
-    def fit(self) -> Rough | None:
-        """The richest robot that the rows are enough for: with springs, without, or only placed; None for a handful."""
-        robot, given, train = self.robot, self.data.given, self.train.on(self.robot)
+        None is returned for a handful of rows, which say nothing of one another. Of many a random choice is fitted.
+        """
+        train = data.only(chosen(np.flatnonzero(data.train), FIT_ROWS, len(data)))
+        robot, given = stood(data.robot, train), data.given
         equations = 3 * len(np.unique(conditions(train)))
         springs = "gravity-deflection" if unmet(("masses",), robot, given) else "joint-compliance"
         for effects in (("geometry", springs), ("geometry",), ()):
             model = build(robot, effects, given) if effects else placement(robot, given)
             if EQUATIONS * len(model.parameters) <= equations:
-                return rough(model, train.rows, train.position)
+                spread = float(np.median(lengths(train.position - np.median(train.position, axis=0))))
+                return Reference(data, rough(model, train.rows, train.position), spread)
         return None
+
+    @cached_property
+    def miss(self) -> np.ndarray:
+        """How far each row is from where the fit says it should be, shape (n_rows,) [m]."""
+        return self.fit.miss(self.data)
+
+    @cached_property
+    def gross(self) -> np.ndarray:
+        """Which rows are gross, shape (n_rows,)."""
+        return self.miss > self.fit.gross
 
 
 def rough(model: Model, rows: np.ndarray, measured: np.ndarray) -> Rough:
@@ -118,19 +123,20 @@ def rough(model: Model, rows: np.ndarray, measured: np.ndarray) -> Rough:
         left = measured - model.position(estimate, rows)
         there = np.isfinite(left).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
         jacobian, left = jacobian[there], left[there]
-        scaled = (jacobian * prior).reshape(left.size, n)
-        step, scale = np.zeros(n), _scale(left, 0.0)
+        scaled = _blocks((jacobian * prior).reshape(left.size, n))
+        step, scale, error = np.zeros(n), _scale(left, 0.0), left
         for _ in range(REWEIGHTED):
-            error = lengths(left - (scaled @ step).reshape(left.shape))
-            weight = np.repeat(1 / (1 + (error / (WIDTH * scale)) ** 2) / scale**2, 3)
-            data_only = scaled.T @ (weight[:, None] * scaled)
+            weight = np.repeat(1 / (1 + (lengths(error) / (WIDTH * scale)) ** 2) / scale**2, 3)
+            weighted = scaled * _blocks(weight[:, None])
+            data_only = (weighted.transpose(0, 2, 1) @ scaled).sum(axis=0)
+            gradient = (weighted.transpose(0, 2, 1) @ _blocks(left.reshape(-1, 1))).sum(axis=0)[:, 0]
             information = data_only + np.eye(n)
-            gradient = scaled.T @ (weight * left.ravel()) - (estimate - model.nominal) / prior
-            step = np.linalg.solve(information, gradient)
-            determined = np.trace(np.linalg.solve(information, data_only)) / left.size
-            scale = _scale(left - (scaled @ step).reshape(left.shape), determined)
+            step = np.linalg.solve(information, gradient - (estimate - model.nominal) / prior)
+            moved = (scaled @ step).ravel()[: left.size].reshape(left.shape)
+            error = left - moved
+            scale = _scale(error, np.trace(np.linalg.solve(information, data_only)) / left.size)
         estimate = estimate + step * prior
-        if np.abs(scaled @ step).max(initial=0.0) < SETTLED * scale:
+        if np.abs(moved).max(initial=0.0) < SETTLED * scale:
             break
     covariance = np.linalg.inv(information) * np.outer(prior, prior)
     return Rough(model, estimate, covariance, scale)
@@ -170,7 +176,7 @@ def motion(points: np.ndarray, measured: np.ndarray, rounds: int = 12) -> tuple[
         centre = np.einsum("...n,...ni->...i", weight, points) / total
         aim = np.einsum("...n,...ni->...i", weight, np.broadcast_to(measured, points.shape)) / total
         apart, wanted = points - centre[..., None, :], measured - aim[..., None, :]
-        turn = best_turn(np.einsum("...n,...ni,...nj->...ij", weight, wanted, apart, optimize=True))
+        turn = best_turn(np.swapaxes(weight[..., None] * wanted, -1, -2) @ apart)
         shift = aim - np.einsum("...ij,...j->...i", turn, centre)
         error = np.where(there, lengths(wanted - np.einsum("...ij,...nj->...ni", turn, apart)), np.inf)
         scale = np.maximum(np.median(error, axis=-1, keepdims=True), TINY)
@@ -193,9 +199,9 @@ def lengths(vectors: np.ndarray) -> np.ndarray:
 
 
 def chosen(rows: np.ndarray, most: int, total: int) -> np.ndarray:
-    """Return a mask (total,) of at most so many of the rows, evenly spread."""
+    """Return a mask (total,) of at most so many of the rows; at random, since markers or payloads may take turns."""
     mask = np.zeros(total, dtype=bool)
-    mask[rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(int))] if len(rows) > most else rows] = True
+    mask[np.random.default_rng(0).permutation(rows)[:most]] = True
     return mask
 
 
@@ -204,6 +210,16 @@ def changed(data: Measurements, column: int, values: np.ndarray, rows: Sequence[
     packed = data.rows[:, rows].copy()
     packed[column] = values
     return packed
+
+
+def _blocks(rows: np.ndarray) -> np.ndarray:
+    """Return rows (n_rows, n) in blocks (n_blocks, BLOCK, n), filled up with zeros.
+
+    Products of blocks are too small to be shared among threads, which costs more than it gains where others compute too.
+    """
+    filled = np.zeros((-(-len(rows) // BLOCK) * BLOCK, rows.shape[1]))
+    filled[: len(rows)] = rows
+    return filled.reshape(-1, BLOCK, rows.shape[1])
 
 
 def _scale(left: np.ndarray, determined: float) -> float:

@@ -13,6 +13,7 @@ from calflow.faults.segments import cost, states
 from calflow.measurements import Measurements
 from calflow.model import build
 
+BEGINNINGS = 3000  # rows at which a shift may be guessed to begin; it is found to the row afterwards
 FEWEST = 3  # rows that are shifted at least
 CHANGE = (
     25.0  # what another shift costs: as much as some two rows that are a metre off, so that two exchanged rows are none
@@ -34,14 +35,17 @@ class RowMisalignment(Check):
 
     def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         """Return the shifted rows, realigned, and those left without a partner."""
-        lags, fits = _lags(data), [reference.fit]
+        fit, spread = reference.fit, reference.spread
+        if fit.scale < FAR_OFF * spread and reference.gross.sum() < FEWEST:
+            return ()
+        lags, fits = _lags(data), [fit]
         guess = _guess(data, lags)
-        if guess is not None:
-            fits.append(Reference(_realigned(data, guess)).fit)
+        again = None if guess is None else Reference.of(_realigned(data, guess))
+        fits += [] if again is None else [again.fit]
         found = [
             (left, source)
             for fit in fits
-            if fit is not None and fit.scale < FAR_OFF * reference.spread
+            if fit.scale < FAR_OFF * spread
             for left, source in _realigning(data, fit, lags)
         ]
         if not found:
@@ -55,14 +59,14 @@ class RowMisalignment(Check):
         where = "too early" if np.median(by) < 0 else "too late"
         rows = "a row" if abs(np.median(by)) == 1 else f"{abs(int(np.median(by)))} rows"
         statement = (
-            f"positions stand {rows} {where} against the readings ({{lines}}): a row was lost or written twice where that "
+            f"positions stand {rows} {where} against the readings (LINES): a row was lost or written twice where that "
             "begins; they were put back to their readings, correct the file"
         )
         mends = [Mend(int(row) + 1, source=int(source[row]) + 1) for row in realigned]
         faults = [fault(self, data, 0, mends, "corrected", statement)]
         alone = moved[source[moved] < 0]
         if len(alone):
-            lost = "no position belongs to these readings ({lines}), since positions stand in other rows; left out"
+            lost = "no position belongs to these readings (LINES), since positions stand in other rows; left out"
             faults.append(fault(self, data, 0, [Mend(int(row) + 1) for row in alone], "left out", lost))
         return tuple(faults)
 
@@ -77,10 +81,10 @@ class LostRows(Check):
     def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         """Return one fault with all such rows."""
         fit = reference.fit
-        if fit is None or fit.scale > FAR_OFF * reference.spread:
+        if fit.scale > FAR_OFF * reference.spread:
             return ()
         predicted, position, pose = fit.predicted(data.rows), data.position, data.table["pose"].to_numpy()
-        far = fit.miss(data) > max(FAR_ROW * reference.spread, fit.gross)
+        far = reference.miss > max(FAR_ROW * reference.spread, fit.gross)
         rows: list[int] = []
         for block in np.split(np.arange(len(far)), np.flatnonzero(far[1:] != far[:-1]) + 1):
             if far[block[0]] and len(set(pose[block])) >= BLOCK:
@@ -89,7 +93,7 @@ class LostRows(Check):
         if not 0 < len(rows) <= MOST * len(far):
             return ()
         statement = (
-            "positions and readings do not belong together ({lines}), and no shift of the rows puts that right; left out, "
+            "positions and readings do not belong together (LINES), and no shift of the rows puts that right; left out, "
             "see how these rows came into the file"
         )
         return (fault(self, data, 0, [Mend(row + 1) for row in rows], "left out", statement),)
@@ -164,16 +168,16 @@ def _guess(data: Measurements, lags: list[int]) -> np.ndarray | None:
     points, measured = points - np.nanmedian(points, axis=0), measured - middle
     plain = _sums(points, measured)
     whole = _left(plain.sum(axis=0))
-    best, lag = whole, np.zeros(len(data), dtype=int)
+    best, lag, stride = whole, np.zeros(len(data), dtype=int), -(-len(data) // BEGINNINGS)
     for by in lags:
         other = _sums(_later(points, by), measured)
         for first, second in ((plain, other), (other, plain)):
             ends = np.cumsum(first, axis=0) + second.sum(axis=0) - np.cumsum(second, axis=0)
-            errors = _left(ends)
-            k = int(errors.argmin())
-            if errors[k] < best:
+            errors = _left(ends[::stride])
+            k = int(errors.argmin()) * stride
+            if errors.min() < best:
                 early = np.arange(len(data)) <= k
-                best, lag = errors[k], np.where(early == (second is other), 0, by)
+                best, lag = errors.min(), np.where(early == (second is other), 0, by)
     return _from_shifts(lag) if best < HALVED**2 * whole else None
 
 

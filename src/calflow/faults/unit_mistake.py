@@ -25,14 +25,11 @@ class UnitMistake(Check):
     def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         """Return a fault a joint, or for the positions, and kind of mistake; a row that two units would mend is left alone."""
         fit = reference.fit
-        if fit is None:
-            return ()
-        miss = fit.miss(data)
-        rows = np.flatnonzero(miss > fit.gross)
+        rows = np.flatnonzero(reference.gross)
         if not len(rows):
             return ()
         tried = list(_tried(data, fit, rows))
-        better = np.stack([fit.better(miss[rows], after) for *_, after in tried])
+        better = np.stack([fit.better(reference.miss[rows], after) for *_, after in tried])
         only = better & (better.sum(axis=0) == 1)
         return tuple(
             self._fault(data, joint, rows[mask], factor, what)
@@ -43,7 +40,7 @@ class UnitMistake(Check):
     def _fault(self, data: Measurements, joint: int, rows: np.ndarray, factor: float, what: str) -> Fault:
         where, quantity = (f"joint {joint}: the reading", f"q{joint}") if joint else ("x, y, z", POSITION)
         verb = "is" if joint else "are"
-        statement = f"{where} {verb} in {what} in {{lines}}; corrected so, correct the file"
+        statement = f"{where} {verb} in {what} in LINES; corrected so, correct the file"
         factor = float(f"{factor:.10g}")  # as the table will say it
         return fault(self, data, joint, [Mend(int(row) + 1, quantity, factor) for row in rows], "corrected", statement)
 

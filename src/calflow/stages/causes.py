@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -96,6 +97,45 @@ class Cause(Effect):
 
 
 @dataclass(frozen=True)
+class Carried(Effect):
+    """A cause with values that were found before, and nothing left to fit."""
+
+    cause: Cause
+    values: tuple[float, ...]
+
+    id: ClassVar[str] = "carried"
+    title: ClassVar[str] = "known beforehand"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return none."""
+        return ()
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Act as the cause does."""
+        return self.cause.deflection(self._p, state, row, still)
+
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Act as the cause does."""
+        return self.cause.dimensions(self._p, dims, row)
+
+    def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
+        """Act as the cause does."""
+        return self.cause.loads(self._p, loads, row)
+
+    def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
+        """Act as the cause does."""
+        return self.cause.torque(self._p, state, row)
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Act as the cause does."""
+        return self.cause.device(self._p, point, row)
+
+    @property
+    def _p(self) -> ca.SX:
+        return ca.SX(ca.DM(self.values))
+
+
+@dataclass(frozen=True)
 class Catalogue:
     """The effects to look for in some data, every variant, and why others cannot be tested (id -> what is lacking)."""
 
@@ -113,7 +153,7 @@ class Catalogue:
             reason = kind.lacking(data.robot, data)
             if reason:
                 lacking[name] = reason
-            else:
+            elif not kind.is_noise():
                 effects += kind.variants(data.robot, data)
         return Catalogue(tuple(effects), lacking)
 

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 import pandas as pd
 
 from calflow.conditions import Row
-from calflow.effects import Effect, Parameter
+from calflow.effects import Effect
 from calflow.effects.joint_error import JointError
 from calflow.measurements import Measurements
 from calflow.model import Model
-from calflow.robot.chain import Deflection
 from calflow.robot.statics import State
 from calflow.stages.accuracy import errors
-from calflow.stages.causes import Cause
+from calflow.stages.causes import Carried, Cause
 from calflow.stages.extension import Fitted
 from calflow.stages.fit import Fit
 from calflow.stages.noise import noise
@@ -160,7 +158,7 @@ def _compared(
         words = "the two series do not agree: at least one curve holds what belongs to something else"
     told |= {
         "correlation": correlation,
-        "correlation_with_first_order": float(np.corrcoef(*whole)[0, 1]),
+        "correlation_with_first_order": float(np.corrcoef(whole[0], whole[1])[0, 1]),
         "rms_here_urad": 1e6 * first.std(),
         "rms_there_urad": 1e6 * second.std(),
         "words": words,
@@ -183,25 +181,6 @@ def _values(model: Model, estimate: np.ndarray, cause: Cause) -> np.ndarray:
             return estimate[start : start + len(effect.declared)]
         start += len(effect.declared)
     raise ValueError("the cause is not in the model")
-
-
-@dataclass(frozen=True)
-class Carried(Effect):
-    """A joint error as another series found it, with nothing left to fit."""
-
-    cause: Cause
-    values: tuple[float, ...]
-
-    id: ClassVar[str] = "carried"
-    title: ClassVar[str] = "carried over from another series"
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return none."""
-        return ()
-
-    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Turn the joint as it turned there."""
-        return self.cause.deflection(ca.SX(ca.DM(self.values)), state, row, still)
 
 
 def _covered(found: Fitted, causes: Sequence[Cause], other: Measurements) -> np.ndarray:

@@ -70,7 +70,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
         "diagnose/curves.csv": curves(final, found.causes, data),
         "diagnose/summary.csv": _summary(found, known),
     }
-    if confirmed:
+    if other and confirmed:
         context.say(f"confirmed by {other.name}: " + "; ".join(confirmed.table["words"].unique()))
         tables |= {"diagnose/confirmation.csv": confirmed.table, "diagnose/confirmation_curves.csv": confirmed.curves,
                    "diagnose/confirmation_accuracy.csv": confirmed.accuracy}  # fmt: skip

@@ -74,10 +74,15 @@ class Fitted:
         bare = replace(noise, discrepancy=0.0, rotation_discrepancy=0.0)
         return _settled(known.model, data, bare, known.estimate, known.loss)
 
-    def with_causes(self, base: int, causes: Sequence[Cause], start: np.ndarray) -> Fitted:
-        """Fit the first effects of the model with these causes, by IPOPT from a start that is moved inside the bounds."""
+    def with_causes(self, base: int, causes: Sequence[Cause], start: np.ndarray, share: float = 0.0) -> Fitted:
+        """Fit the first effects of the model with these causes, by IPOPT from a start that is moved inside the bounds.
+
+        share is how much of chi² is expected to go: a noise that is not known starts smaller by it, and settles at once.
+        """
         model = Model(self.model.robot, (*self.model.effects[:base], *causes), self.model.given)
         bare = replace(self.device, discrepancy=0.0, rotation_discrepancy=0.0)
+        if not bare.known:
+            bare = replace(bare, sigma=self.noise.sigma / self.far * np.sqrt(1 - share))
         return _settled(model, self.data, bare, start, self.loss, self.far)
 
 
@@ -212,7 +217,7 @@ def extend(
         best = _refined(passed[0], now)
         say(f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {last.family.p(best):.2g}")
         causes.append(best.cause)
-        now = now.with_causes(base, causes, np.concatenate([now.fit.estimate, best.estimate]))
+        now = now.with_causes(base, causes, np.concatenate([now.fit.estimate, best.estimate]), best.share)
         trail.append(now)
         look = Look.at(now, causes, catalogue)
         last = look.screened(rng, first.family)

@@ -87,6 +87,19 @@ def candidates_table(found: Diagnosis) -> pd.DataFrame:
     for cause in first.hidden:
         rows.append({"cause": cause.id, "joint": cause.joint or None, "part": cause.part,
                      "note": "not testable: these data cannot show it, the model's own parameters imitate it"})  # fmt: skip
+    rows += [
+        {
+            "cause": name,
+            "p_family": found.growth.p,
+            "estimate": found.growth.slope,
+            "sd": found.growth.sd,
+            "unit": "m/m",
+        }
+        if found.growth
+        else {"cause": name, "note": "tested on the size of what is left: it does not grow with range"}
+        for name, kind in catalogue().items()
+        if kind.is_noise() and name not in found.lacking
+    ]
     rows += [{"cause": name, "note": f"not testable: needs {what}"} for name, what in found.lacking.items()]
     return pd.DataFrame(rows, columns=CANDIDATES).astype({"joint": "Int64"})
 

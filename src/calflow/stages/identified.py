@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,10 +15,12 @@ from calflow.measurements import Measurements
 from calflow.model import Model, build
 from calflow.problems import refuse
 from calflow.robot.description import Base, Marker, Robot
-from calflow.stages.causes import Cause
+from calflow.stages.causes import Carried, Cause
 from calflow.stages.fit import Loss
 from calflow.stages.noise import Noise, Source
 from calflow.stages.stage import Tables
+
+MANY = 20  # parameters of one cause, beyond which sampling them would take days and say nothing new
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,35 @@ def calibrated(robot: Robot, tables: Tables, given: tuple[str, ...]) -> Identifi
         return identified(robot, tables, given)
     robot = placed(robot, tables)
     return _read("diagnose", Model(robot, read_effects(tables["diagnose/effects.csv"], robot), given), tables)
+
+
+def with_maps_held(known: Identified) -> tuple[Identified, tuple[Cause, ...]]:
+    """Return the model with causes of very many parameters held at their estimates, and which these are."""
+    effects: list[Effect] = []
+    kept, held, start = [], [], 0
+    for effect in known.model.effects:
+        own = np.arange(start, start + len(effect.declared))
+        start += len(own)
+        if isinstance(effect, Cause) and len(own) > MANY:
+            effects.append(Carried(effect.robot, effect, tuple(map(float, known.estimate[own]))))
+            held.append(effect)
+        else:
+            effects.append(effect)
+            kept += list(own)
+    if not held:
+        return known, ()
+    rest = np.setdiff1d(np.arange(start), kept)
+    free = rest[~known.at_bound[rest]]
+    whole = known.covariance
+    given = whole[np.ix_(kept, free)] @ np.linalg.solve(whole[np.ix_(free, free)], whole[np.ix_(free, kept)])
+    lean = replace(
+        known,
+        model=Model(known.model.robot, tuple(effects), known.model.given),
+        estimate=known.estimate[kept],
+        covariance=whole[np.ix_(kept, kept)] - given,
+        at_bound=known.at_bound[kept],
+    )
+    return lean, tuple(held)
 
 
 def effect_table(effects: Sequence[Effect]) -> pd.DataFrame:

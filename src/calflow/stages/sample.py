@@ -14,7 +14,7 @@ from calflow.measurements import Measurements
 from calflow.problems import refuse
 from calflow.stages.chain import BlockBackend, joined, open_ensembles
 from calflow.stages.fit import Problem
-from calflow.stages.identified import Identified, identified
+from calflow.stages.identified import Identified, calibrated, with_maps_held
 from calflow.stages.noise import averaged
 from calflow.stages.posterior import Laplace, Posterior, moves
 from calflow.stages.stage import Context, Stage
@@ -41,7 +41,9 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     """Sample the posterior with independent ensembles until it is long enough, and say so if it is not."""
     study, settings = context.study, context.settings
     data = mended(study.measurements(), context.tables["identify/faults.csv"])
-    known = identified(study.robot, context.tables, data.given)
+    known, held = with_maps_held(calibrated(study.robot, context.tables, data.given))
+    if held:
+        context.say(f"held at their estimates, too many to sample: {', '.join(f'{c.id} {c.part}' for c in held)}")
     data = data.on(known.model.robot)
     posterior, laplace = posterior_of(known, data)
     n = posterior.n_dimensions
@@ -235,4 +237,12 @@ def _length(short: bool, missing: int, steps: int, ess: float, settings: SampleS
             "and run again, it resumes where it is")  # fmt: skip
 
 
-STAGE = Stage("sample", "sample the posterior", SampleSettings, run, needs=("identify",), resumes=("sample/chain.h5",))
+STAGE = Stage(
+    "sample",
+    "sample the posterior",
+    SampleSettings,
+    run,
+    needs=("identify",),
+    uses=("diagnose",),
+    resumes=("sample/chain.h5",),
+)

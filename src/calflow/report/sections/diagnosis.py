@@ -25,7 +25,7 @@ from calflow.report.findings import (
 )
 from calflow.report.material import Material, item, split_judged, steps
 from calflow.report.section import Advice, Section
-from calflow.report.words import listed, mm, number, plural
+from calflow.report.words import effect_words, listed, mm, number, plural
 from calflow.stages.diagnose import SHARES, DiagnoseSettings
 from calflow.stages.discrimination import ENOUGH
 from calflow.stages.stage import Tables
@@ -35,12 +35,8 @@ SHOWN = 10  # candidates in the figure
 LONGEST = 46  # letters of a name with its detail, beyond which the detail is left out
 WORSE = 1.02  # times the error without causes from which they do harm
 DRAWN = 700  # arrows in the workspace
-STATUS = {
-    "named": "named",
-    "one_of": "one of several",
-    "unexplained": "not explained",
-    "data_fault": "fault of the data",
-}
+STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
+FAULT = "data_fault"  # told in a section of its own
 NO_PROOF = (
     "A smaller error does not prove a name: whatever bends with the data takes something off. That something is there "
     "rests on the test; its name rests on what else could explain the same data, which is said with each cause."
@@ -71,20 +67,20 @@ def write(material: Material) -> list[Block]:
         *_gained(material, causes),
         *_confirmed(material.tables),
         *_unexplained(left),
-        *_faults([one for one in found if one.status == "data_fault"]),
         *_space(material, causes),
         *_evidence(material, causes),
         *_untested(material.tables["diagnose/candidates.csv"]),
     ]
 
 
-def _opening(material: Material, found: Sequence[Found]) -> list[Block]:
+def _opening(material: Material, every: Sequence[Found]) -> list[Block]:
     tested = item(material.tables["diagnose/summary.csv"], "causes_tested")
     searched = (
         f"What the study's model leaves was searched for {tested} causes, each at its place in the robot or its "
         f"surroundings. A cause counts as found where, with nothing hidden, fewer than {100 * _gate(material):.2g} % of such "
-        "searches would find anything."
+        f"searches would find anything.{_mended(every)}"
     )
+    found = [one for one in every if one.status != FAULT]
     if not found:
         best = _strongest(material.tables["diagnose/candidates.csv"])
         return [paragraph(NOTHING, bold=True), paragraph(f"{searched}{best}")]
@@ -103,6 +99,14 @@ def _opening(material: Material, found: Sequence[Found]) -> list[Block]:
         *listing,
         *([paragraph(CURVES)] if any(_moves(material, one) for one in found) else []),
     ]
+
+
+def _mended(every: Sequence[Found]) -> str:
+    """Say that the search was made on data whose faults were seen to."""
+    faults = dict.fromkeys(effect_words(one.cause) for one in every if one.status == FAULT)
+    return (
+        f" Faults of the data ({listed(list(faults))}) were seen to before: see the section on them." if faults else ""
+    )
 
 
 def _finding(material: Material, one: Found) -> list[Block]:
@@ -203,7 +207,7 @@ def _moves(material: Material, one: Found) -> bool:
 
 def _curve(material: Material, one: Found) -> list[Block]:
     rows = material.tables["diagnose/curves.csv"]
-    rows = rows[rows["finding"] == one.order]
+    rows = rows[(rows["finding"] == one.order) & rows["split"].isin(["train", "holdout"])]
     if rows.empty:
         return []
     x, before, after, fitted = rows[["x", "before_mm", "after_mm", "fitted_mm"]].to_numpy(dtype=float).T
@@ -242,9 +246,11 @@ def _confirmed(tables: Tables) -> list[Block]:
         (f"{_first_up(cause_name(row['cause'], _whole(row['joint'])))}:", f"{row['words']}.")
         for row in tables["diagnose/confirmation.csv"].to_dict("records")
     ]
-    steps_there = tables["diagnose/confirmation_accuracy.csv"]
-    steps_there = steps_there[steps_there["heldout_mean_mm"].notna()].to_dict("records")
-    means = "; ".join(f"{row['model']} {mm(row['heldout_mean_mm'])} mm" for row in steps_there)
+    there = tables["diagnose/confirmation_accuracy.csv"]
+    means = "; ".join(
+        f"{row['model']} {mm(row['heldout_mean_mm'])} mm"
+        for row in there[there["heldout_mean_mm"].notna()].to_dict("records")
+    )
     curves = [
         (cause_name(str(cause), _whole(joint)), *rows[["angle_deg", "here_urad", "there_urad"]].to_numpy(dtype=float).T)
         for (cause, joint), rows in tables["diagnose/confirmation_curves.csv"].groupby(["cause", "joint"], sort=False)
@@ -270,17 +276,6 @@ def _unexplained(left: Sequence[Found]) -> list[Block]:
         heading("What stays unexplained"),
         bullets(items),
         paragraph("It is not in the model. Where it acts, predictions are off by more than noise."),
-    ]
-
-
-def _faults(faults: Sequence[Found]) -> list[Block]:
-    if not faults:
-        return []
-    items = [f"{_first_up(one.statement).rstrip('.')}." for one in faults]
-    return [
-        heading("Faults of the data"),
-        paragraph("Found before any fit; see the rows in the file.", keep=True),
-        bullets(items),
     ]
 
 
@@ -368,8 +363,6 @@ def _gate(material: Material) -> float:
 def _title(one: Found) -> str:
     if one.status == "unexplained":
         return f"depends on {one.inputs}"
-    if one.status == "data_fault":
-        return one.cause.replace("-", " ") + (f", joint {one.joint}" if one.joint else "")
     return one.names
 
 
