@@ -35,21 +35,20 @@ from scipy.stats import chi2, ncx2
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from hidden.case import Case, draw, write_case
-from hidden.causes import Hidden, measured_points
-
-from calflow.model import Model, build
+from calflow.model import build
 from calflow.robot.description import read_robot
 from calflow.runs import run
 from calflow.stages.accuracy import errors
 from calflow.stages.identified import calibrated, identified
-from calflow.stages.noise import averaged
-from calflow.stages.fit import Problem
 from calflow.study import load_study
+from hidden.case import Case, draw, write_case
+from hidden.causes import PAYLOADS, Hidden, measured_points
 
 SIZES = (1.0, 1.5, 2.0, 3.0, 5.0)
 FALSE_ALARM, POWER = 0.007, 0.95  # the causes' share of 1 %
 NULLS = ("gauss", "heavy", "range", "outliers")
+NEAR = {"gear-ratio-error", "joint-eccentricity", "link-torsion", "bearing-compliance", "link-bending", "link-mass",
+        "payload-mass", "base-compliance"}  # fmt: skip
 FAMILY = {"joint-eccentricity", "periodic-joint-error", "gear-transmission-error", "joint-error-map"}
 CLASSES = (  # names that count as right up to their class
     FAMILY,
@@ -167,6 +166,22 @@ def unknown_jobs(number: int, rng: np.random.Generator) -> Iterator[Job]:
         yield Job(case, int(rng.integers(2**31)), 0.0, hidden.cause)
 
 
+def alike_jobs(number: int, rng: np.random.Generator) -> Iterator[Job]:
+    """Causes with near rivals, twice their limit."""
+    kinds = [
+        (h, j, s, e)
+        for h, joints, s, extras, *_ in UNITS
+        if h in NEAR
+        for j in joints
+        for e in extras
+        if j in (0, 2, 3, 4)
+    ]
+    for _ in range(number):
+        cause, joint, size, extra = kinds[int(rng.integers(len(kinds)))]
+        case = replace(_design(rng), payloads=("none", "half", "full"), markers=1)
+        yield Job(replace(case, hidden=(Hidden(cause, joint, size, extra),)), int(rng.integers(2**31)), 2.0, cause)
+
+
 def _design(rng: np.random.Generator) -> Case:
     robot = str(rng.choice(["serial", "hh800"]))
     payloads = [("none", "half", "full"), ("full",)][int(rng.random() < 0.3)]
@@ -207,6 +222,46 @@ def diagnose_effect(job: Job) -> dict[str, object]:
 def diagnose_pair(job: Job) -> dict[str, object]:
     """Hide two effects."""
     return _guarded(lambda folder: _seen(scaled := _scaled(job), _run(folder, scaled)), job)
+
+
+def diagnose_alike(job: Job) -> dict[str, object]:
+    """Hide an effect that has near rivals; measure at the poses that are proposed, and diagnose again."""
+
+    def work(folder: Path) -> dict[str, object]:
+        scaled = _scaled(job)
+        tables = _run(folder, scaled)
+        asked = tables["diagnose/next_poses.csv"]
+        first = _seen(scaled, tables)
+        if not len(asked):
+            return first | {"asked": False}
+        _measure_more(folder, scaled, asked)
+        return _seen(scaled, run(load_study(folder), folder / "run").tables) | {
+            "asked": True,
+            "before": first["status"],
+        }
+
+    return _guarded(work, job)
+
+
+def _measure_more(folder: Path, job: Job, asked: pd.DataFrame) -> None:
+    """Let the same robot go to the proposed poses, and add what the device sees there to the file."""
+    world = draw(job.case, np.random.default_rng(job.seed))
+    n, robot = len(asked), world.stated.n
+    came = asked[[f"approach{i + 1}" for i in range(robot)]].to_numpy(float)
+    payload = np.array([PAYLOADS.index(name) for name in asked["payload"]])
+    rows = replace(
+        world.rows, q=np.deg2rad(asked[[f"q{i + 1}_deg" for i in range(robot)]].to_numpy()), payload=payload,
+        marker=np.zeros(n, int), approach=came, travel=np.full((n, robot), 0.5), wound=came,
+        time=world.rows.time.max() + 30.0 * np.arange(1, n + 1), temperature=np.full(n, 20.0),
+    )  # fmt: skip
+    point = measured_points(world.real, rows, world.hidden)
+    point = point + job.case.sigma * np.random.default_rng(job.seed + 1).standard_normal(point.shape)
+    table = pd.read_csv(folder / "measurements.csv")
+    more = asked[[c for c in asked if c in table]].copy()
+    more["pose"] = table["pose"].max() + np.arange(1, n + 1)
+    more[["x_mm", "y_mm", "z_mm"]] = 1e3 * point
+    more["marker"] = table["marker"].iloc[0]
+    pd.concat([table, more], ignore_index=True).to_csv(folder / "measurements.csv", index=False)
 
 
 def _guarded(work: Callable[[Path], dict[str, object]], job: Job) -> dict[str, object]:
@@ -390,7 +445,16 @@ def unknown_table(rows: pd.DataFrame) -> str:
     return rows.groupby("kind")[["honest", "silent", "unexplained", "found"]].mean().round(3).to_string()
 
 
+def alike_table(rows: pd.DataFrame) -> str:
+    """Of the cases that asked for more poses: how many are unique and right with them."""
+    asked = rows[rows["asked"].astype(bool)]
+    asked = asked.assign(unique=(asked["status"] == "named") & asked["first_right"].astype(bool))
+    table = asked.groupby("kind")[["unique", "first_right", "set_size"]].mean().round(3).to_string()
+    return f"{table}\nasked {len(asked)} of {len(rows)}; unique and right after them {asked['unique'].mean():.3f}"
+
+
 WHAT = {
+    "alike": (alike_jobs, diagnose_alike, alike_table),
     "nulls": (null_jobs, diagnose_null, null_table),
     "effects": (effect_jobs, diagnose_effect, effect_table),
     "pairs": (pair_jobs, diagnose_pair, pair_table),

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: a core a worker
+
 import contextlib
 import io
-import os
 import shutil
 import subprocess
 import sys

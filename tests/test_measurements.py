@@ -45,7 +45,7 @@ def test_columns_become_si_to_the_last_bit(small, read):
     np.testing.assert_array_equal(data.sigma, rows["sigma_mm"].astype(float) * 1e-3)
     assert list(data.table["payload"]) == list(rows["payload"])
     assert list(data.table["line"]) == list(range(2, len(rows) + 2))
-    assert data.given == ()
+    assert data.given == ("order",)
     assert data.notes == ()
 
 
@@ -96,8 +96,8 @@ def test_other_units_are_converted(small, read):
     data = read(rows)
     np.testing.assert_allclose(data.joints, np.deg2rad(q), rtol=1e-12)
     np.testing.assert_allclose(data.position, x / 1e3, rtol=1e-12)
-    assert data.given == ("wrench", "torque", "time", "temperature")
-    np.testing.assert_allclose(data.rows[-11:, 0], [1, 2000, 3, 4, 5000, 6, 1000, 2000, 3000, 90, 293.15])
+    assert data.given == ("wrench", "torque", "time", "temperature", "order")
+    np.testing.assert_allclose(data.rows[-12:, 0], [1, 2000, 3, 4, 5000, 6, 1000, 2000, 3000, 0, 293.15, 1])
 
 
 def test_a_slide_is_read_in_millimetres(small, read):
@@ -240,4 +240,4 @@ def test_the_known_columns_are_those_that_are_read(small, read):
         if name.startswith(("time", "temp", "tau", "appr"))
     ]
     assert len(extra) == 8
-    assert read(rows.assign(**dict.fromkeys(extra, 1))).given == ("approach", "torque", "time", "temperature")
+    assert read(rows.assign(**dict.fromkeys(extra, 1))).given == ("approach", "torque", "time", "temperature", "order")

@@ -97,7 +97,7 @@ MISTAKES = {
         ('["geometry", "joint-compliance"]', '"geometry"', "5: effects: expected a list [ … ], found 'geometry'"),
         ("joint-compliance", "joint-complance", "5: effects: unknown effect 'joint-complance', did you mean 'joint-compliance'?"),
         ("joint-compliance", "geometry", "5: effects: expected at least one effect, and each once"),
-        ("quick.toml", "calibrat", "3: workflow: unknown workflow 'calibrat'; there are calibrate, paper-table"),
+        ("quick.toml", "calibrat", "3: workflow: unknown workflow 'calibrat'; there are calibrate, diagnose, paper-table"),
         ("[split]\nholdout", "[split]\nhold_out", "11: split.hold_out: unknown key, did you mean 'holdout'?"),
         ("holdout = 0.3", "holdout = 1", "11: split.holdout: expected a number less than 1, found 1"),
         ("[split]", "[measurements]", "10: not TOML: Cannot declare ('measurements',) twice"),

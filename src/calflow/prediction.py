@@ -52,8 +52,15 @@ def predict(run_folder: str | Path, rows: str | Path) -> pd.DataFrame:
         asked[f"{axis}_mm"] = 1e3 * position[:, i]
     for i, axis in enumerate("xyz"):
         asked[f"sd_{axis}_mm"] = 1e3 * np.sqrt(variance[:, i])
-    asked.attrs["notes"] = (*data.notes, *_beyond_limits(data))
+    asked.attrs["notes"] = (*data.notes, *_columns_mended(tables["identify/faults.csv"]), *_beyond_limits(data))
     return asked
+
+
+def _columns_mended(faults: pd.DataFrame) -> list[str]:
+    """Say which columns of the measurements were wrong throughout: rows to predict are taken as they stand."""
+    return [
+        f"{said}; the rows to predict are taken to be right" for said in faults.loc[faults["row"] == 0, "statement"]
+    ]
 
 
 def _beyond_limits(data: Measurements) -> list[str]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from conftest import in_process
 from hidden.case import Case, write_case
 from hidden.causes import Hidden
 
 TRANSMISSION = {"joint-eccentricity", "periodic-joint-error", "gear-transmission-error", "joint-error-map"}
-SERIAL_ON_TRACKER = Case()  # the serial robot's base stands away from the tracker
 
 
 @dataclass(frozen=True)
@@ -49,9 +47,8 @@ class Findings:
 def found(folder: Path, case: Case, seed: int) -> Findings:
     """Write a case, run it as a user would, and read the findings."""
     write_case(folder / "case", case, np.random.default_rng(seed))
-    command = [sys.executable, "-m", "calflow", "run", str(folder / "case"), "--out", str(folder / "run")]
-    answer = subprocess.run(command, capture_output=True, text=True)
-    assert answer.returncode == 0, answer.stderr
+    answer = in_process("run", folder / "case", "--out", folder / "run")
+    assert answer.code == 0, answer.err
     table = pd.read_csv(folder / "run" / "diagnose" / "findings.csv")
     return Findings(table.fillna({"cannot_tell_from": "", "joint": 0, "cause": "", "statement": ""}), folder / "run")
 
@@ -156,7 +153,9 @@ def test_two_causes_at_once_are_both_found(hidden, tmp_path):
     assert len(seen.causes) == 2, seen.causes
 
 
-@pytest.mark.parametrize(("noise", "robot"), [("gauss", "hh800"), ("heavy", "serial"), ("range", "serial"), ("outliers", "hh800")])
+@pytest.mark.parametrize(
+    ("noise", "robot"), [("gauss", "hh800"), ("heavy", "serial"), ("range", "serial"), ("outliers", "hh800")]
+)
 def test_nothing_is_found_where_nothing_is_hidden(noise, robot, tmp_path):
     """Breaks if noise of any kind is taken for a cause."""
     seen = found(tmp_path, case(robot, noise=noise, columns=("approach", "time", "temperature")), 16)
@@ -192,7 +191,9 @@ def test_what_is_not_in_the_catalogue_is_not_named(name, tmp_path):
 
 def test_the_papers_table_2_is_found(tmp_path):
     """Breaks if, from geometry alone, anything but the compliance of joints 2 and 3 is found first on the HH800."""
-    seen = found(tmp_path, case("hh800", Hidden("joint-compliance", 0, 1.0), effects=("geometry",), payloads=("full",)), 18)
+    seen = found(
+        tmp_path, case("hh800", Hidden("joint-compliance", 0, 1.0), effects=("geometry",), payloads=("full",)), 18
+    )
     first = seen.causes.iloc[:2]
     assert set(first["cause"]) == {"joint-compliance"}
     assert set(first["joint"]) == {2, 3}

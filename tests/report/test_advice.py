@@ -19,7 +19,7 @@ from calflow.report.sections import (
     predictive,
     residuals,
 )
-from calflow.report.sections.verdict import headline, leftover
+from calflow.report.sections.verdict import fitting, headline, leftover
 from calflow.stages.findings import CANDIDATES, FINDINGS
 
 SUMMARY = {
@@ -199,6 +199,12 @@ def test_the_most_urgent_stands_first_and_absent_tables_are_no_matter() -> None:
     tables["identify/summary.csv"] = summary(converged="False", reduced_chi2="0.1", starts_agreeing="1 of 2")
     assert [item.urgency for item in advice(sections(), tables)] == [1, 2, 3]
     assert all(isinstance(item, Advice) for item in advice(sections(), tables))
+
+
+def test_lists_of_the_first_page_are_set_so_that_they_fit() -> None:
+    """Fails if a long list spills onto a second page, or a short one is set too small to read."""
+    assert [fitting(["x" * 90] * number) for number in (5, 18, 20, 25, 60)] == [10.5, 10.5, 9.5, 8.5, 8.5]
+    assert fitting(["x" * 120] * 10) == 9.5
 
 
 def test_open_questions_name_what_the_data_leave_open() -> None:

@@ -10,7 +10,7 @@ from functools import lru_cache
 import pandas as pd
 
 from calflow.faults.base import COLUMNS, Check, Fault, Mend, mend
-from calflow.faults.reference import Reference
+from calflow.faults.reference import Models, Reference
 from calflow.measurements import Measurements
 from calflow.problems import refuse
 
@@ -32,14 +32,15 @@ def search(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
     What has one clear correction is corrected; rows that nothing puts right are left out of fit and judgement.
     """
     faults: list[Fault] = []
-    reference = Reference.of(data)
+    models = Models.of(data)
+    reference = Reference.of(data, models)
     for check in checks():
         found = check.find(data, reference) if reference else ()
         for fault in found:
             data = mend(data, fault)
         if found:
             faults += found
-            reference = Reference.of(data)
+            reference = Reference.of(data, models)
     return data, tuple(faults)
 
 
@@ -65,7 +66,8 @@ def mended(data: Measurements, table: pd.DataFrame) -> Measurements:
         raise refuse("identify/faults.csv does not fit the measurements; run identify again")
     for _, own in table.groupby(["cause", "joint", "action", "statement"], sort=False):
         first = own.iloc[0]
-        values = own.fillna({"quantity": ""})[["row", "quantity", "factor", "offset", "source"]].to_numpy(dtype=object)
+        own = own.assign(quantity=own["quantity"].astype(object).where(own["quantity"].notna(), ""))
+        values = own[["row", "quantity", "factor", "offset", "source"]].to_numpy(dtype=object)
         mends = tuple(
             Mend(int(row), str(of), float(by), float(more), int(source)) for row, of, by, more, source in values
         )

@@ -8,9 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import Check, Fault, Mend, fault, mend
-from calflow.faults.reference import TINY, Reference, at_origin, chosen, lengths, motion, placement, rough
+from calflow.faults.reference import TINY, Reference, chosen, lengths, motion, rough
 from calflow.measurements import Measurements
-from calflow.model import build
 
 ROWS = 60  # that tell joint signs apart
 FAR_OFF = 0.02  # share of the measured space from which a nominal robot's error makes several wrong signs thinkable
@@ -38,8 +37,12 @@ class JointSign(Check):
 
     def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         """Return one fault a joint whose sign is wrong."""
-        turned = {joints: _with(data, joints) for joints in _likely(data, reference.spread)}
-        fits = {joints: again.fit for joints, other in turned.items() if (again := Reference.of(other)) is not None}
+        turned = {joints: _with(data, joints) for joints in _likely(data, reference)}
+        fits = {
+            joints: again.fit
+            for joints, other in turned.items()
+            if (again := Reference.of(other, reference.models)) is not None
+        }
         if not fits:
             return ()
         limit = min(fit.gross for fit in fits.values())
@@ -78,7 +81,7 @@ def _with(data: Measurements, turned: Signs) -> Measurements:
     return mend(data, Fault(JointSign.id, 0, (), "", "corrected", tuple(map(_turn, turned))))
 
 
-def _likely(data: Measurements, spread: float) -> list[Signs]:
+def _likely(data: Measurements, reference: Reference) -> list[Signs]:
     """Return the turned signs with which the nominal robot, placed where it fits best, misses by less than as read."""
     few = data.only(chosen(np.flatnonzero(data.train), ROWS, len(data)))
     n = data.robot.n_joints
@@ -86,25 +89,22 @@ def _likely(data: Measurements, spread: float) -> list[Signs]:
     rows = np.repeat(few.rows[None], len(every), axis=0)
     for k, turned in enumerate(every):
         rows[k, list(turned)] *= -1
-    robot = at_origin(data.robot)
-    nominal = build(robot, (), data.given)
+    nominal, model = reference.models.nominal, reference.models.placed
     points = nominal.position(nominal.nominal, np.concatenate(list(rows), axis=1)).reshape(len(every), len(few), 3)
     turn, shift, error = motion(points, few.position)
     miss = _level(error)
     single = np.array([len(turned) == 1 for turned in every])
-    if miss[0] < FAR_OFF * spread:
+    if miss[0] < FAR_OFF * reference.spread:
         worth = np.flatnonzero(single & (miss < CLOSE * miss[0]))
     else:
         worth = np.union1d(np.flatnonzero(single), np.argsort(miss)[:TRIED])
     worth = worth[worth > 0]
     if not len(worth):
         return []
-    model = placement(robot, data.given)
     placed = {}
     for k in (0, *worth):
-        measured = (few.position - shift[k]) @ turn[k]
-        fit = rough(model, rows[k], measured)
-        placed[k] = float(_level(lengths(measured - fit.predicted(rows[k]))))
+        fit = rough(model, rows[k], few.position, turn[k], shift[k])
+        placed[k] = float(_level(lengths(few.position - fit.predicted(rows[k]))))
     best = min(placed.values())
     left = sorted((k for k in placed if k and placed[k] < min(placed[0], NEARLY * best)), key=placed.__getitem__)
     return [every[k] for k in left[:FITTED]]

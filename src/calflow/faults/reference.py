@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from calflow.effects.base import unmet
 from calflow.measurements import Measurements
@@ -35,16 +34,61 @@ FAR_BETTER = 5.0  # times by which a mistake, once put right, must lessen a row'
 
 
 @dataclass(frozen=True)
+class Models:
+    """The models that data are held against, each built once; they stand where the robot's base is."""
+
+    robot: Robot
+    given: tuple[str, ...]
+
+    @staticmethod
+    def of(data: Measurements) -> Models:
+        """Return the models of the data's robot, its base in the origin."""
+        return Models(data.robot.model_copy(update={"base": Base(known=False)}), data.given)
+
+    @cached_property
+    def nominal(self) -> Model:
+        """The robot as its maker says."""
+        return build(self.robot, (), self.given)
+
+    @cached_property
+    def placed(self) -> Model:
+        """With base and tool where they may be."""
+        return Model(self.robot, (Placement(self.robot),), self.given)
+
+    @cached_property
+    def geometric(self) -> Model:
+        """With errors of its geometry."""
+        return build(self.robot, ("geometry",), self.given)
+
+    @cached_property
+    def sprung(self) -> Model:
+        """With joints that give way besides."""
+        springs = "gravity-deflection" if unmet(("masses",), self.robot, self.given) else "joint-compliance"
+        return build(self.robot, ("geometry", springs), self.given)
+
+    def richest(self, equations: int) -> Model | None:
+        """Return the richest model that so many equations are enough for; None where there is only a handful."""
+        for name in ("sprung", "geometric", "placed"):
+            model: Model = getattr(self, name)
+            if EQUATIONS * len(model.parameters) <= equations:
+                return model
+        return None
+
+
+@dataclass(frozen=True)
 class Rough:
     """A robust fit: scale is the robust standard deviation per axis [m] of the rows it was fitted to.
 
-    covariance (n_parameters, n_parameters) is that of the estimate for errors of that scale.
+    covariance (n_parameters, n_parameters) is that of the estimate for errors of that scale; turn (3, 3) and shift (3,)
+    take points from the robot's base to the measuring frame.
     """
 
     model: Model
     estimate: np.ndarray
     covariance: np.ndarray
     scale: float
+    turn: np.ndarray
+    shift: np.ndarray
 
     @property
     def gross(self) -> float:
@@ -53,7 +97,7 @@ class Rough:
 
     def predicted(self, rows: np.ndarray) -> np.ndarray:
         """Return positions (n_rows, 3) [m] for packed conditions; nan where a loop cannot be closed."""
-        return self.model.position(self.estimate, rows)
+        return self.model.position(self.estimate, rows) @ self.turn.T + self.shift
 
     def miss(self, data: Measurements) -> np.ndarray:
         """Return how far each row's position is from where the others say it should be, shape (n_rows,) [m].
@@ -78,25 +122,21 @@ class Reference:
     """What the rows of a data set say of one another: spread is the size of the measured space [m]."""
 
     data: Measurements
+    models: Models
     fit: Rough
     spread: float
 
     @staticmethod
-    def of(data: Measurements) -> Reference | None:
-        """Fit the richest robot that the training rows are enough for: with springs, without, or only placed.
-
-        None is returned for a handful of rows, which say nothing of one another. Of many a random choice is fitted.
-        """
+    def of(data: Measurements, models: Models) -> Reference | None:
+        """Fit the richest robot that the training rows are enough for; of many rows a random choice is fitted."""
         train = data.only(chosen(np.flatnonzero(data.train), FIT_ROWS, len(data)))
-        robot, given = stood(data.robot, train), data.given
-        equations = 3 * len(np.unique(conditions(train)))
-        springs = "gravity-deflection" if unmet(("masses",), robot, given) else "joint-compliance"
-        for effects in (("geometry", springs), ("geometry",), ()):
-            model = build(robot, effects, given) if effects else placement(robot, given)
-            if EQUATIONS * len(model.parameters) <= equations:
-                spread = float(np.median(lengths(train.position - np.median(train.position, axis=0))))
-                return Reference(data, rough(model, train.rows, train.position), spread)
-        return None
+        model = models.richest(3 * len(np.unique(conditions(train))))
+        if model is None:
+            return None
+        nominal, rows, position = models.nominal, train.rows, train.position
+        turn, shift, _ = motion(nominal.position(nominal.nominal, rows), position)
+        spread = float(np.median(lengths(position - np.median(position, axis=0))))
+        return Reference(data, models, rough(model, rows, position, turn, shift), spread)
 
     @cached_property
     def miss(self) -> np.ndarray:
@@ -109,11 +149,13 @@ class Reference:
         return self.miss > self.fit.gross
 
 
-def rough(model: Model, rows: np.ndarray, measured: np.ndarray) -> Rough:
+def rough(model: Model, rows: np.ndarray, position: np.ndarray, turn: np.ndarray, shift: np.ndarray) -> Rough:
     """Fit a model to positions (n_rows, 3) by least squares in which wrong rows weigh little (Cauchy).
 
-    The noise is the scale of the errors themselves, taken anew with the weights. The model is linearised until it settles.
+    The robot's base is near where turn and shift say. The noise is the scale of the errors themselves, taken anew with the
+    weights; the model is linearised until it settles.
     """
+    measured = (position - shift) @ turn
     prior = model.prior_sd.copy()
     placed = [k for k, p in enumerate(model.parameters) if p.part == "base" or p.part in model.robot.markers]
     prior[placed] = PLACED_SD
@@ -139,28 +181,7 @@ def rough(model: Model, rows: np.ndarray, measured: np.ndarray) -> Rough:
         if np.abs(moved).max(initial=0.0) < SETTLED * scale:
             break
     covariance = np.linalg.inv(information) * np.outer(prior, prior)
-    return Rough(model, estimate, covariance, scale)
-
-
-def placement(robot: Robot, given: tuple[str, ...]) -> Model:
-    """Return the model whose only unknowns are where base and tool are."""
-    return Model(robot, (Placement(robot),), given)
-
-
-def stood(robot: Robot, train: Measurements) -> Robot:
-    """Return the robot with its base where the points of the nominal robot come closest to the measured ones."""
-    nominal = build(at_origin(robot), (), train.given)
-    points = nominal.position(nominal.nominal, train.rows)
-    turn, shift, _ = motion(points, train.position)
-    rx, ry, rz = (float(angle) for angle in Rotation.from_matrix(turn).as_euler("XYZ"))
-    x, y, z = (float(value) for value in shift)
-    base = Base.model_construct(origin=(x, y, z), rotation=(rx, ry, rz), known=False)
-    return robot.model_copy(update={"base": base})
-
-
-def at_origin(robot: Robot) -> Robot:
-    """Return the robot with its base in the measuring frame's origin."""
-    return robot.model_copy(update={"base": Base(known=False)})
+    return Rough(model, estimate, covariance, scale, turn, shift)
 
 
 def motion(points: np.ndarray, measured: np.ndarray, rounds: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import Check, Fault, Mend, fault, mend
-from calflow.faults.reference import Reference, Rough, at_origin, best_turn, motion
+from calflow.faults.reference import Reference, Rough, best_turn, motion
 from calflow.faults.segments import cost, states
 from calflow.measurements import Measurements
-from calflow.model import build
+from calflow.model import Model
 
 BEGINNINGS = 3000  # rows at which a shift may be guessed to begin; it is found to the row afterwards
 FEWEST = 3  # rows that are shifted at least
@@ -39,8 +39,8 @@ class RowMisalignment(Check):
         if fit.scale < FAR_OFF * spread and reference.gross.sum() < FEWEST:
             return ()
         lags, fits = _lags(data), [fit]
-        guess = _guess(data, lags)
-        again = None if guess is None else Reference.of(_realigned(data, guess))
+        guess = _guess(data, reference.models.nominal, lags)
+        again = None if guess is None else Reference.of(_realigned(data, guess), reference.models)
         fits += [] if again is None else [again.fit]
         found = [
             (left, source)
@@ -155,14 +155,12 @@ def _realigned(data: Measurements, source: np.ndarray) -> Measurements:
     return mend(data, Fault(RowMisalignment.id, 0, (), "", "left out", alone)) if alone else data
 
 
-def _guess(data: Measurements, lags: list[int]) -> np.ndarray | None:
+def _guess(data: Measurements, nominal: Model, lags: list[int]) -> np.ndarray | None:
     """Return the sources where one shift, before or after one row, brings the nominal robot close to the positions.
 
     Every row is tried at once: the error of the best rigid motion follows from sums over the rows before and after it.
     Held-out rows count too, but they say no more than which rows belong together.
     """
-    robot = at_origin(data.robot)
-    nominal = build(robot, (), data.given)
     points, measured = nominal.position(nominal.nominal, data.rows), data.position
     middle = np.median(measured, axis=0)
     points, measured = points - np.nanmedian(points, axis=0), measured - middle

@@ -24,7 +24,7 @@ from calflow.stages.registration import registered
 from calflow.stages.settle import fit_settled
 
 GRID = 400  # angles at which two curves are compared
-AGREE = 0.95  # correlation from which two curves count as the same
+AGREE, AGREE_MAINLY = 0.95, 0.7  # correlations from which two curves count as the same, or as nearly so
 WIDE = 0.3  # share of a joint's travel that two series must have in common for a comparison to mean much
 
 
@@ -154,6 +154,8 @@ def _compared(
         words = "the independent series shows the same curve"
     elif share < WIDE:
         words = f"the two series have only {share:.0%} of the travel in common: too little to confirm or to contradict"
+    elif correlation >= AGREE_MAINLY:
+        words = "the two series agree in the main: a part of at least one curve belongs to something else"
     else:
         words = "the two series do not agree: at least one curve holds what belongs to something else"
     told |= {

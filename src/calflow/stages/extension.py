@@ -236,6 +236,28 @@ def extend(
     return Extended(now, tuple(findings), path, first)
 
 
+def narrowed(start: Fitted, extended: Extended, decoys: Sequence[Cause], catalogue: Catalogue, gate: Gate) -> Extended:
+    """Drop the causes whose evidence goes as soon as what nobody can name is in the model too."""
+    base, causes = len(start.model.effects), [finding.cause for finding in extended.findings]
+    now = extended.fitted
+    fuller = now.with_causes(base, [*causes, *decoys], _start(now, base, [*causes, *decoys]))
+    seen = Look.at(fuller, [*causes, *decoys], catalogue).findings(extended.first.family)
+    kept = [finding.cause for finding in seen if finding.cause in causes and _stands(finding, gate)]
+    if kept == causes:
+        return extended
+    trail = [start, *extended.path]
+    path = tuple(_fitted(trail, start, base, kept[: k + 1]) for k in range(len(kept)))
+    now = path[-1] if path else start
+    findings = Look.at(now, kept, catalogue).findings(extended.first.family)
+    standing = [finding for finding in findings if any(score.cause == finding.cause for score in finding.scores)]
+    return Extended(now, tuple(standing), path, extended.first)
+
+
+def _stands(finding: Finding, gate: Gate) -> bool:
+    own = [score for score in finding.scores if score.cause == finding.cause]
+    return bool(own) and _passes(own[0], finding.family, gate)
+
+
 def _fitted(trail: Sequence[Fitted], start: Fitted, base: int, causes: Sequence[Cause]) -> Fitted:
     """Return the model with these causes from the models fitted on the way, or fit it."""
     for fitted in trail:
@@ -268,8 +290,7 @@ def second_thoughts(findings: Sequence[Finding], gate: Gate) -> list[Cause]:
     causes = [finding.cause for finding in findings]
     weakest = sorted(findings, key=lambda finding: -_own_bic(finding))
     for finding in weakest:
-        own = [score for score in finding.scores if score.cause == finding.cause]
-        if not own or not _passes(own[0], finding.family, gate):
+        if not _stands(finding, gate):
             return [cause for cause in causes if cause != finding.cause]
     for finding in weakest:
         best = finding.scores[0]

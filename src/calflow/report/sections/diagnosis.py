@@ -394,7 +394,7 @@ def lacked(tables: Tables, most: int = 4) -> list[str | tuple[str, str]]:
         (f"{_first_up(label)}:", _in_short(one)) for label, one in zip(labels[:most], causes[:most], strict=True)
     ]
     if len(causes) > most:
-        rest = listed(labels[most:])
+        rest = listed(list(dict.fromkeys(one.name for one in causes[most:])))
         said.append((f"And {plural(len(causes) - most, 'more cause')}:", f"{rest}."))
     return said
 

@@ -18,8 +18,8 @@ from calflow.report.words import listed, mm, plural, ratio
 ENOUGH = 1.1  # times the noise up to which a model counts as complete
 USELESS = 0.95  # share of the nominal error above which calibration gained nothing
 CARDS = 3
-TEXT, SMALLER = 10.5, 9.5  # points
-LINE, ROOM = 95, 16  # letters in a line, lines of the larger letters below the figure
+TEXT = 10.5  # points
+SIZES = ((TEXT, 18, 95), (9.5, 22, 106), (8.5, 27, 119))  # points, lines below the figure, letters in a line
 TOLD = "Nothing: the data determine every parameter."
 FINE = "Nothing needs attention: the parameters can be used for the tools, loads and workspace that were measured."
 
@@ -34,11 +34,14 @@ def write(material: Material) -> list[Block]:
         [card(step.label, mm(step.mean), f"largest {mm(step.max)} mm", dark=step is found[-1] and len(found) > 1)]
         for step in shown
     ]
-    lists = (
-        [*unsure(material.tables), *open_questions(material.tables)] or [TOLD],
-        next_steps(material) or [FINE],
-    )
-    size = _size([line for lines in lists for line in lines]) if "diagnose/findings.csv" in material.tables else TEXT
+    lists: list[tuple[str, list[str | tuple[str, str]]]] = [
+        ("What the data cannot tell", [*unsure(material.tables), *open_questions(material.tables)] or [TOLD]),
+        ("What to do next", [*next_steps(material)] or [FINE]),
+    ]
+    size = TEXT
+    if "diagnose/findings.csv" in material.tables:
+        lists.insert(0, ("What the study's model lacked", lacked(material.tables)))
+        size = fitting([" ".join(line) if isinstance(line, tuple) else line for _, lines in lists for line in lines])
     return [
         paragraph("Calibration report", 10),
         paragraph(material.title, 21, bold=True),
@@ -55,11 +58,7 @@ def write(material: Material) -> list[Block]:
              [heading("How sure is this?"), bullets(how_sure(material), TEXT)]],
             [1, 1],
         ),
-        *_lacked(material, size),
-        heading("What the data cannot tell"),
-        bullets(lists[0], size),
-        heading("What to do next"),
-        bullets(lists[1], size),
+        *(block for title, lines in lists for block in (heading(title), bullets(lines, size))),
     ]  # fmt: skip
 
 
@@ -129,16 +128,10 @@ def next_steps(material: Material) -> list[str]:
     return [step.sentence for step in advice(sections(), material.tables)]
 
 
-def _size(lines: list[str]) -> float:
-    """Return the size of letters [points] in which the lists have room on the page."""
-    return TEXT if sum(-(-len(line) // LINE) for line in lines) <= ROOM else SMALLER
-
-
-def _lacked(material: Material, size: float) -> list[Block]:
-    """Say what the study's model lacked, where that was looked for."""
-    if "diagnose/findings.csv" not in material.tables:
-        return []
-    return [heading("What the study's model lacked"), bullets(lacked(material.tables), size)]
+def fitting(lines: list[str]) -> float:
+    """Return the size of letters [points] in which lists have room below the figure."""
+    sizes = [size for size, room, width in SIZES if sum(-(-len(line) // width) for line in lines) <= room]
+    return sizes[0] if sizes else SIZES[-1][0]
 
 
 def _measured(material: Material) -> str:

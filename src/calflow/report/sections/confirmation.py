@@ -1,0 +1,60 @@
+"""The section on confirmation: what an independent series of measurements says of the joint errors found."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calflow.report.document import Block, paragraph, plot, table
+from calflow.report.figures.confirmation import two_series
+from calflow.report.material import Material
+from calflow.report.section import Section
+from calflow.report.words import mm
+
+INTRODUCTION = (
+    "The same joint errors were fitted to another series of measurements alone, with its own geometry, and compared over the "
+    "travel that both series cover. Offset, slope and first order are left out of the comparison: a joint's zero, the "
+    "geometry and gravity imitate them in either series."
+)
+CAPTION = "Joint errors as found here (line) and on the other series alone (dashes), beyond their first order."
+
+
+def write(material: Material) -> list[Block]:
+    """Show each joint's curve on both series, how well they agree, and what carries over."""
+    rows = material.tables["diagnose/confirmation.csv"]
+    curves = material.tables["diagnose/confirmation_curves.csv"]
+    accuracy = material.tables["diagnose/confirmation_accuracy.csv"]
+    cells = [
+        (f"joint {row['joint']}", _number(row["correlation"], "{:.3f}"), _number(row["rms_here_urad"], "{:.0f}"),
+         _number(row["rms_there_urad"], "{:.0f}"), _number(row["common_deg"], "{:.0f}"), str(row["words"]))
+        for row in rows.to_dict("records")
+    ]  # fmt: skip
+    header = ("joint", "correlation", "here [µrad]", "there [µrad]", "common [deg]", "what it means")
+    blocks = [paragraph(INTRODUCTION, keep=True), table(header, cells, "lrrrrl", wide=5)]
+    if len(curves):
+        blocks.append(plot("confirmation", two_series(curves), CAPTION))
+    return [*blocks, paragraph(_carried(accuracy))]
+
+
+def _carried(accuracy: object) -> str:
+    found = accuracy.set_index("model")  # type: ignore[attr-defined]
+    n = int(found["n"].iloc[0])
+    if n == 0:
+        return (
+            "The model does not carry over as a whole: no held-out row of the other series lies within the travel that all "
+            "these joint errors were found on."
+        )
+    parts = [f"{mm(value)} mm {name}" for name, value in found["heldout_mean_mm"].items()]
+    return f"At the {n} held-out rows of the other series within the travel covered here the mean error is {', '.join(parts)}."
+
+
+def _number(value: object, form: str) -> str:
+    number = float(value)  # type: ignore[arg-type]
+    return form.format(number) if np.isfinite(number) else "–"
+
+
+SECTION = Section(
+    27,
+    "Confirmation by an independent series",
+    ("diagnose/confirmation.csv", "diagnose/confirmation_curves.csv", "diagnose/confirmation_accuracy.csv"),
+    write,
+)

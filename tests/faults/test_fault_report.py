@@ -1,0 +1,64 @@
+"""The report tells what was wrong with the data, and is written without the rows that were left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from calflow.faults import Fault, Mend, as_table
+from calflow.faults.base import fault
+from calflow.faults.outlier import Outlier
+from calflow.report.material import Material
+from calflow.report.section import advice, chosen, sections
+from calflow.report.sections import faults as section
+from calflow.report.stage import STAGE
+from calflow.stages.stage import Context
+from report.case import context
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Context:
+    """A small identified study whose third row was left out and whose first joint counts the other way."""
+    given = context(tmp_path_factory.mktemp("small"))
+    data = given.study.measurements()
+    out = fault(Outlier(), data, 0, [Mend(3)], "left out", "the position in LINES is 9 mm off; left out")
+    turned = Fault(
+        "joint-sign", 1, (), "joint 1: all readings have the wrong sign", "corrected", (Mend(0, "q1", -1.0),)
+    )
+    residuals = given.tables["identify/residuals.csv"].copy()
+    residuals.loc[2, ["split", "dx_mm"]] = ["", 1e6]
+    table = as_table((out, turned), data)
+    return replace(given, tables={**given.tables, "identify/faults.csv": table, "identify/residuals.csv": residuals})
+
+
+def test_left_out_rows_are_in_no_figure(small: Context) -> None:
+    """Fails if a row that was left out counts as held out, or its error as one of the model's."""
+    material = Material.of(small.study, small.tables, small.run_folder)
+    residuals = small.tables["identify/residuals.csv"]
+    assert len(material.data) == len(material.error) == len(residuals) - 1
+    assert material.held.sum() == (residuals["split"] == "holdout").sum()
+    assert material.distance.max() < 1e3
+
+
+def test_the_reader_is_told_to_correct_the_file(small: Context) -> None:
+    """Fails if a fault is not told on page one, a whole column after single rows, or without its lines."""
+    material = Material.of(small.study, small.tables, small.run_folder)
+    text = "".join(block.markup for block in section.write(material))
+    for words in ("line 4", "left out", "all rows", "corrected", "The position in line 4 is 9 mm off; left out."):
+        assert words in text
+    told = [item.sentence for item in advice(sections(), small.tables) if item.sentence.startswith("Correct the meas")]
+    assert told == [
+        "Correct the measurement file: joint 1: all readings have the wrong sign.",
+        "Correct the measurement file: the position in line 4 is 9 mm off; left out.",
+    ]
+
+
+def test_the_section_is_there_where_faults_are(small: Context, tmp_path) -> None:
+    """Fails if a report without faults has an empty section, or one with faults cannot be written."""
+    material = Material.of(small.study, small.tables, small.run_folder)
+    assert section.SECTION in chosen(sections(), material)
+    none = {**small.tables, "identify/faults.csv": small.tables["identify/faults.csv"].iloc[:0]}
+    assert section.SECTION not in chosen(sections(), replace(material, tables=none))
+    assert STAGE.run(replace(small, folder=tmp_path)) == {}
+    assert (tmp_path / "report.pdf").stat().st_size > 10_000
