@@ -307,7 +307,7 @@ def test_every_effect_is_compared() -> None:
     """Breaks if an effect was added without a comparison, or without its row in the document."""
     assert {name.split(",")[0] for name in TWINS} | APART == set(catalogue())
     rows = re.findall(r"^\| `([\w-]+)` \|", DOCUMENT.read_text(encoding="utf-8"), re.MULTILINE)
-    assert sorted(rows) == sorted([*catalogue(), *(check.id for check in checks())])
+    assert sorted(rows) == sorted([*catalogue(), *{check.id for check in checks()}])
 
 
 @pytest.mark.parametrize("name", ROBOTS)

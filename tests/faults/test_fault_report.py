@@ -9,10 +9,10 @@ import pytest
 from calflow.faults import Fault, Mend, as_table
 from calflow.faults.base import fault
 from calflow.faults.outlier import Outlier
+from calflow.report.document import write
 from calflow.report.material import Material
 from calflow.report.section import advice, chosen, sections
 from calflow.report.sections import faults as section
-from calflow.report.stage import STAGE
 from calflow.stages.stage import Context
 from report.case import context
 
@@ -60,5 +60,5 @@ def test_the_section_is_there_where_faults_are(small: Context, tmp_path) -> None
     assert section.SECTION in chosen(sections(), material)
     none = {**small.tables, "identify/faults.csv": small.tables["identify/faults.csv"].iloc[:0]}
     assert section.SECTION not in chosen(sections(), replace(material, tables=none))
-    assert STAGE.run(replace(small, folder=tmp_path)) == {}
-    assert (tmp_path / "report.pdf").stat().st_size > 10_000
+    write("title", [("Verdict", []), (section.SECTION.title, section.write(material))], tmp_path)
+    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")

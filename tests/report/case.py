@@ -16,7 +16,7 @@ from calflow.robot.description import read_robot
 from calflow.stages.candidates import candidates
 from calflow.stages.causes import Cause
 from calflow.stages.findings import CANDIDATES, FINDINGS
-from calflow.stages.identified import effect_table, identified
+from calflow.stages.identified import calibrated, effect_table, identified, with_maps_held
 from calflow.stages.identify import STAGE as IDENTIFY
 from calflow.stages.stage import Context
 from calflow.study import load_study
@@ -128,6 +128,10 @@ WAVING = Found(
 OUTLIERS = Found("data_fault", "outlier", rows="12;31", statement="2 rows are far off (lines 12, 31)", p=np.nan)
 
 
+CURVE = Found("named", "joint-error-map", 2, 3e-5, 4e-6, "rad", "alike over 0.15 rad")
+VARIANTS = {"joint-error-map": {"low": (-1.5,) * 3, "high": (1.5,) * 3}}  # too many parameters to be sampled
+
+
 def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
     """The context with tables as the stage diagnose makes them; poses are proposed to tell the first rival."""
     study, tables = given.study, given.tables
@@ -136,7 +140,10 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
     told = [one for one in found if one.status in ("named", "one_of")]
     robot = known.model.robot
     parts = [f"joint{one.joint}" if one.joint else "device" for one in told]
-    causes = [Cause(robot, catalogue()[one.cause](robot), part) for one, part in zip(told, parts, strict=True)]
+    causes = [
+        Cause(robot, catalogue()[one.cause](robot, **VARIANTS.get(one.cause, {})), part)
+        for one, part in zip(told, parts, strict=True)
+    ]
     model = Model(robot, (*known.model.effects, *causes), data.given)
     added = pd.DataFrame(
         [
@@ -252,7 +259,10 @@ def _curves(told: list[Found], pose: pd.Series, split: pd.Series) -> pd.DataFram
 
 def with_sample(given: Context, steps: int = 40) -> Context:
     """The context with tables as the stage sample makes them, and a chain of independent draws."""
+    known = calibrated(given.study.robot, given.tables, given.study.measurements().given)
+    sampled = [parameter.name for parameter in with_maps_held(known)[0].model.parameters]
     parameters = latest(given.tables, "parameters")
+    parameters = parameters[parameters["parameter"].isin(sampled)]
     n = len(parameters) + 1
     path = given.run_folder / "sample" / "chain.h5"
     path.parent.mkdir(parents=True, exist_ok=True)

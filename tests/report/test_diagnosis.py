@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -17,7 +16,7 @@ from matplotlib.text import Text
 
 from calflow.effects import catalogue
 from calflow.report import document
-from calflow.report.figures.diagnosis import evidence, explained, gains, in_space, two_series, waterfall
+from calflow.report.figures.diagnosis import evidence, explained, gains, in_space, waterfall
 from calflow.report.findings import (
     CAUSES,
     amount,
@@ -39,6 +38,7 @@ from calflow.stages.stage import Context
 from report.case import (
     BACKLASH,
     COUPLED,
+    CURVE,
     OR_HYSTERESIS,
     ORDER_OPEN,
     OUTLIERS,
@@ -189,6 +189,19 @@ def test_the_report_is_set_with_causes_and_a_sampled_extended_model(small: Conte
     assert {"cause_1", "cause_2", "gains", "evidence", "causes_workspace", "error_budget", "traces"} <= drawn
 
 
+def test_a_posterior_without_the_maps_is_told_as_such(small: Context, tmp_path: Path) -> None:
+    """Fails if the chain of a model whose curves were held is read as one of the whole model, or nobody says so."""
+    given = with_sample(with_diagnosis(small, BACKLASH, CURVE))
+    material = Material.of(given.study, given.tables, given.run_folder)
+    held = sum(parameter.effect == "joint-error-map" for parameter in material.known.model.parameters)
+    assert held > 20
+    assert len(material.sampled[0].estimate) == len(material.known.estimate) - held
+    with style():
+        (section,) = [section for section in chosen(sections(), material) if "posterior" in section.title]
+        text = document.source("", [("", section.write(material))])
+    assert "too many parameters to sample: angle error curve of joint 2" in text
+
+
 def test_errors_and_accuracy_are_those_of_the_extended_model(small: Context) -> None:
     """Fails if the first page goes on telling what the study's own model reached."""
     given = with_diagnosis(small, BACKLASH)
@@ -236,25 +249,6 @@ def test_causes_that_harm_unseen_poses_are_not_to_be_used(small: Context) -> Non
     first, _ = told(given)
     assert "Do not use this model: see what to do next." in first
     assert "Do not use the model with the causes: at held-out poses it is worse than without them" in first
-
-
-def test_an_independent_series_is_told_where_there_is_one(small: Context) -> None:
-    """Fails if the confirmation is not written, or a mean that is not known is shown."""
-    given = with_diagnosis(small, ORDER_OPEN)
-    curve = pd.DataFrame(
-        {"cause": "joint-eccentricity", "joint": 2, "angle_deg": [0.0, 1.0], "here_urad": 1.0, "there_urad": 2.0}
-    )
-    words = pd.DataFrame(
-        [{"cause": "joint-eccentricity", "joint": 2, "words": "the independent series shows the same curve"}]
-    )
-    there = pd.DataFrame(
-        {"model": ["without the causes", "the causes carried over"], "n": 9, "heldout_mean_mm": [0.4, np.nan]}
-    )
-    made = {"": words, "_curves": curve, "_accuracy": there}
-    tables = {**given.tables, **{f"diagnose/confirmation{name}.csv": table for name, table in made.items()}}
-    _, section = told(replace(given, tables=tables))
-    assert "the independent series shows the same curve." in section
-    assert "Mean error at held-out poses of that series: without the causes 0.400 mm." in section
 
 
 @pytest.mark.parametrize(
@@ -384,7 +378,6 @@ def _drawings() -> dict[str, Figure]:
             "evidence": evidence(labels, np.array([80.0, 75.0, -3.0]), np.array([0.0, 1e-9, 0.4]), some, 10.0, 0.007),
             "no evidence": evidence(labels, np.array([-2.0, -3.0, -4.0]), np.ones(3), some & False, 10.0, 0.007),
             "space": in_space(place, error, 0.3 * error, held, 500.0),
-            "two series": two_series([(f"joint {k}", x / 200, 1e5 * curve, cloud) for k in range(4)]),
         }  # fmt: skip
 
 

@@ -28,7 +28,7 @@ class Chain:
         """Read the steps that the stage sample used, and rebuild the coordinates in which it sampled them."""
         import h5py
 
-        posterior, _ = posterior_of(material.known, material.data)
+        posterior, _ = posterior_of(material.sampled[0], material.data)
         summary = material.tables["sample/summary.csv"].set_index("item")["value"]
         steps, discard = int(summary["steps"]), int(summary["burn_in_steps"])
         stride = -(-steps // SHOWN_STEPS)

@@ -13,7 +13,8 @@ from calflow.faults import mended
 from calflow.measurements import Measurements
 from calflow.report.findings import step_words
 from calflow.report.words import effect_words
-from calflow.stages.identified import Identified, calibrated
+from calflow.stages.causes import Cause
+from calflow.stages.identified import Identified, calibrated, with_maps_held
 from calflow.stages.stage import Tables
 from calflow.study import Study
 
@@ -49,6 +50,11 @@ class Material:
         known = calibrated(study.robot, tables, data.given)
         used = data.only(data.train | data.held_out)
         return Material(study, used.on(known.model.robot), known, tables, run_folder)
+
+    @cached_property
+    def sampled(self) -> tuple[Identified, tuple[Cause, ...]]:
+        """The model of which the stage sample drew, and the causes that it held at their estimates."""
+        return with_maps_held(self.known)
 
     @property
     def title(self) -> str:

@@ -241,7 +241,7 @@ def narrowed(start: Fitted, extended: Extended, decoys: Sequence[Cause], catalog
     base, causes = len(start.model.effects), [finding.cause for finding in extended.findings]
     now = extended.fitted
     fuller = now.with_causes(base, [*causes, *decoys], _start(now, base, [*causes, *decoys]))
-    seen = Look.at(fuller, [*causes, *decoys], catalogue).findings(extended.first.family)
+    seen = Look.at(fuller, [*causes, *decoys], Catalogue((), {})).findings(extended.first.family)
     kept = [finding.cause for finding in seen if finding.cause in causes and _stands(finding, gate)]
     if kept == causes:
         return extended

@@ -159,23 +159,6 @@ def evidence(
     return drawn
 
 
-def two_series(curves: Sequence[tuple[str, np.ndarray, np.ndarray, np.ndarray]]) -> Figure:
-    """Draw joint errors [µrad] against the angle [deg], as found here and as an independent series shows them.
-
-    Each of curves has a name, angles, the curve here and the one there.
-    """
-    columns = min(3, len(curves))
-    drawn, grid = panels(-(-len(curves) // columns), columns, 0.4 + 1.75 * -(-len(curves) // columns))
-    for axes in grid.ravel()[len(curves) :]:
-        axes.set_axis_off()
-    for axes, (name, angle, here, there) in zip(grid.ravel(), curves, strict=False):
-        axes.plot(angle, here, color=DARK, label="these measurements")
-        axes.plot(angle, there, color=ACCENT, linestyle="--", label="the independent series")
-        axes.set(title=name, xlabel="angle [deg]", ylabel="error [µrad]")
-    _legend(drawn, (grid[0, 0],))
-    return drawn
-
-
 def in_space(position: np.ndarray, before: np.ndarray, after: np.ndarray, held: np.ndarray, factor: float) -> Figure:
     """Draw positions with their errors [mm] (n_rows, 3) times factor, before and after, from above and from the side."""
     drawn, (grid,) = panels(1, 4, 2.7)

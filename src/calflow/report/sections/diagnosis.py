@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.report.document import Block, bullets, heading, paragraph, plot, table
-from calflow.report.figures.diagnosis import evidence, explained, gains, in_space, two_series
+from calflow.report.figures.diagnosis import evidence, explained, gains, in_space
 from calflow.report.figures.residuals import magnification
 from calflow.report.findings import (
     Found,
@@ -65,7 +65,6 @@ def write(material: Material) -> list[Block]:
         *_opening(material, found),
         *[block for one in causes for block in _finding(material, one)],
         *_gained(material, causes),
-        *_confirmed(material.tables),
         *_unexplained(left),
         *_space(material, causes),
         *_evidence(material, causes),
@@ -236,32 +235,6 @@ def _gained(material: Material, causes: Sequence[Found]) -> list[Block]:
         "" if material.noise_floor else " What noise alone would leave is not known: it was estimated from the fit."
     )
     return [heading("What the causes gained"), plot("gains", drawn, GAINS + unknown)]
-
-
-def _confirmed(tables: Tables) -> list[Block]:
-    """Say whether an independent series of the same robot shows the same causes, where there is one."""
-    if "diagnose/confirmation.csv" not in tables or tables["diagnose/confirmation.csv"].empty:
-        return []
-    items = [
-        (f"{_first_up(cause_name(row['cause'], _whole(row['joint'])))}:", f"{row['words']}.")
-        for row in tables["diagnose/confirmation.csv"].to_dict("records")
-    ]
-    there = tables["diagnose/confirmation_accuracy.csv"]
-    means = "; ".join(
-        f"{row['model']} {mm(row['heldout_mean_mm'])} mm"
-        for row in there[there["heldout_mean_mm"].notna()].to_dict("records")
-    )
-    curves = [
-        (cause_name(str(cause), _whole(joint)), *rows[["angle_deg", "here_urad", "there_urad"]].to_numpy(dtype=float).T)
-        for (cause, joint), rows in tables["diagnose/confirmation_curves.csv"].groupby(["cause", "joint"], sort=False)
-    ]  # fmt: skip
-    said = "Joint errors over the travel that both series cover, each found in its own series, without their means."
-    return [
-        heading("Put to the test by an independent series"),
-        bullets(items),
-        *([paragraph(f"Mean error at held-out poses of that series: {means}.")] if means else []),
-        *([plot("two_series", two_series(curves), said)] if curves else []),
-    ]
 
 
 def _unexplained(left: Sequence[Found]) -> list[Block]:

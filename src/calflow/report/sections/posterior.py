@@ -10,10 +10,12 @@ import pandas as pd
 from calflow.report.chain import Chain
 from calflow.report.document import Block, bullets, heading, paragraph, plot, table
 from calflow.report.figures.posterior import against_laplace, corner, traces
+from calflow.report.findings import cause_name
 from calflow.report.material import Material, item, latest
 from calflow.report.section import Advice, Section
 from calflow.report.style import WIDTH
-from calflow.report.words import readable, with_sd
+from calflow.report.words import listed, readable, with_sd
+from calflow.stages.causes import Cause
 from calflow.stages.stage import Tables
 
 SAME = 1.01  # R-hat up to which ensembles agree
@@ -39,14 +41,15 @@ CORNER = (
 def write(material: Material) -> list[Block]:
     """Show mixing, the comparison with Laplace's approximation and the pairs that are not simply normal."""
     posterior, summary = material.tables["sample/posterior.csv"], material.tables["sample/summary.csv"]
-    parameters = latest(material.tables, "parameters")
-    free = parameters["sd"].notna().to_numpy()
-    ratio = posterior["sd"].to_numpy(dtype=float)[: len(free)][free] / parameters["sd"].to_numpy(dtype=float)[free]
-    names = parameters.loc[free, "parameter"].astype(str).tolist()
+    model, held = material.sampled
+    free = ~model.at_bound
+    ratio = posterior["sd"].to_numpy(dtype=float)[: len(free)][free] / np.sqrt(np.diag(model.covariance))[free]
+    names = [parameter.name for parameter, is_free in zip(model.model.parameters, free, strict=True) if is_free]
     return [
         paragraph(INTRODUCTION, keep=True),
         table(("check", "found", "wanted"), _checks(posterior, summary), "lll"),
         *_cuts(summary),
+        *_held(held),
         plot("posterior_sd", against_laplace(names, ratio), RATIO),
         *_chain(material),
         *_noise(posterior),
@@ -67,6 +70,15 @@ def _checks(posterior: pd.DataFrame, summary: pd.DataFrame) -> list[tuple[str, s
 def _cuts(summary: pd.DataFrame) -> list[Block]:
     cuts = summary.loc[summary["item"] == "cut", "value"].astype(str).tolist()
     return [bullets(text[0].upper() + text[1:] + "." for text in cuts)] if cuts else []
+
+
+def _held(held: Sequence[Cause]) -> list[Block]:
+    """Say which causes were not sampled."""
+    if not held:
+        return []
+    names = listed([cause_name(cause.id, cause.joint) for cause in held])
+    return [paragraph(f"Held at their estimates, having too many parameters to sample: {names}. What is not known of them is "
+                      "not in the sampled standard deviations.")]  # fmt: skip
 
 
 def _noise(posterior: pd.DataFrame) -> list[Block]:
@@ -119,7 +131,8 @@ def corner_names(tables: Tables) -> list[str]:
         names += tables["identify/correlations.csv"][["first", "second"]].to_numpy().ravel().tolist()
     last = parameters["effect"].iloc[-1]
     names += parameters.loc[parameters["effect"] == last, "parameter"].astype(str).tolist()
-    chosen = list(dict.fromkeys(names))[:PAIRED]
+    sampled = set(tables["sample/posterior.csv"]["parameter"]) if "sample/posterior.csv" in tables else set(names)
+    chosen = [name for name in dict.fromkeys(names) if name in sampled][:PAIRED]
     return [name for name in parameters["parameter"] if name in chosen]
 
 
