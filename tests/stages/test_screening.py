@@ -12,7 +12,7 @@ from calflow.effects import catalogue
 from calflow.model import Model, build
 from calflow.stages.causes import Catalogue, Cause
 from calflow.stages.fit import fit
-from calflow.stages.screening import Regressors, Screening
+from calflow.stages.screening import Regressors, Screening, shared_error
 from robots import industrial
 from stages.data import measured, problem
 
@@ -105,3 +105,13 @@ def test_a_scan_is_paid_for_in_its_own_place(data, fitted):
     assert family.scans["periodic-joint-error", "joint2"] > 10
     assert family.scans["gear-ratio-error", "joint4"] == pytest.approx(1.0, abs=0.35)
     assert family.places < 2 * len(family.scans)
+
+
+def test_markers_of_a_pose_are_not_as_many_poses():
+    """Breaks if an error that all markers of a pose share counts once a marker, or a true noise is scaled down."""
+    rng = np.random.default_rng(8)
+    poses = np.repeat(np.arange(200), 3)
+    alone = rng.standard_normal((600, 3))
+    shared = alone + 2 * rng.standard_normal((200, 3))[poses]
+    assert shared_error(alone.ravel(), poses, 0.0) == 1.0
+    assert shared_error(shared.ravel(), poses, 0.0) == pytest.approx(1 / np.sqrt(1 + 3 * 4), rel=0.1)

@@ -43,6 +43,11 @@ class Fitted:
         return self.fit.model
 
     @property
+    def poses(self) -> np.ndarray:
+        """The rows' poses, numbered from 0, shape (n_rows,)."""
+        return np.unique(self.data.table["pose"], return_inverse=True)[1]
+
+    @property
     def far(self) -> np.ndarray:
         """By how much rows count less than the device's noise says, at least 1, shape (n_rows,)."""
         ratio = self.noise.sigma / self.device.sigma
@@ -168,7 +173,7 @@ class Look:
     def at(fitted: Fitted, causes: Sequence[Cause], catalogue: Catalogue) -> Look:
         """Linearise a fitted model; its own causes are among the candidates, for when they are taken out."""
         effects = (*catalogue.effects, *causes)
-        return Look(fitted, tuple(causes), Regressors.of(fitted.fit, fitted.problem, effects))
+        return Look(fitted, tuple(causes), Regressors.of(fitted.fit, fitted.problem, effects, fitted.poses))
 
     def screened(self, rng: np.random.Generator, known: Family | None = None) -> Screened:
         """Test what the model does not have yet; known is what the number of tests costs, if that is known."""
@@ -280,7 +285,7 @@ def _refined(score: Score, now: Fitted) -> Score:
     finer = [Cause(c.robot, c, score.cause.part) for c in score.cause.effect.finer(now.data)]
     if not finer:
         return score
-    scores = Screening(Regressors.of(now.fit, now.problem, finer)).scores
+    scores = Screening(Regressors.of(now.fit, now.problem, finer, now.poses)).scores
     best = max(scores, key=lambda s: s.drop, default=score)
     return best if best.drop > score.drop else score
 

@@ -153,7 +153,7 @@ class Remainder:
 
 def remainder(fitted: Fitted, level: float, rng: np.random.Generator, say: Callable[[str], None]) -> list[Remainder]:
     """Return what the fitted model leaves that depends on inputs, the strongest first."""
-    screening = Screening(Regressors.of(fitted.fit, fitted.problem, decoys(fitted.data)))
+    screening = Screening(Regressors.of(fitted.fit, fitted.problem, decoys(fitted.data), fitted.poses))
     family = screening.family(rng)
     found: list[Remainder] = []
     for score in sorted(screening.scores, key=family.p):

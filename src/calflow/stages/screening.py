@@ -23,6 +23,7 @@ from calflow.stages.fit import Fit, Problem
 
 INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
 DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
+SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
 LEVEL = 0.05  # of the smallest p-value, at which the bootstrap counts how many tests the family is worth
 
 
@@ -52,8 +53,11 @@ class Regressors:
     candidates: tuple[Candidate, ...]
 
     @staticmethod
-    def of(fit: Fit, problem: Problem, effects: Sequence[Effect]) -> Regressors:
-        """Linearise the fitted model with all these effects at zero, which costs one Jacobian."""
+    def of(fit: Fit, problem: Problem, effects: Sequence[Effect], poses: np.ndarray | None = None) -> Regressors:
+        """Linearise the fitted model with all these effects at zero, which costs one Jacobian.
+
+        poses (n_rows,) numbers the rows by pose: what the rows of a pose have in common counts once (see `shared_error`).
+        """
         model = fit.model
         large = Model(model.robot, (*model.effects, *effects), model.given)
         wide = replace(problem, model=large)
@@ -65,11 +69,14 @@ class Regressors:
         data = (problem.rows, problem.measured, problem.weight)
         values, slopes = over_rows(function, point, *data)
         matrix = slopes.T  # (n, all parameters)
+        left = values.T.ravel()
+        if poses is not None and (shared := shared_error(left, poses, fit.effective_parameters)) < 1:
+            left, matrix = (array - (1 - shared) * _pose_means(array, poses) for array in (left, matrix))
         free = np.flatnonzero(~fit.at_bound)
         offset = fit.estimate - model.nominal
         precision = model.prior_sd**-2.0
         return Regressors(
-            values.T.ravel(),
+            left,
             matrix[:, free],
             precision[free],
             (precision * offset)[free],
@@ -273,6 +280,36 @@ class Screening:
         left = np.maximum(len(self.regressors.residual) - freedom, 1.0)
         ratio = drops / freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
         return np.asarray(f_distribution.sf(ratio, freedom, left))
+
+
+def shared_error(residual: np.ndarray, poses: np.ndarray, determined: float) -> float:
+    """Return the factor at which what a pose's rows have in common spreads as what they have apart; 1 where it does.
+
+    Markers of one pose share the robot's error of repeating it, so they are not as many pieces of evidence as rows. determined
+    is the number of parameters that the residual (n,) has lost, which fix what poses have in common.
+    """
+    count = np.bincount(poses)
+    axes = len(residual) // len(poses)
+    apart = axes * (len(poses) - np.count_nonzero(count))
+    common = axes * np.count_nonzero(count) - determined
+    if apart == 0 or common < axes:
+        return 1.0
+    means = _pose_means(residual, poses)
+    between, within = float(means @ means) / common, float(((residual - means) ** 2).sum()) / apart
+    if f_distribution.sf(between / within, common, apart) > SHARED:
+        return 1.0
+    return float(np.sqrt(within / between))
+
+
+def _pose_means(values: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Mean over the rows of each pose, axis by axis, in every row's place; values is (n_rows · n_axes, …)."""
+    count = np.bincount(poses)
+    shaped = values.reshape(len(poses), -1)
+    if (count <= 1).all():
+        return values
+    total = np.zeros((len(count), shaped.shape[1]))
+    np.add.at(total, poses, shaped)
+    return np.asarray((total / np.maximum(count, 1)[:, None])[poses].reshape(values.shape))
 
 
 def _worth(smallest: np.ndarray) -> float:
