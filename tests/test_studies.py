@@ -101,6 +101,10 @@ def test_hh800_run_folder_keeps_the_contract(hh800):
         ],
         "identify/accuracy.csv": ["model", "split", "n", "mean_mm", "rms_mm", "max_mm"],
         "identify/residuals.csv": ["pose", "repeat", "marker", "dx_mm", "dy_mm", "dz_mm", "whitened", "flagged"],
+        "diagnose/candidates.csv": [
+            "cause", "joint", "statistic", "p_family", "delta_bic", "probability", "visible_share", "estimate", "sd", "unit",
+        ],
+        "diagnose/accuracy.csv": ["model", "split", "n", "mean_mm", "rms_mm", "max_mm"],
         "sample/posterior.csv": ["parameter", "unit", "mean", "sd", "q025", "q500", "q975", "rhat", "ess"],
         "sample/predictive.csv": ["pose"],
     }  # fmt: skip
@@ -108,6 +112,12 @@ def test_hh800_run_folder_keeps_the_contract(hh800):
         table = pd.read_csv(hh800 / name)
         assert set(columns) <= set(table.columns), name
         assert len(table), name
+    findings = pd.read_csv(hh800 / "diagnose" / "findings.csv")
+    assert list(findings.columns[:13]) == [
+        "status", "cause", "joint", "estimate", "sd", "unit", "p_family", "probability", "cannot_tell_from", "gain_mean_mm",
+        "gain_low_mm", "gain_high_mm", "heldout_mean_mm",
+    ]  # fmt: skip
+    assert findings.empty  # the model lacks nothing
     accuracy = pd.read_csv(hh800 / "identify" / "accuracy.csv")
     assert accuracy["model"].iloc[0] == "nominal"
     for name in ("manifest.json", "sample/chain.h5", "report.pdf"):
@@ -159,6 +169,22 @@ def test_real_ur10(study, limit_mm, tmp_path):
     table = heldout(tmp_path)
     assert table.loc["geometry", "mean_mm"] <= limit_mm
     assert table.loc["nominal", "mean_mm"] < 1.2
+
+
+@measured_data
+@pytest.mark.parametrize("study", ["study.toml", "series_b.toml"])
+def test_real_ur10_is_diagnosed(study, tmp_path):
+    """Fails if the transmission errors of the UR10's joints are missed, or do not bring its error to the robot's own."""
+    calflow("run", STUDIES / "ur10-tmac" / study, "--out", tmp_path, "--stage", "diagnose")
+    found = pd.read_csv(tmp_path / "diagnose" / "findings.csv")
+    maps = found[found["cause"] == "joint-error-map"]
+    assert {1, 2, 3} <= set(maps["joint"])
+    steps = pd.read_csv(tmp_path / "diagnose" / "accuracy.csv")
+    assert steps.loc[steps["split"] == "holdout", "mean_mm"].iloc[-1] <= 0.09
+    if study == "study.toml":  # series B confirms joint 3, and says why joint 1 cannot be compared
+        told = pd.read_csv(tmp_path / "diagnose" / "confirmation.csv").set_index("joint")
+        assert told.loc[3, "correlation"] >= 0.95
+        assert "no reading of joint 1" in told.loc[1, "words"]
 
 
 @measured_data

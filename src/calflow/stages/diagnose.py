@@ -71,7 +71,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
         "diagnose/summary.csv": _summary(found, known),
     }
     if other and confirmed:
-        context.say(f"confirmed by {other.name}: " + "; ".join(confirmed.table["words"].unique()))
+        context.say(f"{other.name}: " + "; ".join(confirmed.table["words"].unique()))
         tables |= {"diagnose/confirmation.csv": confirmed.table, "diagnose/confirmation_curves.csv": confirmed.curves,
                    "diagnose/confirmation_accuracy.csv": confirmed.accuracy}  # fmt: skip
     return tables
