@@ -13,7 +13,7 @@ from calflow.stages.causes import Catalogue
 from calflow.stages.confirmation import confirm
 from calflow.stages.curves import curves
 from calflow.stages.discrimination import poses_table, separation, separations_table
-from calflow.stages.extension import Fitted, Gate, extend, narrowed
+from calflow.stages.extension import Fitted, Gate, extend, narrowed, weighed_against
 from calflow.stages.findings import Diagnosis, candidates_table, findings_table
 from calflow.stages.identified import Identified, effect_table, identified
 from calflow.stages.noise import averaged
@@ -100,6 +100,8 @@ def diagnose(known: Identified, data: Measurements, context: Context) -> Diagnos
         if extended is not named:
             context.say("what is left over explains some of what was found: dropped")
             left = remainder(extended.fitted, level_left, context.rng("decoys"), context.say)
+    if settings.catalogue or settings.leave_out:
+        extended = weighed_against(extended, Catalogue.of(train, have))
     context.advance(0.8)
     last = extended.fitted
     if again := growth(last.weighed(plain) if grown else last, alarm):

@@ -258,6 +258,16 @@ def narrowed(start: Fitted, extended: Extended, decoys: Sequence[Cause], catalog
     return Extended(now, tuple(standing), path, extended.first)
 
 
+def weighed_against(extended: Extended, catalogue: Catalogue) -> Extended:
+    """Score a wider catalogue's candidates in each cause's place: what was left out of the search can still be the truth."""
+    causes = [finding.cause for finding in extended.findings]
+    if not causes:
+        return extended
+    return replace(
+        extended, findings=tuple(Look.at(extended.fitted, causes, catalogue).findings(extended.first.family))
+    )
+
+
 def _stands(finding: Finding, gate: Gate) -> bool:
     own = [score for score in finding.scores if score.cause == finding.cause]
     return bool(own) and _passes(own[0], finding.family, gate)
