@@ -32,7 +32,17 @@ from calflow.robot.transforms import rot_x
 from calflow.stages.candidates import pack
 from hidden import simulator
 from hidden.case import Case, draw, robot_file, stated_tables, write_case
-from hidden.causes import WARM_UP, Hidden, direction, gravity_compensator, joint_error_map, measured_points, response
+from hidden.causes import (
+    ARM,
+    COLUMN,
+    WARM_UP,
+    Hidden,
+    direction,
+    gravity_compensator,
+    joint_error_map,
+    measured_points,
+    response,
+)
 from hidden.simulator import Motion, Rows, equilibrium, statics
 
 ROBOTS = ("serial", "hh800")
@@ -163,18 +173,17 @@ def bearing(joint: int, size: float) -> Callable[[Bench], Twin]:
 
 
 def compensator(bench: Bench) -> Twin:
-    """The best four parameters for the cylinder's torque."""
+    """The phase of the cylinder's torque; its hinge is as far below as the simulator's."""
     hidden = Hidden("gravity-compensator", 2, 2e4)
-    basis = compensator_basis(bench)
-    values = np.linalg.lstsq(basis, gravity_compensator(hidden, bench.still), rcond=None)[0]
-    effect = made(bench, hidden.cause)
+    effect = made(bench, hidden.cause, ratio=ARM / COLUMN)
+    values = np.linalg.lstsq(compensator_basis(bench, effect), gravity_compensator(hidden, bench.still), rcond=None)[0]
     names = [parameter.name for parameter in effect.declared]
-    return Twin(effect, dict(zip(names, values, strict=True)), hidden, close=0.02)
+    return Twin(effect, dict(zip(names, values, strict=True)), hidden, close=0.01)  # its column is not quite upright
 
 
-def compensator_basis(bench: Bench) -> np.ndarray:
-    """What each parameter of the compensator adds to joint 2's torque (rows, 4)."""
-    effect, loads, p = made(bench, "gravity-compensator"), State.symbols(bench.robot), ca.SX.sym("p", 4)
+def compensator_basis(bench: Bench, effect: Effect) -> np.ndarray:
+    """What each parameter of the compensator adds to joint 2's torque (rows, 2)."""
+    loads, p = State.symbols(bench.robot), ca.SX.sym("p", 2)
     added = ca.jacobian(effect.torque(p, loads, Row.symbols(bench.robot)), p)
     at = ca.Function("added", [loads.q], [added])
     every = np.array([np.array(at(q)) for q in bench.table.joints])
@@ -502,6 +511,7 @@ VARIANTS = {  # how many forms there are to try, where not one
     "nonlinear-joint-stiffness": 5,
     "joint-eccentricity": 2,
     "gear-transmission-error": 2,
+    "gravity-compensator": 7,
     "joint-hysteresis": 5,
     "joint-error-map": 3,
     "tool-deflection": 2,

@@ -21,7 +21,9 @@ def score(bic, name, joint=0, **variant):
     part = f"joint{joint}" if joint else effect.declared[0].part
     cause = Cause(ROBOT, effect, part)
     n = len(cause.declared)
-    return Score(Candidate(cause, np.arange(n)), -bic, 0.1, float(n), 1e-9, bic, 1.0, np.zeros(n), np.eye(n))
+    return Score(
+        Candidate(cause, np.arange(n)), -bic, 0.1, float(n), 1e-9, bic, 1.0, np.zeros(n), np.eye(n), np.eye(n), n, 200.0
+    )
 
 
 def judged(*scores):
@@ -145,7 +147,20 @@ def test_a_family_is_named_where_all_rivals_are_of_it(rivals, family):
         own = score(-47.0, "gear-ratio-error", joint)
         cause = Cause(geared, effects[name], f"joint{joint}")
         others.append(
-            Score(Candidate(cause, np.arange(2)), 47.0, 0.1, 2.0, 1e-9, own.delta_bic, 1.0, np.zeros(2), np.eye(2))
+            Score(
+                Candidate(cause, np.arange(2)),
+                47.0,
+                0.1,
+                2.0,
+                1e-9,
+                own.delta_bic,
+                1.0,
+                np.zeros(2),
+                np.eye(2),
+                np.eye(2),
+                2,
+                200.0,
+            )
         )
     found = judged(score(-50.0, "periodic-joint-error", 2, order=3.0), *others)
     assert names(found) == rivals

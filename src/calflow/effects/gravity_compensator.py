@@ -3,49 +3,88 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 import numpy as np
 
 from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable
+from calflow.robot.chain import Deflection, pose
+from calflow.robot.description import Robot
+from calflow.robot.dimensions import nominal_dimensions
 from calflow.robot.statics import State, rated_torques
 
-FIRST_SD, SECOND_SD, BOUND = 0.3, 0.05, 2.0  # times joint 2's rated torque, of the torque's two orders
+if TYPE_CHECKING:
+    from calflow.measurements import Measurements
+
+SD, BOUND = 0.3, 2.0  # times joint 2's rated torque
+RATIOS = (0.2, 0.4)  # lever on the arm over the hinge's distance, of short cylinders
+HINGES = (-90.0, 0.0, 90.0)  # deg from straight below the joint
 
 
 @dataclass(frozen=True)
 class GravityCompensator(Effect):
-    """Torque on joint 2 = T1c cos q2 + T1s sin q2 + T2c cos 2 q2 + T2s sin 2 q2.
+    """Torque on joint 2 = (Tc cos q2 + Ts sin q2) / sqrt(1 + r² + 2 r cos(q2 - q0 - hinge)).
 
-    A cylinder between a point of the column and one of the arm, r from the axis, the other much further, pulls with a
-    lever that is a sine of q2; the second order is what the finite distance leaves. It shows by the wind-up that it
-    takes off the joint's compliance.
+    A cylinder of constant force between a point of the arm and a hinge on the column has this lever: r is the point's
+    distance from the joint over the hinge's (0: the hinge is far away), q0 where the arm stands upright, hinge [deg] the
+    hinge's direction from straight below. It shows by the wind-up that it takes off the joint's compliance.
     """
+
+    ratio: float = 0.0
+    hinge: float = 0.0
 
     id: ClassVar[str] = "gravity-compensator"
     title: ClassVar[str] = "gravity compensator"
     needs: ClassVar[tuple[str, ...]] = ("masses",)
 
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return a far hinge, and near ones below the joint and on either side."""
+        return (cls(robot), *(cls(robot, ratio, hinge) for ratio in RATIOS for hinge in HINGES))
+
+    @property
+    def detail(self) -> str:
+        """Say how long the cylinder is."""
+        if not self.ratio:
+            return "far hinge"
+        side = f", {self.hinge:+.0f} deg from below" if self.hinge else " below"
+        return f"hinge {1 / self.ratio:.3g} levers away{side}"
+
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the torque's two orders."""
+        """Return the torque's two phases."""
         if self.robot.n_joints < 2:
             return ()
         rated = float(rated_torques(self.robot)[1])
         return tuple(
-            Parameter(self.id, "joint2", f"T{order}{phase}", "Nm", sd * rated, -BOUND * rated, BOUND * rated,
-                      meaning=f"compensator's torque, order {order}", joint=2)
-            for order, sd in ((1, FIRST_SD), (2, SECOND_SD)) for phase in "cs"
+            Parameter(self.id, "joint2", f"T{phase}", "Nm", SD * rated, -BOUND * rated, BOUND * rated,
+                      meaning=f"compensator's torque, {wave} part", joint=2)
+            for phase, wave in (("c", "cosine"), ("s", "sine"))
         )  # fmt: skip
+
+    @cached_property
+    def upright(self) -> float:
+        """The angle of joint 2 [rad] at which the arm points against gravity, the others at zero."""
+        robot = self.robot
+        at = pose(robot, nominal_dimensions(robot), ca.SX(robot.n_joints, 1), Deflection.zero(robot.n_joints))
+        frame, end = (np.array(ca.DM(ca.evalf(one))) for one in (at.joints[1], at.ends[2]))
+        axis, arm, up = frame[:3, 2], end[:3, 3] - frame[:3, 3], -np.array(robot.gravity)
+        across = up - axis * (axis @ up)
+        return float(np.arctan2(axis @ np.cross(arm, across), arm @ across))
 
     def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
         """Add the cylinder's torque."""
         if self.robot.n_joints < 2:
             return 0.0
         q = state.q[1]
+        length = 1.0
+        if self.ratio:
+            angle = q - self.upright - np.deg2rad(self.hinge)
+            length = ca.sqrt(1 + self.ratio**2 + 2 * self.ratio * ca.cos(angle))
         torque = ca.SX(self.robot.n_joints, 1)
-        torque[1] = ca.dot(p, ca.vertcat(ca.cos(q), ca.sin(q), ca.cos(2 * q), ca.sin(2 * q)))
+        torque[1] = (p[0] * ca.cos(q) + p[1] * ca.sin(q)) / length
         return torque
 
     def variable(self, joint: int) -> Variable:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -141,6 +142,11 @@ class Catalogue:
 
     effects: tuple[Effect, ...]
     lacking: dict[str, str]
+
+    @cached_property
+    def variants(self) -> dict[tuple[str, str], int]:
+        """How many forms there are for each place."""
+        return dict(Counter((effect.id, part) for effect in self.effects for part in parts(effect)))
 
     @staticmethod
     def of(data: Measurements, have: Sequence[str], only: Sequence[str] = (), without: Sequence[str] = ()) -> Catalogue:

@@ -47,10 +47,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     study = context.study
     data = study.measurements()
     known = identified(study.robot, context.tables, data.given)
-    data = mended(
-        data.on(known.model.robot),
-        context.tables["identify/faults.csv"],
-    )
+    data = mended(data.on(known.model.robot), context.tables["identify/faults.csv"])
     found = diagnose(known, data, context)
     final = found.extended.fitted
     faults = context.tables["identify/faults.csv"]
@@ -107,7 +104,7 @@ def diagnose(known: Identified, data: Measurements, context: Context) -> Diagnos
     if again := growth(last.weighed(plain) if grown else last, alarm):
         context.say(f"the noise grows with range: {1e6 * again.slope:.3g} um/m, p = {again.p:.2g}")
     verdicts = tuple(verdict(finding) for finding in extended.findings)
-    return Diagnosis(start, extended, verdicts, tuple(left), again, catalogue.lacking)
+    return Diagnosis(start, extended, verdicts, tuple(left), again, catalogue.lacking, gate.false_alarm)
 
 
 def _accuracy(found: Diagnosis, data: Measurements, before: pd.DataFrame) -> pd.DataFrame:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
 from calflow.measurements import Measurements
 from calflow.model import Model
 from calflow.stages.causes import Catalogue, Cause
+from calflow.stages.exchange import COLUMNS, Exchange
 from calflow.stages.fit import Fit, Loss, Problem
 from calflow.stages.identified import Identified
 from calflow.stages.noise import LackOfFit, Noise
@@ -20,6 +23,7 @@ FAR, MEDIAN_LENGTH = 4.5, 1.5382  # robust standard deviations; the median lengt
 CLEAR = 1e-3  # share of the gate below which the cost of the tests need not be worked out anew
 MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
+ENTANGLED = 3  # causes, the last found, that are exchanged by two
 WEIGHINGS = 3  # fits in which the weights of rows far off settle
 
 
@@ -52,6 +56,13 @@ class Fitted:
         """By how much rows count less than the device's noise says, at least 1, shape (n_rows,)."""
         ratio = self.noise.sigma / self.device.sigma
         return np.asarray(ratio / ratio.min())
+
+    @property
+    def misfit(self) -> float:
+        """Huber's cost of all rows, and the priors' chi²."""
+        fit, model = self.fit, self.model
+        pulled = (fit.estimate - model.nominal) / model.prior_sd
+        return float((fit.residual**2).sum() + 2 * FAR**2 * (self.far - 1).sum() + pulled @ pulled)
 
     @property
     def problem(self) -> Problem:
@@ -172,7 +183,7 @@ class Look:
     @staticmethod
     def at(fitted: Fitted, causes: Sequence[Cause], catalogue: Catalogue) -> Look:
         """Linearise a fitted model; its own causes are among the candidates, for when they are taken out."""
-        effects = (*catalogue.effects, *causes)
+        effects = (*catalogue.effects, *(cause for cause in causes if cause.effect not in catalogue.effects))
         return Look(fitted, tuple(causes), Regressors.of(fitted.fit, fitted.problem, effects, fitted.poses))
 
     def screened(self, rng: np.random.Generator, known: Family | None = None) -> Screened:
@@ -184,61 +195,160 @@ class Look:
         hidden = tuple(cause for place, cause in every.items() if place not in shown)
         return Screened(tuple(screening.scores), known or screening.family(rng), hidden)
 
-    def findings(self, family: Family) -> list[Finding]:
-        """Score all candidates in each cause's place, the others staying in the model; linear, without a refit."""
+    def apart(self, gone: Sequence[Cause]) -> Screening:
+        """Test all candidates in the place of some causes, the others staying in the model; linear, without a refit."""
         whole, estimate = self.regressors, self.fitted.fit.estimate
         free = np.flatnonzero(~self.fitted.fit.at_bound)
-        found = []
-        for cause in self.causes:
-            columns = np.flatnonzero(np.isin(free, self.fitted.columns(cause)))
-            value = estimate[free[columns]]
-            apart = whole.without(
-                columns, whole.jacobian[:, columns] @ value, value * np.sqrt(whole.precision[columns])
-            )
-            others = tuple(c for c in apart.candidates if c.cause == cause or c.cause not in self.causes)
-            found.append(Finding(cause, tuple(Screening(replace(apart, candidates=others)).scores), family))
-        return found
+        columns = np.flatnonzero(np.isin(free, np.concatenate([self.fitted.columns(cause) for cause in gone])))
+        value = estimate[free[columns]]
+        apart = whole.without(columns, whole.jacobian[:, columns] @ value, value * np.sqrt(whole.precision[columns]))
+        others = tuple(c for c in apart.candidates if c.cause in gone or c.cause not in self.causes)
+        return Screening(replace(apart, candidates=others))
+
+    def findings(self, family: Family) -> list[Finding]:
+        """Score all candidates in each cause's place."""
+        return [Finding(cause, tuple(self.apart([cause]).scores), family) for cause in self.causes]
+
+
+@dataclass(frozen=True)
+class Step:
+    """What to try next: the causes, where their fit starts, the share of chi² that is to go, and why in words."""
+
+    causes: list[Cause]
+    start: np.ndarray
+    share: float
+    words: str
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A model that was tried, and how to look at it: the catalogue, and the first screening's cost of the tests."""
+
+    fitted: Fitted
+    causes: list[Cause]
+    catalogue: Catalogue
+    family: Family
+
+    @cached_property
+    def look(self) -> Look:
+        """The linearised model."""
+        return Look.at(self.fitted, self.causes, self.catalogue)
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """Its causes, each weighed against all candidates in its place."""
+        return tuple(self.look.findings(self.family))
+
+    @property
+    def bic(self) -> float:
+        """What it costs, to be compared with other trials': misfit, parameters, and the variants that were tried."""
+        fitted = self.fitted
+        n = fitted.fit.residual.size
+        scale = float(np.median(fitted.noise.sigma / fitted.far))
+        scans = sum(np.log(self.catalogue.variants[cause.place]) for cause in self.causes)
+        return float(n * np.log(fitted.misfit * scale**2) + fitted.fit.effective_parameters * np.log(n) + 2 * scans)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What every step of the search needs."""
+
+    catalogue: Catalogue
+    gate: Gate
+    base: int
+    first: Screened
+    rng: np.random.Generator
+    say: Callable[[str], None]
+
+    def settled(self, tried: list[Trial]) -> Trial:
+        """Add causes while one passes, drop or swap those that prove mistaken; return the last model whose causes all stand.
+
+        tried grows by the models on the way.
+        """
+        begin = len(tried) - 1
+        while step := next((step for step in self._steps(tried[-1]) if _is_new(step.causes, tried)), None):
+            self.say(step.words)
+            tried.append(self.trial(tried[-1], step))
+        return next(t for t in reversed([tried[0], *tried[begin:]]) if all(_stands(f, self.gate) for f in t.findings))
+
+    def trial(self, before: Trial, step: Step) -> Trial:
+        """Fit what a step asks for."""
+        fitted = before.fitted.with_causes(self.base, step.causes, step.start, step.share)
+        return Trial(fitted, step.causes, self.catalogue, self.first.family)
+
+    def exchanged(self, best: Trial, tried: list[Trial]) -> Trial | None:
+        """Return a better model that two causes at once lead to, if there is one."""
+        for step in self.exchanges(best):
+            if not _is_new(step.causes, tried):
+                continue
+            tried.append(self.trial(best, step))
+            if tried[-1].bic < best.bic:
+                self.say(step.words)
+                if (other := self.settled(tried)).bic < best.bic:
+                    return other
+                self.say("which is no better")
+        return None
+
+    def exchanges(self, trial: Trial) -> Iterator[Step]:
+        """Yield the causes with a pair in the place of two, or of one, where it explains the data better."""
+        small = [cause for cause in trial.causes if len(cause.declared) <= COLUMNS][-ENTANGLED:]
+        for gone in (*combinations(small, 2), *combinations(small, 1)):
+            pairs = Exchange.of(trial.look.apart(gone), trial.family, gone).better()
+            if pair := next((pair for pair in pairs if pair.p < self.gate.false_alarm), None):
+                stay = [cause for cause in trial.causes if cause not in gone]
+                yield self._replaced(trial, [*stay, pair.first.cause, pair.second.cause])
+
+    def _steps(self, trial: Trial) -> Iterator[Step]:
+        if len(trial.causes) < self.gate.most:
+            yield from _added(trial, self.first, self.gate, self.rng)
+        yield self._replaced(trial, second_thoughts(trial.findings, self.gate))
+
+    def _replaced(self, trial: Trial, causes: list[Cause]) -> Step:
+        said = _difference(trial.causes, causes)
+        return Step(causes, _start(trial.fitted, self.base, causes), 0.0, said)
 
 
 def extend(
     start: Fitted, catalogue: Catalogue, gate: Gate, rng: np.random.Generator, say: Callable[[str], None]
 ) -> Extended:
-    """Add causes while one passes the gate, then drop those that the others make needless and swap mistaken ones."""
-    base, now, causes = len(start.model.effects), start, list[Cause]()
-    look = Look.at(now, causes, catalogue)
-    first = last = look.screened(rng)
-    trail = [now]
-    while len(causes) < gate.most:
-        passed = [score for score in last.scores if _passes(score, last.family, gate)]
-        if (
-            last.family is first.family
-            and causes
-            and not (passed and last.family.p(passed[0]) < CLEAR * gate.false_alarm)
-        ):
-            last = look.screened(rng)  # what the tests cost depends on what is left, where it matters
-            passed = [score for score in last.scores if _passes(score, last.family, gate)]
-        if not passed:
-            break
-        best = _refined(passed[0], now)
-        say(f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {last.family.p(best):.2g}")
-        causes.append(best.cause)
-        now = now.with_causes(base, causes, np.concatenate([now.fit.estimate, best.estimate]), best.share)
-        trail.append(now)
-        look = Look.at(now, causes, catalogue)
-        last = look.screened(rng, first.family)
-    findings = look.findings(first.family)
-    tried = [causes]
-    while (better := second_thoughts(findings, gate)) not in tried:
-        gone, come = ([c for c in these if c not in those] for these, those in ((causes, better), (better, causes)))
-        say(f"{' and '.join(map(words, gone))} gives way to {' and '.join(map(words, come)) or 'nothing'}")
-        causes = better
-        tried.append(causes)
-        now = now.with_causes(base, causes, _start(now, base, causes))
-        trail.append(now)
-        look = Look.at(now, causes, catalogue)
-        findings = look.findings(first.family)
-    path = tuple(_fitted(trail, start, base, causes[: k + 1]) for k in range(len(causes)))
-    return Extended(now, tuple(findings), path, first)
+    """Add causes while one passes the gate, and drop, swap and exchange those that prove mistaken, until nothing changes."""
+    base = len(start.model.effects)
+    look = Look.at(start, [], catalogue)
+    search = _Search(catalogue, gate, base, look.screened(rng), rng, say)
+    tried = [Trial(start, [], catalogue, search.first.family)]
+    best = search.settled(tried)
+    while better := search.exchanged(best, tried):
+        best = better
+    trail = [trial.fitted for trial in tried]
+    path = tuple(_fitted(trail, start, base, best.causes[: k + 1]) for k in range(len(best.causes)))
+    return Extended(best.fitted, best.findings, path, search.first)
+
+
+def _is_new(causes: Sequence[Cause], tried: Sequence[Trial]) -> bool:
+    return not any(
+        len(causes) == len(trial.causes) and all(cause in trial.causes for cause in causes) for trial in tried
+    )
+
+
+def _added(trial: Trial, first: Screened, gate: Gate, rng: np.random.Generator) -> Iterator[Step]:
+    """The causes with the best one that passes the gate."""
+    now = trial.look.screened(rng, first.family) if trial.causes else first
+    passed = [score for score in now.scores if _passes(score, now.family, gate)]
+    if trial.causes and not (passed and now.family.p(passed[0]) < CLEAR * gate.false_alarm):
+        now = trial.look.screened(rng)  # what the tests cost depends on what is left, where it matters
+        passed = [score for score in now.scores if _passes(score, now.family, gate)]
+    if not passed:
+        return
+    best = finest(passed[0], trial.fitted)
+    said = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
+    yield Step(
+        [*trial.causes, best.cause], np.concatenate([trial.fitted.fit.estimate, best.estimate]), best.share, said
+    )
+
+
+def _difference(before: Sequence[Cause], after: Sequence[Cause]) -> str:
+    gone, come = ([c for c in these if c not in those] for these, those in ((before, after), (after, before)))
+    return f"{' and '.join(map(words, gone))} gives way to {' and '.join(map(words, come)) or 'nothing'}"
 
 
 def narrowed(start: Fitted, extended: Extended, decoys: Sequence[Cause], catalogue: Catalogue, gate: Gate) -> Extended:
@@ -290,7 +400,7 @@ def _passes(score: Score, family: Family, gate: Gate) -> bool:
     return score.delta_bic < 0 and score.share > MATERIAL and family.p(score) < gate.false_alarm
 
 
-def _refined(score: Score, now: Fitted) -> Score:
+def finest(score: Score, now: Fitted) -> Score:
     """Return the best variant of a cause between its neighbours in the scan."""
     finer = [Cause(c.robot, c, score.cause.part) for c in score.cause.effect.finer(now.data)]
     if not finer:

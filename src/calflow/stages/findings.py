@@ -12,6 +12,7 @@ from calflow.effects import catalogue
 from calflow.measurements import Measurements
 from calflow.stages.accuracy import errors
 from calflow.stages.causes import Cause
+from calflow.stages.detection_limit import detection_limit
 from calflow.stages.extension import Extended, Fitted
 from calflow.stages.gain import gain
 from calflow.stages.noise_growth import Growth
@@ -25,7 +26,7 @@ FINDINGS = [
 ]  # fmt: skip
 CANDIDATES = [
     "cause", "joint", "statistic", "p_family", "delta_bic", "probability", "visible_share", "estimate", "sd", "unit",
-    "tests", "part", "detail", "note",
+    "limit", "tests", "part", "detail", "note",
 ]  # fmt: skip
 
 
@@ -33,7 +34,8 @@ CANDIDATES = [
 class Diagnosis:
     """All that was found: the model to start from, its extension, a verdict a finding, and what is left.
 
-    growth is the noise's with range where there is one; lacking says by id why an effect was not tested.
+    growth is the noise's with range where there is one; lacking says by id why an effect was not tested; false_alarm is what
+    causes were allowed.
     """
 
     start: Fitted
@@ -42,6 +44,7 @@ class Diagnosis:
     left: tuple[Remainder, ...]
     growth: Growth | None
     lacking: Mapping[str, str]
+    false_alarm: float
 
     @property
     def causes(self) -> list[Cause]:
@@ -82,7 +85,14 @@ def candidates_table(found: Diagnosis) -> pd.DataFrame:
     rows = []
     for place, (bic, score) in sorted(places.items(), key=lambda item: item[1][0]):
         rows.append(
-            _score(score) | {"p_family": first.family.p(score), "delta_bic": bic, "probability": weights[place] / total}
+            _score(score)
+            | {
+                "p_family": first.family.p(score),
+                "delta_bic": bic,
+                "probability": weights[place] / total,
+                "limit": detection_limit(score, first.family, found.false_alarm),
+                "tests": first.family.tests(score),
+            }
         )
     for cause in first.hidden:
         rows.append({"cause": cause.id, "joint": cause.joint or None, "part": cause.part,

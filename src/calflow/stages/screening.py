@@ -7,6 +7,7 @@ the score u = Xᵀe - XᵀJ (JᵀJ + P)⁻¹ (Jᵀe + P δ): uᵀ(S + prior)⁻�
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -59,7 +60,7 @@ class Regressors:
         poses (n_rows,) numbers the rows by pose: what the rows of a pose have in common counts once (see `shared_error`).
         """
         model = fit.model
-        large = Model(model.robot, (*model.effects, *effects), model.given)
+        large = Model(model.robot, model.effects, model.given, tuple(effects))
         wide = replace(problem, model=large)
         n = len(model.parameters)
         inputs, residual = wide.expression()
@@ -105,7 +106,7 @@ class Score:
 
     drop is that of chi² and share its part of all, freedom the degrees of freedom it costs, p the p-value of this test
     alone; delta_bic is negative where it pays. visible_share is how much of the effect the model's own parameters cannot
-    imitate.
+    imitate, information S, shown how many directions of it the data show, left the degrees of freedom besides them.
     """
 
     candidate: Candidate
@@ -117,6 +118,9 @@ class Score:
     visible_share: float
     estimate: np.ndarray
     covariance: np.ndarray
+    information: np.ndarray
+    shown: int
+    left: float
 
     @property
     def cause(self) -> Cause:
@@ -198,6 +202,16 @@ class Screening:
         return float(r.residual @ r.residual + r.prior_rss - self._gradient @ self._gradient)
 
     @cached_property
+    def variants(self) -> dict[tuple[str, str], int]:
+        """How many candidates each place has."""
+        return dict(Counter(candidate.cause.place for candidate in self.regressors.candidates))
+
+    def information(self, columns: np.ndarray) -> np.ndarray:
+        """Return S between some columns, shape (n_columns, n_columns)."""
+        x, imitated = self.regressors.matrix[:, columns], self._imitated[:, columns]
+        return np.asarray(x.T @ x - imitated.T @ imitated)
+
+    @cached_property
     def _blocks(self) -> list[_Block]:
         sizes = np.array([len(candidate.columns) for candidate in self.regressors.candidates])
         blocks = []
@@ -224,21 +238,23 @@ class Screening:
     def scores(self) -> list[Score]:
         """Every visible candidate's score, best first."""
         n = len(self.regressors.residual)
-        counts = _variants(self.regressors.candidates)
         found = []
         for block in self._blocks:
             own = self.score[block.columns]
             squared = np.einsum("mij,mj->mi", block.roots, own) ** 2
             p = self._p(squared.sum(axis=1), self.chi2, block)
             drops, spent = (squared * block.weight).sum(axis=1), block.weight.sum(axis=1)
-            scans = np.array([counts[self.regressors.candidates[member].cause.place] for member in block.members])
+            scans = np.array(
+                [self.variants[self.regressors.candidates[member].cause.place] for member in block.members]
+            )
             bic = n * np.log1p(-np.minimum(drops / self.chi2, 1 - 1e-12)) + spent * np.log(n) + 2 * np.log(scans)
             precision = self.regressors.prior_sd[block.columns] ** -2.0
             covariance = np.linalg.inv(block.information + np.eye(own.shape[1]) * precision[:, None, :])
             estimate = -np.einsum("mij,mj->mi", covariance, own)
             found += [
                 Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),
-                      float(p[k]), float(bic[k]), float(block.share[k]), estimate[k], covariance[k])
+                      float(p[k]), float(bic[k]), float(block.share[k]), estimate[k], covariance[k],
+                      block.information[k], int(block.freedom[k]), float(max(n - block.freedom[k], 1)))
                 for k, member in enumerate(block.members)
             ]  # fmt: skip
         return sorted(found, key=lambda score: score.delta_bic)
@@ -316,13 +332,6 @@ def _worth(smallest: np.ndarray) -> float:
     """How many independent tests have a smallest p-value that is distributed like this."""
     quantile = float(np.quantile(smallest, LEVEL))
     return float(max(1.0, np.log1p(-LEVEL) / np.log1p(-min(quantile, LEVEL))))
-
-
-def _variants(candidates: Sequence[Candidate]) -> dict[tuple[str, str], int]:
-    counts: dict[tuple[str, str], int] = {}
-    for candidate in candidates:
-        counts[candidate.cause.place] = counts.get(candidate.cause.place, 0) + 1
-    return counts
 
 
 def _candidates(effects: Sequence[Effect]) -> tuple[Candidate, ...]:

@@ -1,0 +1,229 @@
+"""Blind cases: robots and poses drawn at random, and causes hidden in them at a size in detection limits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calflow.faults import mended
+from calflow.runs import run
+from calflow.stages.causes import Catalogue
+from calflow.stages.detection_limit import noncentrality
+from calflow.stages.diagnose import SHARES
+from calflow.stages.extension import Fitted, Look, Screened
+from calflow.stages.identified import identified
+from calflow.stages.noise import averaged
+from calflow.stages.screening import Screening
+from calflow.study import load_study
+from hidden.case import Case, World, draw, write_case
+from hidden.causes import Hidden, measured_points
+
+FALSE_ALARM = 0.01
+SIZES = (1.0, 1.5, 2.0, 3.0, 5.0)
+NULLS = ("gauss", "heavy", "range", "outliers")
+ONLY_SWEEPS = {"payload-mass", "tool-deflection", "link-mass"}  # causes that one payload alone does not show
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A cause to hide: where, the catalogue's largest size, its forms, and the columns without which it is not tested."""
+
+    cause: str
+    joints: tuple[int, ...]
+    largest: float
+    extras: tuple[float | str, ...] = ("",)
+    columns: tuple[str, ...] = ()
+
+
+UNITS = (
+    Unit("joint-backlash", (1, 2, 3, 4, 5), 300e-6, columns=("approach",)),
+    Unit("joint-hysteresis", (1, 2, 3, 4, 5), 200e-6, columns=("approach", "travel")),
+    Unit("torque-backlash", (2, 3, 5), 300e-6),
+    Unit("joint-eccentricity", (1, 2, 3, 4, 5), 300e-6, (1, 2)),
+    Unit("periodic-joint-error", (1, 2, 3, 4, 5), 400e-6, (5, 7.3, 12)),
+    Unit("gear-transmission-error", (1, 2, 3, 5), 150e-6, (1, 2)),
+    Unit("gear-ratio-error", (1, 2, 3, 4, 5), 10e-3),  # a mistake in a file knows no usual size
+    Unit("wrist-coupling", (5, 6), 10e-3, ("54", "64", "65")),
+    Unit("nonlinear-joint-stiffness", (2, 3), 1e-3, ("", "break")),
+    Unit("bearing-compliance", (2, 3, 4), 3e-7),
+    Unit("link-bending", (2, 4), 3e-7),
+    Unit("link-torsion", (2, 4), 3e-7),
+    Unit("base-compliance", (0,), 5e-8),
+    Unit("gravity-compensator", (2,), 30e3),
+    Unit("payload-mass", (0,), 0.3),
+    Unit("payload-com", (0,), 0.1),
+    Unit("link-mass", (3,), 0.3),
+    Unit("tool-deflection", (0,), 3e-7),
+    Unit("thermal-growth", (0,), 23e-6, columns=("time", "temperature")),
+    Unit("frame-drift", (0,), 3e-4, columns=("time",)),
+    Unit("frame-step", (0,), 1e-3),
+)
+NEAR = {"gear-ratio-error", "joint-eccentricity", "link-torsion", "bearing-compliance", "link-bending", "link-mass",
+        "payload-mass", "gravity-compensator"}  # fmt: skip
+UNKNOWN = (  # what the catalogue lacks, and how it is cut down
+    (Hidden("third-order", 2, 2e-4), 'leave_out = ["periodic-joint-error", "joint-error-map"]'),
+    (Hidden("third-order", 1, 1.5e-4), 'leave_out = ["periodic-joint-error", "joint-error-map"]'),
+    (Hidden("cable-drag", 0, 3e-4), ""),
+    (Hidden("random-field", 0, 1e-4), ""),
+    (Hidden("floor-vibration", 0, 1.5e-4), ""),
+)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One case to simulate and diagnose; several causes are drawn among some, each its size times its detection limit."""
+
+    case: Case
+    seed: int
+    kind: str
+    size: float = 0.0
+    several: int = 0
+    among: frozenset[str] = frozenset()
+
+
+def nulls(number: int, rng: np.random.Generator) -> Iterator[Job]:
+    """Nothing hidden, under every kind of noise."""
+    for k in range(number):
+        yield Job(replace(_design(rng), noise=NULLS[k % len(NULLS)]), _seed(rng), NULLS[k % len(NULLS)])
+
+
+def effects(number: int, rng: np.random.Generator) -> Iterator[Job]:
+    """One cause, anywhere, at any size."""
+    for k in range(number):
+        yield Job(_design(rng), _seed(rng), "effect", SIZES[k % len(SIZES)], 1)
+
+
+def pairs(number: int, rng: np.random.Generator) -> Iterator[Job]:
+    """Two causes of different kinds."""
+    for _ in range(number):
+        yield Job(_design(rng), _seed(rng), "pair", 3.0, 2)
+
+
+def alike(number: int, rng: np.random.Generator) -> Iterator[Job]:
+    """Causes with near rivals."""
+    for _ in range(number):
+        case = replace(_design(rng), payloads=("none", "half", "full"), markers=1)
+        yield Job(case, _seed(rng), "alike", 2.0, 1, frozenset(NEAR))
+
+
+def unknown(number: int, rng: np.random.Generator) -> Iterator[Job]:
+    """Causes outside the catalogue."""
+    for k in range(number):
+        hidden, cut = UNKNOWN[k % len(UNKNOWN)]
+        settings = f"[stages.diagnose]\n{cut}\n" if cut else ""
+        case = replace(_design(rng), hidden=(hidden,), poses=160, columns=("approach", "time"), settings=settings)
+        yield Job(case, _seed(rng), hidden.cause)
+
+
+def springs(number: int, rng: np.random.Generator) -> Iterator[Job]:
+    """Compliant joints, where the study knows neither them nor the masses."""
+    for _ in range(number):
+        case = replace(
+            _design(rng), hidden=(Hidden("gravity-deflection", 0, 1.0),), masses=False, effects=("geometry",)
+        )
+        yield Job(case, _seed(rng), "gravity-deflection")
+
+
+def _design(rng: np.random.Generator) -> Case:
+    """Draw a robot, 60 or 120 poses to fit and a third as many to hold out, payloads, markers and columns."""
+    return Case(
+        robot=str(rng.choice(["serial", "hh800"])),
+        poses=int(rng.choice([80, 160])),
+        payloads=[("none", "half", "full"), ("full",)][int(rng.random() < 0.3)],
+        markers=int(rng.choice([1, 3])),
+        columns=("approach", "travel", "time", "temperature")[: int(rng.choice([1, 2, 4]))],
+    )
+
+
+def _seed(rng: np.random.Generator) -> int:
+    return int(rng.integers(2**31))
+
+
+# --- Sizes -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Bare:
+    """The same robot, poses and noise with nothing hidden, fitted and screened."""
+
+    fitted: Fitted
+    look: Look
+    screened: Screened
+
+
+def begun(folder: Path, tables: dict) -> tuple[Fitted, Catalogue]:
+    """Return the fit that diagnose begins with, and its catalogue."""
+    study = load_study(folder)
+    data = study.measurements()
+    known = identified(study.robot, tables, data.given)
+    data = mended(data.on(known.model.robot), tables["identify/faults.csv"])
+    train, level = averaged(data.only(data.train), known.noise(data).only(data.train))
+    return Fitted.of(known, train, level), Catalogue.of(train, [effect.id for effect in known.model.effects])
+
+
+def sized(job: Job, folder: Path) -> tuple[Case, list[float]]:
+    """Return the case with its causes drawn, each job.size times its detection limit; and how far beyond the other's reach.
+
+    Causes that these poses do not show at the catalogue's largest size are drawn anew. The figures are each cause's size in
+    limits where the other causes are known to act too.
+    """
+    rng = np.random.default_rng([job.seed, 1])
+    nothing = tuple(Hidden("joint-backlash", 1, 0.0) for _ in range(job.several))
+    write_case(folder, replace(job.case, hidden=nothing), np.random.default_rng(job.seed))
+    tables = run(load_study(folder), folder / "run", stage="identify").tables
+    fitted, catalogue = begun(folder, tables)
+    look = Look.at(fitted, [], catalogue)
+    bare = Bare(fitted, look, look.screened(rng))
+    units = [unit for unit in UNITS if set(unit.columns) <= set(job.case.columns)]
+    units = [unit for unit in units if not job.among or unit.cause in job.among]
+    if len(job.case.payloads) == 1:
+        units = [unit for unit in units if unit.cause not in ONLY_SWEEPS]
+    while True:
+        drawn = [units[k] for k in rng.choice(len(units), job.several, replace=False)]
+        hidden = tuple(_placed(unit, rng) for unit in drawn)
+        world = draw(replace(job.case, hidden=hidden), np.random.default_rng(job.seed))
+        shifts = [_shift(bare, world, k) for k in range(len(hidden))]
+        limits = [_limit(bare, h, shift) for h, shift in zip(hidden, shifts, strict=True)]
+        if max(limits) <= 1:
+            break
+    sizes = [job.size * limit for limit in limits]
+    chosen = tuple(replace(h, size=h.size * size) for h, size in zip(hidden, sizes, strict=True))
+    beside = [
+        size / _limit(bare, h, shift, [other for other in shifts if other is not shift])
+        for h, shift, size in zip(hidden, shifts, sizes, strict=True)
+    ]
+    return replace(job.case, hidden=chosen), beside
+
+
+def _placed(unit: Unit, rng: np.random.Generator) -> Hidden:
+    joint, extra = int(rng.choice(unit.joints)), unit.extras[int(rng.integers(len(unit.extras)))]
+    if unit.cause == "wrist-coupling":
+        joint = int(str(extra)[0])
+    return Hidden(unit.cause, joint, unit.largest, extra)
+
+
+def _shift(bare: Bare, world: World, which: int) -> np.ndarray:
+    """What a cause does to the training rows at its largest size, in standard deviations; linear, from a tenth of it."""
+    small = replace(world.hidden[which], size=0.1 * world.hidden[which].size)
+    moved = measured_points(world.real, world.rows, (small,)) - measured_points(world.real, world.rows, ())
+    rows = bare.fitted.data.table["line"].to_numpy(int) - 2
+    return (10 * moved[rows] / bare.fitted.noise.total[0][:, None]).ravel()
+
+
+def _limit(bare: Bare, h: Hidden, shift: np.ndarray, others: list[np.ndarray] = []) -> float:  # noqa: B006
+    """The size found 95 times in 100, over the largest one; infinite where the cause's own form does not show at all."""
+    plain = bare.look.regressors
+    wider = replace(
+        plain, residual=shift, pull=np.zeros(plain.jacobian.shape[1] + len(others)), prior_rss=0.0,
+        jacobian=np.column_stack([plain.jacobian, *others]), precision=np.append(plain.precision, np.zeros(len(others))),
+    )  # fmt: skip
+    seen = Screening(wider)
+    own = [score for score in seen.scores if (score.cause.id, score.cause.joint) == (h.cause, h.joint)]
+    if not own:
+        return np.inf
+    best = max(own, key=lambda score: score.drop)
+    needed = noncentrality(SHARES["causes"] * FALSE_ALARM, bare.screened.family.tests(best), best.shown, best.left)
+    return float(np.sqrt(needed / seen.chi2))

@@ -1,0 +1,153 @@
+"""What the findings of a blind case say, against what was hidden in it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from blind_cases import begun
+
+from calflow.measurements import Measurements
+from calflow.model import Model
+from calflow.stages.accuracy import errors
+from calflow.stages.extension import Fitted, finest
+from calflow.stages.identified import calibrated, identified
+from calflow.stages.screening import Regressors, Screening
+from calflow.study import load_study
+from hidden.causes import Hidden
+
+FAMILY = {"joint-eccentricity", "periodic-joint-error", "gear-transmission-error", "joint-error-map"}
+CLASSES = (  # names that count as right up to their class
+    FAMILY,
+    {"base-compliance", "bearing-compliance"},
+    {"joint-backlash", "joint-hysteresis"},
+    {"link-torsion", "bearing-compliance"},
+    {"gear-ratio-error", "joint-eccentricity"},
+    {"payload-mass", "link-mass"},
+    {"gravity-compensator", "joint-eccentricity"},
+    {"link-bending", "joint-compliance", "nonlinear-joint-stiffness"},
+)
+SAME_FIGURE = {"joint-backlash", "torque-backlash", "joint-eccentricity", "gear-transmission-error", "gear-ratio-error",
+               "wrist-coupling", "link-bending", "link-torsion", "base-compliance", "payload-mass", "link-mass",
+               "payload-com", "thermal-growth", "frame-step"}  # fmt: skip
+
+Tables = Mapping[str, pd.DataFrame]
+
+
+def told(tables: Tables) -> dict[str, object]:
+    """Count what was found."""
+    found = tables["diagnose/findings.csv"]
+    causes = _causes(tables)
+    noise = found["cause"] == "range-noise"
+    return {
+        "found": len(causes),
+        "names": " + ".join(f"{c}:{int(j)}" for c, j in zip(causes["cause"], causes["joint"], strict=True)),
+        "status": causes["status"].iloc[0] if len(causes) else "",
+        "unexplained": int((found["status"] == "unexplained").sum()),
+        "faults": int((found["status"] == "data_fault").sum()),
+        "range_noise": int(noise.sum()),
+    }
+
+
+def one(h: Hidden, tables: Tables) -> dict[str, object]:
+    """Compare the first finding with the one cause that is hidden."""
+    causes = _causes(tables)
+    if not len(causes):
+        return {"detected": False}
+    first = causes.iloc[0]
+    return {
+        "detected": True, "right": _is(h, first), "up_to_class": _is_alike(h, first),
+        "in_set": any(_holds(h, row) for _, row in causes.iterrows()),
+        "set_size": 1 + len([x for x in first["cannot_tell_from"].split(";") if x]),
+        "probability": first["probability"],
+    } | _interval(h, first)  # fmt: skip
+
+
+def several(hidden: tuple[Hidden, ...], tables: Tables) -> dict[str, object]:
+    """Say whether every hidden cause is among the findings."""
+    rows = [row for _, row in _causes(tables).iterrows()]
+    return {
+        "right": all(any(_is(h, row) for row in rows) for h in hidden),
+        "up_to_class": all(any(_is_alike(h, row) for row in rows) for h in hidden),
+        "more": len(rows) - len(hidden),
+    }
+
+
+def gains(folder: Path, h: Hidden, tables: Tables) -> dict[str, float]:
+    """Return the held-out mean error [mm] before, with what was found, and with the true cause fitted to the same rows."""
+    study = load_study(folder)
+    data = study.measurements()
+    held = data.only(data.held_out)
+    base, best = identified(study.robot, tables, data.given), calibrated(study.robot, tables, data.given)
+    truth = true_structure(folder, h, tables)
+    return {
+        "before_mm": _mean(base.model, base.estimate, held),
+        "after_mm": _mean(best.model, best.estimate, held),
+        "truth_mm": _mean(truth.model, truth.fit.estimate, held),
+    }
+
+
+def true_structure(folder: Path, h: Hidden, tables: Tables) -> Fitted:
+    """Fit the identified model with the hidden cause, in the form of it that suits the training rows best."""
+    start, catalogue = begun(folder, dict(tables))
+    effects = [effect for effect in catalogue.effects if effect.id == h.cause]
+    scores = Screening(Regressors.of(start.fit, start.problem, effects, start.poses)).scores
+    best = finest(next(score for score in scores if score.cause.joint == h.joint), start)
+    point = np.concatenate([start.fit.estimate, best.estimate])
+    return start.with_causes(len(start.model.effects), [best.cause], point, best.share)
+
+
+def held_out(folder: Path, tables: Tables) -> dict[str, float]:
+    """Return the held-out mean error [mm] of the identified and of the extended model."""
+    study = load_study(folder)
+    data = study.measurements()
+    held = data.only(data.held_out)
+    base, best = identified(study.robot, tables, data.given), calibrated(study.robot, tables, data.given)
+    return {
+        "before_mm": _mean(base.model, base.estimate, held),
+        "after_mm": _mean(best.model, best.estimate, held),
+    }
+
+
+def effect_rms(folder: Path) -> float:
+    """How far what is hidden moves the points, rms over rows of the largest cause [mm]."""
+    answer = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
+    return max((cause.get("rms_mm", 0.0) for cause in answer["causes"]), default=0.0)
+
+
+def _mean(model: Model, estimate: np.ndarray, held: Measurements) -> float:
+    return float(1e3 * np.linalg.norm(errors(model, estimate, held), axis=1).mean())
+
+
+def _causes(tables: Tables) -> pd.DataFrame:
+    found = tables["diagnose/findings.csv"].fillna({"cannot_tell_from": "", "rivals": "", "joint": 0, "cause": ""})
+    return found[found["status"].isin(["named", "one_of"]) & (found["cause"] != "range-noise")]
+
+
+def _is(h: Hidden, row: pd.Series) -> bool:
+    return bool(row["cause"] == h.cause and (row["joint"] == h.joint or not h.joint))
+
+
+def _holds(h: Hidden, row: pd.Series) -> bool:
+    """Whether a finding is the cause, or names it among those that it cannot be told from."""
+    if _is(h, row):
+        return True
+    name = f"{h.cause} {h.joint}" if h.joint else h.cause
+    listed = h.cause in row["cannot_tell_from"].split(";")
+    return bool(listed and (row["joint"] in (h.joint, 0) or not h.joint or name in row["rivals"].split("; ")))
+
+
+def _is_alike(h: Hidden, row: pd.Series) -> bool:
+    same_class = any({row["cause"], h.cause} <= group for group in CLASSES)
+    near = row["joint"] == h.joint or not row["joint"] or not h.joint
+    return bool(_holds(h, row) or (same_class and near))
+
+
+def _interval(h: Hidden, row: pd.Series) -> dict[str, object]:
+    """How many standard deviations an amplitude is off, where both are the same figure."""
+    if h.cause not in SAME_FIGURE or not _is(h, row):
+        return {}
+    return {"z": (float(row["estimate"]) - h.size) / float(row["sd"])}
