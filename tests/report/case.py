@@ -197,9 +197,10 @@ def _candidates(told: list[Found]) -> pd.DataFrame:
         for one in told
     ]  # fmt: skip
     rows += [
-        {"cause": "gear-ratio-error", "joint": k, "p_family": 0.3, "delta_bic": 3.0 + k, "part": f"joint{k}"}
+        {"cause": "gear-ratio-error", "joint": k, "p_family": 0.3, "delta_bic": 3.0 + k, "part": f"joint{k}",
+         "unit": "1", "limit": 1.234e-4 * k}
         for k in (1, 2, 3)
-    ]
+    ]  # fmt: skip
     rows += [
         {"cause": "link-bending", "joint": k, "part": f"link{k}", "note": f"not testable: {why}"}
         for k, why in ((1, "these data cannot show it, the model's own parameters imitate it"), (2, "… imitate it"))

@@ -168,6 +168,14 @@ def test_what_could_not_be_tested_is_listed_by_what_it_needs(small: Context) -> 
     assert list(groups) == ["the model's own parameters imitate", "needs a column temperature_degC"]
 
 
+def test_how_small_a_cause_the_data_show_is_told_by_joint(small: Context) -> None:
+    """Fails if limits are not told, in another unit than the heading's, or as powers of ten."""
+    _, section = told(with_diagnosis(small))
+    below = section.partition("How small a cause these data show")[2]
+    row = next(line for line in below.splitlines() if "Gear ratio error" in line)
+    assert all(f'[#"{cell}";]' in row for cell in ("µrad/rad", "120", "250", "370"))
+
+
 @pytest.mark.parametrize("case", [Case(holdout=0.0), Case(stated=False)], ids=["none held out", "noise unknown"])
 def test_a_report_is_written_whatever_is_known(case: Case, tmp_path: Path) -> None:
     """Fails if gains that are not known, or a missing noise floor, break a section or are told as numbers."""

@@ -60,6 +60,11 @@ def with_sd(value: float, sd: float) -> tuple[str, str]:
     return number(value, f".{decimals}f"), f"{sd:.{decimals}f}"
 
 
+def two_digits(value: float) -> str:
+    """Return a positive figure rounded to two digits, never as a power of ten."""
+    return f"{float(f'{value:.2g}'):,.10g}"
+
+
 def listed(names: Sequence[object], limit: int = 12) -> str:
     """Return names as a list in words, cut where it gets long."""
     words = [str(name) for name in names]

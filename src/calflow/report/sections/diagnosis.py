@@ -21,11 +21,12 @@ from calflow.report.findings import (
     named_ids,
     place_name,
     place_names,
+    readable_size,
     sureness,
 )
 from calflow.report.material import Material, item, split_judged, steps
 from calflow.report.section import Advice, Section
-from calflow.report.words import effect_words, listed, mm, number, plural
+from calflow.report.words import effect_words, listed, mm, number, plural, two_digits
 from calflow.stages.diagnose import SHARES, DiagnoseSettings
 from calflow.stages.discrimination import ENOUGH
 from calflow.stages.stage import Tables
@@ -55,6 +56,11 @@ EVIDENCE = (
     "imitate in part. Below zero a place explains less than its parameters cost; left of the gate it may be chance."
 )
 
+LIMITS = (
+    "The size at which a cause would be found 95 times in 100, at each joint or link, against the scatter that the study's "
+    "model leaves. What is smaller can be there unseen."
+)
+
 
 def write(material: Material) -> list[Block]:
     """Tell each finding in words and figures, then what is left and what could not be tested."""
@@ -68,6 +74,7 @@ def write(material: Material) -> list[Block]:
         *_unexplained(left),
         *_space(material, causes),
         *_evidence(material, causes),
+        *_limits(material.tables["diagnose/candidates.csv"]),
         *_untested(material.tables["diagnose/candidates.csv"]),
     ]
 
@@ -275,6 +282,26 @@ def _evidence(material: Material, causes: Sequence[Found]) -> list[Block]:
     drawn = evidence([_candidate(row) for _, row in rows.iterrows()], -rows["delta_bic"].to_numpy(dtype=float),
                      rows["p_family"].to_numpy(dtype=float), added, WITHIN, _gate(material))  # fmt: skip
     return [heading("How the search went"), plot("evidence", drawn, EVIDENCE)]
+
+
+def _limits(candidates: pd.DataFrame) -> list[Block]:
+    """Tell how small a cause these data would have shown, by joint or link."""
+    shown = candidates[candidates["limit"].notna()].astype({"part": object})
+    if shown.empty:
+        return []
+    numbers = sorted({int(joint) for joint in shown["joint"].dropna()})
+    least = shown.fillna({"joint": 0}).groupby(["cause", "joint"], sort=False)["limit"].min()
+    rows = []
+    for cause, unit in shown.drop_duplicates("cause")[["cause", "unit"]].itertuples(index=False):
+        factor, said = readable_size(cause, unit)
+        cells = [two_digits(factor * least[cause, k]) if (cause, k) in least.index else "–" for k in (*numbers, 0)]
+        rows.append((_first_up(cause_words(cause).name), said, *cells))
+    header = ("cause", "unit", *map(str, numbers), "whole robot")
+    return [
+        heading("How small a cause these data show"),
+        paragraph(LIMITS, keep=True),
+        table(header, sorted(rows), "ll" + "r" * (len(numbers) + 1), size=8, wide=0),
+    ]
 
 
 def _untested(candidates: pd.DataFrame) -> list[Block]:
