@@ -39,7 +39,7 @@ import blind_verdicts as verdicts
 from blind_cases import Job
 
 from calflow.runs import run
-from calflow.study import load_study
+from calflow.study import Study, load_study
 from hidden.case import Case, draw, write_case
 from hidden.causes import PAYLOADS, measured_points
 
@@ -78,7 +78,7 @@ def main() -> None:
 
 def diagnosed(job: Job) -> Row:
     """Say what is found in the case as it is."""
-    return _guarded(lambda folder: verdicts.told(_run(folder, job.case, job.seed)), job)
+    return _guarded(lambda folder: verdicts.told(_run(folder, job.case, job.seed)[1]), job)
 
 
 def one_cause(job: Job) -> Row:
@@ -86,9 +86,9 @@ def one_cause(job: Job) -> Row:
 
     def work(folder: Path) -> Row:
         case, _ = cases.sized(job, folder / "bare")
-        tables = _run(folder / "case", case, job.seed)
+        study, tables = _run(folder / "case", case, job.seed)
         (h,) = draw(case, np.random.default_rng(job.seed)).hidden
-        compared = verdicts.one(h, tables) | verdicts.gains(folder / "case", h, tables)
+        compared = verdicts.one(h, tables) | verdicts.gains(study, h, tables)
         return _hidden(case) | verdicts.told(tables) | compared | {"rms_mm": verdicts.effect_rms(folder / "case")}
 
     return _guarded(work, job)
@@ -99,7 +99,7 @@ def two_causes(job: Job) -> Row:
 
     def work(folder: Path) -> Row:
         case, beside = cases.sized(job, folder / "bare")
-        tables = _run(folder / "case", case, job.seed)
+        _, tables = _run(folder / "case", case, job.seed)
         return _hidden(case) | verdicts.told(tables) | verdicts.several(case.hidden, tables) | {"beside": min(beside)}
 
     return _guarded(work, job)
@@ -111,7 +111,7 @@ def measured_again(job: Job) -> Row:
     def work(folder: Path) -> Row:
         case, _ = cases.sized(job, folder / "bare")
         folder = folder / "case"
-        tables = _run(folder, case, job.seed)
+        _, tables = _run(folder, case, job.seed)
         (h,) = case.hidden
         asked = tables["diagnose/next_poses.csv"]
         before = verdicts.told(tables) | verdicts.one(h, tables)
@@ -129,11 +129,11 @@ def without_masses(job: Job) -> Row:
     """Compare the diagnosis of compliant joints without masses with the identification that knows masses and springs."""
 
     def work(folder: Path) -> Row:
-        tables = _run(folder / "case", job.case, job.seed)
-        found = verdicts.told(tables) | verdicts.held_out(folder / "case", tables)
+        study, tables = _run(folder / "case", job.case, job.seed)
+        found = verdicts.told(tables) | verdicts.held_out(study, tables)
         known = replace(job.case, masses=True, effects=("geometry", "joint-compliance"))
-        tables = _run(folder / "known", known, job.seed)
-        return found | {"truth_mm": verdicts.held_out(folder / "known", tables)["before_mm"]}
+        study, tables = _run(folder / "known", known, job.seed)
+        return found | {"truth_mm": verdicts.held_out(study, tables)["before_mm"]}
 
     return _guarded(work, job)
 
@@ -175,9 +175,10 @@ def _guarded(work: Callable[[Path], Row], job: Job) -> Row:
     return known | {"seconds": time.time() - started}
 
 
-def _run(folder: Path, case: Case, seed: int) -> dict[str, pd.DataFrame]:
+def _run(folder: Path, case: Case, seed: int) -> tuple[Study, dict[str, pd.DataFrame]]:
     write_case(folder, case, np.random.default_rng(seed))
-    return run(load_study(folder), folder / "run").tables
+    study = load_study(folder)
+    return study, run(study, folder / "run").tables
 
 
 def _hidden(case: Case) -> Row:

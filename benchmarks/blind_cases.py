@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from calflow.faults import mended
 from calflow.runs import run
@@ -17,7 +18,7 @@ from calflow.stages.extension import Fitted, Look, Screened
 from calflow.stages.identified import identified
 from calflow.stages.noise import averaged
 from calflow.stages.screening import Screening
-from calflow.study import load_study
+from calflow.study import Study, load_study
 from hidden.case import Case, World, draw, write_case
 from hidden.causes import Hidden, measured_points
 
@@ -154,9 +155,8 @@ class Bare:
     screened: Screened
 
 
-def begun(folder: Path, tables: dict) -> tuple[Fitted, Catalogue]:
+def begun(study: Study, tables: Mapping[str, pd.DataFrame]) -> tuple[Fitted, Catalogue]:
     """Return the fit that diagnose begins with, and its catalogue."""
-    study = load_study(folder)
     data = study.measurements()
     known = identified(study.robot, tables, data.given)
     data = mended(data.on(known.model.robot), tables["identify/faults.csv"])
@@ -172,9 +172,10 @@ def sized(job: Job, folder: Path) -> tuple[Case, list[float]]:
     """
     rng = np.random.default_rng([job.seed, 1])
     nothing = tuple(Hidden("joint-backlash", 1, 0.0) for _ in range(job.several))
-    write_case(folder, replace(job.case, hidden=nothing), np.random.default_rng(job.seed))
-    tables = run(load_study(folder), folder / "run", stage="identify").tables
-    fitted, catalogue = begun(folder, tables)
+    once = "[stages.identify]\nstarts = 1\n"
+    write_case(folder, replace(job.case, hidden=nothing, settings=once), np.random.default_rng(job.seed))
+    study = load_study(folder)
+    fitted, catalogue = begun(study, run(study, folder / "run", stage="identify").tables)
     look = Look.at(fitted, [], catalogue)
     bare = Bare(fitted, look, look.screened(rng))
     units = [unit for unit in UNITS if set(unit.columns) <= set(job.case.columns)]

@@ -16,7 +16,7 @@ from calflow.stages.accuracy import errors
 from calflow.stages.extension import Fitted, finest
 from calflow.stages.identified import calibrated, identified
 from calflow.stages.screening import Regressors, Screening
-from calflow.study import load_study
+from calflow.study import Study
 from hidden.causes import Hidden
 
 FAMILY = {"joint-eccentricity", "periodic-joint-error", "gear-transmission-error", "joint-error-map"}
@@ -76,23 +76,16 @@ def several(hidden: tuple[Hidden, ...], tables: Tables) -> dict[str, object]:
     }
 
 
-def gains(folder: Path, h: Hidden, tables: Tables) -> dict[str, float]:
+def gains(study: Study, h: Hidden, tables: Tables) -> dict[str, float]:
     """Return the held-out mean error [mm] before, with what was found, and with the true cause fitted to the same rows."""
-    study = load_study(folder)
     data = study.measurements()
-    held = data.only(data.held_out)
-    base, best = identified(study.robot, tables, data.given), calibrated(study.robot, tables, data.given)
-    truth = true_structure(folder, h, tables)
-    return {
-        "before_mm": _mean(base.model, base.estimate, held),
-        "after_mm": _mean(best.model, best.estimate, held),
-        "truth_mm": _mean(truth.model, truth.fit.estimate, held),
-    }
+    truth = true_structure(study, h, tables)
+    return held_out(study, tables) | {"truth_mm": _mean(truth.model, truth.fit.estimate, data.only(data.held_out))}
 
 
-def true_structure(folder: Path, h: Hidden, tables: Tables) -> Fitted:
+def true_structure(study: Study, h: Hidden, tables: Tables) -> Fitted:
     """Fit the identified model with the hidden cause, in the form of it that suits the training rows best."""
-    start, catalogue = begun(folder, dict(tables))
+    start, catalogue = begun(study, tables)
     effects = [effect for effect in catalogue.effects if effect.id == h.cause]
     scores = Screening(Regressors.of(start.fit, start.problem, effects, start.poses)).scores
     best = finest(next(score for score in scores if score.cause.joint == h.joint), start)
@@ -100,9 +93,8 @@ def true_structure(folder: Path, h: Hidden, tables: Tables) -> Fitted:
     return start.with_causes(len(start.model.effects), [best.cause], point, best.share)
 
 
-def held_out(folder: Path, tables: Tables) -> dict[str, float]:
+def held_out(study: Study, tables: Tables) -> dict[str, float]:
     """Return the held-out mean error [mm] of the identified and of the extended model."""
-    study = load_study(folder)
     data = study.measurements()
     held = data.only(data.held_out)
     base, best = identified(study.robot, tables, data.given), calibrated(study.robot, tables, data.given)

@@ -135,9 +135,11 @@ def check_units(measured: Measurements, named: set[str], path: Path, conditions_
         stretches[1e-3] = "x, y, z: does a column named _m hold millimetres? "
     if "mm" in named:
         stretches[1e3] = "x, y, z: does a column named _mm hold metres? "
+    if _disagreement(measured, 1.0, 1.0) < SHAPE_WRONG:
+        return []
     found = {(turn, stretch): _disagreement(measured, turn, stretch) for turn in turns for stretch in stretches}
-    as_named, best = found[1.0, 1.0], min(found, key=lambda units: found[units])
-    if as_named < SHAPE_WRONG or found[best] > SHAPE_RIGHT:
+    best = min(found, key=lambda units: found[units])
+    if found[best] > SHAPE_RIGHT:
         return []
     return [
         Problem(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +172,11 @@ class Study:
         return load_study(self.path.parent / self.file.confirm) if self.file.confirm else None
 
     def measurements(self) -> Measurements:
-        """Read the measurements, split into train and holdout."""
+        """Return the measurements, read once, split into train and holdout."""
+        return self._measured
+
+    @cached_property
+    def _measured(self) -> Measurements:
         path = self.measurement_path
         measured = read_measurements(path, self.robot, self.file.measurements)
         check_columns(self.file.effects, measured, path)
