@@ -50,7 +50,7 @@ def found(folder: Path, case: Case, seed: int) -> Findings:
     answer = in_process("run", folder / "case", "--out", folder / "run")
     assert answer.code == 0, answer.err
     table = pd.read_csv(folder / "run" / "diagnose" / "findings.csv")
-    return Findings(table.fillna({"cannot_tell_from": "", "joint": 0, "cause": "", "statement": ""}), folder / "run")
+    return Findings(table.astype(TEXT).fillna({"joint": 0} | dict.fromkeys(TEXT, "")), folder / "run")
 
 
 def case(robot: str, *hidden: Hidden, columns: tuple[str, ...] = ("approach",), **rest: object) -> Case:
@@ -58,6 +58,7 @@ def case(robot: str, *hidden: Hidden, columns: tuple[str, ...] = ("approach",), 
     return Case(robot=robot, hidden=hidden, columns=columns, **rest)
 
 
+TEXT = dict.fromkeys(("cannot_tell_from", "cause", "statement"), "object")  # an empty column comes back as numbers
 CLOCK = ("approach", "time")
 EVERY = {  # one or more cases for every id of the catalogue, the robots in turn
     "nonlinear-joint-stiffness": case("serial", Hidden("nonlinear-joint-stiffness", 2, 1.5e-3)),

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from calflow.stages.causes import Cause
-from calflow.stages.screening import INVISIBLE, Family, Score, Screening
+from calflow.stages.screening import INVISIBLE, MATERIAL, Family, Score, Screening
 
 COLUMNS = 4  # of a candidate at most: error maps have rivals of their own
 VARIANTS = 8  # of one place, the best
@@ -75,7 +75,8 @@ class Exchange:
         if len(at) < len(self.gone):
             return  # what is gone does not show here
         bic = self._bic()
-        limit = bic[at[0], at[1]] if len(at) == 2 else self.scores[at[0]].delta_bic - SPLIT
+        now = bic[at[0], at[1]] if len(at) == 2 else self.scores[at[0]].delta_bic - SPLIT
+        limit = now - MATERIAL * len(self.screening.regressors.residual)
         for k in np.argsort(bic, axis=None, kind="stable"):
             i, j = (int(x) for x in np.unravel_index(k, bic.shape))
             if not bic[i, j] < limit:

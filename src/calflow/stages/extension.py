@@ -16,12 +16,11 @@ from calflow.stages.exchange import COLUMNS, Exchange
 from calflow.stages.fit import Fit, Loss, Problem
 from calflow.stages.identified import Identified
 from calflow.stages.noise import LackOfFit, Noise
-from calflow.stages.screening import Family, Regressors, Score, Screening
+from calflow.stages.screening import MATERIAL, Family, Regressors, Score, Screening
 from calflow.stages.settle import fit_settled
 
 FAR, MEDIAN_LENGTH = 4.5, 1.5382  # robust standard deviations; the median length of three unit normals
 CLEAR = 1e-3  # share of the gate below which the cost of the tests need not be worked out anew
-MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
 ENTANGLED = 3  # causes, the last found, that are exchanged by two
 WEIGHINGS = 3  # fits in which the weights of rows far off settle
@@ -237,7 +236,7 @@ class Trial:
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
         """Its causes, each weighed against all candidates in its place."""
-        return tuple(self.look.findings(self.family))
+        return tuple(self.look.findings(self.family)) if self.causes else ()
 
     @property
     def bic(self) -> float:
@@ -352,7 +351,7 @@ def _difference(before: Sequence[Cause], after: Sequence[Cause]) -> str:
 
 
 def narrowed(start: Fitted, extended: Extended, decoys: Sequence[Cause], catalogue: Catalogue, gate: Gate) -> Extended:
-    """Drop the causes whose evidence goes as soon as what nobody can name is in the model too."""
+    """Drop the causes whose evidence goes as soon as what nobody can name is in the model too, and weigh the others anew."""
     base, causes = len(start.model.effects), [finding.cause for finding in extended.findings]
     now = extended.fitted
     fuller = now.with_causes(base, [*causes, *decoys], _start(now, base, [*causes, *decoys]))
@@ -361,11 +360,14 @@ def narrowed(start: Fitted, extended: Extended, decoys: Sequence[Cause], catalog
     if kept == causes:
         return extended
     trail = [start, *extended.path]
-    path = tuple(_fitted(trail, start, base, kept[: k + 1]) for k in range(len(kept)))
-    now = path[-1] if path else start
-    findings = Look.at(now, kept, catalogue).findings(extended.first.family)
-    standing = [finding for finding in findings if any(score.cause == finding.cause for score in finding.scores)]
-    return Extended(now, tuple(standing), path, extended.first)
+    tried = [Trial(_fitted(trail, start, base, kept), kept, catalogue, extended.first.family)]
+    while _is_new(better := second_thoughts(tried[-1].findings, gate), tried):
+        fitted = _fitted([tried[-1].fitted], start, base, better)
+        tried.append(Trial(fitted, better, catalogue, extended.first.family))
+    last = tried[-1]
+    trail += [trial.fitted for trial in tried]
+    path = tuple(_fitted(trail, start, base, last.causes[: k + 1]) for k in range(len(last.causes)))
+    return Extended(last.fitted, last.findings, path, extended.first)
 
 
 def weighed_against(extended: Extended, catalogue: Catalogue) -> Extended:

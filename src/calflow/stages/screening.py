@@ -22,6 +22,7 @@ from calflow.model import Model, over_rows
 from calflow.stages.causes import Cause, parts
 from calflow.stages.fit import Fit, Problem
 
+MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
 INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
 DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
 SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
