@@ -14,8 +14,9 @@ from calflow.runs import run
 from calflow.stages.causes import Catalogue
 from calflow.stages.detection_limit import noncentrality
 from calflow.stages.diagnose import SHARES
-from calflow.stages.extension import Fitted, Look, Screened
+from calflow.stages.fitted import Fitted
 from calflow.stages.identified import identified
+from calflow.stages.look import Look, Screened
 from calflow.stages.noise import averaged
 from calflow.stages.screening import Screening
 from calflow.study import Study, load_study

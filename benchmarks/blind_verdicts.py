@@ -13,7 +13,8 @@ from blind_cases import begun
 from calflow.measurements import Measurements
 from calflow.model import Model
 from calflow.stages.accuracy import errors
-from calflow.stages.extension import Fitted, finest
+from calflow.stages.extension import finest
+from calflow.stages.fitted import Fitted
 from calflow.stages.identified import calibrated, identified
 from calflow.stages.screening import Regressors, Screening
 from calflow.study import Study

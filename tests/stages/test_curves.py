@@ -14,8 +14,8 @@ from calflow.model import Model, build
 from calflow.stages.candidates import pack
 from calflow.stages.causes import Cause
 from calflow.stages.curves import COLUMNS, curves
-from calflow.stages.extension import Fitted
 from calflow.stages.fit import Fit
+from calflow.stages.fitted import Fitted
 from calflow.stages.noise import LackOfFit, Noise
 
 ROBOT = robots.industrial()

@@ -9,7 +9,7 @@ from calflow.effects import catalogue
 from calflow.model import Model, build
 from calflow.stages.causes import Cause
 from calflow.stages.discrimination import POSES, propose
-from calflow.stages.extension import Fitted
+from calflow.stages.fitted import Fitted
 from calflow.stages.settle import fit_settled
 from robots import industrial
 from stages.data import SIGMA, measured, stated

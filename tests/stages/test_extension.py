@@ -8,7 +8,9 @@ import pytest
 from calflow.effects import catalogue
 from calflow.model import Model, build
 from calflow.stages.causes import Catalogue, Cause
-from calflow.stages.extension import Fitted, Gate, Look, extend, second_thoughts
+from calflow.stages.extension import Gate, extend, second_thoughts
+from calflow.stages.fitted import Fitted
+from calflow.stages.look import Look
 from calflow.stages.settle import fit_settled
 from robots import industrial
 from stages.data import measured, stated

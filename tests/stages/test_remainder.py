@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calflow.model import build
-from calflow.stages.extension import Fitted
+from calflow.stages.fitted import Fitted
 from calflow.stages.noise_growth import growth
 from calflow.stages.remainder import remainder
 from calflow.stages.settle import fit_settled

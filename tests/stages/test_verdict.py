@@ -7,7 +7,7 @@ import pytest
 
 from calflow.effects import catalogue
 from calflow.stages.causes import Cause
-from calflow.stages.extension import Finding
+from calflow.stages.look import Finding
 from calflow.stages.screening import Candidate, Family, Score
 from calflow.stages.verdict import WITHIN, by_place, verdict
 from robots import industrial

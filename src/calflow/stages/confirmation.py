@@ -17,8 +17,8 @@ from calflow.model import Model
 from calflow.robot.statics import State
 from calflow.stages.accuracy import errors
 from calflow.stages.causes import Carried, Cause
-from calflow.stages.extension import Fitted
 from calflow.stages.fit import Fit
+from calflow.stages.fitted import Fitted
 from calflow.stages.noise import noise
 from calflow.stages.registration import registered
 from calflow.stages.settle import fit_settled

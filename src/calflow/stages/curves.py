@@ -19,7 +19,7 @@ from calflow.robot.chain import Deflection
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
 from calflow.robot.statics import State, state
 from calflow.stages.causes import Cause
-from calflow.stages.extension import Fitted
+from calflow.stages.fitted import Fitted
 
 PARALLEL = 0.02  # share of an effect off its joint's lever below which it counts as that joint's
 COLUMNS = [

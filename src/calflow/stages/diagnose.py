@@ -13,8 +13,9 @@ from calflow.stages.causes import Catalogue
 from calflow.stages.confirmation import confirm
 from calflow.stages.curves import curves
 from calflow.stages.discrimination import poses_table, separation, separations_table
-from calflow.stages.extension import Fitted, Gate, extend, narrowed, weighed_against
+from calflow.stages.extension import Gate, extend, narrowed, weighed_against
 from calflow.stages.findings import Diagnosis, candidates_table, findings_table
+from calflow.stages.fitted import Fitted
 from calflow.stages.identified import Identified, effect_table, identified
 from calflow.stages.noise import averaged
 from calflow.stages.noise_growth import growth

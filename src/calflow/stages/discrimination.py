@@ -16,7 +16,7 @@ from calflow.measurements import Measurements, condition_columns
 from calflow.model import Model
 from calflow.stages.candidates import candidates
 from calflow.stages.causes import Cause
-from calflow.stages.extension import Fitted
+from calflow.stages.fitted import Fitted
 from calflow.stages.verdict import Rival, Verdict
 
 POSES = 20

@@ -9,120 +9,15 @@ from itertools import combinations
 
 import numpy as np
 
-from calflow.measurements import Measurements
 from calflow.model import Model
 from calflow.stages.causes import Catalogue, Cause
 from calflow.stages.exchange import COLUMNS, Exchange
-from calflow.stages.fit import Fit, Loss, Problem
-from calflow.stages.identified import Identified
-from calflow.stages.noise import LackOfFit, Noise
+from calflow.stages.fitted import Fitted
+from calflow.stages.look import Finding, Look, Screened
 from calflow.stages.screening import MATERIAL, Family, Regressors, Score, Screening
-from calflow.stages.settle import fit_settled
 
-FAR, MEDIAN_LENGTH = 4.5, 1.5382  # robust standard deviations; the median length of three unit normals
 CLEAR = 1e-3  # share of the gate below which the cost of the tests need not be worked out anew
-SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
 ENTANGLED = 3  # causes, the last found, that are exchanged by two
-WEIGHINGS = 3  # fits in which the weights of rows far off settle
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """A fitted model with the training data and the noise it was fitted with.
-
-    lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight.
-    """
-
-    fit: Fit
-    data: Measurements
-    noise: Noise
-    lack: LackOfFit
-    loss: Loss
-    device: Noise
-
-    @property
-    def model(self) -> Model:
-        """The model."""
-        return self.fit.model
-
-    @property
-    def poses(self) -> np.ndarray:
-        """The rows' poses, numbered from 0, shape (n_rows,)."""
-        return np.unique(self.data.table["pose"], return_inverse=True)[1]
-
-    @property
-    def far(self) -> np.ndarray:
-        """By how much rows count less than the device's noise says, at least 1, shape (n_rows,)."""
-        ratio = self.noise.sigma / self.device.sigma
-        return np.asarray(ratio / ratio.min())
-
-    @property
-    def misfit(self) -> float:
-        """Huber's cost of all rows, and the priors' chi²."""
-        fit, model = self.fit, self.model
-        pulled = (fit.estimate - model.nominal) / model.prior_sd
-        return float((fit.residual**2).sum() + 2 * FAR**2 * (self.far - 1).sum() + pulled @ pulled)
-
-    @property
-    def problem(self) -> Problem:
-        """The problem that was solved, robust weights included."""
-        return Problem.of(self.model, self.data, self.noise).reweighted(self.fit.estimate, self.loss)
-
-    def columns(self, cause: Cause) -> np.ndarray:
-        """Return the indices of a cause's parameters."""
-        start = 0
-        for effect in self.model.effects:
-            size = len(effect.declared)
-            if effect == cause:
-                return np.arange(start, start + size)
-            start += size
-        raise ValueError("the cause is not in the model")
-
-    def weighed(self, sigma: np.ndarray) -> Fitted:
-        """Fit anew with other noise (n_rows,) [m]."""
-        noise = replace(self.device, sigma=sigma, discrepancy=0.0)
-        return _settled(self.model, self.data, noise, self.fit.estimate, self.loss)
-
-    @staticmethod
-    def of(known: Identified, data: Measurements, noise: Noise) -> Fitted:
-        """Fit an identified model anew on training rows, from where identify left it."""
-        bare = replace(noise, discrepancy=0.0, rotation_discrepancy=0.0)
-        return _settled(known.model, data, bare, known.estimate, known.loss)
-
-    def with_causes(self, base: int, causes: Sequence[Cause], start: np.ndarray, share: float = 0.0) -> Fitted:
-        """Fit the first effects of the model with these causes, by IPOPT from a start that is moved inside the bounds.
-
-        share is how much of chi² is expected to go: a noise that is not known starts smaller by it, and settles at once.
-        """
-        model = Model(self.model.robot, (*self.model.effects[:base], *causes), self.model.given)
-        bare = replace(self.device, discrepancy=0.0, rotation_discrepancy=0.0)
-        if not bare.known:
-            bare = replace(bare, sigma=self.noise.sigma / self.far * np.sqrt(1 - share))
-        return _settled(model, self.data, bare, start, self.loss, self.far)
-
-
-def _settled(
-    model: Model, data: Measurements, device: Noise, start: np.ndarray, loss: Loss, far: np.ndarray | None = None
-) -> Fitted:
-    """Fit from a start; rows far beyond the others count no more than one at FAR does (Huber 1964).
-
-    far (n_rows,) is by how much rows were beyond that in the fit before.
-    """
-    far = np.ones(len(data)) if far is None else far
-    for _ in range(WEIGHINGS):
-        weighed = replace(device, sigma=device.sigma * far)
-        fit, noise, lack, _ = fit_settled(model, data, weighed, start[None], loss, SETTLED)
-        before, far, start = far, _excess(fit, far), fit.estimate
-        if np.allclose(far, before, rtol=SETTLED):
-            break
-    return Fitted(fit, data, noise, lack, loss, device)
-
-
-def _excess(fit: Fit, far: np.ndarray) -> np.ndarray:
-    """By how much each row's error exceeds FAR robust standard deviations, at least 1, shape (n_rows,)."""
-    size = np.linalg.norm(fit.residual[:, :3], axis=1) * far
-    scale = float(np.median(size)) / MEDIAN_LENGTH
-    return np.asarray(np.maximum(1.0, size / (FAR * scale)))
 
 
 @dataclass(frozen=True)
@@ -134,25 +29,6 @@ class Gate:
 
 
 @dataclass(frozen=True)
-class Finding:
-    """A cause in the extended model, with all candidates' scores where it is taken out and the others stay."""
-
-    cause: Cause
-    scores: tuple[Score, ...]
-    family: Family
-
-    @property
-    def own(self) -> Score:
-        """The cause's own score."""
-        return next(score for score in self.scores if score.cause == self.cause)
-
-    @property
-    def p(self) -> float:
-        """The chance that anything in the family looks like this where nothing is hidden."""
-        return self.family.p(self.own)
-
-
-@dataclass(frozen=True)
 class Extended:
     """The extended model, its findings, the models on the way (one a finding), and the first screening."""
 
@@ -160,53 +36,6 @@ class Extended:
     findings: tuple[Finding, ...]
     path: tuple[Fitted, ...]
     first: Screened
-
-
-@dataclass(frozen=True)
-class Screened:
-    """All candidates' scores against one model, best first, what their number costs, and which places cannot be seen."""
-
-    scores: tuple[Score, ...]
-    family: Family
-    hidden: tuple[Cause, ...]
-
-
-@dataclass(frozen=True)
-class Look:
-    """One model with causes, and all candidates' regressors there, from one Jacobian."""
-
-    fitted: Fitted
-    causes: tuple[Cause, ...]
-    regressors: Regressors
-
-    @staticmethod
-    def at(fitted: Fitted, causes: Sequence[Cause], catalogue: Catalogue) -> Look:
-        """Linearise a fitted model; its own causes are among the candidates, for when they are taken out."""
-        effects = (*catalogue.effects, *(cause for cause in causes if cause.effect not in catalogue.effects))
-        return Look(fitted, tuple(causes), Regressors.of(fitted.fit, fitted.problem, effects, fitted.poses))
-
-    def screened(self, rng: np.random.Generator, known: Family | None = None) -> Screened:
-        """Test what the model does not have yet; known is what the number of tests costs, if that is known."""
-        others = tuple(candidate for candidate in self.regressors.candidates if candidate.cause not in self.causes)
-        screening = Screening(replace(self.regressors, candidates=others))
-        shown = {score.cause.place for score in screening.scores}
-        every = {candidate.cause.place: candidate.cause for candidate in others}
-        hidden = tuple(cause for place, cause in every.items() if place not in shown)
-        return Screened(tuple(screening.scores), known or screening.family(rng), hidden)
-
-    def apart(self, gone: Sequence[Cause]) -> Screening:
-        """Test all candidates in the place of some causes, the others staying in the model; linear, without a refit."""
-        whole, estimate = self.regressors, self.fitted.fit.estimate
-        free = np.flatnonzero(~self.fitted.fit.at_bound)
-        columns = np.flatnonzero(np.isin(free, np.concatenate([self.fitted.columns(cause) for cause in gone])))
-        value = estimate[free[columns]]
-        apart = whole.without(columns, whole.jacobian[:, columns] @ value, value * np.sqrt(whole.precision[columns]))
-        others = tuple(c for c in apart.candidates if c.cause in gone or c.cause not in self.causes)
-        return Screening(replace(apart, candidates=others))
-
-    def findings(self, family: Family) -> list[Finding]:
-        """Score all candidates in each cause's place."""
-        return [Finding(cause, tuple(self.apart([cause]).scores), family) for cause in self.causes]
 
 
 @dataclass(frozen=True)
@@ -285,7 +114,7 @@ class _Search:
                 self.say(step.words)
                 if (other := self.settled(tried)).bic < best.bic:
                     return other
-                self.say("which is no better")
+                self.say("that is no better")
         return None
 
     def exchanges(self, trial: Trial) -> Iterator[Step]:
@@ -347,7 +176,10 @@ def _added(trial: Trial, first: Screened, gate: Gate, rng: np.random.Generator) 
 
 def _difference(before: Sequence[Cause], after: Sequence[Cause]) -> str:
     gone, come = ([c for c in these if c not in those] for these, those in ((before, after), (after, before)))
-    return f"{' and '.join(map(words, gone))} gives way to {' and '.join(map(words, come)) or 'nothing'}"
+    if not gone:
+        return f"{' and '.join(map(words, come))} besides"
+    give = "give" if len(gone) > 1 else "gives"
+    return f"{' and '.join(map(words, gone))} {give} way to {' and '.join(map(words, come)) or 'nothing'}"
 
 
 def narrowed(start: Fitted, extended: Extended, decoys: Sequence[Cause], catalogue: Catalogue, gate: Gate) -> Extended:

@@ -13,7 +13,8 @@ from calflow.measurements import Measurements
 from calflow.stages.accuracy import errors
 from calflow.stages.causes import Cause
 from calflow.stages.detection_limit import detection_limit
-from calflow.stages.extension import Extended, Fitted
+from calflow.stages.extension import Extended
+from calflow.stages.fitted import Fitted
 from calflow.stages.gain import gain
 from calflow.stages.noise_growth import Growth
 from calflow.stages.remainder import Remainder

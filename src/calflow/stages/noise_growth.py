@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import spearmanr
 
-from calflow.stages.extension import Fitted
+from calflow.stages.fitted import Fitted
 
 MOST_LEVERAGE = 0.95
 

@@ -19,7 +19,7 @@ from calflow.effects import Effect, Parameter
 from calflow.effects.joint_error import JointError, Term
 from calflow.measurements import Measurements
 from calflow.robot.statics import State
-from calflow.stages.extension import Fitted
+from calflow.stages.fitted import Fitted
 from calflow.stages.screening import Family, Regressors, Score, Screening
 
 SIZE = 3e-4  # rad or m, of a decoy before any data

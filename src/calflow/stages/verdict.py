@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from calflow.stages.causes import Cause
-from calflow.stages.extension import Finding
+from calflow.stages.look import Finding
 from calflow.stages.screening import Score
 
 WITHIN = 10.0  # of the best BIC: closer rivals cannot be told apart (Kass and Raftery 1995: "very strong" beyond)

@@ -1,0 +1,119 @@
+"""A fitted model as the diagnosis uses it: with its data and noise, and with rows far off counting less."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calflow.measurements import Measurements
+from calflow.model import Model
+from calflow.stages.causes import Cause
+from calflow.stages.fit import Fit, Loss, Problem
+from calflow.stages.identified import Identified
+from calflow.stages.noise import LackOfFit, Noise
+from calflow.stages.settle import fit_settled
+
+FAR, MEDIAN_LENGTH = 4.5, 1.5382  # robust standard deviations; the median length of three unit normals
+SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
+WEIGHINGS = 3  # fits in which the weights of rows far off settle
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted model with the training data and the noise it was fitted with.
+
+    lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight.
+    """
+
+    fit: Fit
+    data: Measurements
+    noise: Noise
+    lack: LackOfFit
+    loss: Loss
+    device: Noise
+
+    @property
+    def model(self) -> Model:
+        """The model."""
+        return self.fit.model
+
+    @property
+    def poses(self) -> np.ndarray:
+        """The rows' poses, numbered from 0, shape (n_rows,)."""
+        return np.unique(self.data.table["pose"], return_inverse=True)[1]
+
+    @property
+    def far(self) -> np.ndarray:
+        """By how much rows count less than the device's noise says, at least 1, shape (n_rows,)."""
+        ratio = self.noise.sigma / self.device.sigma
+        return np.asarray(ratio / ratio.min())
+
+    @property
+    def misfit(self) -> float:
+        """Huber's cost of all rows, and the priors' chi²."""
+        fit, model = self.fit, self.model
+        pulled = (fit.estimate - model.nominal) / model.prior_sd
+        return float((fit.residual**2).sum() + 2 * FAR**2 * (self.far - 1).sum() + pulled @ pulled)
+
+    @property
+    def problem(self) -> Problem:
+        """The problem that was solved, robust weights included."""
+        return Problem.of(self.model, self.data, self.noise).reweighted(self.fit.estimate, self.loss)
+
+    def columns(self, cause: Cause) -> np.ndarray:
+        """Return the indices of a cause's parameters."""
+        start = 0
+        for effect in self.model.effects:
+            size = len(effect.declared)
+            if effect == cause:
+                return np.arange(start, start + size)
+            start += size
+        raise ValueError("the cause is not in the model")
+
+    def weighed(self, sigma: np.ndarray) -> Fitted:
+        """Fit anew with other noise (n_rows,) [m]."""
+        noise = replace(self.device, sigma=sigma, discrepancy=0.0)
+        return _settled(self.model, self.data, noise, self.fit.estimate, self.loss)
+
+    @staticmethod
+    def of(known: Identified, data: Measurements, noise: Noise) -> Fitted:
+        """Fit an identified model anew on training rows, from where identify left it."""
+        bare = replace(noise, discrepancy=0.0, rotation_discrepancy=0.0)
+        return _settled(known.model, data, bare, known.estimate, known.loss)
+
+    def with_causes(self, base: int, causes: Sequence[Cause], start: np.ndarray, share: float = 0.0) -> Fitted:
+        """Fit the first effects of the model with these causes, by IPOPT from a start that is moved inside the bounds.
+
+        share is how much of chi² is expected to go: a noise that is not known starts smaller by it, and settles at once.
+        """
+        model = Model(self.model.robot, (*self.model.effects[:base], *causes), self.model.given)
+        bare = replace(self.device, discrepancy=0.0, rotation_discrepancy=0.0)
+        if not bare.known:
+            bare = replace(bare, sigma=self.noise.sigma / self.far * np.sqrt(1 - share))
+        return _settled(model, self.data, bare, start, self.loss, self.far)
+
+
+def _settled(
+    model: Model, data: Measurements, device: Noise, start: np.ndarray, loss: Loss, far: np.ndarray | None = None
+) -> Fitted:
+    """Fit from a start; rows far beyond the others count no more than one at FAR does (Huber 1964).
+
+    far (n_rows,) is by how much rows were beyond that in the fit before.
+    """
+    far = np.ones(len(data)) if far is None else far
+    for _ in range(WEIGHINGS):
+        weighed = replace(device, sigma=device.sigma * far)
+        fit, noise, lack, _ = fit_settled(model, data, weighed, start[None], loss, SETTLED)
+        before, far, start = far, _excess(fit, far), fit.estimate
+        if np.allclose(far, before, rtol=SETTLED):
+            break
+    return Fitted(fit, data, noise, lack, loss, device)
+
+
+def _excess(fit: Fit, far: np.ndarray) -> np.ndarray:
+    """By how much each row's error exceeds FAR robust standard deviations, at least 1, shape (n_rows,)."""
+    size = np.linalg.norm(fit.residual[:, :3], axis=1) * far
+    scale = float(np.median(size)) / MEDIAN_LENGTH
+    return np.asarray(np.maximum(1.0, size / (FAR * scale)))
