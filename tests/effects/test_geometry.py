@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 import robots
+from calflow.conditions import Row
 from calflow.effects.geometry import Geometry
 from calflow.model import Model, build
 from calflow.robot.description import Base, Robot
+from calflow.robot.dimensions import nominal_dimensions
 
 TWO_MARKERS = {"A": {"point_m": [0.05, -0.03, 0.12]}, "B": {"point_m": [-0.1, 0.0, 0.2]}}
 ROBOTS = {
@@ -76,6 +80,26 @@ def test_parallel_first_axes_in_dh() -> None:
 def test_markers_and_a_stated_tool_rotation_add_theirs() -> None:
     """Breaks if a second marker has no parameters of its own, or an unstated orientation is corrected."""
     assert names(ROBOTS["ur10"])[26:] == expected("A: x y z; B: x y z; tool: rx ry rz")
+
+
+def test_markers_whose_places_beside_the_first_are_known_move_and_turn_with_it() -> None:
+    """Breaks if a known distance between markers changes with the tool, or a marker's own small error is lost."""
+    known = {name: dict(marker) for name, marker in TWO_MARKERS.items()}
+    known["B"]["relative_sd_mm"] = 0.01
+    robot = robots.ur10(markers=known)
+    assert names(robot)[-9:] == expected("A: x y z; B: x y z; markers: rx ry rz")
+    geometry = Geometry(robot)
+    sds = [parameter.prior_sd for parameter in geometry.parameters()[-9:]]
+    assert_allclose(sds, [0.02] * 3 + [1e-5] * 3 + [0.02] * 3)
+    p = np.zeros(len(geometry.parameters()))
+    p[-9:] = 2e-3, -1e-3, 3e-3, 0, 0, 1e-5, 0.02, -0.01, 0.03
+    first, second = np.array(
+        ca.DM(ca.evalf(geometry.dimensions(ca.SX(p), nominal_dimensions(robot), Row.symbols(robot)).markers))
+    ).T
+    stated = [np.array(marker["point_m"]) for marker in TWO_MARKERS.values()]
+    assert_allclose(first, stated[0] + p[-9:-6])
+    turn = Rotation.from_euler("XYZ", p[-3:])
+    assert_allclose(second - first, turn.apply(stated[1] - stated[0]) + p[-6:-3], atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["hh800", "hh800 other bars", "industrial"])

@@ -92,7 +92,8 @@ class Case:
 
     noise is "gauss", "heavy", "range" or "outliers"; columns may hold "approach", "travel", "time", "temperature" and
     "sigma"; effects are the study's. The real robot's joints are compliant where effects or hidden say so. base replaces
-    the robot file's (origin in mm, rotation in degrees). settings is text at the end of study.toml.
+    the robot file's (origin in mm, rotation in degrees). relative_sd [m] is in the robot file where the markers keep their
+    places beside the first. settings is text at the end of study.toml.
     """
 
     name: str = "case"
@@ -103,6 +104,7 @@ class Case:
     poses: int = 120
     payloads: tuple[str, ...] = ("none", "half", "full")
     markers: int = 1
+    relative_sd: float = 0.0
     repeats: int = 1
     effects: tuple[str, ...] = ("geometry", "joint-compliance")
     masses: bool = True
@@ -152,7 +154,7 @@ def draw(case: Case, rng: np.random.Generator) -> World:
     tables = stated_tables(case)
     compliance = np.array(COMPLIANCE[case.robot])
     stated = read(tables, compliance)
-    real = worn(stated, rng)
+    real = worn(stated, rng, rigid=case.relative_sd > 0)
     hidden = tuple(
         replace(h, joint=joint, size=size, seed=int(rng.integers(2**32)))
         for h in case.hidden
@@ -187,6 +189,9 @@ def stated_tables(case: Case) -> dict[str, Any]:
     first = np.array(marker.get("point_mm") or 1000 * np.array(marker["point_m"]))
     points = [(first + 1000 * np.array(aside)).tolist() for aside in MARKERS[: case.markers]]
     tables["markers"] = {name: {"point_mm": point} for name, point in zip("EFG", points, strict=False)}
+    if case.relative_sd:
+        for name in list(tables["markers"])[1:]:
+            tables["markers"][name]["relative_sd_mm"] = 1e3 * case.relative_sd
     if case.base:
         tables["base"] = {"origin_mm": list(case.base[0]), "rotation_deg": list(case.base[1])}
     return tables

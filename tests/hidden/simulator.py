@@ -169,8 +169,11 @@ def _read_loop(table: Mapping[str, Any], theta: Array, middle: Array) -> Loop:
     )
 
 
-def worn(robot: Robot, rng: np.random.Generator) -> Robot:
-    """The robot as built: geometry off by tenths of a millimetre, base and tool by more, compliance by a tenth."""
+def worn(robot: Robot, rng: np.random.Generator, rigid: bool = False) -> Robot:
+    """The robot as built: geometry off by tenths of a millimetre, base and tool by more, compliance by a tenth.
+
+    rigid keeps the markers' places beside the first: they move with it and turn about it.
+    """
     small = {name: getattr(robot, name) + rng.normal(0, 3e-4, robot.n) for name in ("alpha", "a", "d", "theta")}
     parallel = np.abs(np.sin(robot.alpha)) < NEARLY_PARALLEL
     parallel[0] = False  # the base turns about y too
@@ -180,10 +183,15 @@ def worn(robot: Robot, rng: np.random.Generator) -> Robot:
         **small,
         beta=robot.beta + parallel * rng.normal(0, 3e-4, robot.n),
         base=robot.base @ placed(rng.normal(0, 2e-3, 6)),
-        markers=robot.markers + rng.normal(0, 1e-3, robot.markers.shape),
+        markers=robot.markers + rng.normal(0, 1e-3, robot.markers.shape) if not rigid else _as_one(robot.markers, rng),
         compliance=robot.compliance * rng.normal(1, 0.1, robot.n),
         loop=loop,
     )
+
+
+def _as_one(markers: Array, rng: np.random.Generator) -> Array:
+    turn = placed(np.append(np.zeros(3), rng.normal(0, 5e-3, 3)))[:3, :3]
+    return markers[0] + rng.normal(0, 1e-3, 3) + (markers - markers[0]) @ turn.T
 
 
 # --- Kinematics --------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +120,17 @@ def test_tracker_scale_is_said_to_be_out_of_reach(tmp_path):
     seen = found(tmp_path, case("serial", Hidden("tracker-scale", 0, 3e-5)), 13)
     assert seen.causes.empty
     tested = pd.read_csv(seen.folder / "diagnose" / "candidates.csv").set_index("cause")
-    assert "not testable" in tested.loc["tracker-scale", "note"]
+    assert tested.loc["tracker-scale", "note"].startswith("not testable: needs relative_sd_mm")
+
+
+def test_tracker_scale_shows_in_distances_that_are_known(tmp_path):
+    """Breaks if markers whose places beside each other are known do not show the device's scale, or show one that is not there."""
+    known = case("serial", Hidden("tracker-scale", 0, 8e-5), markers=3, relative_sd=2e-6, sigma=1e-5)
+    seen = found(tmp_path, known, 14)
+    assert list(seen.causes["cause"]) == ["tracker-scale"]
+    row = seen.causes.iloc[0]
+    assert abs(row["estimate"] - 8e-5) < 4 * row["sd"]
+    assert found(tmp_path / "none", replace(known, hidden=()), 15).causes.empty
 
 
 @pytest.mark.parametrize(

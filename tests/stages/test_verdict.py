@@ -114,13 +114,6 @@ def test_what_was_tested_there_is_judged_by_its_score():
     assert names(elsewhere) == [("joint-hysteresis", 3)]
 
 
-def test_a_scale_is_said_to_be_geometrys():
-    """Fails if a scale error is named though longer links would do the same."""
-    found = judged(score(-50.0, "tracker-scale"))
-    assert names(found) == [("geometry", 0)]
-    assert found.probability == pytest.approx(0.5)
-
-
 TRANSMISSION = "angular transmission error"
 
 

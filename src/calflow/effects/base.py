@@ -147,7 +147,7 @@ def unmet(needs: tuple[str, ...], robot: Robot, given: tuple[str, ...]) -> list[
     """Return in words which needs robot file and data leave unmet.
 
     A need is a condition of the data (`conditions.OPTIONAL`), or of the robot file: masses, torques (computed from
-    masses, or measured), payload, gear_ratio.
+    masses, or measured), payload, gear_ratio, distances (between markers).
     """
     said = {
         "masses": ("mass_kg and com_mm of every link in the robot file", robot.has_masses),
@@ -155,6 +155,8 @@ def unmet(needs: tuple[str, ...], robot: Robot, given: tuple[str, ...]) -> list[
                     robot.has_masses or "torque" in given),
         "payload": ("a payload with a mass in the robot file", any(load.mass for load in robot.payloads.values())),
         "gear_ratio": ("gear_ratio of a joint in the robot file", any(joint.gear_ratio for joint in robot.joints)),
+        "distances": ("relative_sd_mm of a marker in the robot file (its place beside the first, measured apart)",
+                      any(marker.relative_sd for marker in robot.markers.values())),
         "approach": ("columns approach1 … (or in_order = true in the study's [measurements])", "approach" in given),
         "travel": ("columns travel1_deg … (or in_order = true in the study's [measurements])", "travel" in given),
         "wrench": ("columns fx_N … mz_Nm", "wrench" in given),

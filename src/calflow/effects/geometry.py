@@ -13,10 +13,12 @@ from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions, nominal_dimensions
+from calflow.robot.transforms import placement
 
 # m and rad alike: what machining and assembly leave on a link, and what is a mistake rather than an error
 LINK_SD, LINK_BOUND = 2e-3, 20e-3
 PLACED_SD, PLACED_BOUND = 20e-3, 0.2  # base and markers stand where somebody put them
+MISTAKE = 20.0  # standard deviations of a marker's known place at which it is a mistake
 UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # a base whose place nobody wrote down, about the registered place
 
 MEANINGS = {  # by field of `Dimensions`
@@ -29,6 +31,7 @@ MEANINGS = {  # by field of `Dimensions`
     "bars": "length of the loop's {symbol}",
     "markers": "{symbol} of marker {part}",
     "tool_rotation": "turn of the tool, {symbol}",
+    "markers_turn": "turn of the markers about the first, {symbol}",
 }
 
 
@@ -48,7 +51,7 @@ class Geometry(Effect):
     Of two figures that move the tool in exactly the same way whatever the pose, one is left out: the first joint's place
     is the base's, the rocker's length the crank's, and along nearly parallel axes beta replaces d (Hayati 1983). The
     last joint's trade against the tool is kept, and what prismatic joints or planar arms leave redundant, for the
-    identifiability analysis to name.
+    identifiability analysis to name. Markers whose places beside the first are known move and turn with it.
     """
 
     id: ClassVar[str] = "geometry"
@@ -64,7 +67,16 @@ class Geometry(Effect):
         for value, error in zip(ca.vertsplit(p), self.errors, strict=True):
             field = changed.setdefault(error.field, ca.SX(getattr(dims, error.field)))
             field[error.index] += value
-        return replace(dims, **changed)
+        moved = replace(dims, **changed)
+        beside = [k for k, marker in enumerate(self.robot.markers.values()) if marker.relative_sd]
+        if not beside:
+            return moved
+        first, turn = moved.markers[:, 0], placement(ca.vertcat(0, 0, 0, moved.markers_turn))[:3, :3]
+        markers = ca.SX(moved.markers)
+        for k in beside:
+            own = moved.markers[:, k] - dims.markers[:, k]
+            markers[:, k] = first + turn @ (dims.markers[:, k] - dims.markers[:, 0]) + own
+        return replace(moved, markers=markers)
 
     @cached_property
     def errors(self) -> tuple[DimensionError, ...]:
@@ -77,9 +89,8 @@ def _error(
 ) -> DimensionError:
     unit = "rad" if symbol in ("alpha", "beta", "theta", "rx", "ry", "rz") else "m"
     figure = float(getattr(nominal_dimensions(robot), field)[index])
-    link = part.removeprefix("joint")
-    words = MEANINGS.get(field, "").format(symbol=symbol, link=link, part=part)
-    number = int(link) if link.isdigit() else 0
+    number = index + 1 if isinstance(index, int) and part == f"joint{index + 1}" else 0
+    words = MEANINGS.get(field, "").format(symbol=symbol, link=number, part=part)
     parameter = Parameter(
         Geometry.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=words, joint=number
     )
@@ -114,9 +125,14 @@ def _loop(robot: Robot) -> Iterator[DimensionError]:
 
 
 def _tool(robot: Robot) -> Iterator[DimensionError]:
-    for k, marker in enumerate(robot.markers):
+    for k, (name, marker) in enumerate(robot.markers.items()):
+        sd = marker.relative_sd or PLACED_SD
+        bound = MISTAKE * sd if marker.relative_sd else PLACED_BOUND
         for i, symbol in enumerate(("x", "y", "z")):
-            yield _error(robot, marker, symbol, "markers", (i, k), PLACED_SD, PLACED_BOUND)
+            yield _error(robot, name, symbol, "markers", (i, k), sd, bound)
+    if any(marker.relative_sd for marker in robot.markers.values()):
+        for i, symbol in enumerate(("rx", "ry", "rz")):
+            yield _error(robot, "markers", symbol, "markers_turn", i, PLACED_SD, PLACED_BOUND)
     if robot.tool_rotation is not None:
         for i, symbol in enumerate(("rx", "ry", "rz")):
             yield _error(robot, "tool", symbol, "tool_rotation", i, PLACED_SD, PLACED_BOUND)

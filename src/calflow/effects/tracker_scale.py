@@ -13,11 +13,11 @@ from calflow.effects.base import Effect, Parameter
 
 @dataclass(frozen=True)
 class TrackerScale(Effect):
-    """Reported position times 1 + s; all links longer by as much look the same."""
+    """Reported position times 1 + s; all links and the tool longer by as much look the same, but for known distances."""
 
     id: ClassVar[str] = "tracker-scale"
     title: ClassVar[str] = "scale of the measuring device"
-    alike: ClassVar[tuple[str, ...]] = ("geometry",)
+    needs: ClassVar[tuple[str, ...]] = ("distances",)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the scale error."""

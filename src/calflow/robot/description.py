@@ -88,9 +88,13 @@ class Payload(FileModel):
 
 
 class Marker(FileModel):
-    """A measured point of the tool, in the flange's frame."""
+    """A measured point of the tool, in the flange's frame.
+
+    relative_sd [m] is how surely its place beside the first marker is known, where the tool was measured by itself.
+    """
 
     point: Lengths3
+    relative_sd: Length | None = Field(default=None, gt=0)
 
 
 class Base(FileModel):
@@ -131,6 +135,8 @@ class Robot(FileModel):
             raise ValueError("expected at least one marker, e.g. [markers.tool] with point_mm = [0, 0, 100]")
         if "base" in markers:
             raise ValueError("a marker cannot be called 'base': parameters are named by their part")
+        if next(iter(markers.values())).relative_sd:
+            raise ValueError("the first marker has no relative_sd: the others' places are relative to it")
         return markers
 
     @field_validator("couplings")

@@ -15,7 +15,8 @@ class Dimensions:
     """Every length and angle of a robot and its tool.
 
     base (6,) and tool_rotation (3,) are errors in the base's and the tool's own frame (see `transforms.placement`); the
-    DH figures are (n_joints,); bars (crank, rod, rocker) is (3,); markers is (3, n_markers). SI units.
+    DH figures are (n_joints,); bars (crank, rod, rocker) is (3,); markers is (3, n_markers); markers_turn (3,) turns the
+    markers whose places beside the first are known about it. SI units.
     """
 
     base: ca.SX
@@ -27,6 +28,7 @@ class Dimensions:
     bars: ca.SX
     tool_rotation: ca.SX
     markers: ca.SX
+    markers_turn: ca.SX
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,7 @@ def nominal_dimensions(robot: Robot) -> Dimensions:
         bars=_column([loop.crank.length, loop.rod.length, loop.rocker] if loop else []),
         tool_rotation=_column([0.0] * 3),
         markers=_points([marker.point for marker in robot.markers.values()]),
+        markers_turn=_column([0.0] * 3),
     )
 
 

@@ -25,7 +25,6 @@ TELLS = ["tells", "from", "separation_before_sd", "separation_after_sd"]
 ELSE = {  # what tells a cause from one that the data could not test
     "joint-hysteresis": "log each joint's travel since its last reversal (columns travel1_deg …)",
     "joint-backlash": "vary the travel since the last reversal, from tenths of a degree to many degrees",
-    "geometry": "measure distances between markers that are known otherwise",
 }
 ENOUGH = 4.0  # standard deviations of separation at which a rival is as good as excluded
 

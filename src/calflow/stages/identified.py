@@ -14,7 +14,7 @@ from calflow.effects import Effect, catalogue
 from calflow.measurements import Measurements
 from calflow.model import Model, build
 from calflow.problems import refuse
-from calflow.robot.description import Base, Marker, Robot
+from calflow.robot.description import Base, Robot
 from calflow.stages.causes import Carried, Cause
 from calflow.stages.fit import Loss
 from calflow.stages.noise import Noise, Source
@@ -122,7 +122,7 @@ def placed(robot: Robot, tables: Tables) -> Robot:
     points = placement[["x_m", "y_m", "z_m"]].to_numpy(dtype=float)
     at = {name: tuple(float(v) for v in point) for name, point in zip(placement.index, points, strict=True)}
     base = Base.model_construct(origin=at["base"], rotation=_angles(placement, "base"), known=False)
-    markers = {name: Marker.model_construct(point=at[name]) for name in robot.markers}
+    markers = {name: marker.model_copy(update={"point": at[name]}) for name, marker in robot.markers.items()}
     tool = None if robot.tool_rotation is None else _angles(placement, "tool")
     return robot.model_copy(update={"base": base, "markers": markers, "tool_rotation": tool})
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calflow.conditions import Row
 from calflow.effects.geometry import DimensionError, Geometry
 from calflow.measurements import Measurements
 from calflow.model import Model, build
 from calflow.problems import refuse
-from calflow.robot.description import Base, Marker, Robot
+from calflow.robot.description import Base, Robot
+from calflow.robot.dimensions import nominal_dimensions
 from calflow.stages.fit import Problem, fit
 from calflow.stages.noise import Noise
 
@@ -26,7 +29,9 @@ class Placement(Geometry):
     @cached_property
     def errors(self) -> tuple[DimensionError, ...]:
         """The errors of base, markers and tool."""
-        return tuple(error for error in super().errors if error.field in ("base", "markers", "tool_rotation"))
+        return tuple(
+            error for error in super().errors if error.field in ("base", "markers", "markers_turn", "tool_rotation")
+        )
 
 
 def registered(robot: Robot, train: Measurements) -> Robot:
@@ -56,18 +61,20 @@ def registered(robot: Robot, train: Measurements) -> Robot:
     rough = None if train.rotation is None else np.full(len(train), NOMINAL_ERROR)
     noise = Noise(np.full(len(train), NOMINAL_ERROR), "estimated", rotation=rough)
     result, _ = fit(Problem.of(model, train.on(placed), noise), loss="soft_l1")
-    return _moved(placed, dict(zip((p.name for p in model.parameters), result.estimate, strict=True)))
+    dims = Placement(placed).dimensions(ca.SX(result.estimate), nominal_dimensions(placed), Row.symbols(placed))
+    markers = np.array(ca.DM(ca.evalf(dims.markers))).T
+    return _moved(placed, dict(zip((p.name for p in model.parameters), result.estimate, strict=True)), markers)
 
 
-def _moved(robot: Robot, found: dict[str, float]) -> Robot:
+def _moved(robot: Robot, found: dict[str, float], markers: np.ndarray) -> Robot:
     turn = Rotation.from_euler("XYZ", robot.base.rotation)
     small = Rotation.from_euler("XYZ", [found[f"base.{axis}"] for axis in ("rx", "ry", "rz")])
     origin = np.array(robot.base.origin) + turn.apply([found[f"base.{axis}"] for axis in "xyz"])
-    markers = {
-        name: Marker.model_construct(point=tuple(m.point[i] + found[f"{name}.{axis}"] for i, axis in enumerate("xyz")))
-        for name, m in robot.markers.items()
+    placed = {
+        name: marker.model_copy(update={"point": tuple(map(float, point))})
+        for (name, marker), point in zip(robot.markers.items(), markers, strict=True)
     }
-    moved = _with_base(robot, turn * small, origin).model_copy(update={"markers": markers})
+    moved = _with_base(robot, turn * small, origin).model_copy(update={"markers": placed})
     if robot.tool_rotation is None:
         return moved
     tool = _tool(robot) * Rotation.from_euler("XYZ", [found[f"tool.{axis}"] for axis in ("rx", "ry", "rz")])
