@@ -93,6 +93,15 @@ def test_a_pose_measured_with_two_payloads_stays_whole(small):
     assert (table["split"] == "holdout").mean() == pytest.approx(0.3)
 
 
+def test_each_session_is_held_out_in_proportion(small):
+    """Fails if a session that a user states may be held out as a whole, or not at all."""
+    session = np.repeat(np.where(np.arange(60) % 4 == 0, "monday", "tuesday"), 2)
+    held = drawn(small, session=session, payload="light").drop_duplicates("pose").groupby("session")["split"]
+    assert held.apply(lambda split: (split == "holdout").mean()).to_dict() == pytest.approx(
+        {"monday": 0.3, "tuesday": 0.3}, abs=0.04
+    )
+
+
 def test_the_seed_decides_the_split(small):
     """Fails if a split changes from call to call, or with the order of the rows, or never."""
     first, again, other = drawn(small), drawn(small), drawn(small, seed=2)

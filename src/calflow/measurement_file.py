@@ -176,7 +176,7 @@ def _to_si(
     known = column_names(robot)
     for name, (spelled, unit) in columns.items():
         cells = native[spelled]
-        if name in ("marker", "payload", "split"):
+        if name in ("marker", "payload", "session", "split"):
             table[name] = _text(cells)
         elif name in ("pose", "repeat"):
             table[name] = _text(cells).str.replace(r"\.0*$", "", regex=True)

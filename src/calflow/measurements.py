@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Literal
 
 import numpy as np
@@ -16,7 +16,8 @@ from calflow.robot.description import Robot
 from calflow.toml_file import Angle, FileModel, Length, Lengths3
 from calflow.units import split_unit
 
-LABELS = ("pose", "repeat", "marker", "payload", "split")
+LABELS = ("pose", "repeat", "marker", "payload", "session", "split")
+BLOCKS = ("payload", "session")  # what poses are held out, and resampled, within
 
 
 class MeasurementSource(FileModel):
@@ -143,18 +144,25 @@ class Measurements:
 
 
 def draw_split(measured: Measurements, holdout: float, seed: int) -> Measurements:
-    """Return the rows with a split drawn by pose, each payload in proportion; an explicit split stays."""
+    """Return the rows with a split drawn by pose, each payload and session in proportion; an explicit split stays."""
     if "split" in measured.table:
         return measured
     rng = np.random.default_rng(seed)
     table = measured.table.copy()
     table["split"] = "train"
-    carried = table.groupby("pose")["payload"].agg(lambda payloads: "\n".join(sorted(set(payloads))))
-    for _, group in carried.groupby(carried, sort=True):
+    first, *more = (table[name] for name in blocks_of(table))
+    every = reduce(lambda names, further: names + "\n" + further, more, first)
+    block = every.groupby(table["pose"]).agg(lambda names: "\n".join(sorted(set(names))))
+    for _, group in block.groupby(block, sort=True):
         poses = np.sort(group.index)
         held = rng.permutation(poses)[: round(holdout * len(poses))]
         table.loc[table["pose"].isin(held), "split"] = "holdout"
     return Measurements(measured.robot, table, measured.notes)
+
+
+def blocks_of(table: pd.DataFrame) -> list[str]:
+    """Return the columns that say under which payload and in which session a pose was measured."""
+    return [name for name in BLOCKS if name in table]
 
 
 def condition_columns(condition: str, robot: Robot) -> list[str]:

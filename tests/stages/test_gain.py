@@ -86,3 +86,14 @@ def test_without_held_out_rows_there_is_no_gain(robot):
     found = gain(np.empty((0, 3)), np.empty((0, 3)), empty, np.random.default_rng(7))
     assert isinstance(found, Gain)
     assert np.isnan([found.mean, found.low, found.high]).all()
+
+
+def test_poses_are_resampled_within_their_session(robot):
+    """Fails if a session that was worse throughout widens the interval, as if the sessions had been drawn too."""
+    rng = np.random.default_rng(7)
+    heldout, late = rows(robot, 60, payloads=("",)), np.arange(60) >= 30
+    before = 2e-4 * rng.standard_normal((60, 3)) * np.where(late, 5.0, 1.0)[:, None]
+    parted = Measurements(robot, heldout.table.assign(session=np.where(late, "after the rebuild", "before")))
+    whole, within = (gain(before, 0.5 * before, one, np.random.default_rng(8)) for one in (heldout, parted))
+    assert within.mean == whole.mean
+    assert within.high - within.low < 0.8 * (whole.high - whole.low)
