@@ -107,6 +107,11 @@ class Measurements:
         return self.table["sigma"].to_numpy() if "sigma" in self.table else None
 
     @property
+    def repeats(self) -> np.ndarray:
+        """How many measurements each row is the mean of, shape (n_rows,)."""
+        return self.table["of_repeats"].to_numpy() if "of_repeats" in self.table else np.ones(len(self))
+
+    @property
     def train(self) -> np.ndarray:
         """Which rows may be fitted, shape (n_rows,)."""
         return (self.table["split"] == "train").to_numpy()

@@ -493,15 +493,15 @@ def test_far_travel_makes_hysteresis_backlash(benches: dict[str, Bench]) -> None
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_range_noise_grows_with_distance(benches: dict[str, Bench], name: str) -> None:
-    """Breaks if the variance is not that of noise in proportion to the distance from the device, or a point is moved."""
+    """Breaks if the scatter is not that of noise in proportion to the distance from the device, or a point is moved."""
     bench = benches[name]
     model = Model(bench.robot, (made(bench, "range-noise"),), bench.data.given)
     p, c = ca.SX.sym("p"), ca.SX.sym("c", model.n_conditions)
     row = Row.unpack(bench.robot, c, bench.data.given)
-    variance = ca.Function("variance", [p, c], [ca.densify(ca.SX(model.effects[0].variance(p, row)))])
-    found = over_rows(variance, np.array([2.5e-5]), bench.table.rows)[0].ravel()
-    assert_allclose(found, (2.5e-5 * np.linalg.norm(bench.table.position, axis=1)) ** 2, rtol=1e-12)
-    assert model.effects[0].variance(p, Row.unpack(bench.robot, c)) == 0  # of rows whose distance nobody knows
+    scatter = ca.Function("scatter", [p, c], [ca.densify(ca.SX(model.effects[0].scatter(p, row)))])
+    found = over_rows(scatter, np.array([2.5e-5]), bench.table.rows)[0].ravel()
+    assert_allclose(found, 2.5e-5 * np.linalg.norm(bench.table.position, axis=1), rtol=1e-12)
+    assert model.effects[0].scatter(p, Row.unpack(bench.robot, c)) == 0  # of rows whose distance nobody knows
     assert not ca.jacobian(model.expression(p, c).position, p).nnz()
 
 

@@ -107,12 +107,15 @@ def test_every_cause_is_found(name, tmp_path):
         assert first["p_family"] < 0.01
 
 
-def test_range_noise_is_a_model_of_the_noise(tmp_path):
-    """Breaks if noise that grows with range is missed, or taken for a cause that shifts points."""
-    seen = found(tmp_path, case("serial", Hidden("range-noise", 0, 2.5e-5), repeats=2), 12)
+@pytest.mark.parametrize("repeats", [1, 3])
+def test_range_noise_is_a_model_of_the_noise(repeats, tmp_path):
+    """Breaks if noise that grows with range is missed, taken for a cause that shifts points, or told of means of repeats."""
+    seen = found(tmp_path, case("serial", Hidden("range-noise", 0, 2.5e-5), repeats=repeats), 12)
     assert list(seen.causes["cause"]) == ["range-noise"]
     row = seen.causes.iloc[0]
-    assert abs(row["estimate"] - 2.5e-5) < 4 * row["sd"]
+    assert abs(row["estimate"] - 2.5e-5) < 3 * row["sd"]
+    summary = pd.read_csv(seen.folder / "diagnose" / "summary.csv", index_col="item")["value"]
+    assert 0.0 < float(summary["sigma_mm"]) < 0.05
 
 
 def test_tracker_scale_is_said_to_be_out_of_reach(tmp_path):

@@ -97,7 +97,7 @@ class Effect(ABC):
     @classmethod
     def is_noise(cls) -> bool:
         """Whether it widens the noise and shifts nothing, so that it is tested by what the fit leaves."""
-        return cls.variance is not Effect.variance
+        return cls.scatter is not Effect.scatter
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return variants between this one and its neighbours."""
@@ -138,8 +138,8 @@ class Effect(ABC):
         """Change the position that the measuring device reports, (3,) [m]."""
         return point
 
-    def variance(self, p: ca.SX, row: Row) -> ca.SX | float:
-        """Add to the variance of the reported position, per axis [m²]."""
+    def scatter(self, p: ca.SX, row: Row) -> ca.SX | float:
+        """Add to the standard deviation of the reported position, per axis [m]."""
         return 0.0
 
 

@@ -13,7 +13,7 @@ from calflow.effects.base import Effect, Parameter
 
 @dataclass(frozen=True)
 class RangeNoise(Effect):
-    """Variance + (g · range)²: no shift, but a model of the noise; g enters by its square."""
+    """Standard deviation + g · range, as makers of trackers state it (15 um + 6 um/m): no shift, but a model of the noise."""
 
     id: ClassVar[str] = "range-noise"
     title: ClassVar[str] = "noise that grows with range"
@@ -23,6 +23,6 @@ class RangeNoise(Effect):
         """Return the growth per metre of range."""
         return (Parameter(self.id, "device", "g", "m/m", 1e-5, 0.0, 1e-3, meaning="noise per range"),)
 
-    def variance(self, p: ca.SX, row: Row) -> ca.SX | float:
+    def scatter(self, p: ca.SX, row: Row) -> ca.SX | float:
         """Add the range's part."""
-        return (p * row.range) ** 2 if row.range.nnz() else 0.0
+        return p * row.range if row.range.nnz() else 0.0

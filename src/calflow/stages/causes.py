@@ -92,9 +92,9 @@ class Cause(Effect):
         """Act as the effect does."""
         return self.effect.device(self._whole(p), point, row)
 
-    def variance(self, p: ca.SX, row: Row) -> ca.SX | float:
+    def scatter(self, p: ca.SX, row: Row) -> ca.SX | float:
         """Act as the effect does."""
-        return self.effect.variance(self._whole(p), row)
+        return self.effect.scatter(self._whole(p), row)
 
 
 @dataclass(frozen=True)

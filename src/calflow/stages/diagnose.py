@@ -83,7 +83,7 @@ def diagnose(known: Identified, data: Measurements, context: Context) -> Diagnos
     alarm = SHARES["noise"] * settings.false_alarm
     plain = start.device.sigma
     if grown := growth(start, alarm):
-        start = start.weighed(grown.sigma(train.table["range"].to_numpy()))
+        start = start.weighed(grown.sigma(train.table["range"].to_numpy()) / np.sqrt(train.repeats))
     have = [effect.id for effect in known.model.effects]
     catalogue = Catalogue.of(train, have, settings.catalogue, settings.leave_out)
     context.advance(0.1)

@@ -111,6 +111,7 @@ def averaged(data: Measurements, level: Noise) -> tuple[Measurements, Noise]:
         return data, level
     first = np.unique(group, return_index=True)[1]
     table = data.table.iloc[first].reset_index(drop=True)
+    table["of_repeats"] = count
     for name in data.table.columns:
         if name not in ("pose", "repeat", "line") and data.table[name].dtype.kind == "f":
             table[name] = np.bincount(group, weights=data.table[name]) / count

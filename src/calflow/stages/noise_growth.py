@@ -15,7 +15,7 @@ MOST_LEVERAGE = 0.95
 
 @dataclass(frozen=True)
 class Growth:
-    """Variance floor² + (slope · range)²: floor [m], slope [m/m] with its standard deviation, and the p-value of slope > 0."""
+    """Noise of floor + slope · range: floor [m], slope [m/m] with its standard deviation, and the p-value of slope > 0."""
 
     floor: float
     slope: float
@@ -23,8 +23,8 @@ class Growth:
     p: float
 
     def sigma(self, distance: np.ndarray) -> np.ndarray:
-        """Return the standard deviation per axis [m] at these ranges [m]."""
-        return np.hypot(self.floor, self.slope * distance)
+        """Return the standard deviation per axis [m] of one measurement at these ranges [m]."""
+        return self.floor + self.slope * distance
 
 
 def growth(fitted: Fitted, level: float) -> Growth | None:
@@ -45,20 +45,20 @@ def growth(fitted: Fitted, level: float) -> Growth | None:
     p = float(spearmanr(size, distance, alternative="greater").pvalue)
     if not p < level:
         return None
-    metres = error / weight[:, None]
+    metres = error / weight[:, None] * np.sqrt(fitted.data.repeats)[:, None]
     return _fitted(metres, distance, p)
 
 
 def _fitted(error: np.ndarray, distance: np.ndarray, p: float) -> Growth:
-    """Maximum likelihood of floor and slope, in logarithms."""
+    """Maximum likelihood of floor and slope, in logarithms; error is that of single measurements."""
     squared = (error**2).sum(axis=1)
     middle = float(np.sqrt(np.median(squared) / 2.366))  # the median of chi² with 3 degrees of freedom
 
     def cost(x: np.ndarray) -> float:
-        variance = np.exp(2 * x[0]) + np.exp(2 * x[1]) * distance**2
+        variance = (np.exp(x[0]) + np.exp(x[1]) * distance) ** 2
         return float((0.5 * squared / variance + 1.5 * np.log(variance)).sum())
 
-    start = np.log([middle / 2, middle / np.sqrt(np.mean(distance**2))])
+    start = np.log([middle / 2, middle / 2 / np.mean(distance)])
     found = minimize(cost, start, method="BFGS")
     sd = float(np.sqrt(max(found.hess_inv[1, 1], 0.0)) * np.exp(found.x[1]))
     return Growth(float(np.exp(found.x[0])), float(np.exp(found.x[1])), sd, p)
