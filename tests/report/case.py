@@ -19,6 +19,7 @@ from calflow.stages.findings import CANDIDATES, FINDINGS
 from calflow.stages.identified import calibrated, effect_table, identified, with_maps_held
 from calflow.stages.identify import STAGE as IDENTIFY
 from calflow.stages.stage import Context
+from calflow.stages.verdict import label
 from calflow.study import load_study
 
 ROBOT = """
@@ -221,8 +222,9 @@ def _steps(before: pd.DataFrame, told: list[Found], parts: list[str]) -> pd.Data
 
 def _poses(open_: list[Found], number: int) -> pd.DataFrame:
     blocks = [
-        pd.DataFrame({"q1_deg": np.arange(float(number)), "q2_deg": 1.0, "q3_deg": 2.0, "payload": "", "tells": one.cause,
-                      "from": one.rivals.split()[0], "separation_before_sd": 1.2, "separation_after_sd": 6.5})
+        pd.DataFrame({"q1_deg": np.arange(float(number)), "q2_deg": 1.0, "q3_deg": 2.0, "payload": "",
+                      "tells": label(one.cause, one.joint),
+                      "from": one.rivals.split("; ")[0], "separation_before_sd": 1.2, "separation_after_sd": 6.5})
         for one in open_
     ]  # fmt: skip
     columns = ["q1_deg", "q2_deg", "q3_deg", "payload", "tells", "from", "separation_before_sd", "separation_after_sd"]

@@ -88,8 +88,8 @@ def separations(after: float, words: str) -> pd.DataFrame:
 
 def poses(number: int) -> pd.DataFrame:
     row = {
-        "tells": "joint-backlash",
-        "from": "joint-hysteresis",
+        "tells": "joint-backlash 2",
+        "from": "joint-hysteresis 2",
         "separation_before_sd": 1.2,
         "separation_after_sd": 6.5,
     }

@@ -202,7 +202,7 @@ def findings(tables: Tables) -> list[Found]:
     found: list[Found] = []
     for row in tables["diagnose/findings.csv"].to_dict("records"):
         order = sum(other.told for other in found) + 1 if row["status"] in TOLD else 0
-        rivals = tuple(_rival(name) for name in _text(row["rivals"]).split("; ") if name)
+        rivals = tuple(named(name) for name in _text(row["rivals"]).split("; ") if name)
         alike = tuple(name for name in _text(row["cannot_tell_from"]).split(";") if name)
         gain, low, high = (_figure(row[f"gain_{name}_mm"]) for name in ("mean", "low", "high"))
         found.append(
@@ -318,7 +318,8 @@ def _family(cause: str) -> str:
     return kind.family if kind else ""
 
 
-def _rival(text: str) -> Rival:
+def named(text: str) -> Rival:
+    """Read a cause with its joint, as tables name it."""
     cause, _, joint = text.partition(" ")
     return Rival(cause, int(joint) if joint.isdecimal() else 0)
 

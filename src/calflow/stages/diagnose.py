@@ -12,7 +12,7 @@ from calflow.stages.accuracy import accuracy, errors
 from calflow.stages.causes import Catalogue
 from calflow.stages.confirmation import confirm
 from calflow.stages.curves import curves
-from calflow.stages.discrimination import poses_table, separation, separations_table
+from calflow.stages.discrimination import poses_table, question, separations_table
 from calflow.stages.extension import Gate, extend, narrowed, weighed_against
 from calflow.stages.findings import Diagnosis, candidates_table, findings_table
 from calflow.stages.fitted import Fitted
@@ -54,13 +54,13 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     faults = context.tables["identify/faults.csv"]
     other = study.confirming
     confirmed = confirm(final, len(known.model.effects), other.measurements()) if other and found.causes else None
-    separations = [separation(v, final, context.rng(f"poses{k}")) for k, v in enumerate(found.verdicts)]
+    questions = [question(v, final, context.rng(f"poses{k}")) for k, v in enumerate(found.verdicts)]
     tables = {
         "diagnose/findings.csv": findings_table(found, data, faults, context.rng("resamples")),
         "diagnose/candidates.csv": candidates_table(found),
         "diagnose/accuracy.csv": _accuracy(found, data, context.tables["identify/accuracy.csv"]),
-        "diagnose/next_poses.csv": poses_table(separations, final),
-        "diagnose/separations.csv": separations_table(separations),
+        "diagnose/next_poses.csv": poses_table(questions, final),
+        "diagnose/separations.csv": separations_table(questions),
         "diagnose/parameters.csv": parameter_table(final.fit),
         "diagnose/covariance.csv": covariance_table(final.fit),
         "diagnose/effects.csv": effect_table(final.model.effects),

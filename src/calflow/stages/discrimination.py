@@ -7,7 +7,7 @@ cannot imitate, in standard deviations of the noise, is the separation. Poses ar
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,7 @@ from calflow.model import Model
 from calflow.stages.candidates import candidates
 from calflow.stages.causes import Cause
 from calflow.stages.fitted import Fitted
-from calflow.stages.verdict import Rival, Verdict
+from calflow.stages.verdict import Rival, Verdict, label
 
 POSES = 20
 CANDIDATES = 600  # poses to choose from, for each payload
@@ -26,74 +26,175 @@ ELSE = {  # what tells a cause from one that the data could not test
     "joint-hysteresis": "log each joint's travel since its last reversal (columns travel1_deg …)",
     "joint-backlash": "vary the travel since the last reversal, from tenths of a degree to many degrees",
 }
-ENOUGH = 4.0  # standard deviations of separation at which a rival is as good as excluded
+ENOUGH = 4.7  # standard deviations of separation at which a rival is excluded (its BIC 10 worse) nine times in ten
 
 
 @dataclass(frozen=True)
-class Proposal:
-    """Poses to measure: readings (n, n_joints), approach (n, n_joints), payload names; separation before and after them [sd]."""
+class Choices:
+    """Poses to choose from: readings and approach (n, n_joints), payload names, and the packed rows (n_conditions, n)."""
 
     readings: np.ndarray
     approach: np.ndarray
     payloads: tuple[str, ...]
-    before: float
-    after: float
+    rows: np.ndarray
+
+    def only(self, which: Sequence[int]) -> Choices:
+        """Return some of the poses."""
+        chosen = list(which)
+        payloads = tuple(self.payloads[k] for k in chosen)
+        return Choices(self.readings[chosen], self.approach[chosen], payloads, self.rows[:, chosen])
+
+
+@dataclass(frozen=True)
+class Contest:
+    """A cause's effect, and how well a rival and all other parameters can imitate it: in the data, and at each further pose.
+
+    information (n, n), moment (n,) and energy are of the least squares problem in standard deviations of noise and priors;
+    new_effect (n_poses, 3) and new_imitate (n_poses, 3, n) what a further pose would add to it.
+    """
+
+    information: np.ndarray
+    moment: np.ndarray
+    energy: float
+    new_effect: np.ndarray
+    new_imitate: np.ndarray
+
+    @staticmethod
+    def of(fitted: Fitted, cause: Cause, rival: Cause, choices: Choices, sigma: float) -> Contest:
+        """Set a cause in the fitted model against a rival that is not in it; sigma [m] is a further measurement's."""
+        model = fitted.model
+        both = Model(model.robot, (*model.effects, rival), model.given)
+        point = np.concatenate([fitted.fit.estimate, np.zeros(len(rival.declared))])
+        own = fitted.columns(cause)
+        others = np.setdiff1d(np.arange(len(point)), own)
+        sd = both.prior_sd[others]
+        free = np.concatenate([~fitted.fit.at_bound, np.full(len(rival.declared), True)])[others]
+
+        def split(rows: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            jacobian = both.position_jacobian(point, rows) / noise[:, None, None]
+            return jacobian[:, :, own] @ fitted.fit.estimate[own], (jacobian[:, :, others] * sd * free)
+
+        effect, imitate = split(fitted.data.rows, fitted.noise.total[0])
+        new_effect, new_imitate = split(choices.rows, np.full(choices.rows.shape[1], sigma))
+        information = np.eye(len(others)) + np.einsum("rai,raj->ij", imitate, imitate)
+        moment = np.einsum("rai,ra->i", imitate, effect)
+        return Contest(information, moment, float((effect**2).sum()), new_effect, new_imitate)
+
+    @property
+    def separation(self) -> float:
+        """What the rival cannot imitate [sd]."""
+        left = self.energy - float(self.moment @ np.linalg.solve(self.information, self.moment))
+        return float(np.sqrt(max(left, 0.0)))
+
+    @property
+    def growth(self) -> np.ndarray:
+        """By how much each further pose would raise the separation's square, shape (n_poses,)."""
+        covariance = np.linalg.inv(self.information)
+        unexplained = self.new_effect - self.new_imitate @ (covariance @ self.moment)
+        spread = np.eye(3) + np.einsum("rai,ij,rbj->rab", self.new_imitate, covariance, self.new_imitate, optimize=True)
+        return np.einsum("ra,ra->r", unexplained, np.linalg.solve(spread, unexplained[..., None])[..., 0])
+
+    def measured(self, pose: int) -> Contest:
+        """Return the contest after one more pose."""
+        effect, imitate = self.new_effect[pose], self.new_imitate[pose]
+        return replace(self, information=self.information + imitate.T @ imitate, moment=self.moment + imitate.T @ effect,
+                       energy=self.energy + float((effect**2).sum()))  # fmt: skip
+
+
+def propose(contests: Sequence[Contest], number: int) -> tuple[list[int], list[Contest]]:
+    """Choose poses, each for the rival that is then the nearest, and return the contests after them."""
+    now, chosen = list(contests), list[int]()
+    for _ in range(min(number, len(now[0].new_effect))):
+        growth = min(now, key=lambda contest: contest.separation).growth
+        growth[chosen] = -1.0
+        chosen.append(int(np.argmax(growth)))
+        now = [contest.measured(chosen[-1]) for contest in now]
+    return chosen, now
 
 
 @dataclass(frozen=True)
 class Separation:
-    """How to tell a cause from one rival: poses that do, or in words what would."""
+    """How far a cause is apart from one rival [sd]: before, and after further poses, which are either proposed or its own."""
 
-    cause: Cause
     rival: Rival
-    proposal: Proposal | None
+    before: float
+    after: float
+    proposed: bool
 
-    @property
-    def words(self) -> str:
+    def words(self, cause: Cause) -> str:
         """Say what to measure."""
+        apart = f"they separate by {self.after:.1f} sd instead of {self.before:.1f}"
+        if self.proposed:
+            return f"measure the {POSES} poses of next_poses.csv: {apart}"
         if self.rival.cause is None:
             return (
-                f"no pose tells {self.cause.id} from {self.rival.id} in these data: "
+                f"no pose tells {cause.id} from {self.rival.id} in these data: "
                 f"{ELSE.get(self.rival.id, 'another sensor or another direction of load is needed')}"
             )
-        assert self.proposal
-        now, then = self.proposal.before, self.proposal.after
-        if then < ENOUGH:
+        if self.after < ENOUGH:
             return (
-                f"no pose under these loads tells {self.cause.id} from {self.rival.id} ({then:.1f} sd after {POSES} poses): "
+                f"no pose under these loads tells {cause.id} from {self.rival.id} ({self.after:.1f} sd after {POSES} poses): "
                 "another payload, a load from another direction, or a sensor at the joint is needed"
             )
-        number = len(self.proposal.readings)
-        return f"measure the {number} poses of next_poses.csv: they separate by {then:.1f} sd instead of {now:.1f}"
+        return f"measure {POSES} further poses, once the other rivals are excluded: {apart}"
 
 
-def separation(verdict: Verdict, fitted: Fitted, rng: np.random.Generator) -> list[Separation]:
+@dataclass(frozen=True)
+class Question:
+    """A finding's rivals, and the poses that would tell it from those of them that poses can exclude together."""
+
+    cause: Cause
+    separations: tuple[Separation, ...]
+    poses: Choices | None
+
+
+def question(verdict: Verdict, fitted: Fitted, rng: np.random.Generator) -> Question:
     """Return how to tell a finding from each of its rivals."""
     cause, sigma = verdict.finding.cause, float(np.sqrt(np.mean(fitted.noise.total[0] ** 2)))
-    return [
-        Separation(cause, rival, propose(fitted, cause, rival.cause, sigma, rng) if rival.cause else None)
-        for rival in verdict.rivals
-    ]
+    if not any(rival.cause for rival in verdict.rivals):
+        return Question(cause, tuple(Separation(rival, 0.0, 0.0, False) for rival in verdict.rivals), None)
+    choices = _choices(fitted, rng)
+    contests = {
+        k: Contest.of(fitted, cause, rival.cause, choices, sigma)
+        for k, rival in enumerate(verdict.rivals) if rival.cause
+    }  # fmt: skip
+    after = {k: propose([contest], POSES)[1][0].separation for k, contest in contests.items()}
+    open_ = [k for k in contests if after[k] >= ENOUGH]
+    chosen = list[int]()
+    while open_:
+        chosen, ends = propose([contests[k] for k in open_], POSES)
+        together = dict(zip(open_, (contest.separation for contest in ends), strict=True))
+        if min(together.values()) >= ENOUGH:
+            after |= together
+            break
+        open_.remove(min(together, key=lambda k: together[k]))
+    separations = tuple(
+        Separation(rival, contests[k].separation, after[k], k in open_)
+        if k in contests
+        else Separation(rival, 0.0, 0.0, False)
+        for k, rival in enumerate(verdict.rivals)
+    )
+    return Question(cause, separations, choices.only(chosen) if open_ else None)
 
 
-def poses_table(separations: Sequence[Sequence[Separation]], fitted: Fitted) -> pd.DataFrame:
-    """Return diagnose/next_poses.csv: the poses that separate each finding from its nearest rival that poses can exclude."""
+def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
+    """Return diagnose/next_poses.csv: the poses that tell each finding from its rivals, as far as poses can."""
     robot = fitted.model.robot
     readings = [f"q{i + 1}_{'deg' if joint.kind == 'revolute' else 'mm'}" for i, joint in enumerate(robot.joints)]
     units = np.array([np.rad2deg(1.0) if joint.kind == "revolute" else 1e3 for joint in robot.joints])
     blocks = []
-    for several in separations:
-        useful = [one for one in several if one.proposal and one.proposal.after >= ENOUGH]
-        if not useful:
+    for one in questions:
+        if one.poses is None:
             continue
-        one = min(useful, key=lambda one: one.rival.bic)
-        assert one.proposal
-        block = pd.DataFrame(np.round(one.proposal.readings * units, 4), columns=readings)
+        asked = [separation for separation in one.separations if separation.proposed]
+        block = pd.DataFrame(np.round(one.poses.readings * units, 4), columns=readings)
         if "approach" in fitted.model.given:
-            block[[f"approach{i + 1}" for i in range(robot.n_joints)]] = one.proposal.approach.astype(int)
-        block["payload"] = one.proposal.payloads
-        block["tells"], block["from"] = one.cause.id, one.rival.id
-        block["separation_before_sd"], block["separation_after_sd"] = one.proposal.before, one.proposal.after
+            block[[f"approach{i + 1}" for i in range(robot.n_joints)]] = one.poses.approach.astype(int)
+        block["payload"] = one.poses.payloads
+        block["tells"] = label(one.cause.id, one.cause.joint)
+        block["from"] = "; ".join(label(other.rival.id, other.rival.joint) for other in asked)
+        block["separation_before_sd"] = min(other.before for other in asked)
+        block["separation_after_sd"] = min(other.after for other in asked)
         blocks.append(block)
     if not blocks:
         return pd.DataFrame(columns=["pose", *readings, "payload", *TELLS])
@@ -102,56 +203,18 @@ def poses_table(separations: Sequence[Sequence[Separation]], fitted: Fitted) -> 
     return table
 
 
-def separations_table(separations: Sequence[Sequence[Separation]]) -> pd.DataFrame:
+def separations_table(questions: Sequence[Question]) -> pd.DataFrame:
     """Return diagnose/separations.csv: for each finding and rival how far apart they are, and what to do."""
     rows = [
-        (one.cause.id, one.cause.joint or None, one.rival.id, one.rival.joint or None,
-         one.proposal.before if one.proposal else 0.0, one.proposal.after if one.proposal else 0.0, one.words)
-        for several in separations for one in several
+        (asked.cause.id, asked.cause.joint or None, one.rival.id, one.rival.joint or None, one.before, one.after,
+         one.words(asked.cause))
+        for asked in questions for one in asked.separations
     ]  # fmt: skip
     columns = ["cause", "joint", "rival", "rival_joint", "separation_before_sd", "separation_after_sd", "words"]
     return pd.DataFrame(rows, columns=columns).astype({"joint": "Int64", "rival_joint": "Int64"})
 
 
-def propose(fitted: Fitted, cause: Cause, rival: Cause, sigma: float, rng: np.random.Generator) -> Proposal:
-    """Choose poses and payloads that separate a cause in the fitted model from a rival that is not in it."""
-    model, robot = fitted.model, fitted.model.robot
-    both = Model(robot, (*model.effects, rival), model.given)
-    point = np.concatenate([fitted.fit.estimate, np.zeros(len(rival.declared))])
-    own = fitted.columns(cause)
-    others = np.setdiff1d(np.arange(len(point)), own)
-    sd = both.prior_sd[others]
-    free = np.concatenate([~fitted.fit.at_bound, np.full(len(rival.declared), True)])[others]
-
-    def split(rows: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        jacobian = both.position_jacobian(point, rows) / noise[:, None, None]
-        return jacobian[:, :, own] @ fitted.fit.estimate[own], (jacobian[:, :, others] * sd * free)
-
-    effect, imitate = split(fitted.data.rows, fitted.noise.total[0])
-    readings, approach, payloads, rows = _choices(fitted, rng)
-    new_effect, new_imitate = split(rows, np.full(rows.shape[1], sigma))
-    information = np.eye(len(others)) + np.einsum("rai,raj->ij", imitate, imitate)
-    moment = np.einsum("rai,ra->i", imitate, effect)
-    energy = float((effect**2).sum())
-    before = energy - moment @ np.linalg.solve(information, moment)
-    chosen: list[int] = []
-    for _ in range(min(POSES, len(readings))):
-        covariance = np.linalg.inv(information)
-        unexplained = new_effect - new_imitate @ (covariance @ moment)
-        spread = np.eye(3) + np.einsum("rai,ij,rbj->rab", new_imitate, covariance, new_imitate, optimize=True)
-        grown = np.einsum("ra,ra->r", unexplained, np.linalg.solve(spread, unexplained[..., None])[..., 0])
-        grown[chosen] = -1.0
-        best = int(np.argmax(grown))
-        chosen.append(best)
-        information += new_imitate[best].T @ new_imitate[best]
-        moment = moment + new_imitate[best].T @ new_effect[best]
-        energy += float((new_effect[best] ** 2).sum())
-    after = energy - moment @ np.linalg.solve(information, moment)
-    return Proposal(readings[chosen], approach[chosen], tuple(payloads[k] for k in chosen),
-                    float(np.sqrt(max(before, 0.0))), float(np.sqrt(max(after, 0.0))))  # fmt: skip
-
-
-def _choices(fitted: Fitted, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, list[str], np.ndarray]:
+def _choices(fitted: Fitted, rng: np.random.Generator) -> Choices:
     """Draw poses in the measured region, under every payload there was, each joint coming from either side."""
     data, model = fitted.data, fitted.model
     region = np.array([data.position.min(axis=0), data.position.max(axis=0)])
@@ -164,7 +227,7 @@ def _choices(fitted: Fitted, rng: np.random.Generator) -> tuple[np.ndarray, np.n
         approach.append(came)
         payloads += [str(payload)] * len(drawn)
         packed.append(table.rows)
-    return np.vstack(readings), np.vstack(approach), payloads, np.hstack(packed)
+    return Choices(np.vstack(readings), np.vstack(approach), tuple(payloads), np.hstack(packed))
 
 
 def _rows_like(

@@ -19,7 +19,7 @@ from calflow.stages.gain import gain
 from calflow.stages.noise_growth import Growth
 from calflow.stages.remainder import Remainder
 from calflow.stages.screening import Score
-from calflow.stages.verdict import Rival, Verdict, by_place
+from calflow.stages.verdict import Verdict, by_place, label
 
 FINDINGS = [
     "status", "cause", "joint", "estimate", "sd", "unit", "p_family", "probability", "cannot_tell_from", "gain_mean_mm",
@@ -150,7 +150,7 @@ def _cause(verdict: Verdict, fitted: Fitted, coarse: bool) -> dict[str, object]:
         "status": status, "cause": cause.id, "joint": cause.joint or None, "estimate": estimate,
         "sd": sd if sd > 0 else np.nan, "unit": cause.declared[0].unit, "p_family": verdict.finding.p,
         "probability": verdict.probability, "cannot_tell_from": ";".join(others), "detail": cause.detail,
-        "rivals": "; ".join(_named(rival) for rival in verdict.rivals), "rows": "",
+        "rivals": "; ".join(label(rival.id, rival.joint) for rival in verdict.rivals), "rows": "",
         "statement": _statement(verdict, coarse),
     }  # fmt: skip
 
@@ -166,16 +166,14 @@ def _statement(verdict: Verdict, coarse: bool) -> str:
     if verdict.family:
         return f"{verdict.family}{where}: order not resolved, best {cause.title}{detail}"
     if verdict.rivals:
-        return f"{cause.title}{where}{detail}, or {', or '.join(_named(rival) for rival in verdict.rivals)}"
+        return (
+            f"{cause.title}{where}{detail}, or {', or '.join(label(rival.id, rival.joint) for rival in verdict.rivals)}"
+        )
     return f"{cause.title}{where}{detail}"
 
 
 def _place(cause: Cause) -> str:
     return cause.part.replace("joint", "joint ").replace("link", "link ") if cause.joint else ""
-
-
-def _named(rival: Rival) -> str:
-    return f"{rival.id} {rival.joint}" if rival.joint else rival.id
 
 
 def _told_finer(verdict: Verdict, left: tuple[Remainder, ...]) -> bool:

@@ -69,6 +69,11 @@ def verdict(finding: Finding) -> Verdict:
     return Verdict(finding, "one_of" if ordered else "named", probability, ordered)
 
 
+def label(cause: str, joint: int) -> str:
+    """Name a cause with its joint, if it has one."""
+    return f"{cause} {joint}" if joint else cause
+
+
 def by_place(scores: Sequence[Score]) -> dict[tuple[str, str], tuple[float, Score]]:
     """Return each place's BIC, averaged over its variants as evidence is, and its best score."""
     groups: dict[tuple[str, str], list[Score]] = {}

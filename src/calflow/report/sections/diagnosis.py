@@ -13,11 +13,13 @@ from calflow.report.figures.diagnosis import evidence, explained, gains, in_spac
 from calflow.report.figures.residuals import magnification
 from calflow.report.findings import (
     Found,
+    Rival,
     cause_name,
     cause_words,
     chance,
     chance_figure,
     findings,
+    named,
     named_ids,
     place_name,
     place_names,
@@ -158,7 +160,12 @@ def _apart(one: Found, tables: Tables) -> list[str]:
     """Say what would tell a cause from its rivals."""
     rows = tables["diagnose/separations.csv"]
     own = rows[(rows["cause"] == one.cause) & (rows["joint"].fillna(0) == one.joint)]
-    proposed = set(zip(*(tables["diagnose/next_poses.csv"][name] for name in ("tells", "from")), strict=True))
+    asked = tables["diagnose/next_poses.csv"].drop_duplicates("tells")
+    proposed = {
+        named(text).name
+        for tells, rivals in asked[["tells", "from"]].itertuples(index=False) if named(tells) == Rival(one.cause, one.joint)
+        for text in rivals.split("; ")
+    }  # fmt: skip
     said = []
     for row in own.to_dict("records"):
         rival = cause_name(row["rival"], _whole(row["rival_joint"]))
@@ -166,7 +173,7 @@ def _apart(one: Found, tables: Tables) -> list[str]:
         if after < ENOUGH:
             said.append(f"{_first_up(named_ids(str(row['words']))).rstrip('.')}.")
             continue
-        poses = "The poses of diagnose/next_poses.csv" if (row["cause"], row["rival"]) in proposed else "Further poses"
+        poses = "The poses of diagnose/next_poses.csv" if rival in proposed else "Further poses"
         said.append(
             f"{poses} would tell it from {rival}: {after:.1f} standard deviations apart instead of {before:.1f}."
         )
@@ -424,21 +431,14 @@ def next_poses(tables: Tables) -> list[Advice]:
     found = []
     for _, rows in tables["diagnose/next_poses.csv"].groupby(["tells", "from"], sort=False):
         first = rows.iloc[0]
-        own, other = _pair(first, tables["diagnose/separations.csv"])
+        own, *others = (named(text).name for text in (first["tells"], *first["from"].split("; ")))
+        apart = f"at least {first['separation_after_sd']:.1f} standard deviations apart"
         sentence = (
-            f"Measure the {plural(len(rows), 'pose')} of diagnose/next_poses.csv that tell {own} from {other}: they would be "
-            f"{first['separation_after_sd']:.1f} standard deviations apart instead of {first['separation_before_sd']:.1f}."
+            f"Measure the {plural(len(rows), 'pose')} of diagnose/next_poses.csv that tell {own} from {listed(others)}: they would "
+            f"be {apart} instead of {first['separation_before_sd']:.1f}."
         )
         found.append(Advice(3, sentence))
     return found
-
-
-def _pair(pose: pd.Series, separations: pd.DataFrame) -> tuple[str, str]:
-    """Return the names of what a proposed pose tells apart, with their places."""
-    same = (separations["cause"] == pose["tells"]) & (separations["rival"] == pose["from"])
-    rows = separations[same & np.isclose(separations["separation_after_sd"].astype(float), pose["separation_after_sd"])]
-    joints = (_whole(rows["joint"].iloc[0]), _whole(rows["rival_joint"].iloc[0])) if len(rows) else (0, 0)
-    return cause_name(str(pose["tells"]), joints[0]), cause_name(str(pose["from"]), joints[1])
 
 
 def other_means(tables: Tables) -> list[Advice]:
