@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
-import casadi as ca
-
 from calflow.conditions import Row
-from calflow.effects.joint_error import TRANSMISSION, JointError, Term
+from calflow.effects.joint_error import TRANSMISSION, JointError, Term, phases
 from calflow.robot.description import Robot
 from calflow.robot.statics import State
 
@@ -43,5 +41,4 @@ class GearTransmissionError(JointError):
         ratio = self.robot.joints[joint].gear_ratio
         if ratio is None:
             return []
-        angle = self.multiple * ratio * state.q[joint]
-        return [Term("cos", "rad", 1.5e-4, 5e-3, ca.cos(angle)), Term("sin", "rad", 1.5e-4, 5e-3, ca.sin(angle))]
+        return phases(self.multiple * ratio * state.q[joint], 1.5e-4, 5e-3)

@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
-import casadi as ca
-
 from calflow.conditions import Row
-from calflow.effects.joint_error import TRANSMISSION, JointError, Term
+from calflow.effects.joint_error import TRANSMISSION, JointError, Term, phases
 from calflow.robot.description import Robot
 from calflow.robot.statics import State
 
@@ -41,5 +39,4 @@ class JointEccentricity(JointError):
         """Return the two phases."""
         if self.robot.joints[joint].kind == "prismatic":
             return []
-        angle = self.order * state.q[joint]
-        return [Term("cos", "rad", 3e-4, 10e-3, ca.cos(angle)), Term("sin", "rad", 3e-4, 10e-3, ca.sin(angle))]
+        return phases(self.order * state.q[joint], 3e-4, 10e-3)

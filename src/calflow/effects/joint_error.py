@@ -28,6 +28,11 @@ class Term:
     value: ca.SX
 
 
+def phases(angle: ca.SX, sd: float, bound: float) -> list[Term]:
+    """Return cosine and sine of an angle, for a wave of any phase; sd and bound [rad]."""
+    return [Term("cos", "rad", sd, bound, ca.cos(angle)), Term("sin", "rad", sd, bound, ca.sin(angle))]
+
+
 @dataclass(frozen=True)
 class JointError(Effect):
     """dq_i = sum of parameter · term, for every joint apart; a subclass says which terms."""
