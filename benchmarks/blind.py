@@ -85,11 +85,13 @@ def one_cause(job: Job) -> Row:
     """Hide one cause, and compare the findings with it."""
 
     def work(folder: Path) -> Row:
-        case, _ = cases.sized(job, folder / "bare")
+        drawn = cases.sized(job, folder / "bare")
+        case = drawn.case
         study, tables = _run(folder / "case", case, job.seed)
         (h,) = draw(case, np.random.default_rng(job.seed)).hidden
         compared = verdicts.one(h, tables) | verdicts.gains(study, h, tables)
-        return _hidden(case) | verdicts.told(tables) | compared | {"rms_mm": verdicts.effect_rms(folder / "case")}
+        expected = {"rms_mm": verdicts.effect_rms(folder / "case"), "set_by_calculation": drawn.set_size}
+        return _hidden(case) | verdicts.told(tables) | compared | expected
 
     return _guarded(work, job)
 
@@ -98,9 +100,10 @@ def two_causes(job: Job) -> Row:
     """Hide two causes."""
 
     def work(folder: Path) -> Row:
-        case, beside = cases.sized(job, folder / "bare")
-        _, tables = _run(folder / "case", case, job.seed)
-        return _hidden(case) | verdicts.told(tables) | verdicts.several(case.hidden, tables) | {"beside": min(beside)}
+        drawn = cases.sized(job, folder / "bare")
+        _, tables = _run(folder / "case", drawn.case, job.seed)
+        compared = verdicts.several(drawn.case.hidden, tables)
+        return _hidden(drawn.case) | verdicts.told(tables) | compared | {"beside": min(drawn.beside)}
 
     return _guarded(work, job)
 
@@ -109,7 +112,7 @@ def measured_again(job: Job) -> Row:
     """Hide a cause that has near rivals; measure at the poses that are proposed, and diagnose again."""
 
     def work(folder: Path) -> Row:
-        case, _ = cases.sized(job, folder / "bare")
+        case = cases.sized(job, folder / "bare").case
         folder = folder / "case"
         _, tables = _run(folder, case, job.seed)
         (h,) = case.hidden
@@ -217,7 +220,12 @@ def _by(key: pd.Series, rows: pd.DataFrame) -> pd.DataFrame:
     seen = rows[rows["detected"].astype(bool)]
     within = key[seen.index]
     inside = (seen["z"].abs() < 1.96).where(seen["z"].notna()).astype(float)
-    names = seen[["right", "up_to_class", "in_set", "set_size", "found"]].astype(float).groupby(within).mean()
+    names = (
+        seen[["right", "up_to_class", "in_set", "set_size", "set_by_calculation", "found"]]
+        .astype(float)
+        .groupby(within)
+        .mean()
+    )
     detected = rows["detected"].astype(float).groupby(key).agg(["size", "mean"])
     cover = inside.groupby(within).agg(["mean", "count"]).set_axis(["covered", "intervals"], axis=1)
     return detected.set_axis(["n", "detected"], axis=1).join(names).join(cover).round(3)
@@ -244,6 +252,8 @@ def unknown_table(rows: pd.DataFrame) -> str:
 def alike_table(rows: pd.DataFrame) -> str:
     """How the causes are named before, and after the proposed poses where there are any."""
     asked = rows[rows["asked"].astype(bool)]
+    if asked.empty:
+        return f"asked 0 of {len(rows)}"
     asked = asked.assign(cause=asked["hidden"].str.split(":").str[0],
                          unique=(asked["status"] == "named") & (asked["right"] == True))  # noqa: E712 # fmt: skip
     table = asked.groupby("cause").agg(n=("unique", "size"), unique=("unique", "mean"), set_size=("set_size", "mean"))

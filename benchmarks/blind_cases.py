@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,9 +16,10 @@ from calflow.stages.detection_limit import noncentrality
 from calflow.stages.diagnose import SHARES
 from calflow.stages.fitted import Fitted
 from calflow.stages.identified import identified
-from calflow.stages.look import Look, Screened
+from calflow.stages.look import Finding, Look, Screened
 from calflow.stages.noise import averaged
 from calflow.stages.screening import Screening
+from calflow.stages.verdict import verdict
 from calflow.study import Study, load_study
 from hidden.case import Case, World, draw, write_case
 from hidden.causes import Hidden, measured_points
@@ -165,11 +166,23 @@ def begun(study: Study, tables: Mapping[str, pd.DataFrame]) -> tuple[Fitted, Cat
     return Fitted.of(known, train, level), Catalogue.of(train, [effect.id for effect in known.model.effects])
 
 
-def sized(job: Job, folder: Path) -> tuple[Case, list[float]]:
-    """Return the case with its causes drawn, each job.size times its detection limit; and how far beyond the other's reach.
+@dataclass(frozen=True)
+class Sized:
+    """A case with its causes in it, and what to expect of it, by calculation.
 
-    Causes that these poses do not show at the catalogue's largest size are drawn anew. The figures are each cause's size in
-    limits where the other causes are known to act too.
+    beside has each cause's size in limits where the other causes are known to act too; set_size is how many causes these
+    data could not tell from the first one if they were without noise.
+    """
+
+    case: Case
+    beside: tuple[float, ...]
+    set_size: int
+
+
+def sized(job: Job, folder: Path) -> Sized:
+    """Draw a case's causes, each job.size times its detection limit.
+
+    Causes that these poses do not show at the catalogue's largest size are drawn anew.
     """
     rng = np.random.default_rng([job.seed, 1])
     nothing = tuple(Hidden("joint-backlash", 1, 0.0) for _ in range(job.several))
@@ -193,11 +206,11 @@ def sized(job: Job, folder: Path) -> tuple[Case, list[float]]:
             break
     sizes = [job.size * limit for limit in limits]
     chosen = tuple(replace(h, size=h.size * size) for h, size in zip(hidden, sizes, strict=True))
-    beside = [
+    beside = tuple(
         size / _limit(bare, h, shift, [other for other in shifts if other is not shift])
         for h, shift, size in zip(hidden, shifts, sizes, strict=True)
-    ]
-    return replace(job.case, hidden=chosen), beside
+    )
+    return Sized(replace(job.case, hidden=chosen), beside, _set_size(bare, hidden[0], sizes[0] * shifts[0]))
 
 
 def _placed(unit: Unit, rng: np.random.Generator) -> Hidden:
@@ -215,17 +228,38 @@ def _shift(bare: Bare, world: World, which: int) -> np.ndarray:
     return (10 * moved[rows] / bare.fitted.noise.total[0][:, None]).ravel()
 
 
-def _limit(bare: Bare, h: Hidden, shift: np.ndarray, others: list[np.ndarray] = []) -> float:  # noqa: B006
+def _limit(bare: Bare, h: Hidden, shift: np.ndarray, others: Sequence[np.ndarray] = ()) -> float:
     """The size found 95 times in 100, over the largest one; infinite where the cause's own form does not show at all."""
-    plain = bare.look.regressors
-    wider = replace(
-        plain, residual=shift, pull=np.zeros(plain.jacobian.shape[1] + len(others)), prior_rss=0.0,
-        jacobian=np.column_stack([plain.jacobian, *others]), precision=np.append(plain.precision, np.zeros(len(others))),
-    )  # fmt: skip
-    seen = Screening(wider)
+    seen = _screened(bare, shift, others)
     own = [score for score in seen.scores if (score.cause.id, score.cause.joint) == (h.cause, h.joint)]
     if not own:
         return np.inf
     best = max(own, key=lambda score: score.drop)
     needed = noncentrality(SHARES["causes"] * FALSE_ALARM, bare.screened.family.tests(best), best.shown, best.left)
     return float(np.sqrt(needed / seen.chi2))
+
+
+def _set_size(bare: Bare, h: Hidden, shift: np.ndarray) -> int:
+    """How many causes are as near to this one as the verdict allows, itself included, where noise is what one expects."""
+    seen, n = _screened(bare, shift), len(shift)
+    scores = [
+        replace(
+            score,
+            delta_bic=n * np.log1p(-score.drop / (n + seen.chi2)) + score.freedom * np.log(n)
+            + 2 * np.log(seen.variants[score.cause.place]),
+        )
+        for score in seen.scores
+    ]  # fmt: skip
+    own = [score for score in scores if (score.cause.id, score.cause.joint) == (h.cause, h.joint)]
+    best = min(own, key=lambda score: score.delta_bic)
+    rivals = verdict(Finding(best.cause, tuple(scores), bare.screened.family)).rivals
+    return 1 + len({rival.id for rival in rivals})
+
+
+def _screened(bare: Bare, residual: np.ndarray, others: Sequence[np.ndarray] = ()) -> Screening:
+    """Screen a residual, with further columns that the model can imitate."""
+    plain = bare.look.regressors
+    return Screening(replace(
+        plain, residual=residual, pull=np.zeros(plain.jacobian.shape[1] + len(others)), prior_rss=0.0,
+        jacobian=np.column_stack([plain.jacobian, *others]), precision=np.append(plain.precision, np.zeros(len(others))),
+    ))  # fmt: skip
