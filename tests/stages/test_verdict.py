@@ -8,8 +8,8 @@ import pytest
 from calflow.effects import catalogue
 from calflow.stages.causes import Cause
 from calflow.stages.look import Finding
-from calflow.stages.screening import Candidate, Family, Score
-from calflow.stages.verdict import WITHIN, by_place, verdict
+from calflow.stages.screening import Candidate, Family, Score, by_place
+from calflow.stages.verdict import WITHIN, verdict
 from robots import industrial
 
 ROBOT = industrial()

@@ -14,7 +14,7 @@ from calflow.stages.causes import Catalogue, Cause
 from calflow.stages.exchange import COLUMNS, Exchange
 from calflow.stages.fitted import Fitted
 from calflow.stages.look import Finding, Look, Screened
-from calflow.stages.screening import MATERIAL, Family, Regressors, Score, Screening
+from calflow.stages.screening import MATERIAL, Family, Regressors, Score, Screening, by_place
 
 CLEAR = 1e-3  # share of the gate below which the cost of the tests need not be worked out anew
 ENTANGLED = 3  # causes, the last found, that are exchanged by two
@@ -245,17 +245,17 @@ def finest(score: Score, now: Fitted) -> Score:
 
 
 def second_thoughts(findings: Sequence[Finding], gate: Gate) -> list[Cause]:
-    """Return the causes that stay, a rival in the place of the one it explains better; one change at a time."""
+    """Return the causes that stay, a more probable rival in the place of one; one change at a time."""
     causes = [finding.cause for finding in findings]
     weakest = sorted(findings, key=lambda finding: -_own_bic(finding))
     for finding in weakest:
         if not _stands(finding, gate):
             return [cause for cause in causes if cause != finding.cause]
     for finding in weakest:
-        best = finding.scores[0]
-        if best.cause.place != finding.cause.place and best.delta_bic < finding.own.delta_bic:
-            rival = best.cause
-            return [rival if cause == finding.cause else cause for cause in causes]
+        places = by_place(finding.scores)
+        evidence, best = min(places.values(), key=lambda one: one[0])
+        if evidence < places[finding.cause.place][0] and _passes(best, finding.family, gate):
+            return [best.cause if cause == finding.cause else cause for cause in causes]
     return causes
 
 

@@ -18,8 +18,8 @@ from calflow.stages.fitted import Fitted
 from calflow.stages.gain import gain
 from calflow.stages.noise_growth import Growth
 from calflow.stages.remainder import Remainder
-from calflow.stages.screening import Score
-from calflow.stages.verdict import Verdict, by_place, label
+from calflow.stages.screening import Score, by_place
+from calflow.stages.verdict import Verdict, label
 
 FINDINGS = [
     "status", "cause", "joint", "estimate", "sd", "unit", "p_family", "probability", "cannot_tell_from", "gain_mean_mm",

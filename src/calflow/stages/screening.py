@@ -299,6 +299,19 @@ class Screening:
         return np.asarray(f_distribution.sf(ratio, freedom, left))
 
 
+def by_place(scores: Sequence[Score]) -> dict[tuple[str, str], tuple[float, Score]]:
+    """Return each place's BIC, averaged over its variants as evidence is, and its best score."""
+    groups: dict[tuple[str, str], list[Score]] = {}
+    for score in scores:
+        groups.setdefault(score.cause.place, []).append(score)
+    found = {}
+    for place, members in groups.items():
+        values = np.array([score.delta_bic for score in members])
+        least = float(values.min())
+        found[place] = (least - 2 * float(np.log(np.exp((least - values) / 2).sum())), members[int(values.argmin())])
+    return found
+
+
 def shared_error(residual: np.ndarray, poses: np.ndarray, determined: float) -> float:
     """Return the factor at which what a pose's rows have in common spreads as what they have apart; 1 where it does.
 

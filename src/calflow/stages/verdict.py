@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from calflow.stages.causes import Cause
 from calflow.stages.look import Finding
-from calflow.stages.screening import Score
+from calflow.stages.screening import by_place
 
 WITHIN = 10.0  # of the best BIC: closer rivals cannot be told apart (Kass and Raftery 1995: "very strong" beyond)
 
@@ -72,16 +71,3 @@ def verdict(finding: Finding) -> Verdict:
 def label(cause: str, joint: int) -> str:
     """Name a cause with its joint, if it has one."""
     return f"{cause} {joint}" if joint else cause
-
-
-def by_place(scores: Sequence[Score]) -> dict[tuple[str, str], tuple[float, Score]]:
-    """Return each place's BIC, averaged over its variants as evidence is, and its best score."""
-    groups: dict[tuple[str, str], list[Score]] = {}
-    for score in scores:
-        groups.setdefault(score.cause.place, []).append(score)
-    found = {}
-    for place, members in groups.items():
-        values = np.array([score.delta_bic for score in members])
-        least = float(values.min())
-        found[place] = (least - 2 * float(np.log(np.exp((least - values) / 2).sum())), members[int(values.argmin())])
-    return found
