@@ -78,6 +78,16 @@ def test_what_looks_like_two_gives_way_to_them(regressors):
     assert not list(Exchange.of(screening, FAMILY, [causes()[0], causes()[1]]).better())
 
 
+def test_two_causes_of_one_place_stand_as_any_pair_does(regressors):
+    """Breaks if two waves of one joint, or two steps of the device, give way to whatever comes first."""
+    twice = [Cause(ROBOT, catalogue()["joint-eccentricity"](ROBOT, order=order), "joint1") for order in (1, 2)]
+    there = (Candidate(twice[0], np.arange(6, 8)), Candidate(twice[1], np.arange(8, 10)))
+    both = regressors.matrix[:, 6:10] @ np.array([3e-5, 1e-5, -2e-5, 2e-5])
+    alone = Regressors(**vars(regressors) | {"residual": regressors.residual + both,
+                                             "candidates": (*regressors.candidates[2:6], *there)})  # fmt: skip
+    assert not list(Exchange.of(Screening(alone), FAMILY, twice).better())
+
+
 def test_a_cause_at_its_detection_limit_is_found_95_times_in_100(regressors):
     """Breaks if the limit forgets the number of tests, the degrees of freedom or the prior's units."""
     rng = np.random.default_rng(3)

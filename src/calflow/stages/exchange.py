@@ -74,17 +74,26 @@ class Exchange:
         at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
         if len(at) < len(self.gone):
             return  # what is gone does not show here
-        bic = self._bic()
-        now = bic[at[0], at[1]] if len(at) == 2 else self.scores[at[0]].delta_bic - SPLIT
+        every = self._bic()
+        now = every[at[0], at[1]] if len(at) == 2 else self.scores[at[0]].delta_bic - SPLIT
         limit = now - MATERIAL * len(self.screening.regressors.residual)
+        bic = np.where(self._of_different_places, every, np.inf)
         for k in np.argsort(bic, axis=None, kind="stable"):
             i, j = (int(x) for x in np.unravel_index(k, bic.shape))
             if not bic[i, j] < limit:
                 return
             yield Pair(self.scores[i], self.scores[j], float(bic[i, j]), max(self._p(i, j), self._p(j, i)))
 
+    @property
+    def _of_different_places(self) -> np.ndarray:
+        """Which pairs are of two places, each pair once, shape (m, m)."""
+        places = [score.cause.place for score in self.scores]
+        number = {place: k for k, place in enumerate(dict.fromkeys(places))}
+        where = np.array([number[place] for place in places])
+        return np.triu(where[:, None] != where, 1)
+
     def _bic(self) -> np.ndarray:
-        """Return delta BIC of every pair (m, m), infinite but above the diagonal."""
+        """Return delta BIC of every pair, shape (m, m)."""
         one = np.eye(COLUMNS)
         m = len(self.scores)
         own = self.information[np.arange(m), np.arange(m)]
@@ -99,15 +108,10 @@ class Exchange:
         drop = drop_alone[:, None] + np.einsum("ijb,ijbc,ijc->ij", left, inverse, left, optimize=True)
         kept = np.trace(inverse, axis1=2, axis2=3)
         spent = 2 * COLUMNS - kept - kept.T
-        places = [score.cause.place for score in self.scores]
-        scans = np.log([self.screening.variants[place] for place in places])
+        scans = np.log([self.screening.variants[score.cause.place] for score in self.scores])
         n = len(self.screening.regressors.residual)
         share = np.minimum(drop / self.screening.chi2, 1 - 1e-12)
-        bic = n * np.log1p(-share) + spent * np.log(n) + 2 * (scans[:, None] + scans)
-        number = {place: k for k, place in enumerate(dict.fromkeys(places))}
-        where = np.array([number[place] for place in places])
-        usable = np.triu(where[:, None] != where, 1)
-        return np.where(usable, bic, np.inf)
+        return np.asarray(n * np.log1p(-share) + spent * np.log(n) + 2 * (scans[:, None] + scans))
 
     def _p(self, i: int, j: int) -> float:
         """Return the family-wise p-value of candidate j where i is in the model."""
