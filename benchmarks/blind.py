@@ -209,9 +209,12 @@ def effect_table(rows: pd.DataFrame) -> str:
     cause = large["hidden"].str.split(":").str[0].rename("cause")
     ratio = (large["before_mm"] - large["after_mm"]).sum() / (large["before_mm"] - large["truth_mm"]).sum()
     excess = (large["after_mm"] / large["truth_mm"]).mean()
+    alone = large[large["detected"].astype(bool) & (large["set_by_calculation"] == 1)]
     return "\n\n".join([
         _by(rows["size"], rows).to_string(),
         _by(cause, large).to_string(),
+        f"from 2 limits on, where by calculation nothing else explains the data ({len(alone)} cases): first name right "
+        f"{alone['right'].astype(float).mean():.3f}, set size {alone['set_size'].mean():.3f}",
         f"from 2 limits on: held-out gain over the true structure's {ratio:.4f}; held-out error over its {excess:.4f}",
     ])  # fmt: skip
 
