@@ -81,7 +81,8 @@ def null(regressors, rng):
     factor = np.linalg.cholesky(r.jacobian.T @ r.jacobian + np.diag(r.precision))
     step = np.linalg.solve(factor.T, np.linalg.solve(factor, r.jacobian.T @ noise + pseudo))
     pull = pseudo - r.precision * step
-    return replace(r, residual=noise - r.jacobian @ step, pull=pull, prior_rss=float((pull**2 / r.precision).sum()))
+    left = replace(r, residual=noise - r.jacobian @ step, pull=pull, prior_rss=float((pull**2 / r.precision).sum()))
+    return replace(left, determined=0.0)  # the priors' part is drawn too, so that no degree of freedom is lost
 
 
 def test_p_values_keep_their_promise(regressors):

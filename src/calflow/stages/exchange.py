@@ -124,7 +124,7 @@ class Exchange:
         left = self.score[j] - taken @ self.score[i]
         drop = float((((vectors.T @ left)[shown]) ** 2 / values[shown]).sum())
         freedom = int(shown.sum())
-        rest = len(self.screening.regressors.residual) - freedom
+        rest = max(self.screening.freedom - freedom, 1.0)
         chi2 = max(self.screening.chi2 - self.scores[i].drop - drop, 1e-12 * self.screening.chi2)
         single = float(f_distribution.sf(drop / freedom / (chi2 / rest), freedom, rest))
         return self.family.p(replace(self.scores[j], p=single))

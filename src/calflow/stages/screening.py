@@ -42,7 +42,7 @@ class Regressors:
     """All candidates' whitened regressors side by side, with the model's own Jacobian.
 
     residual (n,) and jacobian (n, n_free) are the fit's, pull (n_free,) the priors' part of the gradient; matrix is
-    (n, n_columns), prior_sd (n_columns,).
+    (n, n_columns), prior_sd (n_columns,). determined is how many parameters the residual has lost.
     """
 
     residual: np.ndarray
@@ -53,6 +53,7 @@ class Regressors:
     matrix: np.ndarray
     prior_sd: np.ndarray
     candidates: tuple[Candidate, ...]
+    determined: float = 0.0
 
     @staticmethod
     def of(fit: Fit, problem: Problem, effects: Sequence[Effect], poses: np.ndarray | None = None) -> Regressors:
@@ -86,6 +87,7 @@ class Regressors:
             matrix[:, n:],
             large.prior_sd[n:],
             _candidates(effects),
+            fit.effective_parameters,
         )
 
     def without(self, columns: np.ndarray, effect: np.ndarray, pull: np.ndarray) -> Regressors:
@@ -212,6 +214,11 @@ class Screening:
         x, imitated = self.regressors.matrix[:, columns], self._imitated[:, columns]
         return np.asarray(x.T @ x - imitated.T @ imitated)
 
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom of what the model leaves: its own parameters have taken theirs."""
+        return len(self.regressors.residual) - self.regressors.determined
+
     @cached_property
     def _blocks(self) -> list[_Block]:
         sizes = np.array([len(candidate.columns) for candidate in self.regressors.candidates])
@@ -243,7 +250,7 @@ class Screening:
         for block in self._blocks:
             own = self.score[block.columns]
             squared = np.einsum("mij,mj->mi", block.roots, own) ** 2
-            p = self._p(squared.sum(axis=1), self.chi2, block)
+            p = self._p(squared.sum(axis=1), self.chi2, block, self.freedom)
             drops, spent = (squared * block.weight).sum(axis=1), block.weight.sum(axis=1)
             scans = np.array(
                 [self.variants[self.regressors.candidates[member].cause.place] for member in block.members]
@@ -255,7 +262,7 @@ class Screening:
             found += [
                 Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),
                       float(p[k]), float(bic[k]), float(block.share[k]), estimate[k], covariance[k],
-                      block.information[k], int(block.freedom[k]), float(max(n - block.freedom[k], 1)))
+                      block.information[k], int(block.freedom[k]), float(max(self.freedom - block.freedom[k], 1)))
                 for k, member in enumerate(block.members)
             ]  # fmt: skip
         return sorted(found, key=lambda score: score.delta_bic)
@@ -283,18 +290,18 @@ class Screening:
             chi2 = (noise**2).sum(axis=0) + (pseudo**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
             for block in self._blocks:
                 whitened = np.einsum("mij,mjk->mik", block.roots, score[block.columns])
-                p = self._p((whitened**2).sum(axis=1), chi2, block)
+                p = self._p((whitened**2).sum(axis=1), chi2, block, n)  # the priors are drawn too: nothing is lost
                 at = [places.index(r.candidates[member].cause.place) for member in block.members]
                 np.minimum.at(smallest[:, part], at, p)
         scans = np.array([_worth(row) for row in smallest])
         adjusted = -np.expm1(scans[:, None] * np.log1p(-np.minimum(smallest, 1 - 1e-16)))
         return Family(dict(zip(places, scans, strict=True)), _worth(adjusted.min(axis=0)) if places else 1.0)
 
-    def _p(self, drops: np.ndarray, chi2: float | np.ndarray, block: _Block) -> np.ndarray:
-        """p-values of F tests: drops (n_members, …) of chi² (…)."""
+    def _p(self, drops: np.ndarray, chi2: float | np.ndarray, block: _Block, total: float) -> np.ndarray:
+        """p-values of F tests: drops (n_members, …) of chi² (…), which has so many degrees of freedom in all."""
         shape = (-1, *[1] * (drops.ndim - 1))
         freedom = block.freedom.reshape(shape)
-        left = np.maximum(len(self.regressors.residual) - freedom, 1.0)
+        left = np.maximum(total - freedom, 1.0)
         ratio = drops / freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
         return np.asarray(f_distribution.sf(ratio, freedom, left))
 
