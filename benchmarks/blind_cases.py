@@ -152,7 +152,6 @@ def _seed(rng: np.random.Generator) -> int:
 class Bare:
     """The same robot, poses and noise with nothing hidden, fitted and screened."""
 
-    fitted: Fitted
     look: Look
     screened: Screened
 
@@ -191,7 +190,7 @@ def sized(job: Job, folder: Path) -> Sized:
     study = load_study(folder)
     fitted, catalogue = begun(study, run(study, folder / "run", stage="identify").tables)
     look = Look.at(fitted, [], catalogue)
-    bare = Bare(fitted, look, look.screened(rng))
+    bare = Bare(look, look.screened(rng))
     units = [unit for unit in UNITS if set(unit.columns) <= set(job.case.columns)]
     units = [unit for unit in units if not job.among or unit.cause in job.among]
     if len(job.case.payloads) == 1:
@@ -224,8 +223,8 @@ def _shift(bare: Bare, world: World, which: int) -> np.ndarray:
     """What a cause does to the training rows at its largest size, in standard deviations; linear, from a tenth of it."""
     small = replace(world.hidden[which], size=0.1 * world.hidden[which].size)
     moved = measured_points(world.real, world.rows, (small,)) - measured_points(world.real, world.rows, ())
-    rows = bare.fitted.data.table["line"].to_numpy(int) - 2
-    return (10 * moved[rows] / bare.fitted.noise.total[0][:, None]).ravel()
+    rows = bare.look.fitted.data.table["line"].to_numpy(int) - 2
+    return (10 * moved[rows] / bare.look.fitted.noise.total[0][:, None]).ravel()
 
 
 def _limit(bare: Bare, h: Hidden, shift: np.ndarray, others: Sequence[np.ndarray] = ()) -> float:

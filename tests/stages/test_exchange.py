@@ -100,6 +100,7 @@ def test_a_cause_at_its_detection_limit_is_found_95_times_in_100(regressors):
         again = Screening(replaced(regressors, effect + noise))
         found += FAMILY.p(next(s for s in again.scores if s.cause == causes()[6])) < 0.01
     assert 0.91 < found / draws < 0.985
+    assert np.isnan(noncentrality(0.01, 1e4, 1, 1.0))  # too few rows to show anything
     assert noncentrality(0.01, 1.0, 1, 1e6) == pytest.approx((2.5758 + 1.6449) ** 2, rel=1e-3)
 
 

@@ -16,10 +16,13 @@ MOST = 1e5  # squared sigmas
 def noncentrality(false_alarm: float, tests: float, freedom: int, left: float) -> float:
     """Return the squared sigmas that an effect must show for its F test to pass 95 times in 100.
 
-    tests is how many it pays for at the family's false_alarm, freedom and left the degrees of freedom.
+    tests is how many it pays for at the family's false_alarm, freedom and left the degrees of freedom. nan where so few are
+    left that no effect would.
     """
     single = -np.expm1(np.log1p(-false_alarm) / tests)
     threshold = f_distribution.isf(single, freedom, left)
+    if not ncf.sf(threshold, freedom, left, MOST) > POWER:
+        return float("nan")
     return float(brentq(lambda shown: ncf.sf(threshold, freedom, left, shown) - POWER, 1e-3, MOST))
 
 
