@@ -121,6 +121,8 @@ def measured_again(job: Job) -> Row:
         known = _hidden(case) | {f"{name}_before": value for name, value in before.items()} | {"asked": len(asked) > 0}
         if not len(asked):
             return known
+        first = asked.iloc[0]
+        known |= {"leaves_open": str(first["leaves_open"] or ""), "chance": first["chance_after"]}
         _measure(folder, case, job.seed, asked)
         again = run(load_study(folder), folder / "run").tables
         return known | verdicts.told(again) | verdicts.one(h, again)
@@ -260,9 +262,11 @@ def alike_table(rows: pd.DataFrame) -> str:
     asked = asked.assign(cause=asked["hidden"].str.split(":").str[0],
                          unique=(asked["status"] == "named") & (asked["right"] == True))  # noqa: E712 # fmt: skip
     table = asked.groupby("cause").agg(n=("unique", "size"), unique=("unique", "mean"), set_size=("set_size", "mean"))
+    whole = asked[asked["leaves_open"].fillna("") == ""]
     return (
         f"{table.round(3).to_string()}\nasked {len(asked)} of {len(rows)}; named alone and rightly with the poses: "
-        f"{asked['unique'].mean():.3f}"
+        f"{asked['unique'].mean():.3f}\nwhere the poses were said to leave nothing open ({len(whole)}): "
+        f"{whole['unique'].mean():.3f}; least chance of excluding a rival as stated, on average: {whole['chance'].mean():.3f}"
     )
 
 

@@ -51,6 +51,12 @@ class Model:
         """All parameters, effect by effect, the probes' last."""
         return tuple(parameter for effect in (*self.effects, *self.probes) for parameter in effect.declared)
 
+    def columns(self, effect: Effect) -> np.ndarray:
+        """Return the indices of an effect's parameters; ValueError where the model does not have it."""
+        at = self.effects.index(effect)
+        start = sum(len(before.declared) for before in self.effects[:at])
+        return np.arange(start, start + len(effect.declared))
+
     @cached_property
     def nominal(self) -> np.ndarray:
         """Nominal parameter values, shape (n_parameters,)."""

@@ -224,10 +224,22 @@ def _poses(open_: list[Found], number: int) -> pd.DataFrame:
     blocks = [
         pd.DataFrame({"q1_deg": np.arange(float(number)), "q2_deg": 1.0, "q3_deg": 2.0, "payload": "",
                       "tells": label(one.cause, one.joint),
-                      "from": one.rivals.split("; ")[0], "separation_before_sd": 1.2, "separation_after_sd": 6.5})
+                      "from": one.rivals.split("; ")[0], "leaves_open": "", "separation_before_sd": 1.2,
+                      "separation_after_sd": 6.5, "chance_after": 0.99})
         for one in open_
     ]  # fmt: skip
-    columns = ["q1_deg", "q2_deg", "q3_deg", "payload", "tells", "from", "separation_before_sd", "separation_after_sd"]
+    columns = [
+        "q1_deg",
+        "q2_deg",
+        "q3_deg",
+        "payload",
+        "tells",
+        "from",
+        "leaves_open",
+        "separation_before_sd",
+        "separation_after_sd",
+        "chance_after",
+    ]
     table = pd.concat(blocks, ignore_index=True) if blocks else pd.DataFrame(columns=columns)
     return table.assign(pose=np.arange(1, len(table) + 1))
 
@@ -240,8 +252,27 @@ def _separations(told: list[Found], number: int) -> pd.DataFrame:
             words = f"measure the {number} poses of next_poses.csv: they separate by 6.5 sd instead of 1.2"
             if not number:
                 words = f"no pose tells {one.cause} from {other} in these data: log each joint's travel"
-            rows.append((one.cause, one.joint or np.nan, other, int(joint), 1.2, 6.5 if number else 0.0, words))
-    columns = ["cause", "joint", "rival", "rival_joint", "separation_before_sd", "separation_after_sd", "words"]
+            rows.append(
+                (
+                    one.cause,
+                    one.joint or np.nan,
+                    other,
+                    int(joint),
+                    1.2,
+                    *((6.5, 0.99) if number else (0.0, 0.0)),
+                    words,
+                )
+            )
+    columns = [
+        "cause",
+        "joint",
+        "rival",
+        "rival_joint",
+        "separation_before_sd",
+        "separation_after_sd",
+        "chance_after",
+        "words",
+    ]
     return pd.DataFrame(rows, columns=columns)
 
 

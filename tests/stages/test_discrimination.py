@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from itertools import combinations, permutations
+
 import numpy as np
 import pytest
 
 from calflow.effects import catalogue
 from calflow.model import Model, build
-from calflow.stages.causes import Cause
-from calflow.stages.discrimination import POSES, Choices, Contest, propose
+from calflow.stages.causes import Catalogue, Cause
+from calflow.stages.contest import Choices, Contest, Explanation, propose
+from calflow.stages.discrimination import POSES
 from calflow.stages.fitted import Fitted
+from calflow.stages.look import Look
 from calflow.stages.settle import fit_settled
+from calflow.stages.verdict import WITHIN
 from robots import industrial
 from stages.data import SIGMA, measured, stated
 
@@ -38,35 +43,72 @@ def choices():
     return Choices(more.joints, np.ones(more.joints.shape), ("",) * len(more), more.rows)
 
 
-def separation(fitted, rival, rows):
-    """What a rival's best fit leaves of the effect in the data and at further rows, by plain least squares."""
-    both = Model(ROBOT, (*MODEL.effects, rival))
+def explanations(fitted, *rivals):
+    """The gear ratio as it was fitted, and rivals in its place."""
+    looked = Look.at(fitted, [RATIO], Catalogue(rivals, {})).apart([RATIO]).scores
+    scores = [next(score for score in looked if score.cause == cause) for cause in (RATIO, *rivals)]
+    return [Explanation(score, score.delta_bic - scores[0].delta_bic) for score in scores]
+
+
+def separation(fitted, true, rival, rows):
+    """What a rival's best fit leaves of the true cause's effect in the data and at further rows, by plain least squares."""
+    true, rival = true.score, rival.score
+    base = Model(ROBOT, (*MODEL.effects[:-1], true.cause, rival.cause))
+    known = np.delete(fitted.fit.estimate, MODEL.columns(RATIO))
     rows = np.hstack([fitted.data.rows, rows])
-    point = np.append(fitted.fit.estimate, np.zeros(len(rival.declared)))
-    jacobian = both.position_jacobian(point, rows).reshape(3 * rows.shape[1], -1) / SIGMA
-    own = len(fitted.fit.estimate) - 1
+    point = np.append(known, np.zeros(len(true.estimate) + len(rival.estimate)))
+    jacobian = base.position_jacobian(point, rows).reshape(3 * rows.shape[1], -1) / SIGMA
+    own = base.columns(true.cause)
     others = np.delete(np.arange(jacobian.shape[1]), own)
-    whole = np.vstack([jacobian[:, others], np.diag(1 / both.prior_sd[others])])
-    effect = np.append(jacobian[:, own] * fitted.fit.estimate[own], np.zeros(len(others)))
+    whole = np.vstack([jacobian[:, others], np.diag(1 / base.prior_sd[others])])
+    effect = np.append(jacobian[:, own] @ true.estimate, np.zeros(len(others)))
     return np.linalg.norm(effect - whole @ np.linalg.lstsq(whole, effect)[0])
 
 
+def nearest(fitted, scores, rows):
+    """The least separation of all ordered pairs."""
+    return min(separation(fitted, true, rival, rows) for true, rival in permutations(scores, 2))
+
+
 def test_proposed_poses_separate_more_than_random_ones(fitted, choices):
-    """Breaks if poses are chosen for anything but what the rival cannot imitate, or their worth is misstated."""
-    contest = Contest.of(fitted, RATIO, ECCENTRIC, choices, SIGMA)
-    chosen, (after,) = propose([contest], POSES)
+    """Breaks if poses are chosen for anything but what the other cannot imitate, or their worth is misstated."""
+    scores = explanations(fitted, ECCENTRIC)
+    contests = Contest.between(fitted, scores, choices, SIGMA)
+    chosen, ends = propose(contests, [(0, 1)], POSES)
+    after = ends[0, 1].separation
     assert len(set(chosen)) == POSES
-    assert contest.separation == pytest.approx(separation(fitted, ECCENTRIC, choices.rows[:, :0]), rel=0.02)
-    assert after.separation == pytest.approx(separation(fitted, ECCENTRIC, choices.rows[:, chosen]), rel=0.02)
-    assert after.separation > 1.5 * contest.separation
-    assert after.separation > 1.1 * separation(fitted, ECCENTRIC, choices.rows[:, :POSES])
+    for pair in ((0, 1), (1, 0)):
+        one, other = (scores[k] for k in pair)
+        assert contests[pair].separation == pytest.approx(separation(fitted, one, other, choices.rows[:, :0]), rel=0.02)
+    assert after == pytest.approx(nearest(fitted, scores, choices.rows[:, chosen]), rel=0.02)
+    assert after > 1.5 * nearest(fitted, scores, choices.rows[:, :0])
+    assert after > 1.1 * nearest(fitted, scores, choices.rows[:, :POSES])
 
 
-def test_poses_for_two_rivals_serve_the_nearer_one(fitted, choices):
-    """Breaks if poses that exclude one rival leave another as near as it was."""
-    contests = [Contest.of(fitted, RATIO, rival, choices, SIGMA) for rival in (ECCENTRIC, SECOND)]
-    alone = [propose([contest], POSES)[1][0].separation for contest in contests]
-    for_one = propose(contests[1:], POSES)[0]
-    together = [contest.separation for contest in propose(contests, POSES)[1]]
-    assert min(together) > 0.9 * min(alone)
-    assert min(together) > 1.02 * min(separation(fitted, r, choices.rows[:, for_one]) for r in (ECCENTRIC, SECOND))
+def test_poses_for_all_serve_the_closest_pair(fitted, choices):
+    """Breaks if poses that exclude one rival leave another as near as it was, or rivals as near each other."""
+    scores = explanations(fitted, ECCENTRIC, SECOND)
+    contests = Contest.between(fitted, scores, choices, SIGMA)
+    pairs = list(combinations(range(3), 2))
+    alone = {pair: propose(contests, [pair], POSES) for pair in pairs}
+    chosen, ends = propose(contests, pairs, POSES)
+    together = min(contest.separation for contest in ends.values())
+    assert together > 0.8 * min(after[pair].separation for pair, (_, after) in alone.items())
+    assert together == pytest.approx(nearest(fitted, scores, choices.rows[:, chosen]), rel=0.02)
+    for pair in ((0, 1), (0, 2)):
+        assert together > nearest(fitted, scores, choices.rows[:, alone[pair][0]])
+
+
+def test_a_rival_is_excluded_as_often_as_is_said():
+    """Breaks if the chance of excluding a rival is anything but how often its BIC comes out WITHIN above the true one's."""
+    rng = np.random.default_rng(3)
+    true, rival = rng.standard_normal((2, 90))
+    effect, dearer = 0.45 * true, -3.0  # the rival has fewer parameters
+    nothing = np.zeros((1, 3))
+    contest = Contest(np.array([[rival @ rival]]), np.array([rival @ effect]), effect @ effect, nothing, nothing[:, :, None],
+                      dearer)  # fmt: skip
+    seen = effect + rng.standard_normal((4000, 90))
+    left = [(seen**2).sum(axis=1) - (seen @ one) ** 2 / (one @ one) for one in (rival, true)]
+    excluded = np.mean(left[0] - left[1] + dearer > WITHIN)
+    assert 0.2 < excluded < 0.9
+    assert contest.chance == pytest.approx(excluded, abs=0.03)

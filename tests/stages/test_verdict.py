@@ -101,7 +101,7 @@ def test_what_was_not_tested_but_looks_alike_has_an_equal_share():
     found = judged(score(-50.0, "joint-backlash", 3), score(-10.0, "gear-ratio-error", 3))
     assert found.status == "one_of"
     assert names(found) == [("joint-hysteresis", 3)]
-    assert (found.rivals[0].bic, found.rivals[0].cause) == (0.0, None)
+    assert (found.rivals[0].bic, found.rivals[0].score) == (0.0, None)
     assert found.probability == pytest.approx(0.5)
     assert found.family == ""
 

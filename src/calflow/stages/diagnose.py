@@ -54,7 +54,8 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     faults = context.tables["identify/faults.csv"]
     other = study.confirming
     confirmed = confirm(final, len(known.model.effects), other.measurements()) if other and found.causes else None
-    questions = [question(v, final, context.rng(f"poses{k}")) for k, v in enumerate(found.verdicts)]
+    share = data.train.sum() / (data.train | data.held_out).sum()
+    questions = [question(v, final, share, context.rng(f"poses{k}")) for k, v in enumerate(found.verdicts)]
     tables = {
         "diagnose/findings.csv": findings_table(found, data, faults, context.rng("resamples")),
         "diagnose/candidates.csv": candidates_table(found),

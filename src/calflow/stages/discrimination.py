@@ -1,125 +1,46 @@
 """Discrimination: which further poses would separate causes that the data cannot tell apart, and how well.
 
-T-optimality (Atkinson and Fedorov 1975): a rival is fitted as well as it can be to what the first cause does; what it
-cannot imitate, in standard deviations of the noise, is the separation. Poses are added where it grows most.
+Any of a finding's rivals may be the truth: poses are to tell all of them from each other, as far as poses can.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import pandas as pd
 
 from calflow.measurements import Measurements, condition_columns
-from calflow.model import Model
 from calflow.stages.candidates import candidates
 from calflow.stages.causes import Cause
+from calflow.stages.contest import Choices, Contest, Explanation, Pair, closest, propose
 from calflow.stages.fitted import Fitted
 from calflow.stages.verdict import Rival, Verdict, label
 
 POSES = 20
 CANDIDATES = 600  # poses to choose from, for each payload
-TELLS = ["tells", "from", "separation_before_sd", "separation_after_sd"]
+APART = ["separation_before_sd", "separation_after_sd", "chance_after"]
 ELSE = {  # what tells a cause from one that the data could not test
     "joint-hysteresis": "log each joint's travel since its last reversal (columns travel1_deg …)",
     "joint-backlash": "vary the travel since the last reversal, from tenths of a degree to many degrees",
 }
-ENOUGH = 4.7  # standard deviations of separation at which a rival is excluded (its BIC 10 worse) nine times in ten
-
-
-@dataclass(frozen=True)
-class Choices:
-    """Poses to choose from: readings and approach (n, n_joints), payload names, and the packed rows (n_conditions, n)."""
-
-    readings: np.ndarray
-    approach: np.ndarray
-    payloads: tuple[str, ...]
-    rows: np.ndarray
-
-    def only(self, which: Sequence[int]) -> Choices:
-        """Return some of the poses."""
-        chosen = list(which)
-        payloads = tuple(self.payloads[k] for k in chosen)
-        return Choices(self.readings[chosen], self.approach[chosen], payloads, self.rows[:, chosen])
-
-
-@dataclass(frozen=True)
-class Contest:
-    """A cause's effect, and how well a rival and all other parameters can imitate it: in the data, and at each further pose.
-
-    information (n, n), moment (n,) and energy are of the least squares problem in standard deviations of noise and priors;
-    new_effect (n_poses, 3) and new_imitate (n_poses, 3, n) what a further pose would add to it.
-    """
-
-    information: np.ndarray
-    moment: np.ndarray
-    energy: float
-    new_effect: np.ndarray
-    new_imitate: np.ndarray
-
-    @staticmethod
-    def of(fitted: Fitted, cause: Cause, rival: Cause, choices: Choices, sigma: float) -> Contest:
-        """Set a cause in the fitted model against a rival that is not in it; sigma [m] is a further measurement's."""
-        model = fitted.model
-        both = Model(model.robot, (*model.effects, rival), model.given)
-        point = np.concatenate([fitted.fit.estimate, np.zeros(len(rival.declared))])
-        own = fitted.columns(cause)
-        others = np.setdiff1d(np.arange(len(point)), own)
-        sd = both.prior_sd[others]
-        free = np.concatenate([~fitted.fit.at_bound, np.full(len(rival.declared), True)])[others]
-
-        def split(rows: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            jacobian = both.position_jacobian(point, rows) / noise[:, None, None]
-            return jacobian[:, :, own] @ fitted.fit.estimate[own], (jacobian[:, :, others] * sd * free)
-
-        effect, imitate = split(fitted.data.rows, fitted.noise.total[0])
-        new_effect, new_imitate = split(choices.rows, np.full(choices.rows.shape[1], sigma))
-        information = np.eye(len(others)) + np.einsum("rai,raj->ij", imitate, imitate)
-        moment = np.einsum("rai,ra->i", imitate, effect)
-        return Contest(information, moment, float((effect**2).sum()), new_effect, new_imitate)
-
-    @property
-    def separation(self) -> float:
-        """What the rival cannot imitate [sd]."""
-        left = self.energy - float(self.moment @ np.linalg.solve(self.information, self.moment))
-        return float(np.sqrt(max(left, 0.0)))
-
-    @property
-    def growth(self) -> np.ndarray:
-        """By how much each further pose would raise the separation's square, shape (n_poses,)."""
-        covariance = np.linalg.inv(self.information)
-        unexplained = self.new_effect - self.new_imitate @ (covariance @ self.moment)
-        spread = np.eye(3) + np.einsum("rai,ij,rbj->rab", self.new_imitate, covariance, self.new_imitate, optimize=True)
-        return np.einsum("ra,ra->r", unexplained, np.linalg.solve(spread, unexplained[..., None])[..., 0])
-
-    def measured(self, pose: int) -> Contest:
-        """Return the contest after one more pose."""
-        effect, imitate = self.new_effect[pose], self.new_imitate[pose]
-        return replace(self, information=self.information + imitate.T @ imitate, moment=self.moment + imitate.T @ effect,
-                       energy=self.energy + float((effect**2).sum()))  # fmt: skip
-
-
-def propose(contests: Sequence[Contest], number: int) -> tuple[list[int], list[Contest]]:
-    """Choose poses, each for the rival that is then the nearest, and return the contests after them."""
-    now, chosen = list(contests), list[int]()
-    for _ in range(min(number, len(now[0].new_effect))):
-        growth = min(now, key=lambda contest: contest.separation).growth
-        growth[chosen] = -1.0
-        chosen.append(int(np.argmax(growth)))
-        now = [contest.measured(chosen[-1]) for contest in now]
-    return chosen, now
+ENOUGH = 0.9  # chance of excluding a rival at which poses are worth measuring
 
 
 @dataclass(frozen=True)
 class Separation:
-    """How far a cause is apart from one rival [sd]: before, and after further poses, which are either proposed or its own."""
+    """How far a cause is apart from one rival [sd]: before, and after further poses, which are either proposed or its own.
+
+    chance is that of excluding the rival then, or the cause if the rival is true.
+    """
 
     rival: Rival
-    before: float
-    after: float
-    proposed: bool
+    before: float = 0.0
+    after: float = 0.0
+    chance: float = 0.0
+    proposed: bool = False
 
     def words(self, cause: Cause) -> str:
         """Say what to measure."""
@@ -131,50 +52,85 @@ class Separation:
                 f"no pose tells {cause.id} from {self.rival.id} in these data: "
                 f"{ELSE.get(self.rival.id, 'another sensor or another direction of load is needed')}"
             )
-        if self.after < ENOUGH:
+        if self.chance < ENOUGH:
             return (
-                f"no pose under these loads tells {cause.id} from {self.rival.id} ({self.after:.1f} sd after {POSES} poses): "
+                f"no {POSES} poses under these loads tell {cause.id} from {self.rival.id} ({self.after:.1f} sd after them): "
                 "another payload, a load from another direction, or a sensor at the joint is needed"
             )
         return f"measure {POSES} further poses, once the other rivals are excluded: {apart}"
 
 
 @dataclass(frozen=True)
+class Plan:
+    """Poses that tell a finding from some rivals and, as far as they can, those from each other.
+
+    before and after are the least separations [sd] among what they tell apart, chance the least of excluding one of two;
+    left_open names the pairs that they do not tell apart.
+    """
+
+    poses: Choices
+    rivals: tuple[Rival, ...]
+    before: float
+    after: float
+    chance: float
+    left_open: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Question:
-    """A finding's rivals, and the poses that would tell it from those of them that poses can exclude together."""
+    """A finding's rivals, and the poses to measure if any tell it from some of them."""
 
     cause: Cause
     separations: tuple[Separation, ...]
-    poses: Choices | None
+    plan: Plan | None = None
 
 
-def question(verdict: Verdict, fitted: Fitted, rng: np.random.Generator) -> Question:
-    """Return how to tell a finding from each of its rivals."""
-    cause, sigma = verdict.finding.cause, float(np.sqrt(np.mean(fitted.noise.total[0] ** 2)))
-    if not any(rival.cause for rival in verdict.rivals):
-        return Question(cause, tuple(Separation(rival, 0.0, 0.0, False) for rival in verdict.rivals), None)
+def question(verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Generator) -> Question:
+    """Return how to tell a finding from each of its rivals; share is how many of the further poses will be fitted."""
+    finding = verdict.finding
+    untested = tuple(Separation(rival) for rival in verdict.rivals if not rival.score)
+    rivals = [rival for rival in verdict.rivals if rival.score]
+    if not rivals:
+        return Question(finding.cause, untested)
+    explanations = [Explanation(finding.own, 0.0), *(Explanation(r.score, r.bic) for r in rivals if r.score)]
     choices = _choices(fitted, rng)
-    contests = {
-        k: Contest.of(fitted, cause, rival.cause, choices, sigma)
-        for k, rival in enumerate(verdict.rivals) if rival.cause
-    }  # fmt: skip
-    after = {k: propose([contest], POSES)[1][0].separation for k, contest in contests.items()}
-    open_ = [k for k in contests if after[k] >= ENOUGH]
-    chosen = list[int]()
-    while open_:
-        chosen, ends = propose([contests[k] for k in open_], POSES)
-        together = dict(zip(open_, (contest.separation for contest in ends), strict=True))
-        if min(together.values()) >= ENOUGH:
-            after |= together
-            break
-        open_.remove(min(together, key=lambda k: together[k]))
+    sigma = float(np.sqrt(np.mean(fitted.noise.total[0] ** 2) / share))
+    contests = Contest.between(fitted, explanations, choices, sigma)
+    before = {pair: closest(contests, pair) for pair in combinations(range(len(explanations)), 2)}
+    alone = {pair: propose(contests, [pair], POSES)[1][pair] for pair in before}
+    chosen, together = _together(contests, alone)
+    after = alone | together
     separations = tuple(
-        Separation(rival, contests[k].separation, after[k], k in open_)
-        if k in contests
-        else Separation(rival, 0.0, 0.0, False)
-        for k, rival in enumerate(verdict.rivals)
+        Separation(rival, before[0, k].separation, after[0, k].separation, after[0, k].chance, (0, k) in together)
+        for k, rival in enumerate(rivals, start=1)
     )
-    return Question(cause, separations, choices.only(chosen) if open_ else None)
+    if not together:
+        return Question(finding.cause, separations + untested)
+    names = [label(finding.cause.id, finding.cause.joint), *(label(rival.id, rival.joint) for rival in rivals)]
+    open_ = [f"{names[i]} or {names[k]}" for i, k in after if (i, k) not in together]
+    open_ += [f"{names[0]} or {label(one.rival.id, one.rival.joint)}" for one in untested]
+    plan = Plan(
+        choices.only(chosen), tuple(rivals[k - 1] for i, k in together if i == 0),
+        min(before[pair].separation for pair in together), min(contest.separation for contest in together.values()),
+        min(contest.chance for contest in together.values()), tuple(open_),
+    )  # fmt: skip
+    return Question(finding.cause, separations + untested, plan)
+
+
+def _together(contests: Mapping[Pair, Contest], alone: Mapping[Pair, Contest]) -> tuple[list[int], dict[Pair, Contest]]:
+    """Choose poses for as many pairs as they can serve together, those of the finding (number 0) above all.
+
+    alone are the contests after poses for one pair.
+    """
+    possible = [pair for pair, contest in alone.items() if contest.chance >= ENOUGH]
+    left = [(i, k) for i, k in possible if i == 0 or {(0, i), (0, k)} <= set(possible)]
+    while any(i == 0 for i, _ in left):
+        chosen, after = propose(contests, left, POSES)
+        hard = [pair for pair in left if after[pair].chance < ENOUGH]
+        if not hard:
+            return chosen, after
+        left.remove(min(hard, key=lambda pair: (pair[0] == 0, after[pair].lead)))
+    return [], {}
 
 
 def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
@@ -184,20 +140,20 @@ def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
     units = np.array([np.rad2deg(1.0) if joint.kind == "revolute" else 1e3 for joint in robot.joints])
     blocks = []
     for one in questions:
-        if one.poses is None:
+        if one.plan is None:
             continue
-        asked = [separation for separation in one.separations if separation.proposed]
-        block = pd.DataFrame(np.round(one.poses.readings * units, 4), columns=readings)
+        plan = one.plan
+        block = pd.DataFrame(np.round(plan.poses.readings * units, 4), columns=readings)
         if "approach" in fitted.model.given:
-            block[[f"approach{i + 1}" for i in range(robot.n_joints)]] = one.poses.approach.astype(int)
-        block["payload"] = one.poses.payloads
+            block[[f"approach{i + 1}" for i in range(robot.n_joints)]] = plan.poses.approach.astype(int)
+        block["payload"] = plan.poses.payloads
         block["tells"] = label(one.cause.id, one.cause.joint)
-        block["from"] = "; ".join(label(other.rival.id, other.rival.joint) for other in asked)
-        block["separation_before_sd"] = min(other.before for other in asked)
-        block["separation_after_sd"] = min(other.after for other in asked)
+        block["from"] = "; ".join(label(rival.id, rival.joint) for rival in plan.rivals)
+        block["leaves_open"] = "; ".join(plan.left_open)
+        block[APART] = plan.before, plan.after, plan.chance
         blocks.append(block)
     if not blocks:
-        return pd.DataFrame(columns=["pose", *readings, "payload", *TELLS])
+        return pd.DataFrame(columns=["pose", *readings, "payload", "tells", "from", "leaves_open", *APART])
     table = pd.concat(blocks, ignore_index=True)
     table.insert(0, "pose", np.arange(1, len(table) + 1))
     return table
@@ -207,10 +163,10 @@ def separations_table(questions: Sequence[Question]) -> pd.DataFrame:
     """Return diagnose/separations.csv: for each finding and rival how far apart they are, and what to do."""
     rows = [
         (asked.cause.id, asked.cause.joint or None, one.rival.id, one.rival.joint or None, one.before, one.after,
-         one.words(asked.cause))
+         one.chance, one.words(asked.cause))
         for asked in questions for one in asked.separations
     ]  # fmt: skip
-    columns = ["cause", "joint", "rival", "rival_joint", "separation_before_sd", "separation_after_sd", "words"]
+    columns = ["cause", "joint", "rival", "rival_joint", *APART, "words"]
     return pd.DataFrame(rows, columns=columns).astype({"joint": "Int64", "rival_joint": "Int64"})
 
 

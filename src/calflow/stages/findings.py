@@ -138,7 +138,7 @@ def _score(score: Score) -> dict[str, object]:
 
 def _cause(verdict: Verdict, fitted: Fitted, coarse: bool) -> dict[str, object]:
     cause = verdict.finding.cause
-    own = fitted.columns(cause)
+    own = fitted.model.columns(cause)
     estimate, sd = amplitude(cause, fitted.fit.estimate[own], fitted.fit.covariance[np.ix_(own, own)])
     others = list(
         dict.fromkeys(rival.id for rival in verdict.rivals if rival.id != cause.id or rival.joint != cause.joint)

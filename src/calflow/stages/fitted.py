@@ -62,16 +62,6 @@ class Fitted:
         """The problem that was solved, robust weights included."""
         return Problem.of(self.model, self.data, self.noise).reweighted(self.fit.estimate, self.loss)
 
-    def columns(self, cause: Cause) -> np.ndarray:
-        """Return the indices of a cause's parameters."""
-        start = 0
-        for effect in self.model.effects:
-            size = len(effect.declared)
-            if effect == cause:
-                return np.arange(start, start + size)
-            start += size
-        raise ValueError("the cause is not in the model")
-
     def weighed(self, sigma: np.ndarray) -> Fitted:
         """Fit anew with other noise (n_rows,) [m]."""
         noise = replace(self.device, sigma=sigma, discrepancy=0.0)

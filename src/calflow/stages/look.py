@@ -67,7 +67,7 @@ class Look:
         """Test all candidates in the place of some causes, the others staying in the model; linear, without a refit."""
         whole, estimate = self.regressors, self.fitted.fit.estimate
         free = np.flatnonzero(~self.fitted.fit.at_bound)
-        columns = np.flatnonzero(np.isin(free, np.concatenate([self.fitted.columns(cause) for cause in gone])))
+        columns = np.flatnonzero(np.isin(free, np.concatenate([self.fitted.model.columns(cause) for cause in gone])))
         value = estimate[free[columns]]
         apart = whole.without(columns, whole.jacobian[:, columns] @ value, value * np.sqrt(whole.precision[columns]))
         others = tuple(c for c in apart.candidates if c.cause in gone or c.cause not in self.causes)

@@ -9,7 +9,7 @@ import numpy as np
 
 from calflow.stages.causes import Cause
 from calflow.stages.look import Finding
-from calflow.stages.screening import by_place
+from calflow.stages.screening import Score, by_place
 
 WITHIN = 10.0  # of the best BIC: closer rivals cannot be told apart (Kass and Raftery 1995: "very strong" beyond)
 
@@ -18,12 +18,20 @@ Status = Literal["named", "one_of"]
 
 @dataclass(frozen=True)
 class Rival:
-    """What else could explain the data: an effect's id and its joint (0 for none); bic is relative to the best."""
+    """What else could explain the data: an effect's id and its joint (0 for none); bic is relative to the finding's.
+
+    score is of its best variant in the finding's place, None where the data could not test it.
+    """
 
     id: str
     joint: int
     bic: float
-    cause: Cause | None
+    score: Score | None
+
+    @property
+    def cause(self) -> Cause | None:
+        """The best variant, if it could be tested."""
+        return self.score.cause if self.score else None
 
 
 @dataclass(frozen=True)
@@ -53,7 +61,7 @@ def verdict(finding: Finding) -> Verdict:
     cause = finding.cause
     own = evidence[cause.place][0]
     rivals = [
-        Rival(best.cause.id, best.cause.joint, bic - own, best.cause)
+        Rival(best.cause.id, best.cause.joint, bic - own, best)
         for place, (bic, best) in evidence.items()
         if place != cause.place and bic - own < WITHIN
     ]

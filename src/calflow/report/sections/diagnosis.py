@@ -170,7 +170,7 @@ def _apart(one: Found, tables: Tables) -> list[str]:
     for row in own.to_dict("records"):
         rival = cause_name(row["rival"], _whole(row["rival_joint"]))
         before, after = (float(row[f"separation_{when}_sd"]) for when in ("before", "after"))
-        if after < ENOUGH:
+        if row["chance_after"] < ENOUGH:
             said.append(f"{_first_up(named_ids(str(row['words']))).rstrip('.')}.")
             continue
         poses = "The poses of diagnose/next_poses.csv" if rival in proposed else "Further poses"
@@ -435,10 +435,17 @@ def next_poses(tables: Tables) -> list[Advice]:
         apart = f"at least {first['separation_after_sd']:.1f} standard deviations apart"
         sentence = (
             f"Measure the {plural(len(rows), 'pose')} of diagnose/next_poses.csv that tell {own} from {listed(others)}: they would "
-            f"be {apart} instead of {first['separation_before_sd']:.1f}."
+            f"be {apart} instead of {first['separation_before_sd']:.1f}.{_left_open(first['leaves_open'])}"
         )
         found.append(Advice(3, sentence))
     return found
+
+
+def _left_open(pairs: object) -> str:
+    if not isinstance(pairs, str) or not pairs:
+        return ""
+    named_pairs = [" or ".join(named(one).name for one in pair.split(" or ")) for pair in pairs.split("; ")]
+    return f" They leave open whether it is {listed(named_pairs, 3)}."
 
 
 def other_means(tables: Tables) -> list[Advice]:
@@ -446,7 +453,7 @@ def other_means(tables: Tables) -> list[Advice]:
     open_ = {(one.cause, one.joint) for one in findings(tables) if one.status == "one_of"}
     means: dict[str, list[str]] = {}
     for row in tables["diagnose/separations.csv"].to_dict("records"):
-        if row["separation_after_sd"] >= ENOUGH or (row["cause"], _whole(row["joint"])) not in open_:
+        if row["chance_after"] >= ENOUGH or (row["cause"], _whole(row["joint"])) not in open_:
             continue
         pair = f"{cause_name(row['cause'], _whole(row['joint']))} from {cause_name(row['rival'], _whole(row['rival_joint']))}"
         means.setdefault(str(row["words"]).partition(": ")[2] or str(row["words"]), []).append(pair)
