@@ -90,7 +90,11 @@ def one_cause(job: Job) -> Row:
         study, tables = _run(folder / "case", case, job.seed)
         (h,) = draw(case, np.random.default_rng(job.seed)).hidden
         compared = verdicts.one(h, tables) | verdicts.gains(study, h, tables)
-        expected = {"rms_mm": verdicts.effect_rms(folder / "case"), "set_by_calculation": drawn.set_size}
+        expected = {
+            "rms_mm": verdicts.effect_rms(folder / "case"),
+            "set_by_calculation": drawn.set_size,
+            "first_by_calculation": drawn.first,
+        }
         return _hidden(case) | verdicts.told(tables) | compared | expected
 
     return _guarded(work, job)
@@ -226,7 +230,7 @@ def _by(key: pd.Series, rows: pd.DataFrame) -> pd.DataFrame:
     within = key[seen.index]
     inside = (seen["z"].abs() < 1.96).where(seen["z"].notna()).astype(float)
     names = (
-        seen[["right", "up_to_class", "in_set", "set_size", "set_by_calculation", "found"]]
+        seen[["right", "first_by_calculation", "up_to_class", "in_set", "set_size", "set_by_calculation", "found"]]
         .astype(float)
         .groupby(within)
         .mean()

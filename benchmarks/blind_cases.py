@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.stats import norm
 
 from calflow.faults import mended
 from calflow.runs import run
@@ -61,8 +62,8 @@ UNITS = (
     Unit("link-mass", (3,), 0.3),
     Unit("tool-deflection", (0,), 3e-7),
     Unit("thermal-growth", (0,), 23e-6, columns=("time", "temperature")),
-    Unit("frame-drift", (0,), 3e-4, columns=("time",)),
-    Unit("frame-step", (0,), 1e-3),
+    Unit("frame-drift", (0,), 3e-4, ("", "turning"), columns=("time",)),
+    Unit("frame-step", (0,), 1e-3, ("", "turning")),
 )
 NEAR = {"gear-ratio-error", "joint-eccentricity", "link-torsion", "bearing-compliance", "link-bending", "link-mass",
         "payload-mass", "gravity-compensator"}  # fmt: skip
@@ -170,12 +171,13 @@ class Sized:
     """A case with its causes in it, and what to expect of it, by calculation.
 
     beside has each cause's size in limits where the other causes are known to act too; set_size is how many causes these
-    data could not tell from the first one if they were without noise.
+    data could not tell from the first one if they were without noise; first is how often at most its BIC is the least.
     """
 
     case: Case
     beside: tuple[float, ...]
     set_size: int
+    first: float
 
 
 def sized(job: Job, folder: Path) -> Sized:
@@ -209,7 +211,7 @@ def sized(job: Job, folder: Path) -> Sized:
         size / _limit(bare, h, shift, [other for other in shifts if other is not shift])
         for h, shift, size in zip(hidden, shifts, sizes, strict=True)
     )
-    return Sized(replace(job.case, hidden=chosen), beside, _set_size(bare, hidden[0], sizes[0] * shifts[0]))
+    return Sized(replace(job.case, hidden=chosen), beside, *_expected(bare, hidden[0], sizes[0] * shifts[0]))
 
 
 def _placed(unit: Unit, rng: np.random.Generator) -> Hidden:
@@ -238,8 +240,12 @@ def _limit(bare: Bare, h: Hidden, shift: np.ndarray, others: Sequence[np.ndarray
     return float(np.sqrt(needed / seen.chi2))
 
 
-def _set_size(bare: Bare, h: Hidden, shift: np.ndarray) -> int:
-    """How many causes are as near to this one as the verdict allows, itself included, where noise is what one expects."""
+def _expected(bare: Bare, h: Hidden, shift: np.ndarray) -> tuple[int, float]:
+    """How many causes are as near to this one as the verdict allows, itself included, and the chance that it is named first.
+
+    Scores are those without noise. Noise of one sigma lets the difference of two causes' chi², d² without it, spread by 2 d;
+    the chance is that against the rival most likely to win, an upper bound.
+    """
     seen, n = _screened(bare, shift), len(shift)
     scores = [
         replace(
@@ -252,7 +258,12 @@ def _set_size(bare: Bare, h: Hidden, shift: np.ndarray) -> int:
     own = [score for score in scores if (score.cause.id, score.cause.joint) == (h.cause, h.joint)]
     best = min(own, key=lambda score: score.delta_bic)
     rivals = verdict(Finding(best.cause, tuple(scores), bare.screened.family)).rivals
-    return 1 + len({rival.id for rival in rivals})
+    leads = [
+        rival.bic / (2 * np.sqrt(max(best.drop - rival.score.drop, 1e-6)))
+        for rival in rivals
+        if rival.score is not None
+    ]
+    return 1 + len({rival.id for rival in rivals}), float(norm.cdf(min(leads, default=np.inf)))
 
 
 def _screened(bare: Bare, residual: np.ndarray, others: Sequence[np.ndarray] = ()) -> Screening:

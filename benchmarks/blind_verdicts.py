@@ -141,6 +141,6 @@ def _is_alike(h: Hidden, row: pd.Series) -> bool:
 
 def _interval(h: Hidden, row: pd.Series) -> dict[str, object]:
     """How many standard deviations an amplitude is off, where both are the same figure."""
-    if h.cause not in SAME_FIGURE or not _is(h, row):
+    if h.cause not in SAME_FIGURE or h.extra == "turning" or not _is(h, row):
         return {}
     return {"z": (float(row["estimate"]) - h.size) / float(row["sd"])}

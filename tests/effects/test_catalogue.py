@@ -241,6 +241,16 @@ def step(bench: Bench) -> Twin:
     return Twin(made(bench, hidden.cause, moment=moment), values, hidden)
 
 
+def turning_step(bench: Bench) -> Twin:
+    """The simulator's device does not turn: written here."""
+    turn = np.array([2e-5, -3e-5, 5e-5])
+    moment = float(np.median(bench.table.table["order"])) + 0.25
+    after = bench.table.table["order"].to_numpy() > moment
+    turned = lambda point, rows: point + after[:, None] * np.cross(turn, point)  # noqa: E731
+    values = dict(zip(("device.rx", "device.ry", "device.rz"), turn, strict=True))
+    return Twin(made(bench, "frame-step", moment=moment, turning=True), values, turned)
+
+
 TWINS: dict[str, Callable[[Bench], Twin]] = {
     "joint-compliance": one("joint-compliance", "joint2.s", Hidden("joint-compliance", 2, 5e-8)),
     "nonlinear-joint-stiffness, cubic": cubic,
@@ -276,7 +286,8 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     "thermal-growth, warm-up": one("thermal-growth", "links.e", Hidden("thermal-growth", 0, 2.5e-4, "warm-up"), constant=WARM_UP),
     "frame-drift, shifting": drift,
     "frame-drift, turning": turning_drift,
-    "frame-step": step,
+    "frame-step, shifting": step,
+    "frame-step, turning": turning_step,
     "tracker-scale": one("tracker-scale", "device.s", Hidden("tracker-scale", 0, 3e-5)),
 }  # fmt: skip
 APART = {"geometry", "gravity-deflection", "joint-error-map", "range-noise"}  # compared in tests of their own
@@ -572,16 +583,20 @@ def test_every_moment_of_a_step_is_within_reach(full: Measurements) -> None:
     """Breaks if moments that a long scan leaves out are not tried about the best one, or lie at a row."""
     order = full.table["order"].to_numpy()
     variants = catalogue()["frame-step"].variants(full.robot, full)
+    turned = np.array([effect.turning for effect in variants])
     moments = np.array([effect.moment for effect in variants])
-    assert len(moments) <= 120 < len(order)
+    assert len(moments[~turned]) <= 120 < len(order)
+    assert 0 < len(moments[turned]) <= 40
     assert not np.isin(moments, order).any()
     fewest = [(order < moments.min()).sum(), (order > moments.max()).sum()]
     assert min(fewest) >= 3
-    reached = {effect.moment for variant in variants for effect in variant.finer(full)}
-    assert reached >= set(np.arange(order.min() + 2.5, order.max() - 2.5))
+    for turning in (False, True):
+        reached = {e.moment for variant in variants if variant.turning == turning for e in variant.finer(full)}
+        assert reached >= set(np.arange(order.min() + 2.5, order.max() - 2.5))
+    assert all(effect.turning == variant.turning for variant in variants for effect in variant.finer(full))
     short = full.only(np.arange(len(full)) < 20)
     every = catalogue()["frame-step"].variants(short.robot, short)
-    assert len(every) == 20 - 2 * 3 + 1
+    assert len(every) == 2 * (20 - 2 * 3 + 1)
     assert catalogue()["frame-step"].variants(short.robot, full.only(np.arange(len(full)) < 5)) == ()
 
 

@@ -244,6 +244,8 @@ def thermal_growth(h: Hidden, robot: Robot, rows: Rows) -> Robot:
 
 # --- The measuring device and its floor --------------------------------------------------------------
 
+TURNED = 4.0  # m from the device
+
 
 def direction(rng: np.random.Generator) -> Array:
     """A random unit vector."""
@@ -251,15 +253,21 @@ def direction(rng: np.random.Generator) -> Array:
     return vector / np.linalg.norm(vector)
 
 
+def _wandered(h: Hidden, rng: np.random.Generator, point: Array) -> Array:
+    """A shift by size, or with extra "turning" a turn about the device that moves what is TURNED away by size."""
+    axis = direction(rng)
+    return h.size / TURNED * np.cross(axis, point) if h.extra == "turning" else h.size * axis + 0 * point
+
+
 def frame_drift(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
     """Steadily in time, by size from beginning to end."""
-    return point + h.size * (rows.time / rows.time.max())[:, None] * direction(h.rng)
+    return point + (rows.time / rows.time.max())[:, None] * _wandered(h, h.rng, point)
 
 
 def frame_step(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
     """At one moment between a quarter and three quarters of the measuring time."""
     rng = h.rng
-    return point + h.size * (rows.time > rng.uniform(0.25, 0.75) * rows.time.max())[:, None] * direction(rng)
+    return point + (rows.time > rng.uniform(0.25, 0.75) * rows.time.max())[:, None] * _wandered(h, rng, point)
 
 
 def tracker_scale(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:

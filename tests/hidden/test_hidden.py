@@ -84,6 +84,7 @@ EVERY = {  # one or more cases for every id of the catalogue, the robots in turn
     "thermal-growth while warming up": case("serial", Hidden("thermal-growth", 0, 2.5e-4, "warm-up"), columns=CLOCK),
     "frame-drift": case("hh800", Hidden("frame-drift", 0, 3e-4), columns=CLOCK),
     "frame-step": case("serial", Hidden("frame-step", 0, 2e-4)),
+    "frame-step that turns": case("hh800", Hidden("frame-step", 0, 4e-4, "turning")),
     "joint-compliance": case("hh800", Hidden("joint-compliance", 2, 1.8e-7), effects=("geometry",)),
     "gravity-deflection": case("serial", Hidden("joint-compliance", 0, 1.0), effects=("geometry",), masses=False),
     "gravity-deflection on the loop": case("hh800", Hidden("joint-compliance", 2, 1.8e-7), effects=("geometry",),

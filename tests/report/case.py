@@ -184,7 +184,7 @@ def _findings(found: tuple[Found, ...]) -> pd.DataFrame:
     rows = [
         (one.status, one.cause or None, one.joint or np.nan, one.estimate, one.sd, one.unit or np.nan, one.p, 0.97,
          ";".join(dict.fromkeys(rival.split()[0] for rival in one.rivals.split("; ") if rival)) or np.nan,
-         *(one.gain if one.status in ("named", "one_of") else (np.nan,) * 3), 0.08, one.detail or np.nan,
+         *(one.gain if one.status != "data_fault" else (np.nan,) * 3), 0.08, one.detail or np.nan,
          one.rivals or np.nan, one.rows or np.nan, one.statement)
         for one in found
     ]  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
@@ -15,15 +15,17 @@ from calflow.robot.description import Robot
 if TYPE_CHECKING:
     from calflow.measurements import Measurements
 
-MOMENTS = 120  # at most, that are looked at
+MOMENTS, TURNING_MOMENTS = 120, 40  # at most, that are looked at: without turning, and with
+SHIFT_SD, TURN_SD, BOUND = 3e-4, 1e-4, 300.0  # m, rad, and standard deviations
 FEWEST = 3  # rows before the first moment and after the last
 
 
 @dataclass(frozen=True)
 class FrameStep(Effect):
-    """Reported position + (x, y, z) from a row on."""
+    """Reported position + (x, y, z), and with turning + r x position (about the measuring frame's origin), from a row on."""
 
     moment: float = 0.5
+    turning: bool = False
 
     id: ClassVar[str] = "frame-step"
     title: ClassVar[str] = "step of the measuring device"
@@ -31,30 +33,48 @@ class FrameStep(Effect):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return moments between the rows."""
-        places = np.unique(data.table["order"].to_numpy())
-        between = (places[1:] + places[:-1])[FEWEST - 1 : len(places) - FEWEST] / 2
-        chosen = between[np.unique(np.linspace(0, len(between) - 1, MOMENTS).astype(int))] if len(between) else between
-        return tuple(cls(robot, float(moment)) for moment in chosen)
+        """Return moments between the rows, without and with turning."""
+        between = _moments(data)
+        return tuple(
+            cls(robot, float(moment), turning)
+            for turning, most in ((False, MOMENTS), (True, TURNING_MOMENTS))
+            for moment in _spread(between, most)
+        )
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return the moments about this one that were left out."""
-        places = np.unique(data.table["order"].to_numpy())
-        between = ((places[1:] + places[:-1]) / 2)[FEWEST - 1 : len(places) - FEWEST]
-        reach = max(1.0, float(np.ptp(places)) / MOMENTS)
-        return tuple(type(self)(self.robot, float(m)) for m in between[np.abs(between - self.moment) <= reach])
+        between = _moments(data)
+        tried = _spread(between, TURNING_MOMENTS if self.turning else MOMENTS)
+        reach = float(np.diff(tried).max(initial=1.0))
+        return tuple(replace(self, moment=float(m)) for m in between[np.abs(between - self.moment) <= reach])
 
     @property
     def detail(self) -> str:
-        """Say when."""
-        return f"after row {int(np.floor(self.moment))} in measuring order"
+        """Say when, and whether it turned."""
+        return f"after row {int(np.floor(self.moment))} in measuring order{', turned too' if self.turning else ''}"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the step."""
+        """Return the step, and the turn."""
+        kinds = [("", "m", SHIFT_SD, "step along"), *([("r", "rad", TURN_SD, "turn about")] if self.turning else [])]
         return tuple(
-            Parameter(self.id, "device", axis, "m", 3e-4, -0.1, 0.1, meaning=f"step along {axis}") for axis in "xyz"
-        )
+            Parameter(self.id, "device", symbol + axis, unit, sd, -BOUND * sd, BOUND * sd, meaning=f"{meaning} {axis}")
+            for symbol, unit, sd, meaning in kinds for axis in "xyz"
+        )  # fmt: skip
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported after the moment."""
-        return point + p * (row.order > self.moment) if row.order.nnz() else point
+        if not row.order.nnz():
+            return point
+        shift = p[:3] + (ca.cross(p[3:], point) if self.turning else 0)
+        return point + shift * (row.order > self.moment)
+
+
+def _moments(data: Measurements) -> np.ndarray:
+    """All moments between the rows that leave FEWEST before and after."""
+    places = np.unique(data.table["order"].to_numpy())
+    return np.asarray(((places[1:] + places[:-1]) / 2)[FEWEST - 1 : len(places) - FEWEST])
+
+
+def _spread(moments: np.ndarray, most: int) -> np.ndarray:
+    """Some of the moments, evenly."""
+    return moments[np.unique(np.linspace(0, len(moments) - 1, most).astype(int))] if len(moments) else moments

@@ -16,6 +16,7 @@ from calflow.stages.detection_limit import detection_limit
 from calflow.stages.extension import Extended
 from calflow.stages.fitted import Fitted
 from calflow.stages.gain import gain
+from calflow.stages.gaussian_process import predicted
 from calflow.stages.noise_growth import Growth
 from calflow.stages.remainder import Remainder
 from calflow.stages.screening import Score, by_place
@@ -57,23 +58,28 @@ def findings_table(
     found: Diagnosis, data: Measurements, faults: pd.DataFrame, rng: np.random.Generator
 ) -> pd.DataFrame:
     """Return diagnose/findings.csv: data faults, causes, the noise's growth and what nobody can name."""
-    heldout = data.only(data.held_out)
+    heldout, final = data.only(data.held_out), found.extended.fitted
     rows = [_fault(cause, joint, group) for (cause, joint), group in faults.groupby(["cause", "joint"], sort=False)]
     before = errors(found.start.model, found.start.fit.estimate, heldout)
     for verdict, fitted in zip(found.verdicts, found.extended.path, strict=True):
         after = errors(fitted.model, fitted.fit.estimate, heldout)
-        gained = gain(before, after, heldout, rng)
-        mean = float(np.linalg.norm(after, axis=1).mean()) if len(after) else np.nan
-        rows.append(
-            _cause(verdict, found.extended.fitted, _told_finer(verdict, found.left))
-            | {"gain_mean_mm": 1e3 * gained.mean, "gain_low_mm": 1e3 * gained.low, "gain_high_mm": 1e3 * gained.high,
-               "heldout_mean_mm": 1e3 * mean}
-        )  # fmt: skip
+        rows.append(_cause(verdict, final, _told_finer(verdict, found.left)) | _gained(before, after, heldout, rng))
         before = after
     if found.growth:
         rows.append(_growth(found.growth))
-    rows += [_left(remainder) for remainder in found.left]
+    for remainder in found.left:
+        after = before + predicted(final, remainder.score.cause, heldout.rows)
+        rows.append(_left(remainder) | _gained(before, after, heldout, rng))
     return pd.DataFrame(rows, columns=FINDINGS)
+
+
+def _gained(
+    before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator
+) -> dict[str, object]:
+    gained = gain(before, after, heldout, rng)
+    mean = float(np.linalg.norm(after, axis=1).mean()) if len(after) else np.nan
+    return {"gain_mean_mm": 1e3 * gained.mean, "gain_low_mm": 1e3 * gained.low, "gain_high_mm": 1e3 * gained.high,
+            "heldout_mean_mm": 1e3 * mean}  # fmt: skip
 
 
 def candidates_table(found: Diagnosis) -> pd.DataFrame:

@@ -256,7 +256,7 @@ def _unexplained(left: Sequence[Found]) -> list[Block]:
         return []
     items = [
         (f"{_first_up(one.inputs)}:", f"part of the error depends on it, and no cause of the catalogue explains it. The chance "
-         f"that noise looks like this is {chance(one.p)}.")
+         f"that noise looks like this is {chance(one.p)}.{_worth(one)}")
         for one in left
     ]  # fmt: skip
     return [
@@ -264,6 +264,17 @@ def _unexplained(left: Sequence[Found]) -> list[Block]:
         bullets(items),
         paragraph("It is not in the model. Where it acts, predictions are off by more than noise."),
     ]
+
+
+def _worth(one: Found) -> str:
+    """Say what a Gaussian process would gain."""
+    gain, low, high = one.gain
+    if math.isnan(gain):
+        return ""
+    interval = f"95 % interval {_signed(low)} to {_signed(high)} mm"
+    if low <= 0:
+        return f" How much it matters at other poses cannot be told (a Gaussian process gains {_signed(gain)} mm, {interval})."
+    return f" A Gaussian process of it, which has no physical meaning, would take {mm(gain)} mm off the mean error ({interval})."
 
 
 def _space(material: Material, causes: Sequence[Found]) -> list[Block]:
