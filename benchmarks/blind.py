@@ -39,6 +39,7 @@ import blind_verdicts as verdicts
 from blind_cases import Job
 
 from calflow.runs import run
+from calflow.stages.verdict import label
 from calflow.study import Study, load_study
 from hidden.case import Case, draw, write_case
 from hidden.causes import PAYLOADS, measured_points
@@ -126,7 +127,8 @@ def measured_again(job: Job) -> Row:
         if not len(asked):
             return known
         first = asked.iloc[0]
-        known |= {"leaves_open": str(first["leaves_open"] or ""), "chance": first["chance_after"]}
+        open_ = str(first["leaves_open"]).replace(" or ", "; ").split("; ")
+        known |= {"promised": label(h.cause, h.joint) not in open_, "chance": first["chance_after"]}
         _measure(folder, case, job.seed, asked)
         again = run(load_study(folder), folder / "run").tables
         return known | verdicts.told(again) | verdicts.one(h, again)
@@ -266,10 +268,10 @@ def alike_table(rows: pd.DataFrame) -> str:
     asked = asked.assign(cause=asked["hidden"].str.split(":").str[0],
                          unique=(asked["status"] == "named") & (asked["right"] == True))  # noqa: E712 # fmt: skip
     table = asked.groupby("cause").agg(n=("unique", "size"), unique=("unique", "mean"), set_size=("set_size", "mean"))
-    whole = asked[asked["leaves_open"].fillna("") == ""]
+    whole = asked[asked["promised"].astype(bool)]
     return (
         f"{table.round(3).to_string()}\nasked {len(asked)} of {len(rows)}; named alone and rightly with the poses: "
-        f"{asked['unique'].mean():.3f}\nwhere the poses were said to leave nothing open ({len(whole)}): "
+        f"{asked['unique'].mean():.3f}\nwhere they were said to tell the truth from all its rivals ({len(whole)}): "
         f"{whole['unique'].mean():.3f}; least chance of excluding a rival as stated, on average: {whole['chance'].mean():.3f}"
     )
 

@@ -26,6 +26,7 @@ from hidden.case import Case, World, draw, write_case
 from hidden.causes import Hidden, measured_points
 
 FALSE_ALARM = 0.01
+TRIES = 30
 SIZES = (1.0, 1.5, 2.0, 3.0, 5.0)
 NULLS = ("gauss", "heavy", "range", "outliers")
 ONLY_SWEEPS = {"payload-mass", "tool-deflection", "link-mass"}  # causes that one payload alone does not show
@@ -78,7 +79,10 @@ UNKNOWN = (  # what the catalogue lacks, and how it is cut down
 
 @dataclass(frozen=True)
 class Job:
-    """One case to simulate and diagnose; several causes are drawn among some, each its size times its detection limit."""
+    """One case to simulate and diagnose; several causes are drawn among some, each its size times its detection limit.
+
+    Where set_size is asked for, a cause is drawn anew (TRIES times at most) until by calculation as many explain the data.
+    """
 
     case: Case
     seed: int
@@ -86,6 +90,7 @@ class Job:
     size: float = 0.0
     several: int = 0
     among: frozenset[str] = frozenset()
+    set_size: int = 1
 
 
 def nulls(number: int, rng: np.random.Generator) -> Iterator[Job]:
@@ -110,7 +115,7 @@ def alike(number: int, rng: np.random.Generator) -> Iterator[Job]:
     """Causes with near rivals."""
     for _ in range(number):
         case = replace(_design(rng), payloads=("none", "half", "full"), markers=1)
-        yield Job(case, _seed(rng), "alike", 2.0, 1, frozenset(NEAR))
+        yield Job(case, _seed(rng), "alike", 2.0, 1, frozenset(NEAR), 2)
 
 
 def unknown(number: int, rng: np.random.Generator) -> Iterator[Job]:
@@ -197,21 +202,25 @@ def sized(job: Job, folder: Path) -> Sized:
     units = [unit for unit in units if not job.among or unit.cause in job.among]
     if len(job.case.payloads) == 1:
         units = [unit for unit in units if unit.cause not in ONLY_SWEEPS]
+    tries = 0
     while True:
         drawn = [units[k] for k in rng.choice(len(units), job.several, replace=False)]
         hidden = tuple(_placed(unit, rng) for unit in drawn)
         world = draw(replace(job.case, hidden=hidden), np.random.default_rng(job.seed))
         shifts = [_shift(bare, world, k) for k in range(len(hidden))]
         limits = [_limit(bare, h, shift) for h, shift in zip(hidden, shifts, strict=True)]
-        if max(limits) <= 1:
+        sizes = [job.size * limit for limit in limits]
+        if max(limits) > 1:
+            continue
+        tries, expected = tries + 1, _expected(bare, hidden[0], sizes[0] * shifts[0])
+        if expected[0] >= job.set_size or tries == TRIES:
             break
-    sizes = [job.size * limit for limit in limits]
     chosen = tuple(replace(h, size=h.size * size) for h, size in zip(hidden, sizes, strict=True))
     beside = tuple(
         size / _limit(bare, h, shift, [other for other in shifts if other is not shift])
         for h, shift, size in zip(hidden, shifts, sizes, strict=True)
     )
-    return Sized(replace(job.case, hidden=chosen), beside, *_expected(bare, hidden[0], sizes[0] * shifts[0]))
+    return Sized(replace(job.case, hidden=chosen), beside, *expected)
 
 
 def _placed(unit: Unit, rng: np.random.Generator) -> Hidden:
