@@ -253,6 +253,10 @@ def test_leftover_in_words(times: float, words: str) -> None:
 def test_the_models_own_error_is_told_where_there_is_one() -> None:
     assert "0.075 mm per axis" in leftover(4.5, 0.0746)
     assert "own error" not in leftover(4.5, 0.0)
+    for times in (0.9, float("nan")):
+        assert leftover(times, structure="the angle of joint 2").startswith(
+            "more than noise: a part of it depends on the angle"
+        )
 
 
 def test_headline_says_where_the_error_was_measured() -> None:

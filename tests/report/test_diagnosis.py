@@ -132,7 +132,10 @@ def test_the_unexplained_is_told_by_its_inputs_and_never_as_a_cause(small: Conte
     assert "Usable where it was measured, but something unexplained is left." in first
     assert "Why a part of the error depends on the angles of joints 2 and 3 and the time (period 36 s)" in first
     assert "More causes could be tested with a column temperature_degC (thermal growth)." in first
+    assert "What depends on it is worth 0.040 mm of the mean error, or more." in first
     assert "+ 2 causes" not in first
+    alone, _ = told(with_diagnosis(small, COUPLED))
+    assert "No cause explains what is left: 41 causes were tested." in alone
 
 
 def test_a_fault_of_the_data_is_told_without_a_size(small: Context) -> None:

@@ -406,7 +406,8 @@ def lacked(tables: Tables, most: int = 4) -> list[str | tuple[str, str]]:
     """Say for the first page in a line each what the model lacked."""
     causes = [one for one in findings(tables) if one.told]
     if not causes:
-        return [f"Nothing was found: {item(tables['diagnose/summary.csv'], 'causes_tested')} causes were tested."]
+        told = "No cause explains what is left" if _left(tables) else "Nothing was found"
+        return [f"{told}: {item(tables['diagnose/summary.csv'], 'causes_tested')} causes were tested."]
     labels = _labels(causes)
     said: list[str | tuple[str, str]] = [
         (f"{_first_up(label)}:", _in_short(one)) for label, one in zip(labels[:most], causes[:most], strict=True)
@@ -432,9 +433,20 @@ def unsure(tables: Tables) -> list[str]:
             said.append(f"The order, or finer form, of the {one.name}.")
         if one.status == "one_of" and one.others:
             said.append(f"Whether it is {' or '.join([one.name, *(rival.name for rival in one.others[:3])])}.")
-    left = [one.inputs for one in findings(tables) if one.status == "unexplained"]
-    why = f"Why a part of the error depends on {listed(left, 3)}: no cause of the catalogue explains it."
-    return [*said, why] if left else said
+    left = _left(tables)
+    why = f"Why a part of the error depends on {structure(tables)}: no cause of the catalogue explains it."
+    gain = max((one.gain[0] for one in left if one.gain[1] > 0), default=0.0)
+    worth = f" What depends on it is worth {mm(gain)} mm of the mean error, or more." if gain else ""
+    return [*said, why + worth] if left else said
+
+
+def structure(tables: Tables) -> str:
+    """Name what the unexplained part of the error depends on; empty where nothing is unexplained."""
+    return listed([one.inputs for one in _left(tables)], 3)
+
+
+def _left(tables: Tables) -> list[Found]:
+    return [one for one in findings(tables) if one.status == "unexplained"]
 
 
 def next_poses(tables: Tables) -> list[Advice]:
@@ -473,11 +485,10 @@ def other_means(tables: Tables) -> list[Advice]:
 
 def unexplained(tables: Tables) -> list[Advice]:
     """Structure without a cause is to be looked for at the robot."""
-    left = [one.inputs for one in findings(tables) if one.status == "unexplained"]
-    if not left:
+    if not _left(tables):
         return []
     sentence = (
-        f"Something depends on {listed(left, 3)} that no cause of the catalogue explains. Look at the robot for what changes "
+        f"Something depends on {structure(tables)} that no cause of the catalogue explains. Look at the robot for what changes "
         "with it (hoses and cables, loose bolts, collisions, the device's support), and measure again."
     )
     return [Advice(2, sentence)]

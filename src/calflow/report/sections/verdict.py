@@ -10,7 +10,7 @@ from calflow.report.findings import findings
 from calflow.report.material import Material, Step, gathered, item, lack_of_fit, latest, split_judged, steps
 from calflow.report.section import Section, advice, sections
 from calflow.report.sections.accuracy import LACKS
-from calflow.report.sections.diagnosis import lacked, unsure
+from calflow.report.sections.diagnosis import lacked, structure, unsure
 from calflow.report.sections.identifiability import open_questions
 from calflow.report.sections.predictive import coverage_words
 from calflow.report.words import listed, mm, plural, ratio
@@ -100,7 +100,7 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     sure = f"where it was tested, its predicted positions are certain to {mm(material.model_sd)} mm (1 sd)."
     said = [
         ("Noise:", f"{material.known.noise(material.data).words}.{floor}"),
-        ("Left over:", leftover(lack_of_fit(summary), own)),
+        ("Left over:", leftover(lack_of_fit(summary), own, structure(material.tables))),
         ("Calibrated model:", sure),
     ]
     if "sample/predictive.csv" in material.tables:
@@ -108,8 +108,13 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     return said
 
 
-def leftover(times: float, discrepancy: float = 0.0) -> str:
-    """Say what a lack-of-fit factor and the model's own error [mm] mean; nan is a factor that cannot be known."""
+def leftover(times: float, discrepancy: float = 0.0, structure: str = "") -> str:
+    """Say what a lack-of-fit factor and the model's own error [mm] mean; nan is a factor that cannot be known.
+
+    structure is what an unexplained part of the error depends on, if there is one.
+    """
+    if structure and not times > ENOUGH:
+        return f"more than noise: a part of it depends on {structure}, and no cause explains that."
     if math.isnan(times):
         return "whether the model leaves more than noise cannot be told: the noise was estimated from the fit itself."
     if times <= ENOUGH:
