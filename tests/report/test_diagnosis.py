@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from matplotlib.text import Text
 from calflow.effects import catalogue
 from calflow.report import document
 from calflow.report.figures.diagnosis import evidence, explained, gains, in_space, waterfall
+from calflow.report.figures.parameters import estimates
 from calflow.report.findings import (
     CAUSES,
     amount,
@@ -432,6 +434,23 @@ def test_figures_have_labels_and_nothing_is_cut_off(name: str) -> None:
             box = text.get_window_extent(renderer)
             inside = box.x0 > -1 and box.y0 > -1 and box.x1 < drawn.bbox.x1 + 1 and box.y1 < drawn.bbox.y1 + 1
             assert inside or not text.get_text().strip(), (text.get_text(), box)
+
+
+@pytest.mark.parametrize("sizes", [(28, 6, 2, 1), (3, 1, 1, 1), (28, 6, 6, 120)])
+def test_effects_with_few_parameters_are_named_apart(sizes: tuple[int, ...]) -> None:
+    """Fails if the names of narrow groups of parameters lie on each other or beyond the figure."""
+    groups = ("geometry", "joint-compliance", "gravity-compensator", "nonlinear-joint-stiffness")
+    effects = [effect for effect, size in zip(groups, sizes, strict=True) for _ in range(size)]
+    zero = np.zeros(len(effects))
+    with style():
+        drawn = estimates([f"joint2.{k}" for k in range(len(effects))], effects, zero, zero + 1, zero > 0)
+        canvas = FigureCanvasAgg(drawn)
+        canvas.draw()
+        boxes = [text.get_window_extent(canvas.get_renderer()) for text in drawn.axes[0].texts]
+    assert len(boxes) == len(groups)
+    assert all(a.x1 < b.x0 for a, b in pairwise(boxes))
+    assert boxes[0].x0 > 0
+    assert boxes[-1].x1 < drawn.bbox.x1
 
 
 def test_steps_of_the_extended_model_are_labelled_by_their_cause(small: Context) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -10,6 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calflow.report.style import ACCENT, DARK, LIGHT, figure
+
+CHARACTER = 0.55  # of a parameter's place that a letter takes
 
 
 def estimates(
@@ -19,11 +22,18 @@ def estimates(
 
     scaled and sd have shape (n_parameters,), sd is nan at a bound; from_prior marks what the data leave to the prior.
     """
-    drawn = figure(2.6, max(6.7, 0.1 * len(names)))
+    groups = [(effect, len(list(own))) for effect, own in groupby(effects)]
+    titles = [_title(effect, number) for effect, number in groups]
+    widths = np.array(
+        [max(number, CHARACTER * _longest(title)) for (_, number), title in zip(groups, titles, strict=True)]
+    )
+    edges = np.concatenate([[0.0], np.cumsum(widths + 1)]) - 1  # of the groups, one place between them
+    at = np.concatenate([
+        middle + np.arange(number) - (number - 1) / 2
+        for middle, (_, number) in zip((edges[:-1] + edges[1:]) / 2, groups, strict=True)
+    ])  # fmt: skip
+    drawn = figure(2.6, max(6.7, 0.1 * edges[-1]))
     axes = drawn.add_subplot()
-    starts = [k for k, effect in enumerate(effects) if k == 0 or effects[k - 1] != effect]
-    gap = np.searchsorted(starts, np.arange(len(names)), side="right") - 1
-    at = np.arange(len(names)) + gap
     axes.axhspan(-1, 1, color=LIGHT, alpha=0.55, linewidth=0)
     axes.axhline(0, color="#444444", linewidth=0.6)
     bound = ~np.isfinite(sd)
@@ -35,18 +45,26 @@ def estimates(
             axes.errorbar(at[mask], scaled[mask], 2 * sd[mask], elinewidth=1.0, capsize=1.8, label=name, **look)  # type: ignore[arg-type]
     if bound.any():
         axes.plot(at[bound], scaled[bound], "x", color=ACCENT, markersize=5, label="at a bound, no sd")
-    for k, start in enumerate(starts):
-        end = starts[k + 1] if k + 1 < len(starts) else len(names)
-        axes.annotate(effects[start].replace("-", " "), ((at[start] + at[end - 1]) / 2, 1.0), (0, 2),
-                      xycoords=("data", "axes fraction"), textcoords="offset points", ha="center")  # fmt: skip
-        if k:
-            axes.axvline(at[start] - 1, color="#444444", linewidth=0.6)
+    for title, left, right in zip(titles, edges[:-1], edges[1:], strict=True):
+        axes.annotate(title, ((left + right) / 2, 1.0), (0, 2), xycoords=("data", "axes fraction"),
+                      textcoords="offset points", ha="center")  # fmt: skip
+    for edge in edges[1:-1]:
+        axes.axvline(edge, color="#444444", linewidth=0.6)
     axes.set_xticks(at, names, rotation=90, fontsize=6.5)
-    axes.set_xlim(-1, at[-1] + 1)
+    axes.set_xlim(edges[0], edges[-1])
     axes.grid(axis="x", visible=False)
     axes.set_ylabel("estimate − nominal, ± 2 sd\n[prior standard deviations]")
     drawn.legend(*_errorbars_first(axes), loc="outside upper center", ncols=3)
     return drawn
+
+
+def _title(effect: str, number: int) -> str:
+    """Name an effect, a word a line where its parameters take less room than its name."""
+    return effect.replace("-", " " if CHARACTER * len(effect) <= number else "\n")
+
+
+def _longest(title: str) -> int:
+    return max(map(len, title.split("\n")))
 
 
 def _errorbars_first(axes: Axes) -> tuple[list[Artist], list[str]]:
