@@ -37,6 +37,7 @@ from hidden.causes import (
     COLUMN,
     WARM_UP,
     Hidden,
+    base_tilt,
     direction,
     gravity_compensator,
     joint_error_map,
@@ -172,6 +173,14 @@ def bearing(joint: int, size: float) -> Callable[[Bench], Twin]:
     return lambda bench: Twin(made(bench, hidden.cause), values, hidden)
 
 
+def base_by_direction(bench: Bench) -> Twin:
+    """A foundation that is softer in one direction."""
+    hidden = Hidden("base-compliance", 0, 1e-8, 0.3)
+    tilt = base_tilt(hidden)
+    values = {"base.cx": tilt[0, 0], "base.cy": tilt[1, 1], "base.cxy": tilt[0, 1]}
+    return Twin(made(bench, hidden.cause, directions=2), values, hidden)
+
+
 def compensator(bench: Bench) -> Twin:
     """The phase of the cylinder's torque; its hinge is as far below as the simulator's."""
     hidden = Hidden("gravity-compensator", 2, 2e4)
@@ -230,6 +239,14 @@ def turning_drift(bench: Bench) -> Twin:
     return Twin(made(bench, "frame-drift", turning=True), values, turned)
 
 
+def drift_by_rows(bench: Bench) -> Twin:
+    """Without a clock, the rows are one."""
+    shift, order = np.array([1e-4, -2e-4, 5e-5]), bench.table.table["order"].to_numpy(float)
+    drifted = lambda point, rows: point + (order / order.max())[:, None] * shift  # noqa: E731
+    values = dict(zip(("device.vx", "device.vy", "device.vz"), shift, strict=True))
+    return Twin(made(bench, "frame-drift", rows=float(order.max())), values, drifted)
+
+
 def step(bench: Bench) -> Twin:
     """The simulator's moment is a time, calflow's a place in measuring order."""
     hidden = Hidden("frame-step", 0, 2e-4, seed=6)
@@ -274,7 +291,8 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
         for kind, key, sizes in (("bending", "EI", (3e-9, 5e-8, 1e-7, 5e-8)), ("torsion", "GJ", (3e-8, 3e-7, 3e-7, 3e-7)))
         for link, size in enumerate(sizes, start=1)
     },
-    "base-compliance": one("base-compliance", "base.c", Hidden("base-compliance", 0, 1e-8)),
+    "base-compliance, alike": one("base-compliance", "base.c", Hidden("base-compliance", 0, 1e-8)),
+    "base-compliance, by direction": base_by_direction,
     "gravity-compensator": compensator,
     "payload-mass, all": one("payload-mass", "payloads.e", Hidden("payload-mass", 0, 0.2)),
     "payload-mass, one": one("payload-mass", "full.e", Hidden("payload-mass", 0, 0.2, "full")),
@@ -286,6 +304,7 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     "thermal-growth, warm-up": one("thermal-growth", "links.e", Hidden("thermal-growth", 0, 2.5e-4, "warm-up"), constant=WARM_UP),
     "frame-drift, shifting": drift,
     "frame-drift, turning": turning_drift,
+    "frame-drift, by the order of the rows": drift_by_rows,
     "frame-step, shifting": step,
     "frame-step, turning": turning_step,
     "tracker-scale": one("tracker-scale", "device.s", Hidden("tracker-scale", 0, 3e-5)),
@@ -519,6 +538,7 @@ def test_range_noise_grows_with_distance(benches: dict[str, Bench], name: str) -
 # --- What effects say of themselves ------------------------------------------------------------------
 
 VARIANTS = {  # how many forms there are to try, where not one
+    "base-compliance": 2,
     "nonlinear-joint-stiffness": 5,
     "joint-eccentricity": 2,
     "gear-transmission-error": 2,
@@ -562,6 +582,18 @@ def test_variants_are_distinct_and_told_apart(full: Measurements, name: str) -> 
         assert len(set(names)) == len(names)
     if name not in ("periodic-joint-error", "frame-step"):
         assert variants[0].finer(full) == ()
+
+
+def test_a_knee_between_two_that_are_tried_is_reached(full: Measurements) -> None:
+    """Breaks if refinement leaves gaps between the knees, or does not become denser towards the best one."""
+    variants = [effect for effect in catalogue()["nonlinear-joint-stiffness"].variants(full.robot, full) if effect.knee]
+    knees = [effect.knee for effect in variants]
+    for variant in variants:
+        finer = np.array([effect.knee for effect in variant.finer(full)])
+        assert finer.min() > 0
+        assert np.diff(finer).max() < 0.05
+        assert np.sort(np.abs(finer - variant.knee))[1] < 0.005
+        assert all(np.abs(finer - other).min() < 0.05 for other in knees if abs(other - variant.knee) < 0.16)
 
 
 def test_orders_are_scanned_without_gaps(full: Measurements) -> None:
@@ -644,7 +676,7 @@ LACKING: list[tuple[str, Callable[[Measurements], Measurements], str]] = [
     ("joint-hysteresis", lambda data: without(data, "approach"), "approach1"),
     ("joint-hysteresis", lambda data: without(data, "travel"), "travel1_deg"),
     ("thermal-growth", lambda data: without(data, "time", "temperature"), "temperature_degC .* time_s"),
-    ("frame-drift", lambda data: without(data, "time"), "time_s"),
+    ("frame-drift", lambda data: without(data, "time", "order"), "time_s"),
     ("frame-step", lambda data: without(data, "order"), "measuring order"),
     ("range-noise", lambda data: without(data, "range"), "tracker_mm"),
     ("joint-error-map", lambda data: data.only(np.arange(len(data)) < 50), "readings per 0.05 rad"),

@@ -170,9 +170,18 @@ def bearing_compliance(h: Hidden, robot: Robot, rows: Rows, state: State) -> Mot
     return _motion(robot, rows, "bearing", soft * state.moment[:, h.joint - 1], h.joint - 1)
 
 
+SOFT = 0.5  # rad from x
+
+
 def base_compliance(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
-    """Tilt of the base under the overturning moment."""
-    return _motion(robot, rows, "base", h.size * np.array([1.0, 1.0, 0.0]) * state.base_moment)
+    """Tilt of the base under the overturning moment; extra is how much softer it is across the direction at SOFT."""
+    return _motion(robot, rows, "base", state.base_moment @ base_tilt(h))
+
+
+def base_tilt(h: Hidden) -> Array:
+    """Tilt per moment [rad/Nm], symmetric (3, 3)."""
+    along = np.array([np.cos(SOFT), np.sin(SOFT), 0.0])
+    return h.size * (h.number * np.diag([1.0, 1.0, 0.0]) + (1 - h.number) * np.outer(along, along))
 
 
 def link_bending(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:

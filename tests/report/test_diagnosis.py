@@ -140,6 +140,18 @@ def test_the_unexplained_is_told_by_its_inputs_and_never_as_a_cause(small: Conte
     assert "No cause explains what is left: 41 causes were tested." in alone
 
 
+def test_a_name_beside_the_unexplained_along_its_input_is_not_told_as_sure(small: Context) -> None:
+    """Fails if a cause counts as certain although what nobody can name depends on the same joint."""
+    context = with_diagnosis(small, replace(BACKLASH, status="one_of"), COUPLED)
+    table = context.tables["diagnose/findings.csv"]
+    table["cannot_tell_from"] = table["cannot_tell_from"].astype(object)
+    table.loc[table["cause"] == "joint-backlash", "cannot_tell_from"] = "unexplained"
+    first, section = told(context)
+    assert "something that no cause explains depends on the same input" in section
+    assert "Whether it is backlash of joint 2 at all, or a part of what stays unexplained." in first
+    assert "Nothing else that was tested" not in section
+
+
 def test_a_fault_of_the_data_is_told_without_a_size(small: Context) -> None:
     """Fails if a fault, which has neither size nor gain, breaks the section or counts as a cause."""
     _, section = told(with_diagnosis(small, OUTLIERS, BACKLASH))

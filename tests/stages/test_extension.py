@@ -85,3 +85,16 @@ def test_a_wrong_cause_gives_way_and_a_needless_one_goes(data):
     assert thoughts(right, eccentric, needless) == [right, eccentric]
     assert [c.place for c in thoughts(wrong)] == [right.place]
     assert thoughts(right, eccentric) == [right, eccentric]
+
+
+def test_a_knee_is_refined_until_one_cause_explains_all():
+    """Breaks if a large cause stays in the form that was tried first, and another one has to make up for what that leaves."""
+    knee = cause("nonlinear-joint-stiffness", "joint2", knee=0.29)
+    soft = cause("joint-compliance", "joint2")
+    data = hidden([(soft, (1.5e-6,)), (knee, (6e-3,))], poses=120)
+    listed = Catalogue.of(data, ("geometry",), ("joint-compliance", "nonlinear-joint-stiffness"))
+    extended = extend(start(data), listed, GATE, np.random.default_rng(1), lambda _: None)
+    assert {finding.cause.place for finding in extended.findings} == {soft.place, knee.place}
+    found = next(finding.cause for finding in extended.findings if finding.cause.place == knee.place)
+    assert found.effect.knee == pytest.approx(0.29, abs=0.01)
+    assert extended.fitted.lack.reduced_chi2 == pytest.approx(1.0, abs=0.25)

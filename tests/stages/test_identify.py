@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from calflow.model import build
+from calflow.stages.accuracy import errors
 from calflow.stages.fit import Problem, fit
+from calflow.stages.noise import Noise
 from calflow.stages.posterior import Laplace
 from calflow.stages.settle import fit_settled
 from robots import industrial
@@ -46,3 +48,14 @@ def test_a_robust_fit_stays_robust(model):
     assert sampled.level < 2
     again, _ = fit(weighed)
     assert np.linalg.norm(model.position(again.estimate, probe.rows) - probe.position, axis=1).mean() < 2 * SIGMA
+
+
+def test_residuals_are_whitened_by_the_noise_that_is_returned(model):
+    """Breaks if a noise that has settled, but not to the last digit, is another one than that of residuals and covariance."""
+    rng = np.random.default_rng(7)
+    data = measured(model, drawn_truth(model, rng), 60, rng)
+    level = Noise(np.full(len(data), 1.3 * SIGMA), "estimated")
+    result, noise, _, _ = fit_settled(model, data, level, model.nominal[None], "linear", tolerance=0.5)
+    error = errors(model, result.estimate, data)
+    assert result.residual[:, :3] * noise.sigma[:, None] == pytest.approx(error, abs=1e-12)
+    assert result.reduced_chi2 == pytest.approx(1.0, abs=0.02)

@@ -12,7 +12,7 @@ from calflow.effects import catalogue
 from calflow.model import Model, build
 from calflow.stages.causes import Catalogue, Cause
 from calflow.stages.fit import fit
-from calflow.stages.screening import Regressors, Screening, shared_error
+from calflow.stages.screening import Regressors, Screening, prior_cost, shared_error
 from robots import industrial
 from stages.data import measured, problem
 
@@ -42,6 +42,15 @@ def regressors(data, fitted):
     """A small catalogue's regressors there."""
     scale = catalogue()["tracker-scale"](data.robot)  # not in the catalogue where no distance between markers is known
     return Regressors.of(*fitted, (*Catalogue.of(data, ("geometry",), TESTED).effects, scale))
+
+
+def test_a_cause_far_beyond_its_prior_pays_for_a_wider_one():
+    """Breaks if usual sizes pay anything but the prior's pull, or huge ones by its square; the scale is the most probable one."""
+    assert prior_cost(np.array([0.0, 1.5]), 2) == pytest.approx([0.0, 1.5])
+    scales = np.geomspace(1, 1e3, 200001)
+    for pulled in (3.0, 50.0, 1e4):
+        best = (pulled / scales**2 + 2 * 2 * np.log(scales)).min()  # two parameters, twice the negative log density
+        assert prior_cost(np.array(pulled), 2) == pytest.approx(best, abs=1e-3)
 
 
 def test_a_score_is_what_a_refit_gains(data, fitted, regressors):

@@ -58,6 +58,12 @@ class Variable:
     factor: float = 1.0
 
 
+def around(value: float, reach: float) -> list[float]:
+    """Return values about one as far as reach on either side, the denser the nearer: for `Effect.finer`."""
+    steps = reach * np.geomspace(1 / 1024, 1.0, 21)
+    return [float(value + step) for step in (*-steps[::-1], 0.0, *steps)]
+
+
 @dataclass(frozen=True)
 class Effect(ABC):
     """One physical cause. A subclass declares its parameters and overrides the one place where it acts.
@@ -102,6 +108,10 @@ class Effect(ABC):
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return variants between this one and its neighbours."""
         return ()
+
+    def same_as(self, other: Self) -> bool:
+        """Whether another variant at the same place is another form of the same thing, so that they cannot both act."""
+        return True
 
     def variable(self, joint: int) -> Variable:
         """Return what explains it at a joint (0 for none): the row's place in measuring order unless it knows better."""

@@ -3,38 +3,59 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 
 from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection
+from calflow.robot.description import Robot
 from calflow.robot.statics import State, rated_torques
+
+if TYPE_CHECKING:
+    from calflow.measurements import Measurements
 
 TILT_SD, TILT_BOUND = 0.5e-3, 10e-3  # rad at the largest rated torque of all joints
 
 
 @dataclass(frozen=True)
 class BaseCompliance(Effect):
-    """A tilt by c (Mx, My) at the base, M the overturning moment."""
+    """A tilt by C (Mx, My) at the base, M the overturning moment; C alike in all directions, or a symmetric matrix."""
+
+    directions: int = 1
 
     id: ClassVar[str] = "base-compliance"
     title: ClassVar[str] = "base compliance (tilt of the foundation)"
     needs: ClassVar[tuple[str, ...]] = ("masses",)
 
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return a foundation that is alike in all directions, and one that is not."""
+        return cls(robot, 1), cls(robot, 2)
+
+    @property
+    def detail(self) -> str:
+        """Say which."""
+        return "alike in all directions" if self.directions == 1 else "by direction"
+
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the compliance."""
+        """Return the compliance, or those about x and y and what couples them."""
         largest = float(rated_torques(self.robot).max())
-        return (
-            Parameter(self.id, "base", "c", "rad/Nm", TILT_SD / largest, 0.0, TILT_BOUND / largest,
-                      meaning="tilt of the base per overturning moment"),
-        )  # fmt: skip
+        sd, bound = TILT_SD / largest, TILT_BOUND / largest
+        lowest = {"c": 0.0} if self.directions == 1 else {"cx": 0.0, "cy": 0.0, "cxy": -bound}
+        return tuple(
+            Parameter(
+                self.id, "base", symbol, "rad/Nm", sd, low, bound, meaning="tilt of the base per overturning moment"
+            )
+            for symbol, low in lowest.items()
+        )
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Tilt the base."""
         link = ca.SX(still.link)
-        link[3:5, 0] = p * state.link[3:5, 0]
+        tilt = p if self.directions == 1 else ca.vertcat(ca.horzcat(p[0], p[2]), ca.horzcat(p[2], p[1]))
+        link[3:5, 0] = tilt @ state.link[3:5, 0]
         return replace(still, link=link)
 
     def variable(self, joint: int) -> Variable:

@@ -48,6 +48,10 @@ class FrameStep(Effect):
         reach = float(np.diff(tried).max(initial=1.0))
         return tuple(replace(self, moment=float(m)) for m in between[np.abs(between - self.moment) <= reach])
 
+    def same_as(self, other: Self) -> bool:
+        """Return whether the moments are too near for two steps."""
+        return abs(other.moment - self.moment) < FEWEST
+
     @property
     def detail(self) -> str:
         """Say when, and whether it turned."""

@@ -31,6 +31,10 @@ class GearTransmissionError(JointError):
         """Return once and twice a turn."""
         return cls(robot, 1), cls(robot, 2)
 
+    def same_as(self, other: Self) -> bool:
+        """Return whether it repeats as often."""
+        return other.multiple == self.multiple
+
     @property
     def detail(self) -> str:
         """Say how often it repeats."""

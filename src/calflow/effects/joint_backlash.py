@@ -23,7 +23,7 @@ class JointBacklash(JointError):
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the half of the play, on the side the joint came from."""
-        return [Term("b", "rad", 3e-4, 10e-3, row.approach[joint] / 2)]
+        return [Term("b", "rad", 3e-4, 50e-3, row.approach[joint] / 2)]
 
     def variable(self, joint: int) -> Variable:
         """Return the direction of approach."""

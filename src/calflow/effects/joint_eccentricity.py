@@ -30,6 +30,10 @@ class JointEccentricity(JointError):
         """Return both orders."""
         return cls(robot, 1), cls(robot, 2)
 
+    def same_as(self, other: Self) -> bool:
+        """Return whether it is of the same order."""
+        return other.order == self.order
+
     @property
     def detail(self) -> str:
         """Say the order."""
@@ -39,4 +43,4 @@ class JointEccentricity(JointError):
         """Return the two phases."""
         if self.robot.joints[joint].kind == "prismatic":
             return []
-        return phases(self.order * state.q[joint], 3e-4, 10e-3)
+        return phases(self.order * state.q[joint], 1e-3, 20e-3)

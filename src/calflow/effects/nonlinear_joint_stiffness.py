@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.conditions import Row
-from calflow.effects.base import Variable
+from calflow.effects.base import Variable, around
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.description import Robot
 from calflow.robot.statics import State, rated_torques
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from calflow.measurements import Measurements
 
 BREAKS = (0.2, 0.35, 0.5, 0.65)  # shares of the rated torque at which a stiffer branch may begin
+REACH = 0.15  # about a break, to its neighbours
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,12 @@ class NonlinearJointStiffness(JointError):
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return the cubic law and a choice of break torques."""
         return tuple(cls(robot, knee) for knee in (0.0, *BREAKS))
+
+    def finer(self, data: Measurements) -> tuple[Self, ...]:
+        """Return break torques about this one."""
+        if not self.knee:
+            return ()
+        return tuple(replace(self, knee=knee) for knee in around(self.knee, REACH) if knee > 0)
 
     @property
     def detail(self) -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
 from calflow.conditions import Row
+from calflow.effects.base import around
 from calflow.effects.joint_error import TRANSMISSION, JointError, Term, phases
 from calflow.robot.description import Robot
 from calflow.robot.statics import State
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 LOWEST, HIGHEST = 2.5, 30.0  # orders looked for; lower ones are eccentricity
 PHASE = 0.8  # rad at the ends of a joint's travel by which neighbouring orders may differ
-FINER = 9  # orders tried about the best one of the scan
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,11 @@ class PeriodicJointError(JointError):
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return orders about this one."""
-        step = _step(data)
-        orders = self.order + np.linspace(-step, step, FINER)
-        return tuple(type(self)(self.robot, float(order)) for order in orders if order >= LOWEST)
+        return tuple(replace(self, order=order) for order in around(self.order, _step(data)) if order >= LOWEST)
+
+    def same_as(self, other: Self) -> bool:
+        """Return whether the orders are too near for two waves over a turn."""
+        return abs(other.order - self.order) < 1.0
 
     @property
     def detail(self) -> str:

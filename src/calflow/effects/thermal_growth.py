@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
+import numpy as np
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter, Variable
+from calflow.effects.base import Effect, Parameter, Variable, around
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions
 
@@ -43,6 +44,12 @@ class ThermalGrowth(Effect):
         """Say that neither temperature nor time is there."""
         known = _measured(data) or "time" in data.given
         return "" if known else "a column temperature_degC (that changes), or time_s"
+
+    def finer(self, data: Measurements) -> tuple[Self, ...]:
+        """Return time constants about this one."""
+        if not self.constant:
+            return ()
+        return tuple(replace(self, constant=float(np.exp(log))) for log in around(np.log(self.constant), np.log(2)))
 
     @property
     def detail(self) -> str:

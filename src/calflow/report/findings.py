@@ -192,6 +192,8 @@ class Found:
             return f"the {'angle of joint' if len(joints) == 1 else 'angles of joints'} {listed(joints)}"
         if {"x", "y", "z"} <= set(names):
             return "where the tool is (x, y and z)"
+        if "order" in names:
+            return f"when it was measured ({self.detail})" if self.detail else "when it was measured"
         return stated if "time" not in names else f"the time{f' ({self.detail})' if self.detail else ''}"
 
 

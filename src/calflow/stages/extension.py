@@ -14,9 +14,12 @@ from calflow.stages.causes import Catalogue, Cause
 from calflow.stages.exchange import COLUMNS, Exchange
 from calflow.stages.fitted import Fitted
 from calflow.stages.look import Finding, Look, Screened
-from calflow.stages.screening import MATERIAL, Family, Regressors, Score, Screening, by_place
+from calflow.stages.screening import MATERIAL, Family, Regressors, Score, Screening, by_place, prior_cost
+from calflow.stages.verdict import WITHIN
+from calflow.stages.verification import corrected, doubtful
 
 CLEAR = 1e-3  # share of the gate below which the cost of the tests need not be worked out anew
+CLEARLY_FINER = 2.0  # of BIC: by how much a variant must be better than its neighbour for another fit
 ENTANGLED = 3  # causes, the last found, that are exchanged by two
 
 
@@ -72,9 +75,18 @@ class Trial:
         """What it costs, to be compared with other trials': misfit, parameters, and the variants that were tried."""
         fitted = self.fitted
         n = fitted.fit.residual.size
-        scale = float(np.median(fitted.noise.sigma / fitted.far))
-        scans = sum(np.log(self.catalogue.variants[cause.place]) for cause in self.causes)
-        return float(n * np.log(fitted.misfit * scale**2) + fitted.fit.effective_parameters * np.log(n) + 2 * scans)
+        scale = float(np.median(np.hypot(fitted.noise.sigma / fitted.far, fitted.noise.discrepancy)))
+        scans = sum(np.log(self.catalogue.variants.get(cause.place, 1)) for cause in self.causes)
+        misfit = (fitted.misfit - sum(map(self._relief, self.causes))) * scale**2
+        return float(n * np.log(misfit) + fitted.fit.effective_parameters * np.log(n) + 2 * scans)
+
+    def _relief(self, cause: Cause) -> float:
+        """By how much a cause's parameters pull at their priors beyond what that costs."""
+        model = self.fitted.model
+        own = model.columns(cause)
+        offset = self.fitted.fit.estimate[own] - model.nominal[own]
+        pulled = float(((offset / model.prior_sd[own]) ** 2).sum())
+        return pulled - float(prior_cost(np.array(pulled), len(own)))
 
 
 @dataclass(frozen=True)
@@ -89,7 +101,7 @@ class _Search:
     say: Callable[[str], None]
 
     def settled(self, tried: list[Trial]) -> Trial:
-        """Add causes while one passes, drop or swap those that prove mistaken; return the last model whose causes all stand.
+        """Add causes while one passes, drop or swap those that prove mistaken; return the best model whose causes all stand.
 
         tried grows by the models on the way.
         """
@@ -97,7 +109,8 @@ class _Search:
         while step := next((step for step in self._steps(tried[-1]) if _is_new(step.causes, tried)), None):
             self.say(step.words)
             tried.append(self.trial(tried[-1], step))
-        return next(t for t in reversed([tried[0], *tried[begin:]]) if all(_stands(f, self.gate) for f in t.findings))
+        standing = (t for t in [tried[0], *tried[begin:]] if all(_stands(f, self.gate) for f in t.findings))
+        return min(standing, key=lambda trial: trial.bic)
 
     def trial(self, before: Trial, step: Step) -> Trial:
         """Fit what a step asks for."""
@@ -117,6 +130,21 @@ class _Search:
                 self.say("that is no better")
         return None
 
+    def verified(self, best: Trial, tried: list[Trial]) -> Trial | None:
+        """Return a better model with a rival in the place of a large cause, or without it, if there is one."""
+        for causes in _doubted(best):
+            if not _is_new(causes, tried):
+                continue
+            step = self._replaced(best, causes)
+            tried.append(self.trial(best, step))
+            needless = any(not _stands(finding, self.gate) for finding in tried[-1].findings)
+            if tried[-1].bic < best.bic + (WITHIN if needless else 0.0):
+                self.say(step.words)
+                if (other := self.settled(tried)).bic < best.bic:
+                    return other
+                self.say("that is no better")
+        return None
+
     def exchanges(self, trial: Trial) -> Iterator[Step]:
         """Yield the causes with a pair in the place of two, or of one, where it explains the data better."""
         small = [cause for cause in trial.causes if len(cause.declared) <= COLUMNS][-ENTANGLED:]
@@ -127,6 +155,7 @@ class _Search:
                 yield self._replaced(trial, [*stay, pair.first.cause, pair.second.cause])
 
     def _steps(self, trial: Trial) -> Iterator[Step]:
+        yield from (self._replaced(trial, causes) for causes in _refined(trial))
         if len(trial.causes) < self.gate.most:
             yield from _added(trial, self.first, self.gate, self.rng)
         yield self._replaced(trial, second_thoughts(trial.findings, self.gate))
@@ -145,17 +174,45 @@ def extend(
     search = _Search(catalogue, gate, base, look.screened(rng), rng, say)
     tried = [Trial(start, [], catalogue, search.first.family)]
     best = search.settled(tried)
-    while better := search.exchanged(best, tried):
+    while better := search.exchanged(best, tried) or search.verified(best, tried):
         best = better
     trail = [trial.fitted for trial in tried]
     path = tuple(_fitted(trail, start, base, best.causes[: k + 1]) for k in range(len(best.causes)))
-    return Extended(best.fitted, best.findings, path, search.first)
+    return Extended(best.fitted, _as_fitted(best, tried), path, search.first)
+
+
+def _doubted(best: Trial) -> Iterator[list[Cause]]:
+    """The causes with a rival of a large one in its place, or without one that has another at its joint."""
+    for finding in best.findings:
+        cause, rivals = finding.cause, doubtful(finding)
+        yield from (_swapped(best.causes, cause, score.cause) for score in rivals)
+        if cause.joint and any(other != cause and other.joint == cause.joint for other in best.causes):
+            yield [other for other in best.causes if other != cause]
+
+
+def _as_fitted(best: Trial, tried: Sequence[Trial]) -> tuple[Finding, ...]:
+    """The findings, with the rivals' evidence from the fits that there were with one of them in a cause's place."""
+    found = []
+    for finding in best.findings:
+        above = {
+            score.cause.place: other.bic - best.bic
+            for score in doubtful(finding)
+            for other in tried if _same(other.causes, _swapped(best.causes, finding.cause, score.cause))
+        }  # fmt: skip
+        found.append(corrected(finding, above, best.fitted.fit.residual.size))
+    return tuple(found)
+
+
+def _swapped(causes: Sequence[Cause], gone: Cause, come: Cause) -> list[Cause]:
+    return [come if cause == gone else cause for cause in causes]
+
+
+def _same(causes: Sequence[Cause], others: Sequence[Cause]) -> bool:
+    return len(causes) == len(others) and all(cause in others for cause in causes)
 
 
 def _is_new(causes: Sequence[Cause], tried: Sequence[Trial]) -> bool:
-    return not any(
-        len(causes) == len(trial.causes) and all(cause in trial.causes for cause in causes) for trial in tried
-    )
+    return not any(_same(causes, trial.causes) for trial in tried)
 
 
 def _added(trial: Trial, first: Screened, gate: Gate, rng: np.random.Generator) -> Iterator[Step]:
@@ -170,7 +227,7 @@ def _added(trial: Trial, first: Screened, gate: Gate, rng: np.random.Generator) 
     best = finest(passed[0], trial.fitted)
     said = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
     yield Step(
-        [*trial.causes, best.cause], np.concatenate([trial.fitted.fit.estimate, best.estimate]), best.share, said
+        [*trial.causes, best.cause], np.concatenate([trial.fitted.fit.estimate, best.estimate]), best.explained, said
     )
 
 
@@ -191,6 +248,11 @@ def narrowed(start: Fitted, extended: Extended, decoys: Sequence[Cause], catalog
     kept = [finding.cause for finding in seen if finding.cause in causes and _stands(finding, gate)]
     if kept == causes:
         return extended
+    alone = now.with_causes(base, [*kept, *decoys], _start(now, base, [*kept, *decoys]))
+    model, other = (Trial(fitted, list(found), catalogue, extended.first.family)
+                    for fitted, found in ((now, causes), (alone, [*kept, *decoys])))  # fmt: skip
+    if model.bic < other.bic:
+        return extended  # what cannot be named explains them no better than they explain themselves
     trail = [start, *extended.path]
     tried = [Trial(_fitted(trail, start, base, kept), kept, catalogue, extended.first.family)]
     while _is_new(better := second_thoughts(tried[-1].findings, gate), tried):
@@ -244,6 +306,19 @@ def finest(score: Score, now: Fitted) -> Score:
     return best if best.drop > score.drop else score
 
 
+def _refined(trial: Trial) -> Iterator[list[Cause]]:
+    """Yield the causes with one in a finer variant that is clearly better, now that the others are in the model."""
+    for cause in trial.causes:
+        finer = tuple(Cause(effect.robot, effect, cause.part) for effect in cause.effect.finer(trial.fitted.data))
+        if not finer:
+            continue
+        near = Look.at(trial.fitted, trial.causes, Catalogue(finer, {})).apart([cause]).scores
+        near = [score for score in near if score.cause.place == cause.place]
+        own = next((score.delta_bic for score in near if score.cause == cause), np.inf)
+        if near and near[0].delta_bic < own - CLEARLY_FINER:
+            yield _swapped(trial.causes, cause, near[0].cause)
+
+
 def second_thoughts(findings: Sequence[Finding], gate: Gate) -> list[Cause]:
     """Return the causes that stay, a more probable rival in the place of one; one change at a time."""
     causes = [finding.cause for finding in findings]
@@ -255,7 +330,7 @@ def second_thoughts(findings: Sequence[Finding], gate: Gate) -> list[Cause]:
         places = by_place(finding.scores)
         evidence, best = min(places.values(), key=lambda one: one[0])
         if evidence < places[finding.cause.place][0] and _passes(best, finding.family, gate):
-            return [best.cause if cause == finding.cause else cause for cause in causes]
+            return _swapped(causes, finding.cause, best.cause)
     return causes
 
 

@@ -31,6 +31,9 @@ CANDIDATES = [
     "limit", "tests", "part", "detail", "note",
 ]  # fmt: skip
 
+UNEXPLAINED = "unexplained"  # what a cause is not told from where something without a name depends on the same input
+DEVICE, IN_TIME = "device", {"time", "order"}  # the part of causes that depend on these inputs
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -63,7 +66,7 @@ def findings_table(
     before = errors(found.start.model, found.start.fit.estimate, heldout)
     for verdict, fitted in zip(found.verdicts, found.extended.path, strict=True):
         after = errors(fitted.model, fitted.fit.estimate, heldout)
-        rows.append(_cause(verdict, final, _told_finer(verdict, found.left)) | _gained(before, after, heldout, rng))
+        rows.append(_cause(verdict, final, _overlapping(verdict, found.left)) | _gained(before, after, heldout, rng))
         before = after
     if found.growth:
         rows.append(_growth(found.growth))
@@ -142,33 +145,36 @@ def _score(score: Score) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _cause(verdict: Verdict, fitted: Fitted, coarse: bool) -> dict[str, object]:
+def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None) -> dict[str, object]:
+    """One finding's row; left is what nobody can name along the same input, which makes a certain name uncertain."""
     cause = verdict.finding.cause
     own = fitted.model.columns(cause)
     estimate, sd = amplitude(cause, fitted.fit.estimate[own], fitted.fit.covariance[np.ix_(own, own)])
     others = list(
         dict.fromkeys(rival.id for rival in verdict.rivals if rival.id != cause.id or rival.joint != cause.joint)
     )
-    if coarse:
-        others += [name for name in _relatives(cause) if name not in others]
+    if left:
+        others += [name for name in _relatives(cause) or [UNEXPLAINED] if name not in others]
     status = "one_of" if others else verdict.status
     return {
         "status": status, "cause": cause.id, "joint": cause.joint or None, "estimate": estimate,
         "sd": sd if sd > 0 else np.nan, "unit": cause.declared[0].unit, "p_family": verdict.finding.p,
         "probability": verdict.probability, "cannot_tell_from": ";".join(others), "detail": cause.detail,
         "rivals": "; ".join(label(rival.id, rival.joint) for rival in verdict.rivals), "rows": "",
-        "statement": _statement(verdict, coarse),
+        "statement": _statement(verdict, left),
     }  # fmt: skip
 
 
-def _statement(verdict: Verdict, coarse: bool) -> str:
+def _statement(verdict: Verdict, left: Remainder | None) -> str:
     cause = verdict.finding.cause
     where = f", {_place(cause)}" if cause.joint else ""
     detail = f" ({cause.detail})" if cause.detail else ""
-    if coarse:
+    if left and cause.effect.family:
         return (
             f"{cause.effect.family}{where}: order not resolved, more of it is left than {cause.title}{detail} explains"
         )
+    if left:
+        return f"{cause.title}{where}{detail}, or what stays unexplained ({' and '.join(left.inputs)})"
     if verdict.family:
         return f"{verdict.family}{where}: order not resolved, best {cause.title}{detail}"
     if verdict.rivals:
@@ -182,15 +188,17 @@ def _place(cause: Cause) -> str:
     return cause.part.replace("joint", "joint ").replace("link", "link ") if cause.joint else ""
 
 
-def _told_finer(verdict: Verdict, left: tuple[Remainder, ...]) -> bool:
-    """Whether a joint's angular error is named finer than what is left along the same joint allows."""
+def _overlapping(verdict: Verdict, left: tuple[Remainder, ...]) -> Remainder | None:
+    """What is left along the input that a cause depends on: its joint, or the course of the measurement."""
     cause = verdict.finding.cause
-    return bool(cause.effect.family) and any(remainder.inputs == (f"q{cause.joint}",) for remainder in left)
+    own = {f"q{cause.joint}"} if cause.joint else IN_TIME if cause.part == DEVICE else set()
+    return next((remainder for remainder in left if own & set(remainder.inputs)), None)
 
 
 def _relatives(cause: Cause) -> list[str]:
-    """The other members of a cause's family."""
-    return [name for name, kind in catalogue().items() if kind.family == cause.effect.family and name != cause.id]
+    """The other members of a cause's family, if it has one."""
+    family = cause.effect.family
+    return [name for name, kind in catalogue().items() if family and kind.family == family and name != cause.id]
 
 
 def _growth(grown: Growth) -> dict[str, object]:

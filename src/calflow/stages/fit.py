@@ -166,9 +166,7 @@ def fit(problem: Problem, starts: np.ndarray | None = None, loss: Loss = "linear
     objective, x, stats = min(solutions, key=lambda solution: solution[0])
     agree = sum(other[0] - objective < SAME_OPTIMUM for other in solutions)
     estimate = x * model.prior_sd
-    residual, root = problem.reduced(estimate)
-    if loss != "linear":
-        root = problem.reweighted(estimate, loss).reduced(estimate)[1]
+    residual, root = _reduced(problem, estimate, loss)
     result = Fit(
         model,
         estimate,
@@ -180,6 +178,18 @@ def fit(problem: Problem, starts: np.ndarray | None = None, loss: Loss = "linear
         stats["return_status"],
     )
     return result, agree
+
+
+def restated(result: Fit, problem: Problem, loss: Loss) -> Fit:
+    """Return a fit's residuals and information by the weights of a problem, at the same estimate."""
+    residual, root = _reduced(problem, result.estimate, loss)
+    return replace(result, residual=residual, root=root)
+
+
+def _reduced(problem: Problem, estimate: np.ndarray, loss: Loss) -> tuple[np.ndarray, np.ndarray]:
+    """The whitened residual, and the root of the information that rows far off give less of."""
+    residual, root = problem.reduced(estimate)
+    return residual, root if loss == "linear" else problem.reweighted(estimate, loss).reduced(estimate)[1]
 
 
 def draw_starts(model: Model, n_starts: int, rng: np.random.Generator) -> np.ndarray:

@@ -56,7 +56,7 @@ class Look:
 
     def screened(self, rng: np.random.Generator, known: Family | None = None) -> Screened:
         """Test what the model does not have yet; known is what the number of tests costs, if that is known."""
-        others = tuple(candidate for candidate in self.regressors.candidates if candidate.cause not in self.causes)
+        others = tuple(c for c in self.regressors.candidates if not _acts(c.cause, self.causes))
         screening = Screening(replace(self.regressors, candidates=others))
         shown = {score.cause.place for score in screening.scores}
         every = {candidate.cause.place: candidate.cause for candidate in others}
@@ -70,9 +70,15 @@ class Look:
         columns = np.flatnonzero(np.isin(free, np.concatenate([self.fitted.model.columns(cause) for cause in gone])))
         value = estimate[free[columns]]
         apart = whole.without(columns, whole.jacobian[:, columns] @ value, value * np.sqrt(whole.precision[columns]))
-        others = tuple(c for c in apart.candidates if c.cause in gone or c.cause not in self.causes)
+        stay = [cause for cause in self.causes if cause not in gone]
+        others = tuple(c for c in apart.candidates if not _acts(c.cause, stay))
         return Screening(replace(apart, candidates=others))
 
     def findings(self, family: Family) -> list[Finding]:
         """Score all candidates in each cause's place."""
         return [Finding(cause, tuple(self.apart([cause]).scores), family) for cause in self.causes]
+
+
+def _acts(cause: Cause, among: Sequence[Cause]) -> bool:
+    """Whether a cause is among these, in this form or another."""
+    return any(cause.place == other.place and cause.effect.same_as(other.effect) for other in among)

@@ -7,7 +7,7 @@ their own; what passes is reported as unexplained, never as a cause.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import ClassVar
 
@@ -18,6 +18,7 @@ from calflow.conditions import Row
 from calflow.effects import Effect, Parameter
 from calflow.effects.joint_error import JointError, Term
 from calflow.measurements import Measurements
+from calflow.robot.chain import Deflection
 from calflow.robot.statics import State
 from calflow.stages.fitted import Fitted
 from calflow.stages.screening import Family, Regressors, Score, Screening
@@ -25,6 +26,7 @@ from calflow.stages.screening import Family, Regressors, Score, Screening
 SIZE = 3e-4  # rad or m, of a decoy before any data
 ORDERS = 6  # of a function of one joint
 MOST_PARTS = 3  # unexplained dependences that are told
+MOMENTS = 20  # parts of the rows, between which something may have slipped
 FREQUENCIES = 400  # at most, of a disturbance in time
 
 
@@ -111,6 +113,37 @@ class InTime(Decoy):
 
 
 @dataclass(frozen=True)
+class Since(Decoy):
+    """Zeros of all joints, and the marker on the tool, that are others from a row on."""
+
+    moment: float = 0.5
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The order of the rows."""
+        return ("order",)
+
+    @property
+    def detail(self) -> str:
+        """Say when."""
+        return f"since row {int(np.floor(self.moment)) + 1} in measuring order"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the joints' offsets, and the marker's."""
+        units = ["rad" if joint.kind == "revolute" else "m" for joint in self.robot.joints] + ["m"] * 3
+        return tuple(
+            Parameter(self.id, "since", f"offset{k + 1}", unit, SIZE, -1.0, 1.0) for k, unit in enumerate(units)
+        )
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Turn the joints, and shift the flange with what it carries."""
+        after, n = row.order > self.moment, self.robot.n_joints
+        link = ca.SX(still.link)
+        link[:3, -1] = p[n:] * after
+        return replace(still, joint=p[:n] * after, link=link)
+
+
+@dataclass(frozen=True)
 class InPlace(Decoy):
     """A shift of the reported point that depends smoothly on where it is."""
 
@@ -177,6 +210,9 @@ def decoys(data: Measurements) -> list[Decoy]:
     place = data.position
     centre = place.mean(axis=0)
     chosen.append(InPlace(robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0))
+    if "order" in data.given:
+        order = np.unique(data.table["order"].to_numpy(float))
+        chosen += [Since(robot, float(moment)) for moment in np.quantile(order, np.arange(1, MOMENTS) / MOMENTS)]
     if "time" in data.given:
         chosen += [InTime(robot, float(rate)) for rate in _rates(data.table["time"].to_numpy())]
     return chosen

@@ -24,6 +24,7 @@ from calflow.stages.fit import Fit, Problem
 
 MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
 INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
+USUAL = 0.25e-3  # m, per axis: what a model of geometry and compliance leaves of a usual robot
 DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
 SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
 LEVEL = 0.05  # of the smallest p-value, at which the bootstrap counts how many tests the family is worth
@@ -36,13 +37,19 @@ class Candidate:
     cause: Cause
     columns: np.ndarray
 
+    @property
+    def bounds(self) -> np.ndarray:
+        """Least and largest values of its parameters, from nominal, shape (2, n_columns)."""
+        return np.array([(p.lower - p.nominal, p.upper - p.nominal) for p in self.cause.declared]).T
+
 
 @dataclass(frozen=True)
 class Regressors:
     """All candidates' whitened regressors side by side, with the model's own Jacobian.
 
     residual (n,) and jacobian (n, n_free) are the fit's, pull (n_free,) the priors' part of the gradient; matrix is
-    (n, n_columns), prior_sd (n_columns,). determined is how many parameters the residual has lost.
+    (n, n_columns), prior_sd (n_columns,). determined is how many parameters the residual has lost. scale is by how much the
+    candidates' priors are wider than they state.
     """
 
     residual: np.ndarray
@@ -54,12 +61,14 @@ class Regressors:
     prior_sd: np.ndarray
     candidates: tuple[Candidate, ...]
     determined: float = 0.0
+    scale: float = 1.0
 
     @staticmethod
     def of(fit: Fit, problem: Problem, effects: Sequence[Effect], poses: np.ndarray | None = None) -> Regressors:
         """Linearise the fitted model with all these effects at zero, which costs one Jacobian.
 
         poses (n_rows,) numbers the rows by pose: what the rows of a pose have in common counts once (see `shared_error`).
+        Where much more is left than usual, causes are looked for that are as much larger than usual.
         """
         model = fit.model
         large = Model(model.robot, model.effects, model.given, tuple(effects))
@@ -78,6 +87,7 @@ class Regressors:
         free = np.flatnonzero(~fit.at_bound)
         offset = fit.estimate - model.nominal
         precision = model.prior_sd**-2.0
+        scale = max(1.0, float(np.median(1 / problem.weight[0])) / USUAL)
         return Regressors(
             left,
             matrix[:, free],
@@ -85,9 +95,10 @@ class Regressors:
             (precision * offset)[free],
             float(precision @ offset**2),
             matrix[:, n:],
-            large.prior_sd[n:],
+            large.prior_sd[n:] * scale,
             _candidates(effects),
             fit.effective_parameters,
+            scale,
         )
 
     def without(self, columns: np.ndarray, effect: np.ndarray, pull: np.ndarray) -> Regressors:
@@ -124,6 +135,13 @@ class Score:
     information: np.ndarray
     shown: int
     left: float
+
+    @property
+    def explained(self) -> float:
+        """Share of chi² that goes, not counting what the cause pulls at its own prior."""
+        precision = np.linalg.inv(self.covariance)
+        fallen = self.estimate @ (2 * precision - self.information) @ self.estimate
+        return float(np.clip(fallen * self.share / max(self.drop, 1e-12), 0.0, 1 - 1e-6))
 
     @property
     def cause(self) -> Cause:
@@ -251,14 +269,28 @@ class Screening:
             own = self.score[block.columns]
             squared = np.einsum("mij,mj->mi", block.roots, own) ** 2
             p = self._p(squared.sum(axis=1), self.chi2, block, self.freedom)
-            drops, spent = (squared * block.weight).sum(axis=1), block.weight.sum(axis=1)
-            scans = np.array(
-                [self.variants[self.regressors.candidates[member].cause.place] for member in block.members]
-            )
-            bic = n * np.log1p(-np.minimum(drops / self.chi2, 1 - 1e-12)) + spent * np.log(n) + 2 * np.log(scans)
             precision = self.regressors.prior_sd[block.columns] ** -2.0
             covariance = np.linalg.inv(block.information + np.eye(own.shape[1]) * precision[:, None, :])
             estimate = -np.einsum("mij,mj->mi", covariance, own)
+            least, most = np.array([self.regressors.candidates[member].bounds for member in block.members]).swapaxes(
+                0, 1
+            )
+            inside = np.clip(estimate, least, most)
+            beyond = estimate - inside
+            lost = np.einsum("mi,mij,mj->m", beyond, block.information, beyond) + (precision * beyond**2).sum(axis=1)
+            estimate, pulled = inside, (precision * inside**2).sum(axis=1)
+            drops = (squared * block.weight).sum(axis=1) - lost + pulled - prior_cost(pulled, own.shape[1])
+            drops = np.maximum(drops, 0.0)
+            spent = block.weight.sum(axis=1)
+            scans = np.array(
+                [self.variants[self.regressors.candidates[member].cause.place] for member in block.members]
+            )
+            wider = spent * np.log(self.regressors.scale)
+            bic = (
+                n * np.log1p(-np.minimum(drops / self.chi2, 1 - 1e-12))
+                + spent * np.log(n)
+                + 2 * (wider + np.log(scans))
+            )
             found += [
                 Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),
                       float(p[k]), float(bic[k]), float(block.share[k]), estimate[k], covariance[k],
@@ -304,6 +336,15 @@ class Screening:
         left = np.maximum(total - freedom, 1.0)
         ratio = drops / freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
         return np.asarray(f_distribution.sf(ratio, freedom, left))
+
+
+def prior_cost(pulled: np.ndarray, number: int) -> np.ndarray:
+    """Return what a cause's parameters cost beyond their number, pulled (…) squared prior standard deviations from zero.
+
+    Priors state usual sizes. A cause far beyond them (a file's mistake, say) pays for a prior that is as much wider: the
+    density at the most probable scale, scales below one excepted.
+    """
+    return np.where(pulled <= number, pulled, number * (1 + np.log(np.maximum(pulled, number) / number)))
 
 
 def by_place(scores: Sequence[Score]) -> dict[tuple[str, str], tuple[float, Score]]:

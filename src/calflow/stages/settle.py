@@ -8,7 +8,7 @@ import numpy as np
 
 from calflow.measurements import Measurements
 from calflow.model import Model
-from calflow.stages.fit import Fit, Loss, Problem, fit
+from calflow.stages.fit import Fit, Loss, Problem, fit, restated
 from calflow.stages.noise import LackOfFit, Noise, averaged, lack_of_fit
 
 START_ROWS = 2000  # rows on which several starts are compared; all rows are fitted from the best
@@ -41,6 +41,7 @@ def fit_settled(
             turned = _lack(result, fitted, slice(3, 6), loss)
             level = replace(level, rotation_discrepancy=turned.discrepancy)
         if np.allclose(level.total, before, rtol=tolerance):
+            result = restated(result, Problem.of(model, train, level), loss)
             break
         result, _ = fit(Problem.of(model, train, level), result.estimate[None], loss)
         lack = _lack(result, level, slice(0, 3), loss)

@@ -31,6 +31,7 @@ from calflow.report.section import Advice, Section
 from calflow.report.words import effect_words, listed, mm, number, plural, two_digits
 from calflow.stages.diagnose import SHARES, DiagnoseSettings
 from calflow.stages.discrimination import ENOUGH
+from calflow.stages.findings import UNEXPLAINED
 from calflow.stages.stage import Tables
 from calflow.stages.verdict import WITHIN
 
@@ -148,6 +149,10 @@ def how_sure(one: Found) -> str:
         said.append(
             f"Its name is less sure: {names} {verb} these data as well, or nearly so (probability of "
             f"{cause_name(one.cause, one.joint)}: {sureness(one.probability)})."
+        )
+    elif UNEXPLAINED in one.alike:
+        said.append(
+            "Its name is not sure: something that no cause explains depends on the same input, and may be all of it."
         )
     elif not one.of_family:
         said.append(
@@ -431,7 +436,9 @@ def unsure(tables: Tables) -> list[str]:
     for one in findings(tables):
         if one.of_family:
             said.append(f"The order, or finer form, of the {one.name}.")
-        if one.status == "one_of" and one.others:
+        if UNEXPLAINED in one.alike:
+            said.append(f"Whether it is {one.name} at all, or a part of what stays unexplained.")
+        elif one.status == "one_of" and one.others:
             said.append(f"Whether it is {' or '.join([one.name, *(rival.name for rival in one.others[:3])])}.")
     left = _left(tables)
     why = f"Why a part of the error depends on {structure(tables)}: no cause of the catalogue explains it."
