@@ -26,6 +26,7 @@ class Term:
     prior_sd: float
     bound: float
     value: ca.SX
+    one_sided: bool = False
 
 
 def phases(angle: ca.SX, sd: float, bound: float) -> list[Term]:
@@ -45,7 +46,8 @@ class JointError(Effect):
         """Return each joint's parameters."""
         state, row = State.symbols(self.robot), Row.symbols(self.robot)
         return tuple(
-            Parameter(self.id, f"joint{i + 1}", term.symbol, term.unit, term.prior_sd, -term.bound, term.bound,
+            Parameter(self.id, f"joint{i + 1}", term.symbol, term.unit, term.prior_sd,
+                      0.0 if term.one_sided else -term.bound, term.bound,
                       meaning=f"{self.title}, joint {i + 1}", joint=i + 1)
             for i in range(self.robot.n_joints) for term in self.terms(i, state, row)
         )  # fmt: skip

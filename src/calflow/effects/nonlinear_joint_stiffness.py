@@ -62,7 +62,7 @@ class NonlinearJointStiffness(JointError):
         share = state.torque[joint] / self.rated[joint]
         if not self.knee:
             return [Term("c3", "rad", 1e-3, 20e-3, share**3)]
-        return [Term("c", "rad", 2e-3, 40e-3, -ca.sign(share) * ca.fmax(ca.fabs(share) - self.knee, 0))]
+        return [Term("c", "rad", 2e-3, 40e-3, -ca.sign(share) * ca.fmax(ca.fabs(share) - self.knee, 0), one_sided=True)]
 
     def variable(self, joint: int) -> Variable:
         """Return the joint's torque."""

@@ -177,8 +177,10 @@ def extend(
     while better := search.exchanged(best, tried) or search.verified(best, tried):
         best = better
     trail = [trial.fitted for trial in tried]
-    path = tuple(_fitted(trail, start, base, best.causes[: k + 1]) for k in range(len(best.causes)))
-    return Extended(best.fitted, _as_fitted(best, tried), path, search.first)
+    findings = sorted(_as_fitted(best, tried), key=_own_bic)  # what explains most first
+    causes = [finding.cause for finding in findings]
+    path = tuple(_fitted(trail, start, base, causes[: k + 1]) for k in range(len(causes)))
+    return Extended(path[-1] if path else start, tuple(findings), path, search.first)
 
 
 def _doubted(best: Trial) -> Iterator[list[Cause]]:
@@ -224,7 +226,7 @@ def _added(trial: Trial, first: Screened, gate: Gate, rng: np.random.Generator) 
         passed = [score for score in now.scores if _passes(score, now.family, gate)]
     if not passed:
         return
-    best = finest(passed[0], trial.fitted)
+    best = finest(min(passed, key=lambda score: score.delta_bic + score.unusual), trial.fitted)  # usual sizes first
     said = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
     yield Step(
         [*trial.causes, best.cause], np.concatenate([trial.fitted.fit.estimate, best.estimate]), best.explained, said

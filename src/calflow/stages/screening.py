@@ -24,7 +24,7 @@ from calflow.stages.fit import Fit, Problem
 
 MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
 INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
-USUAL = 0.25e-3  # m, per axis: what a model of geometry and compliance leaves of a usual robot
+USUAL = 1e-3  # m, per axis: what a model leaves of a usual robot at most
 DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
 SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
 LEVEL = 0.05  # of the smallest p-value, at which the bootstrap counts how many tests the family is worth
@@ -120,7 +120,8 @@ class Score:
 
     drop is that of chi² and share its part of all, freedom the degrees of freedom it costs, p the p-value of this test
     alone; delta_bic is negative where it pays. visible_share is how much of the effect the model's own parameters cannot
-    imitate, information S, shown how many directions of it the data show, left the degrees of freedom besides them.
+    imitate, information S, shown how many directions of it the data show, left the degrees of freedom besides them. unusual is
+    what delta_bic would lose if priors were taken for what they say (see `prior_cost`).
     """
 
     candidate: Candidate
@@ -135,6 +136,7 @@ class Score:
     information: np.ndarray
     shown: int
     left: float
+    unusual: float = 0.0
 
     @property
     def explained(self) -> float:
@@ -279,7 +281,8 @@ class Screening:
             beyond = estimate - inside
             lost = np.einsum("mi,mij,mj->m", beyond, block.information, beyond) + (precision * beyond**2).sum(axis=1)
             estimate, pulled = inside, (precision * inside**2).sum(axis=1)
-            drops = (squared * block.weight).sum(axis=1) - lost + pulled - prior_cost(pulled, own.shape[1])
+            relief = pulled - prior_cost(pulled, own.shape[1])
+            drops = (squared * block.weight).sum(axis=1) - lost + relief
             drops = np.maximum(drops, 0.0)
             spent = block.weight.sum(axis=1)
             scans = np.array(
@@ -294,7 +297,8 @@ class Screening:
             found += [
                 Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),
                       float(p[k]), float(bic[k]), float(block.share[k]), estimate[k], covariance[k],
-                      block.information[k], int(block.freedom[k]), float(max(self.freedom - block.freedom[k], 1)))
+                      block.information[k], int(block.freedom[k]), float(max(self.freedom - block.freedom[k], 1)),
+                      float(n * relief[k] / self.chi2))
                 for k, member in enumerate(block.members)
             ]  # fmt: skip
         return sorted(found, key=lambda score: score.delta_bic)
