@@ -279,6 +279,6 @@ def _screened(bare: Bare, residual: np.ndarray, others: Sequence[np.ndarray] = (
     """Screen a residual, with further columns that the model can imitate."""
     plain = bare.look.regressors
     return Screening(replace(
-        plain, residual=residual, pull=np.zeros(plain.jacobian.shape[1] + len(others)), prior_rss=0.0,
+        plain, residual=-residual, pull=np.zeros(plain.jacobian.shape[1] + len(others)), prior_rss=0.0,
         jacobian=np.column_stack([plain.jacobian, *others]), precision=np.append(plain.precision, np.zeros(len(others))),
     ))  # fmt: skip

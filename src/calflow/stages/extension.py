@@ -109,8 +109,8 @@ class _Search:
         while step := next((step for step in self._steps(tried[-1]) if _is_new(step.causes, tried)), None):
             self.say(step.words)
             tried.append(self.trial(tried[-1], step))
-        standing = (t for t in [tried[0], *tried[begin:]] if all(_stands(f, self.gate) for f in t.findings))
-        return min(standing, key=lambda trial: trial.bic)
+        best_first = sorted([tried[0], *tried[begin:]], key=lambda trial: trial.bic)
+        return next(trial for trial in best_first if all(_stands(finding, self.gate) for finding in trial.findings))
 
     def trial(self, before: Trial, step: Step) -> Trial:
         """Fit what a step asks for."""
@@ -137,8 +137,9 @@ class _Search:
                 continue
             step = self._replaced(best, causes)
             tried.append(self.trial(best, step))
-            needless = any(not _stands(finding, self.gate) for finding in tried[-1].findings)
-            if tried[-1].bic < best.bic + (WITHIN if needless else 0.0):
+            near = tried[-1].bic < best.bic + WITHIN
+            needless = near and any(not _stands(finding, self.gate) for finding in tried[-1].findings)
+            if needless or tried[-1].bic < best.bic:
                 self.say(step.words)
                 if (other := self.settled(tried)).bic < best.bic:
                     return other
@@ -177,18 +178,17 @@ def extend(
     while better := search.exchanged(best, tried) or search.verified(best, tried):
         best = better
     trail = [trial.fitted for trial in tried]
-    findings = sorted(_as_fitted(best, tried), key=_own_bic)  # what explains most first
-    causes = [finding.cause for finding in findings]
-    path = tuple(_fitted(trail, start, base, causes[: k + 1]) for k in range(len(causes)))
-    return Extended(path[-1] if path else start, tuple(findings), path, search.first)
+    path = tuple(_fitted(trail, start, base, best.causes[: k + 1]) for k in range(len(best.causes)))
+    return Extended(best.fitted, _as_fitted(best, tried), path, search.first)
 
 
 def _doubted(best: Trial) -> Iterator[list[Cause]]:
     """The causes with a rival of a large one in its place, or without one that has another at its joint."""
-    for finding in best.findings:
-        cause, rivals = finding.cause, doubtful(finding)
-        yield from (_swapped(best.causes, cause, score.cause) for score in rivals)
-        if cause.joint and any(other != cause and other.joint == cause.joint for other in best.causes):
+    small = [finding for finding in best.findings if len(finding.cause.declared) <= COLUMNS]
+    for finding in small:
+        cause = finding.cause
+        yield from (_swapped(best.causes, cause, score.cause) for score in doubtful(finding))
+        if cause.joint and any(other.cause != cause and other.cause.joint == cause.joint for other in small):
             yield [other for other in best.causes if other != cause]
 
 
@@ -330,8 +330,9 @@ def second_thoughts(findings: Sequence[Finding], gate: Gate) -> list[Cause]:
             return [cause for cause in causes if cause != finding.cause]
     for finding in weakest:
         places = by_place(finding.scores)
-        evidence, best = min(places.values(), key=lambda one: one[0])
-        if evidence < places[finding.cause.place][0] and _passes(best, finding.family, gate):
+        usual = {place: evidence + score.unusual for place, (evidence, score) in places.items()}
+        best = places[min(usual, key=lambda place: usual[place])][1]
+        if usual[best.cause.place] < usual[finding.cause.place] and _passes(best, finding.family, gate):
             return _swapped(causes, finding.cause, best.cause)
     return causes
 
