@@ -77,6 +77,11 @@ def _driven(h: Hidden) -> int:
 # --- Joints: rad added to one driven joint (rows,) ---------------------------------------------------
 
 
+def joint_slip(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
+    """The zero of a joint slips half way through the measurement."""
+    return h.size * (rows.time > rows.time.max() / 2)
+
+
 def nonlinear_stiffness(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
     """A cubic part, or with extra "break" a stiffer branch past half the largest torque."""
     load = torque[:, h.joint - 1] / np.abs(torque[:, h.joint - 1]).max()
@@ -366,6 +371,7 @@ ON_JOINT = {
     "gear-ratio-error": gear_ratio_error,
     "wrist-coupling": wrist_coupling,
     "cable-drag": cable_drag,
+    "joint-slip": joint_slip,
 }
 ON_MOTION = {
     "joint-compliance": joint_compliance,

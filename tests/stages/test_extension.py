@@ -98,3 +98,29 @@ def test_a_knee_is_refined_until_one_cause_explains_all():
     found = next(finding.cause for finding in extended.findings if finding.cause.place == knee.place)
     assert found.effect.knee == pytest.approx(0.29, abs=0.01)
     assert extended.fitted.lack.reduced_chi2 == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_gross_mistake_is_found_and_split_between_no_two_forms():
+    """Breaks if what is left hides a cause far beyond usual sizes, or two forms of it share it to please the priors."""
+    wrong = cause("gear-ratio-error", "joint2")
+    data = hidden([(wrong, (0.03,))])
+    extended = extend(
+        start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
+    )
+    assert [finding.cause.place for finding in extended.findings] == [wrong.place]
+    assert extended.fitted.fit.estimate[-1] == pytest.approx(0.03, rel=1e-3)
+
+
+def test_orders_of_one_joint_may_act_together():
+    """Breaks if a joint can have one periodic error only, or an order counts as another one than its neighbour."""
+    first, second = (cause("periodic-joint-error", "joint1", order=order) for order in (4.0, 9.0))
+    near = cause("periodic-joint-error", "joint1", order=4.3)
+    assert not first.effect.same_as(second.effect)
+    assert first.effect.same_as(near.effect)
+    data = hidden([(first, (2e-4, 1e-4)), (second, (-2e-4, 1e-4))])
+    extended = extend(
+        start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
+    )
+    assert [finding.cause.place for finding in extended.findings] == [first.place] * 2
+    orders = sorted(finding.cause.effect.order for finding in extended.findings)
+    assert orders == pytest.approx([4.0, 9.0], abs=0.1)

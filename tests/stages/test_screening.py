@@ -126,3 +126,21 @@ def test_markers_of_a_pose_are_not_as_many_poses():
     shared = alone + 2 * rng.standard_normal((200, 3))[poses]
     assert shared_error(alone.ravel(), poses, 0.0) == 1.0
     assert shared_error(shared.ravel(), poses, 0.0) == pytest.approx(1 / np.sqrt(1 + 3 * 4), rel=0.1)
+
+
+def test_a_wrong_sign_is_no_evidence():
+    """Breaks if a compliance that would have to be negative passes for a cause, or stands among another one's rivals."""
+    robot = industrial()
+    cause = Cause(robot, catalogue()["joint-compliance"](robot), "joint2")
+    model = Model(robot, (*build(robot, ("geometry",)).effects, cause))
+    found = {}
+    for sign in (1, -1):
+        truth = np.append(np.zeros(len(model.parameters) - 1), sign * 5e-7)
+        data = measured(model, truth, 80, np.random.default_rng(6))
+        plain = problem(build(robot, ("geometry",)), data)
+        scores = Screening(Regressors.of(fit(plain)[0], plain, (cause,))).scores
+        found[sign] = scores[0]
+    assert found[1].delta_bic < -50
+    assert found[-1].p < 1e-6  # there is something
+    assert found[-1].estimate == pytest.approx([0.0])
+    assert found[-1].delta_bic > 0
