@@ -310,12 +310,14 @@ def finest(score: Score, now: Fitted) -> Score:
 
 def _refined(trial: Trial) -> Iterator[list[Cause]]:
     """Yield the causes with one in a finer variant that is clearly better, now that the others are in the model."""
-    for cause in trial.causes:
-        finer = tuple(Cause(effect.robot, effect, cause.part) for effect in cause.effect.finer(trial.fitted.data))
-        if not finer:
-            continue
-        near = Look.at(trial.fitted, trial.causes, Catalogue(finer, {})).apart([cause]).scores
-        near = [score for score in near if score.cause.place == cause.place]
+    data = trial.fitted.data
+    scanned = [cause for cause in trial.causes if cause.effect.finer(data)]
+    if not scanned:
+        return
+    finer = tuple(Cause(cause.robot, effect, cause.part) for cause in scanned for effect in cause.effect.finer(data))
+    look = Look.at(trial.fitted, trial.causes, Catalogue(finer, {}))
+    for cause in scanned:
+        near = [score for score in look.apart([cause]).scores if score.cause.place == cause.place]
         own = next((score.delta_bic for score in near if score.cause == cause), np.inf)
         if near and near[0].delta_bic < own - CLEARLY_FINER:
             yield _swapped(trial.causes, cause, near[0].cause)
