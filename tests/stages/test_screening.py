@@ -44,13 +44,12 @@ def regressors(data, fitted):
     return Regressors.of(*fitted, (*Catalogue.of(data, ("geometry",), TESTED).effects, scale))
 
 
-def test_a_cause_far_beyond_its_prior_pays_for_a_wider_one():
-    """Breaks if usual sizes pay anything but the prior's pull, or huge ones by its square; the scale is the most probable one."""
-    assert prior_cost(np.array([0.0, 1.5]), 2) == pytest.approx([0.0, 1.5])
-    scales = np.geomspace(1, 1e3, 200001)
-    for pulled in (3.0, 50.0, 1e4):
-        best = (pulled / scales**2 + 2 * 2 * np.log(scales)).min()  # two parameters, twice the negative log density
-        assert prior_cost(np.array(pulled), 2) == pytest.approx(best, abs=1e-3)
+def test_a_cause_far_beyond_its_prior_pays_by_the_logarithm():
+    """Breaks if usual sizes pay anything but the prior's pull, huge ones by its square, or the cost jumps between them."""
+    assert prior_cost(np.array([0.0, 1.5, 18.0]), 2) == pytest.approx([0.0, 1.5, 18.0])
+    far = prior_cost(np.array([18.1, 180.0, 1800.0]), 2)
+    assert far[0] == pytest.approx(18.1, abs=1e-3)
+    assert far[2] - far[1] == pytest.approx(18.0 * np.log(10))
 
 
 def test_a_score_is_what_a_refit_gains(data, fitted, regressors):

@@ -69,6 +69,14 @@ class Exchange:
             screening.score[columns] * sd,
         )  # fmt: skip
 
+    def alone(self) -> Score | None:
+        """Return the best candidate that explains the data better than the two that are gone do together."""
+        at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
+        best = min(self.scores, key=lambda score: score.delta_bic, default=None)
+        if len(at) < 2 or best is None or not best.delta_bic < self._bic()[at[0], at[1]]:
+            return None
+        return best
+
     def better(self) -> Iterator[Pair]:
         """Yield the pairs of different places that explain the data better than what they replace, best first."""
         at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]

@@ -78,7 +78,12 @@ class Trial:
         scale = float(np.median(np.hypot(fitted.noise.sigma / fitted.far, fitted.noise.discrepancy)))
         scans = sum(np.log(self.catalogue.variants.get(cause.place, 1)) for cause in self.causes)
         misfit = (fitted.misfit - sum(map(self._relief, self.causes))) * scale**2
-        return float(n * np.log(misfit) + fitted.fit.effective_parameters * np.log(n) + 2 * scans)
+        parameters = fitted.fit.effective_parameters + sum(map(self._at_bound, self.causes))
+        return float(n * np.log(misfit) + parameters * np.log(n) + 2 * scans)
+
+    def _at_bound(self, cause: Cause) -> int:
+        """How many of a cause's parameters have no effect: they were there to be fitted, and count like the others."""
+        return int(self.fitted.fit.at_bound[self.fitted.model.columns(cause)].sum())
 
     def _relief(self, cause: Cause) -> float:
         """By how much a cause's parameters pull at their priors beyond what that costs."""
@@ -147,12 +152,15 @@ class _Search:
         return None
 
     def exchanges(self, trial: Trial) -> Iterator[Step]:
-        """Yield the causes with a pair in the place of two, or of one, where it explains the data better."""
+        """Yield the causes with one or two in the place of two, or two in that of one, where that explains the data better."""
         small = [cause for cause in trial.causes if len(cause.declared) <= COLUMNS][-ENTANGLED:]
         for gone in (*combinations(small, 2), *combinations(small, 1)):
-            pairs = Exchange.of(trial.look.apart(gone), trial.family, gone).better()
+            exchange = Exchange.of(trial.look.apart(gone), trial.family, gone)
+            stay = [cause for cause in trial.causes if cause not in gone]
+            if (one := exchange.alone()) and _passes(one, trial.family, self.gate):
+                yield self._replaced(trial, [*stay, one.cause])
+            pairs = exchange.better()
             if pair := next((pair for pair in pairs if pair.p < self.gate.false_alarm), None):
-                stay = [cause for cause in trial.causes if cause not in gone]
                 yield self._replaced(trial, [*stay, pair.first.cause, pair.second.cause])
 
     def _steps(self, trial: Trial) -> Iterator[Step]:

@@ -24,6 +24,7 @@ from calflow.stages.fit import Fit, Problem
 
 MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
 INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
+TAIL = 3.0  # prior standard deviations
 USUAL = 1e-3  # m, per axis: what a model leaves of a usual robot at most
 DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
 SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
@@ -345,10 +346,11 @@ class Screening:
 def prior_cost(pulled: np.ndarray, number: int) -> np.ndarray:
     """Return what a cause's parameters cost beyond their number, pulled (…) squared prior standard deviations from zero.
 
-    Priors state usual sizes. A cause far beyond them (a file's mistake, say) pays for a prior that is as much wider: the
-    density at the most probable scale, scales below one excepted.
+    Priors state usual sizes: within TAIL standard deviations they are normal. What is far beyond them (a file's mistake, say)
+    pays with the logarithm of its distance, as under a prior with heavy tails.
     """
-    return np.where(pulled <= number, pulled, number * (1 + np.log(np.maximum(pulled, number) / number)))
+    usual = number * TAIL**2
+    return np.where(pulled <= usual, pulled, usual * (1 + np.log(np.maximum(pulled, usual) / usual)))
 
 
 def by_place(scores: Sequence[Score]) -> dict[tuple[str, str], tuple[float, Score]]:
