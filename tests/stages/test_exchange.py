@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -111,3 +113,14 @@ def replaced(regressors, residual):
     pull = -r.precision * step
     return Regressors(residual - r.jacobian @ step, r.jacobian, r.precision, pull, float((pull**2 / r.precision).sum()),
                       r.matrix, r.prior_sd, r.candidates)  # fmt: skip
+
+
+def test_one_cause_takes_the_place_of_two_that_imitate_it(regressors):
+    """Breaks if two causes that together resemble a third keep it out, or right ones give way to what resembles them."""
+    truly = replace(
+        regressors, residual=np.random.default_rng(2).standard_normal(ROWS) + regressors.matrix[:, 2] * 6e-5
+    )
+    imitating = Exchange.of(Screening(truly), FAMILY, [causes()[0], causes()[1]])
+    assert imitating.alone().cause == causes()[2]
+    assert Exchange.of(Screening(regressors), FAMILY, [causes()[0], causes()[1]]).alone() is None
+    assert Exchange.of(Screening(truly), FAMILY, [causes()[0]]).alone() is None
