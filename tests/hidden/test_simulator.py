@@ -50,6 +50,7 @@ USUAL = {
     "tracker-scale": (0, 2e-5, ""),
     "third-order": (2, 1e-4, ""),
     "cable-drag": (0, 2e-4, ""),
+    "joint-slip": (2, 2e-4, ""),
     "random-field": (0, 1e-4, ""),
     "floor-vibration": (0, 5e-5, ""),
 }
