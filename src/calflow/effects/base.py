@@ -64,6 +64,11 @@ def around(value: float, reach: float) -> list[float]:
     return [float(value + step) for step in (*-steps[::-1], 0.0, *steps)]
 
 
+def displaced(p: ca.SX, point: ca.SX) -> ca.SX:
+    """Return by how much a shift p (3,), or a shift and a small turn about the origin (6,), moves a point."""
+    return p[:3] + (ca.cross(p[3:], point) if p.numel() == 6 else 0)
+
+
 @dataclass(frozen=True)
 class Effect(ABC):
     """One physical cause. A subclass declares its parameters and overrides the one place where it acts.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter, Variable
+from calflow.effects.base import Effect, Parameter, Variable, displaced
 from calflow.robot.description import Robot
 
 if TYPE_CHECKING:
@@ -64,8 +64,7 @@ class FrameDrift(Effect):
         passed = row.order / self.rows if self.rows else row.time
         if not passed.nnz():
             return point
-        shift = p[:3] + (ca.cross(p[3:], point) if self.turning else 0)
-        return point + shift * passed
+        return point + displaced(p, point) * passed
 
     def variable(self, joint: int) -> Variable:
         """Return the time, or the order of the rows."""

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.conditions import Row
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect, Parameter, displaced
 from calflow.robot.description import Robot
 
 if TYPE_CHECKING:
@@ -69,8 +69,7 @@ class FrameStep(Effect):
         """Shift what is reported after the moment."""
         if not row.order.nnz():
             return point
-        shift = p[:3] + (ca.cross(p[3:], point) if self.turning else 0)
-        return point + shift * (row.order > self.moment)
+        return point + displaced(p, point) * (row.order > self.moment)
 
 
 def _moments(data: Measurements) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -115,41 +115,37 @@ class _Search:
             self.say(step.words)
             tried.append(self.trial(tried[-1], step))
         best_first = sorted([tried[0], *tried[begin:]], key=lambda trial: trial.bic)
-        return next(trial for trial in best_first if all(_stands(finding, self.gate) for finding in trial.findings))
+        return next(trial for trial in best_first if self._stand(trial))
 
     def trial(self, before: Trial, step: Step) -> Trial:
         """Fit what a step asks for."""
         fitted = before.fitted.with_causes(self.base, step.causes, step.start, step.share)
         return Trial(fitted, step.causes, self.catalogue, self.first.family)
 
-    def exchanged(self, best: Trial, tried: list[Trial]) -> Trial | None:
-        """Return a better model that two causes at once lead to, if there is one."""
-        for step in self.exchanges(best):
+    def improved(self, best: Trial, tried: list[Trial]) -> Trial | None:
+        """Return a better model that an exchange leads to, or a rival in the place of a large cause, if there is one."""
+        doubted = (self._replaced(best, causes) for causes in _doubted(best))
+        return self._led_to(best, tried, self.exchanges(best), lambda _: False) or self._led_to(
+            best, tried, doubted, lambda trial: trial.bic < best.bic + WITHIN and not self._stand(trial)
+        )
+
+    def _led_to(
+        self, best: Trial, tried: list[Trial], steps: Iterable[Step], promising: Callable[[Trial], bool]
+    ) -> Trial | None:
+        """Return the first better model that one of the steps leads to; what is promising need not be better at once."""
+        for step in steps:
             if not _is_new(step.causes, tried):
                 continue
             tried.append(self.trial(best, step))
-            if tried[-1].bic < best.bic:
+            if tried[-1].bic < best.bic or promising(tried[-1]):
                 self.say(step.words)
                 if (other := self.settled(tried)).bic < best.bic:
                     return other
                 self.say("that is no better")
         return None
 
-    def verified(self, best: Trial, tried: list[Trial]) -> Trial | None:
-        """Return a better model with a rival in the place of a large cause, or without it, if there is one."""
-        for causes in _doubted(best):
-            if not _is_new(causes, tried):
-                continue
-            step = self._replaced(best, causes)
-            tried.append(self.trial(best, step))
-            near = tried[-1].bic < best.bic + WITHIN
-            needless = near and any(not _stands(finding, self.gate) for finding in tried[-1].findings)
-            if needless or tried[-1].bic < best.bic:
-                self.say(step.words)
-                if (other := self.settled(tried)).bic < best.bic:
-                    return other
-                self.say("that is no better")
-        return None
+    def _stand(self, trial: Trial) -> bool:
+        return all(_stands(finding, self.gate) for finding in trial.findings)
 
     def exchanges(self, trial: Trial) -> Iterator[Step]:
         """Yield the causes with one or two in the place of two, or two in that of one, where that explains the data better."""
@@ -183,7 +179,7 @@ def extend(
     search = _Search(catalogue, gate, base, look.screened(rng), rng, say)
     tried = [Trial(start, [], catalogue, search.first.family)]
     best = search.settled(tried)
-    while better := search.exchanged(best, tried) or search.verified(best, tried):
+    while better := search.improved(best, tried):
         best = better
     trail = [trial.fitted for trial in tried]
     path = tuple(_fitted(trail, start, base, best.causes[: k + 1]) for k in range(len(best.causes)))
