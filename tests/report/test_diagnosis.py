@@ -136,6 +136,9 @@ def test_the_unexplained_is_told_by_its_inputs_and_never_as_a_cause(small: Conte
     assert "More causes could be tested with a column temperature_degC (thermal growth)." in first
     assert "What depends on it is worth 0.040 mm of the mean error, or more." in first
     assert "+ 2 causes" not in first
+    named, _ = told(with_diagnosis(small, BACKLASH))
+    assert "Left over" in named
+    assert "a part of it depends on" not in named
     alone, _ = told(with_diagnosis(small, COUPLED))
     assert "No cause explains what is left: 41 causes were tested." in alone
 

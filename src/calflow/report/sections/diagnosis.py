@@ -449,7 +449,8 @@ def unsure(tables: Tables) -> list[str]:
 
 def structure(tables: Tables) -> str:
     """Name what the unexplained part of the error depends on; empty where nothing is unexplained."""
-    return listed([one.inputs for one in _left(tables)], 3)
+    left = _left(tables)
+    return listed([one.inputs for one in left], 3) if left else ""
 
 
 def _left(tables: Tables) -> list[Found]:
