@@ -15,8 +15,8 @@ import casadi as ca
 
 # Contraction and reassociation stay off, so that compiled code and CasADi's virtual machine agree to the last bit.
 FLAGS = ("-O1", "-ffp-contract=off", "-fPIC", "-shared")
-# An operation takes some 0.1 ms to compile and saves some 4 ns a row.
-WORTH_EVALUATIONS = 30_000
+# An operation takes some 0.3 ms to compile and saves some 4 ns a row.
+WORTH_EVALUATIONS = 75_000
 
 
 def compiled(function: ca.Function, evaluations: int) -> ca.Function:
