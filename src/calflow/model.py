@@ -184,7 +184,7 @@ def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[n
         part = slice(first, min(first + size, n_rows))
         mapped = _mapped(function, part.stop - part.start)
         buffer, evaluate = mapped.buffer()  # CasADi reads and writes NumPy's memory: no lists between
-        arguments = [np.ascontiguousarray(p, dtype=float), *(np.ascontiguousarray(row[:, part].T) for row in rows)]
+        arguments = [np.tile(p, (part.stop - part.start, 1)), *(np.ascontiguousarray(row[:, part].T) for row in rows)]
         for k, argument in enumerate(arguments):
             buffer.set_arg(k, memoryview(argument.ravel()))  # type: ignore[call-arg, arg-type]
         for k, value in enumerate(values):
@@ -196,4 +196,4 @@ def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[n
 @lru_cache(maxsize=64)
 def _mapped(function: ca.Function, n_rows: int) -> ca.Function:
     """The function over so many rows at once; building it takes longer than evaluating it."""
-    return function.map("mapped", "serial", n_rows, [0], [])
+    return function.map(n_rows)

@@ -54,11 +54,11 @@ class JointError(Effect):
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Turn each joint by its terms."""
-        turned, k = [], 0
+        turned = []
         for i in range(self.robot.n_joints):
-            values = [term.value for term in self.terms(i, state, row)]
-            turned.append(ca.dot(p[k : k + len(values)], ca.vertcat(*values)) if values else ca.SX(0))
-            k += len(values)
+            own = p[[k for k, parameter in enumerate(self.declared) if parameter.joint == i + 1]]
+            values = [] if own.nnz() == 0 else [term.value for term in self.terms(i, state, row)]
+            turned.append(ca.dot(own, ca.vertcat(*values)) if values else ca.SX(0))
         return replace(still, joint=ca.vertcat(*turned))
 
     def variable(self, joint: int) -> Variable:
