@@ -11,7 +11,7 @@ from calflow.effects import catalogue
 from calflow.stages.causes import Cause
 from calflow.stages.detection_limit import detection_limit, noncentrality
 from calflow.stages.exchange import Exchange
-from calflow.stages.screening import Candidate, Family, Regressors, Screening
+from calflow.stages.screening import Candidate, Family, Products, Regressors, Screening
 from robots import industrial
 
 ROBOT = industrial()
@@ -41,7 +41,8 @@ def regressors():
     candidates = tuple(
         Candidate(cause, np.arange(i, j)) for cause, i, j in zip(every, ends[:-1], ends[1:], strict=True)
     )
-    return Regressors(residual, jacobian, np.full(OWN, 0.1), np.zeros(OWN), 0.0, matrix, prior_sd, candidates)
+    products = Products.of(jacobian, matrix, candidates)
+    return Regressors(residual, jacobian, np.full(OWN, 0.1), np.zeros(OWN), 0.0, matrix, prior_sd, candidates, products)
 
 
 FAMILY = Family({}, 30.0)
@@ -111,8 +112,8 @@ def replaced(regressors, residual):
     r = regressors
     step = np.linalg.solve(r.jacobian.T @ r.jacobian + np.diag(r.precision), r.jacobian.T @ residual)
     pull = -r.precision * step
-    return Regressors(residual - r.jacobian @ step, r.jacobian, r.precision, pull, float((pull**2 / r.precision).sum()),
-                      r.matrix, r.prior_sd, r.candidates)  # fmt: skip
+    rss = float((pull**2 / r.precision).sum())
+    return replace(r, residual=residual - r.jacobian @ step, pull=pull, prior_rss=rss)
 
 
 def test_one_cause_takes_the_place_of_two_that_imitate_it(regressors):

@@ -182,7 +182,7 @@ def extend(
     while better := search.improved(best, tried):
         best = better
     trail = [trial.fitted for trial in tried]
-    path = tuple(_fitted(trail, start, base, best.causes[: k + 1]) for k in range(len(best.causes)))
+    path = tuple(_fitted(trail, base, best.causes[: k + 1]) for k in range(len(best.causes)))
     return Extended(best.fitted, _as_fitted(best, tried), path, search.first)
 
 
@@ -260,13 +260,13 @@ def narrowed(start: Fitted, extended: Extended, decoys: Sequence[Cause], catalog
     if model.bic < other.bic:
         return extended  # what cannot be named explains them no better than they explain themselves
     trail = [start, *extended.path]
-    tried = [Trial(_fitted(trail, start, base, kept), kept, catalogue, extended.first.family)]
+    tried = [Trial(_fitted(trail, base, kept), kept, catalogue, extended.first.family)]
     while _is_new(better := second_thoughts(tried[-1].findings, gate), tried):
-        fitted = _fitted([tried[-1].fitted], start, base, better)
+        fitted = _fitted([tried[-1].fitted], base, better)
         tried.append(Trial(fitted, better, catalogue, extended.first.family))
     last = tried[-1]
     trail += [trial.fitted for trial in tried]
-    path = tuple(_fitted(trail, start, base, last.causes[: k + 1]) for k in range(len(last.causes)))
+    path = tuple(_fitted(trail, base, last.causes[: k + 1]) for k in range(len(last.causes)))
     return Extended(last.fitted, last.findings, path, extended.first)
 
 
@@ -285,12 +285,17 @@ def _stands(finding: Finding, gate: Gate) -> bool:
     return bool(own) and _passes(own[0], finding.family, gate)
 
 
-def _fitted(trail: Sequence[Fitted], start: Fitted, base: int, causes: Sequence[Cause]) -> Fitted:
-    """Return the model with these causes from the models fitted on the way, or fit it."""
-    for fitted in trail:
-        if list(fitted.model.effects[base:]) == list(causes):
-            return fitted
-    return start.with_causes(base, causes, _start(trail[-1], base, causes))
+def _fitted(trail: Sequence[Fitted], base: int, causes: Sequence[Cause]) -> Fitted:
+    """Return the model with these causes from the models fitted on the way, or fit it from the one most like it."""
+
+    def differing(fitted: Fitted) -> int:
+        have = fitted.model.effects[base:]
+        return sum(cause not in have for cause in causes) + sum(cause not in causes for cause in have)
+
+    near = min(reversed(trail), key=differing)
+    if list(near.model.effects[base:]) == list(causes):
+        return near
+    return near.with_causes(base, causes, _start(near, base, causes))
 
 
 def words(cause: Cause) -> str:

@@ -45,6 +45,32 @@ class Candidate:
 
 
 @dataclass(frozen=True)
+class Products:
+    """The sums over all rows that tests need, worked out once for a model and for all that is taken out of it.
+
+    fitted (n_free, n_free) are the Jacobian's with itself, mixed (n_free, n_columns) those with the regressors, own
+    (n_columns, widest) each regressor's with those of its candidate.
+    """
+
+    fitted: np.ndarray
+    mixed: np.ndarray
+    own: np.ndarray
+
+    @staticmethod
+    def of(jacobian: np.ndarray, matrix: np.ndarray, candidates: Sequence[Candidate]) -> Products:
+        """Add up the products of the Jacobian (n, n_free) and the regressors (n, n_columns)."""
+        own = np.zeros((matrix.shape[1], max((len(c.columns) for c in candidates), default=0)))
+        for candidate in candidates:
+            columns = candidate.columns
+            own[columns, : len(columns)] = matrix[:, columns].T @ matrix[:, columns]
+        return Products(jacobian.T @ jacobian, jacobian.T @ matrix, own)
+
+    def only(self, free: np.ndarray) -> Products:
+        """Return the products with some free parameters only."""
+        return Products(self.fitted[np.ix_(free, free)], self.mixed[free], self.own)
+
+
+@dataclass(frozen=True)
 class Regressors:
     """All candidates' whitened regressors side by side, with the model's own Jacobian.
 
@@ -61,6 +87,7 @@ class Regressors:
     matrix: np.ndarray
     prior_sd: np.ndarray
     candidates: tuple[Candidate, ...]
+    products: Products
     determined: float = 0.0
     scale: float = 1.0
 
@@ -89,15 +116,17 @@ class Regressors:
         offset = fit.estimate - model.nominal
         precision = model.prior_sd**-2.0
         scale = max(1.0, float(np.median(1 / problem.weight[0])) / USUAL)
+        jacobian, found, candidates = matrix[:, free], matrix[:, n:], _candidates(effects)
         return Regressors(
             left,
-            matrix[:, free],
+            jacobian,
             precision[free],
             (precision * offset)[free],
             float(precision @ offset**2),
-            matrix[:, n:],
+            found,
             large.prior_sd[n:] * scale,
-            _candidates(effects),
+            candidates,
+            Products.of(jacobian, found, candidates),
             fit.effective_parameters,
             scale,
         )
@@ -112,6 +141,7 @@ class Regressors:
             precision=self.precision[keep],
             pull=self.pull[keep],
             prior_rss=self.prior_rss - float(pull @ pull),
+            products=self.products.only(keep),
         )
 
 
@@ -199,13 +229,12 @@ class Screening:
     def _factor(self) -> np.ndarray:
         """Lower triangular factor of the model's information, scaled by the priors."""
         r = self.regressors
-        return np.linalg.cholesky(r.jacobian.T @ r.jacobian + np.diag(r.precision))
+        return np.linalg.cholesky(r.products.fitted + np.diag(r.precision))
 
     @cached_property
     def _imitated(self) -> np.ndarray:
         """Regressors as the model's parameters can imitate them, (n_free, n_columns)."""
-        r = self.regressors
-        return np.asarray(solve_triangular(self._factor, r.jacobian.T @ r.matrix, lower=True))
+        return np.asarray(solve_triangular(self._factor, self.regressors.products.mixed, lower=True))
 
     @cached_property
     def _gradient(self) -> np.ndarray:
@@ -247,9 +276,8 @@ class Screening:
         for d in np.unique(sizes):
             members = np.flatnonzero(sizes == d)
             columns = np.array([self.regressors.candidates[m].columns for m in members])
-            x, imitated = self.regressors.matrix[:, columns], self._imitated[:, columns]
-            whole = np.einsum("nmi,nmj->mij", x, x, optimize=True)
-            s = whole - np.einsum("nmi,nmj->mij", imitated, imitated, optimize=True)
+            whole, imitated = self.regressors.products.own[columns, :d], self._imitated[:, columns].transpose(1, 0, 2)
+            s = whole - imitated.transpose(0, 2, 1) @ imitated
             sd = self.regressors.prior_sd[columns]
             values, vectors = np.linalg.eigh(s * sd[:, :, None] * sd[:, None, :])
             shown = values > INVISIBLE
