@@ -39,6 +39,7 @@ import blind_verdicts as verdicts
 from blind_cases import Job
 
 from calflow.runs import run
+from calflow.stages.discrimination import POSES
 from calflow.stages.verdict import label
 from calflow.study import Study, load_study
 from hidden.case import Case, draw, write_case
@@ -123,7 +124,9 @@ def measured_again(job: Job) -> Row:
         (h,) = case.hidden
         asked = tables["diagnose/next_poses.csv"]
         before = verdicts.told(tables) | verdicts.one(h, tables)
+        apart = tables["diagnose/separations.csv"]
         known = _hidden(case) | {f"{name}_before": value for name, value in before.items()} | {"asked": len(asked) > 0}
+        known |= {"at_most": apart["chance_after"].min(), "rivals": len(apart)}
         if not len(asked):
             return known
         first = asked.iloc[0]
@@ -263,15 +266,18 @@ def unknown_table(rows: pd.DataFrame) -> str:
 def alike_table(rows: pd.DataFrame) -> str:
     """How the causes are named before, and after the proposed poses where there are any."""
     asked = rows[rows["asked"].astype(bool)]
+    open_ = rows[rows["rivals"] > 0]
+    left = f"left open with the poses there were {len(open_)} of {len(rows)}; worth measuring further poses for {len(asked)}"
     if asked.empty:
-        return f"asked 0 of {len(rows)}"
+        return left
     asked = asked.assign(cause=asked["hidden"].str.split(":").str[0],
                          unique=(asked["status"] == "named") & (asked["right"] == True))  # noqa: E712 # fmt: skip
     table = asked.groupby("cause").agg(n=("unique", "size"), unique=("unique", "mean"), set_size=("set_size", "mean"))
     whole = asked[asked["promised"].astype(bool)]
     return (
-        f"{table.round(3).to_string()}\nasked {len(asked)} of {len(rows)}; named alone and rightly with the poses: "
-        f"{asked['unique'].mean():.3f}\nwhere they were said to tell the truth from all its rivals ({len(whole)}): "
+        f"{table.round(3).to_string()}\n{left}; named alone and rightly with them: {asked['unique'].mean():.3f}\n"
+        f"at most, by calculation (the best {POSES} poses against the hardest rival alone): {asked['at_most'].mean():.3f}\n"
+        f"where they were said to tell the truth from all its rivals ({len(whole)}): "
         f"{whole['unique'].mean():.3f}; least chance of excluding a rival as stated, on average: {whole['chance'].mean():.3f}"
     )
 

@@ -19,7 +19,7 @@ from calflow.stages.fitted import Fitted
 from calflow.stages.identified import identified
 from calflow.stages.look import Finding, Look, Screened
 from calflow.stages.noise import averaged
-from calflow.stages.screening import Screening
+from calflow.stages.screening import Products, Screening
 from calflow.stages.verdict import verdict
 from calflow.study import Study, load_study
 from hidden.case import Case, World, draw, write_case
@@ -278,7 +278,9 @@ def _expected(bare: Bare, h: Hidden, shift: np.ndarray) -> tuple[int, float]:
 def _screened(bare: Bare, residual: np.ndarray, others: Sequence[np.ndarray] = ()) -> Screening:
     """Screen a residual, with further columns that the model can imitate."""
     plain = bare.look.regressors
+    jacobian = np.column_stack([plain.jacobian, *others])
     return Screening(replace(
-        plain, residual=-residual, pull=np.zeros(plain.jacobian.shape[1] + len(others)), prior_rss=0.0,
-        jacobian=np.column_stack([plain.jacobian, *others]), precision=np.append(plain.precision, np.zeros(len(others))),
+        plain, residual=-residual, pull=np.zeros(jacobian.shape[1]), prior_rss=0.0, jacobian=jacobian,
+        precision=np.append(plain.precision, np.zeros(len(others))),
+        products=Products.of(jacobian, plain.matrix, plain.candidates),
     ))  # fmt: skip
