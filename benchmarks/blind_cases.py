@@ -196,7 +196,7 @@ def sized(job: Job, folder: Path) -> Sized:
     write_case(folder, replace(job.case, hidden=nothing, settings=once), np.random.default_rng(job.seed))
     study = load_study(folder)
     fitted, catalogue = begun(study, run(study, folder / "run", stage="identify").tables)
-    look = Look.at(fitted, [], catalogue)
+    look = Look.at(fitted, catalogue)
     bare = Bare(look, look.screened(rng))
     units = [unit for unit in UNITS if set(unit.columns) <= set(job.case.columns)]
     units = [unit for unit in units if not job.among or unit.cause in job.among]

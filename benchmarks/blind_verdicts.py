@@ -13,9 +13,9 @@ from blind_cases import begun
 from calflow.measurements import Measurements
 from calflow.model import Model
 from calflow.stages.accuracy import errors
-from calflow.stages.extension import finest
 from calflow.stages.fitted import Fitted
 from calflow.stages.identified import calibrated, identified
+from calflow.stages.refinement import finest
 from calflow.stages.screening import Regressors, Screening
 from calflow.study import Study
 from hidden.causes import Hidden
@@ -91,7 +91,7 @@ def true_structure(study: Study, h: Hidden, tables: Tables) -> Fitted:
     scores = Screening(Regressors.of(start.fit, start.problem, effects, start.poses)).scores
     best = finest(next(score for score in scores if score.cause.joint == h.joint), start)
     point = np.concatenate([start.fit.estimate, best.estimate])
-    return start.with_causes(len(start.model.effects), [best.cause], point, best.share)
+    return start.with_causes([best.cause], point, best.share)
 
 
 def held_out(study: Study, tables: Tables) -> dict[str, float]:

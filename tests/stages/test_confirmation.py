@@ -41,7 +41,7 @@ def here():
 def test_the_same_error_confirms(here):
     """Breaks if curves are compared at other angles, or the carried model is not better than none on the other series."""
     found, _ = here
-    told = confirm(found, 1, series((2e-4, 1e-4), 2)[2])
+    told = confirm(found, series((2e-4, 1e-4), 2)[2])
     (row,) = told.table.to_dict("records")
     assert row["joint"] == 1
     assert row["correlation"] > 0.95
@@ -53,7 +53,7 @@ def test_the_same_error_confirms(here):
 def test_another_error_contradicts(here):
     """Breaks if series that disagree count as confirmed."""
     found, _ = here
-    told = confirm(found, 1, series((-2e-4, 1e-4), 3)[2])
+    told = confirm(found, series((-2e-4, 1e-4), 3)[2])
     assert "do not agree" in told.table["words"].iloc[0]
 
 

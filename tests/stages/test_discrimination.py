@@ -45,7 +45,7 @@ def choices():
 
 def explanations(fitted, *rivals):
     """The gear ratio as it was fitted, and rivals in its place."""
-    looked = Look.at(fitted, [RATIO], Catalogue(rivals, {})).apart([RATIO]).scores
+    looked = Look.at(fitted, Catalogue(rivals, {})).apart([RATIO]).scores
     scores = [next(score for score in looked if score.cause == cause) for cause in (RATIO, *rivals)]
     return [Explanation(score, score.delta_bic - scores[0].delta_bic) for score in scores]
 

@@ -8,8 +8,9 @@ import pytest
 from calflow.effects import catalogue
 from calflow.model import Model, build
 from calflow.stages.causes import Catalogue, Cause
-from calflow.stages.extension import Gate, extend, second_thoughts
+from calflow.stages.extension import extend, second_thoughts
 from calflow.stages.fitted import Fitted
+from calflow.stages.gate import Gate
 from calflow.stages.look import Look
 from calflow.stages.settle import fit_settled
 from robots import industrial
@@ -78,8 +79,7 @@ def test_a_wrong_cause_gives_way_and_a_needless_one_goes(data):
     eccentric, needless = cause("joint-eccentricity", "joint1", order=2), cause("gear-ratio-error", "joint5")
 
     def thoughts(*causes):
-        fitted = begun.with_causes(1, causes, np.zeros(len(begun.fit.estimate) + sum(len(c.declared) for c in causes)))
-        look = Look.at(fitted, causes, catalogue_)
+        look = Look.at(begun.with_causes(causes), catalogue_)
         return second_thoughts(look.findings(look.screened(np.random.default_rng(2)).family), GATE)
 
     assert thoughts(right, eccentric, needless) == [right, eccentric]

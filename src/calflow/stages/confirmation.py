@@ -40,18 +40,18 @@ class Confirmation:
     accuracy: pd.DataFrame
 
 
-def confirm(found: Fitted, base: int, other: Measurements) -> Confirmation:
+def confirm(found: Fitted, other: Measurements) -> Confirmation:
     """Fit the same effects to another series alone, and compare each joint error's curve over the common travel.
 
     Args:
-        found: the extended model on the first series; its first base effects are the study's own.
+        found: the extended model on the first series.
         other: the independent series, split into train and holdout.
     """
     robot = registered(other.robot, other.only(other.train))
     other = other.on(robot)
     train = other.only(other.train)
-    causes = [effect for effect in found.model.effects[base:] if isinstance(effect, Cause) and _is_curve(effect)]
-    plain = tuple(_on(effect, train) for effect in found.model.effects[:base])
+    causes = [cause for cause in found.causes if _is_curve(cause)]
+    plain = tuple(_on(effect, train) for effect in found.plain)
     own = [matched for cause in causes if (matched := _matched(cause, train)) is not None]
     level = noise(other).only(other.train)
 

@@ -13,10 +13,12 @@ from calflow.stages.causes import Catalogue
 from calflow.stages.confirmation import confirm
 from calflow.stages.curves import curves
 from calflow.stages.discrimination import poses_table, question, separations_table
-from calflow.stages.extension import Gate, extend, narrowed, weighed_against
+from calflow.stages.extension import extend, weighed_against
 from calflow.stages.findings import Diagnosis, candidates_table, findings_table
 from calflow.stages.fitted import Fitted
+from calflow.stages.gate import Gate
 from calflow.stages.identified import Identified, effect_table, identified
+from calflow.stages.narrowing import narrowed
 from calflow.stages.noise import averaged
 from calflow.stages.noise_growth import growth
 from calflow.stages.parameters import covariance_table, parameter_table
@@ -53,7 +55,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     final = found.extended.fitted
     faults = context.tables["identify/faults.csv"]
     other = study.confirming
-    confirmed = confirm(final, len(known.model.effects), other.measurements()) if other and found.causes else None
+    confirmed = confirm(final, other.measurements()) if other and found.causes else None
     share = data.train.sum() / (data.train | data.held_out).sum()
     questions = [question(v, final, share, context.rng(f"poses{k}")) for k, v in enumerate(found.verdicts)]
     tables = {

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calflow.effects import Effect
 from calflow.measurements import Measurements
 from calflow.model import Model
 from calflow.stages.causes import Cause
@@ -73,12 +74,29 @@ class Fitted:
         bare = replace(noise, discrepancy=0.0, rotation_discrepancy=0.0)
         return _settled(known.model, data, bare, known.estimate, known.loss)
 
-    def with_causes(self, base: int, causes: Sequence[Cause], start: np.ndarray, share: float = 0.0) -> Fitted:
-        """Fit the first effects of the model with these causes, by IPOPT from a start that is moved inside the bounds.
+    def _values(self, model: Model) -> np.ndarray:
+        """Another model's parameters at the estimates there are, nominal where there are none."""
+        known = dict(zip(((p.effect, p.name) for p in self.model.parameters), self.fit.estimate, strict=True))
+        return np.array([known.get((p.effect, p.name), p.nominal) for p in model.parameters])
 
-        share is how much of chi² is expected to go: a noise that is not known starts smaller by it, and settles at once.
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """What has been found; the other effects are the study's own."""
+        return tuple(effect for effect in self.model.effects if isinstance(effect, Cause))
+
+    @property
+    def plain(self) -> tuple[Effect, ...]:
+        """The study's own effects."""
+        return tuple(effect for effect in self.model.effects if not isinstance(effect, Cause))
+
+    def with_causes(self, causes: Sequence[Cause], start: np.ndarray | None = None, share: float = 0.0) -> Fitted:
+        """Fit the study's own effects with these causes, by IPOPT.
+
+        It starts from the estimates there are, what is new at nothing, unless start says otherwise. share is how much of chi²
+        is expected to go: a noise that is not known starts smaller by it, and settles at once.
         """
-        model = Model(self.model.robot, (*self.model.effects[:base], *causes), self.model.given)
+        model = Model(self.model.robot, (*self.plain, *causes), self.model.given)
+        start = self._values(model) if start is None else start
         bare = replace(self.device, discrepancy=0.0, rotation_discrepancy=0.0)
         if not bare.known:
             bare = replace(bare, sigma=self.noise.sigma / self.far * np.sqrt(1 - share))

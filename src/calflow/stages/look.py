@@ -45,14 +45,18 @@ class Look:
     """One model with causes, and all candidates' regressors there, from one Jacobian."""
 
     fitted: Fitted
-    causes: tuple[Cause, ...]
     regressors: Regressors
 
     @staticmethod
-    def at(fitted: Fitted, causes: Sequence[Cause], catalogue: Catalogue) -> Look:
+    def at(fitted: Fitted, catalogue: Catalogue) -> Look:
         """Linearise a fitted model; its own causes are among the candidates, for when they are taken out."""
-        effects = (*catalogue.effects, *(cause for cause in causes if cause.effect not in catalogue.effects))
-        return Look(fitted, tuple(causes), Regressors.of(fitted.fit, fitted.problem, effects, fitted.poses))
+        own = (cause for cause in fitted.causes if cause.effect not in catalogue.effects)
+        return Look(fitted, Regressors.of(fitted.fit, fitted.problem, (*catalogue.effects, *own), fitted.poses))
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """The model's causes."""
+        return self.fitted.causes
 
     def screened(self, rng: np.random.Generator, known: Family | None = None) -> Screened:
         """Test what the model does not have yet; known is what the number of tests costs, if that is known."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from calflow.stages.causes import Cause
+from calflow.stages.exchange import COLUMNS
 from calflow.stages.look import Finding
 from calflow.stages.screening import Score, by_place
+from calflow.stages.trial import Trial, same, swapped
 from calflow.stages.verdict import WITHIN
 
 DOUBT = 0.05  # share of a cause's evidence by which the linear comparison with a rival may err
@@ -26,6 +29,29 @@ def doubtful(finding: Finding) -> list[Score]:
     own = places.pop(finding.cause.place)[0]
     near = [(bic, score) for bic, score in places.values() if bic - own < WITHIN + doubt]
     return [score for _, score in sorted(near, key=lambda one: one[0])]
+
+
+def doubted(best: Trial) -> Iterator[list[Cause]]:
+    """Yield the causes with a rival of a large one in its place, or without one that has another at its joint."""
+    small = [finding for finding in best.findings if len(finding.cause.declared) <= COLUMNS]
+    for finding in small:
+        cause = finding.cause
+        yield from (swapped(best.causes, cause, score.cause) for score in doubtful(finding))
+        if cause.joint and any(other.cause != cause and other.cause.joint == cause.joint for other in small):
+            yield [other for other in best.causes if other != cause]
+
+
+def verified(best: Trial, tried: Sequence[Trial]) -> tuple[Finding, ...]:
+    """Return the findings, with the rivals' evidence from the fits that there were with one of them in a cause's place."""
+    found = []
+    for finding in best.findings:
+        above = {
+            score.cause.place: other.bic - best.bic
+            for score in doubtful(finding)
+            for other in tried if same(other.causes, swapped(best.causes, finding.cause, score.cause))
+        }  # fmt: skip
+        found.append(corrected(finding, above, best.fitted.fit.residual.size))
+    return tuple(found)
 
 
 def corrected(finding: Finding, above: Mapping[Place, float], n: int) -> Finding:
