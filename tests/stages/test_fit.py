@@ -43,6 +43,18 @@ def test_all_starts_agree(model):
     assert agree == 5
 
 
+@pytest.mark.parametrize("sigma", [1e-6, 1e-7, 1e-9])
+def test_data_almost_without_noise_are_fitted_as_fast(model, sigma):
+    """Breaks if IPOPT goes on for what the round-off of metres hides, as it did for hundreds of iterations below 1 um."""
+    rng = np.random.default_rng(5)
+    truth = drawn_truth(model, rng)
+    result, _ = fit(problem(model, data := measured(model, truth, 80, rng, sigma=sigma), sigma))
+    assert result.status == "Solve_Succeeded"
+    assert result.iterations < 30
+    left = model.position(result.estimate, data.rows) - model.position(truth, data.rows)
+    assert np.abs(left).max() < 3 * sigma + 1e-10
+
+
 def test_a_bound_that_the_truth_passes_is_reported(model):
     """Fails if an active bound goes unnoticed or keeps a symmetric standard deviation."""
     rng = np.random.default_rng(3)

@@ -20,8 +20,9 @@ AT_BOUND = 0.05  # posterior standard deviations from a bound: closer than that,
 LINEARISED_ROWS = 4096  # rows whose Jacobian is handed out at once
 EXPECTED_EVALUATIONS = 20  # of each row, in a typical fit: decides whether compiling pays
 # IPOPT forgives ten round-offs of the objective. Residuals are differences of metres that count in micrometres, whose round-off
-# is larger: with this added for each row, IPOPT forgives it too, and does not search lines for what cannot be seen.
+# is larger: with this added to the scaled objective, IPOPT forgives it too, and does not search lines for what cannot be seen.
 LEVEL = 1e3
+FINEST = 3e-6  # m: a fit to less noise is no more exact than one to this, which is as exact as metres in doubles allow
 SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two starts found the same
 
 
@@ -101,6 +102,16 @@ class Problem:
         """Number of residuals a row: 3 for positions, 6 for poses."""
         return 3 * self.weight.shape[0]
 
+    @property
+    def excess(self) -> float:
+        """How much finer a fit the weights ask for than can be told, squared; 1 where the noise is more than FINEST."""
+        return max(1.0, FINEST * float(np.median(self.weight[0]))) ** 2
+
+    @property
+    def scale(self) -> float:
+        """What the objective is divided by, so that its optimum can be told to the same tolerance for all data."""
+        return self.rows.shape[1] * self.excess
+
     def expression(self) -> tuple[list[ca.SX], ca.SX]:
         """Return symbols (p, row, measured, weight) and the whitened residual (axes,) of one row.
 
@@ -156,7 +167,7 @@ def fit(problem: Problem, starts: np.ndarray | None = None, loss: Loss = "linear
         starts: parameter values to start from, shape (n_starts, n_parameters); nominal by default.
         loss: how the square of a row's whitened residual counts; soft_l1 and cauchy weigh outliers less.
     """
-    solver, _callbacks = _solver(problem, loss)
+    solver, expanded, _callbacks = _solver(problem, loss)
     model = problem.model
     starts = model.nominal[None] if starts is None else starts
     lower, upper = model.bounds.T / model.prior_sd
@@ -164,8 +175,8 @@ def fit(problem: Problem, starts: np.ndarray | None = None, loss: Loss = "linear
     for start in starts:
         inside = np.clip(start / model.prior_sd, lower + 1e-3 * (upper - lower), upper - 1e-3 * (upper - lower))
         found = solver(x0=inside, lbx=lower, ubx=upper)
-        stats = solver.stats()
-        solutions.append((float(found["f"]) - LEVEL * problem.rows.shape[1], np.array(found["x"]).ravel(), stats))
+        at = np.array(found["x"]).ravel()
+        solutions.append((expanded(at.tobytes()).value, at, solver.stats()))
     objective, x, stats = min(solutions, key=lambda solution: solution[0])
     agree = sum(other[0] - objective < SAME_OPTIMUM for other in solutions)
     estimate = x * model.prior_sd
@@ -250,15 +261,18 @@ class _Objective(ca.Callback):
         return [ca.DM(self._answer(*(np.array(a).ravel() for a in arg)))]
 
 
-def _solver(problem: Problem, loss: Loss) -> tuple[ca.Function, list[_Objective]]:
-    """Build IPOPT's solver in coordinates scaled by the priors; the callbacks must live as long as it does."""
-    n, n_rows = len(problem.model.parameters), problem.rows.shape[1]
+def _solver(problem: Problem, loss: Loss) -> tuple[ca.Function, Callable[[bytes], Expansion], list[_Objective]]:
+    """Build IPOPT's solver in coordinates scaled by the priors, and what it expands the objective by.
+
+    The callbacks must live as long as the solver does.
+    """
+    n = len(problem.model.parameters)
 
     @lru_cache(maxsize=2)
     def at(point: bytes) -> Expansion:
         return expansion(problem, np.frombuffer(point), loss)
 
-    value = _Objective("value", [n], (1, 1), lambda x: at(x.tobytes()).value + LEVEL * n_rows)
+    value = _Objective("value", [n], (1, 1), lambda x: at(x.tobytes()).value + LEVEL * problem.scale)
     gradient = _Objective("gradient", [n], (n, 1), lambda x: at(x.tobytes()).gradient)
     hessian = _Objective("hessian", [n, 1], (n, n), lambda x, factor: float(factor[0]) * at(x.tobytes()).hessian)
     x, p, factor, multipliers = ca.MX.sym("x", n), ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
@@ -271,10 +285,11 @@ def _solver(problem: Problem, loss: Loss) -> tuple[ca.Function, list[_Objective]
         "no_nlp_grad": True,
         "print_time": False,
         "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-6, "max_iter": 200, "nlp_scaling_method": "none",
-                  "obj_scaling_factor": 1 / n_rows, "mu_init": 1e-4, "bound_relax_factor": 0.0},
+                  "obj_scaling_factor": 1 / problem.scale, "mu_init": 1e-4, "bound_relax_factor": 0.0,
+                  "dual_inf_tol": problem.excess, "compl_inf_tol": 1e-4 * problem.excess},
     }  # fmt: skip
     nlp: Any = {"x": x, "f": value(x)}
-    return ca.nlpsol("fit", "ipopt", nlp, options), [value, gradient, hessian]
+    return ca.nlpsol("fit", "ipopt", nlp, options), at, [value, gradient, hessian]
 
 
 def _rho(squared: np.ndarray, loss: Loss) -> np.ndarray:
