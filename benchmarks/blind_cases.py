@@ -19,7 +19,8 @@ from calflow.stages.fitted import Fitted
 from calflow.stages.identified import identified
 from calflow.stages.look import Finding, Look, Screened
 from calflow.stages.noise import averaged
-from calflow.stages.screening import Products, Screening
+from calflow.stages.regressors import Products
+from calflow.stages.screening import Screening
 from calflow.stages.verdict import verdict
 from calflow.study import Study, load_study
 from hidden.case import Case, World, draw, write_case

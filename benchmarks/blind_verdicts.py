@@ -16,7 +16,8 @@ from calflow.stages.accuracy import errors
 from calflow.stages.fitted import Fitted
 from calflow.stages.identified import calibrated, identified
 from calflow.stages.refinement import finest
-from calflow.stages.screening import Regressors, Screening
+from calflow.stages.regressors import Regressors
+from calflow.stages.screening import Screening
 from calflow.study import Study
 from hidden.causes import Hidden
 

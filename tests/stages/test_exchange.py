@@ -11,7 +11,8 @@ from calflow.effects import catalogue
 from calflow.stages.causes import Cause
 from calflow.stages.detection_limit import detection_limit, noncentrality
 from calflow.stages.exchange import Exchange
-from calflow.stages.screening import Candidate, Family, Products, Regressors, Screening
+from calflow.stages.regressors import Candidate, Products, Regressors
+from calflow.stages.screening import Family, Screening
 from robots import industrial
 
 ROBOT = industrial()

@@ -5,40 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.effects import catalogue
-from calflow.model import Model, build
-from calflow.stages.causes import Catalogue, Cause
+from calflow.stages.causes import Catalogue
 from calflow.stages.extension import extend, second_thoughts
-from calflow.stages.fitted import Fitted
 from calflow.stages.gate import Gate
 from calflow.stages.look import Look
-from calflow.stages.settle import fit_settled
-from robots import industrial
-from stages.data import measured, stated
+from stages.found import cause, hidden, start
 
 TESTED = ("joint-eccentricity", "gear-ratio-error", "joint-compliance", "base-compliance", "periodic-joint-error")
 GATE = Gate(0.01, 4)
-
-
-def cause(name, part, **variant):
-    """One cause on the industrial robot."""
-    return Cause(robot := industrial(), catalogue()[name](robot, **variant), part)
-
-
-def start(data):
-    """Geometry alone, fitted."""
-    model = build(data.robot, ("geometry",))
-    fit, noise, lack, _ = fit_settled(model, data, stated(data), model.nominal[None], "linear")
-    return Fitted(fit, data, noise, lack, "linear", noise)
-
-
-def hidden(values, poses=80, seed=4):
-    """Poses of a robot with causes of these sizes."""
-    robot = industrial()
-    model = Model(robot, (*build(robot, ("geometry",)).effects, *(cause for cause, _ in values)))
-    sizes = [size for _, value in values for size in value]
-    truth = np.concatenate([np.zeros(len(model.parameters) - len(sizes)), sizes])
-    return measured(model, truth, poses, np.random.default_rng(seed))
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,8 @@ from calflow.effects import catalogue
 from calflow.model import Model, build
 from calflow.stages.causes import Catalogue, Cause
 from calflow.stages.fit import fit
-from calflow.stages.screening import Regressors, Screening, prior_cost, shared_error
+from calflow.stages.regressors import Regressors, shared_error
+from calflow.stages.screening import Screening, prior_cost
 from robots import industrial
 from stages.data import measured, problem
 

@@ -8,7 +8,8 @@ import pytest
 from calflow.effects import catalogue
 from calflow.stages.causes import Cause
 from calflow.stages.look import Finding
-from calflow.stages.screening import Candidate, Family, Score, by_place
+from calflow.stages.regressors import Candidate
+from calflow.stages.screening import Family, Score, by_place
 from calflow.stages.verdict import WITHIN, verdict
 from robots import industrial
 

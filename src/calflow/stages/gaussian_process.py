@@ -12,7 +12,8 @@ import numpy as np
 from calflow.model import Model
 from calflow.stages.causes import Cause
 from calflow.stages.fitted import Fitted
-from calflow.stages.screening import Regressors, Screening
+from calflow.stages.regressors import Regressors
+from calflow.stages.screening import Screening
 
 SIZES = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 61)])  # over the prior's, that are tried
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from calflow.stages.causes import Catalogue, Cause
 from calflow.stages.fitted import Fitted
-from calflow.stages.screening import Family, Regressors, Score, Screening
+from calflow.stages.regressors import Regressors
+from calflow.stages.screening import Family, Score, Screening
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ import numpy as np
 from calflow.stages.causes import Catalogue, Cause
 from calflow.stages.fitted import Fitted
 from calflow.stages.look import Look
-from calflow.stages.screening import Regressors, Score, Screening
+from calflow.stages.regressors import Regressors
+from calflow.stages.screening import Score, Screening
 from calflow.stages.trial import Trial, swapped
 
 CLEARLY_FINER = 2.0  # of BIC: by how much a variant must be better than its neighbour for another fit

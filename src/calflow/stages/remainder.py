@@ -21,7 +21,8 @@ from calflow.measurements import Measurements
 from calflow.robot.chain import Deflection
 from calflow.robot.statics import State
 from calflow.stages.fitted import Fitted
-from calflow.stages.screening import Family, Regressors, Score, Screening
+from calflow.stages.regressors import Regressors
+from calflow.stages.screening import Family, Score, Screening
 
 SIZE = 3e-4  # rad or m, of a decoy before any data
 ORDERS = 6  # of a function of one joint
