@@ -85,6 +85,7 @@ class Effect(ABC):
     needs: ClassVar[tuple[str, ...]] = ()  # what it cannot do without: see `unmet`
     family: ClassVar[str] = ""  # what to call it when the data do not tell it from others of its family
     alike: ClassVar[tuple[str, ...]] = ()  # ids that no pose tells from it: only another sensor or load would
+    told_by: ClassVar[str] = ""  # what to do at the robot to tell it from its rivals where no pose does
 
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:

@@ -28,6 +28,7 @@ class BaseCompliance(Effect):
     id: ClassVar[str] = "base-compliance"
     title: ClassVar[str] = "base compliance (tilt of the foundation)"
     needs: ClassVar[tuple[str, ...]] = ("masses",)
+    told_by: ClassVar[str] = "watch a marker on the robot's foot while the arm reaches out"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -22,6 +22,7 @@ class BearingCompliance(Effect):
     id: ClassVar[str] = "bearing-compliance"
     title: ClassVar[str] = "bearing compliance (tilt off the joint's axis)"
     needs: ClassVar[tuple[str, ...]] = ("masses",)
+    told_by: ClassVar[str] = "watch a marker close behind the bearing while the load changes"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return two compliances a joint."""

@@ -31,6 +31,7 @@ class FrameDrift(Effect):
 
     id: ClassVar[str] = "frame-drift"
     title: ClassVar[str] = "drift of the measuring device"
+    told_by: ClassVar[str] = "measure points fixed to the floor from time to time"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

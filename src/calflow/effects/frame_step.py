@@ -30,6 +30,7 @@ class FrameStep(Effect):
     id: ClassVar[str] = "frame-step"
     title: ClassVar[str] = "step of the measuring device"
     needs: ClassVar[tuple[str, ...]] = ("order",)
+    told_by: ClassVar[str] = "measure points fixed to the floor from time to time"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

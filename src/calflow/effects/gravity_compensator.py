@@ -39,6 +39,7 @@ class GravityCompensator(Effect):
     id: ClassVar[str] = "gravity-compensator"
     title: ClassVar[str] = "gravity compensator"
     needs: ClassVar[tuple[str, ...]] = ("masses",)
+    told_by: ClassVar[str] = "measure some poses again with the compensator's pressure released or its spring unhooked"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -20,6 +20,7 @@ class JointBacklash(JointError):
     title: ClassVar[str] = "backlash by direction of approach"
     needs: ClassVar[tuple[str, ...]] = ("approach",)
     alike: ClassVar[tuple[str, ...]] = ("joint-hysteresis",)  # where it has fully developed at every pose
+    told_by: ClassVar[str] = "vary the travel since the last reversal, from tenths of a degree to many degrees"
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the half of the play, on the side the joint came from."""

@@ -57,6 +57,7 @@ class LinkBending(Effect):
     id: ClassVar[str] = "link-bending"
     title: ClassVar[str] = "link bending"
     needs: ClassVar[tuple[str, ...]] = ("masses",)
+    told_by: ClassVar[str] = "put markers on both ends of the link, and watch them while the load changes"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return one flexibility a long link."""

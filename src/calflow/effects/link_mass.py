@@ -19,6 +19,7 @@ class LinkMass(Effect):
     id: ClassVar[str] = "link-mass"
     title: ClassVar[str] = "link mass"
     needs: ClassVar[tuple[str, ...]] = ("masses",)
+    told_by: ClassVar[str] = "compare the motors' torques at standstill with those computed"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return a relative error a link."""

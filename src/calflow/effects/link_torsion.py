@@ -21,6 +21,9 @@ class LinkTorsion(Effect):
     id: ClassVar[str] = "link-torsion"
     title: ClassVar[str] = "link torsion"
     needs: ClassVar[tuple[str, ...]] = ("masses",)
+    told_by: ClassVar[str] = (
+        "put two markers on the link's end, abreast of each other, and watch them while the load changes"
+    )
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return one flexibility a long link."""

@@ -19,6 +19,7 @@ class PayloadCom(Effect):
     id: ClassVar[str] = "payload-com"
     title: ClassVar[str] = "payload centre of mass"
     needs: ClassVar[tuple[str, ...]] = ("masses", "payload")
+    told_by: ClassVar[str] = "weigh the payload on two supports"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the shift."""

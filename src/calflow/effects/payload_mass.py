@@ -19,6 +19,7 @@ class PayloadMass(Effect):
     id: ClassVar[str] = "payload-mass"
     title: ClassVar[str] = "payload mass"
     needs: ClassVar[tuple[str, ...]] = ("masses", "payload")
+    told_by: ClassVar[str] = "weigh the payload"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return a relative error of all, and of each where there are several."""

@@ -32,6 +32,7 @@ class ThermalGrowth(Effect):
 
     id: ClassVar[str] = "thermal-growth"
     title: ClassVar[str] = "thermal growth"
+    told_by: ClassVar[str] = "measure some poses again when the robot is cold"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -29,6 +29,7 @@ class ToolDeflection(Effect):
     id: ClassVar[str] = "tool-deflection"
     title: ClassVar[str] = "tool deflection"
     needs: ClassVar[tuple[str, ...]] = ("payload",)
+    told_by: ClassVar[str] = "put a marker on the flange beside those on the tool"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -25,6 +25,7 @@ class TorqueBacklash(JointError):
     id: ClassVar[str] = "torque-backlash"
     title: ClassVar[str] = "backlash by sign of torque"
     needs: ClassVar[tuple[str, ...]] = ("torques",)
+    told_by: ClassVar[str] = "measure some poses again with a load that turns the joint's torque around"
 
     @cached_property
     def rated(self) -> np.ndarray:

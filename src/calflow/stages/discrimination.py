@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 
+from calflow.effects import catalogue
 from calflow.measurements import Measurements, condition_columns
 from calflow.stages.candidates import candidates
 from calflow.stages.causes import Cause
@@ -22,10 +23,7 @@ from calflow.stages.verdict import Rival, Verdict, label
 POSES = 20
 CANDIDATES = 600  # poses to choose from, for each payload
 APART = ["separation_before_sd", "separation_after_sd", "chance_after"]
-ELSE = {  # what tells a cause from one that the data could not test
-    "joint-hysteresis": "log each joint's travel since its last reversal (columns travel1_deg …)",
-    "joint-backlash": "vary the travel since the last reversal, from tenths of a degree to many degrees",
-}
+ANY_MEANS = "another sensor, or a load of another size or from another direction, is needed"
 ENOUGH = 0.9  # chance of excluding a rival at which poses are worth measuring
 
 
@@ -47,15 +45,14 @@ class Separation:
         apart = f"they separate by {self.after:.1f} sd instead of {self.before:.1f}"
         if self.proposed:
             return f"measure the {POSES} poses of next_poses.csv: {apart}"
+        rival = catalogue()[self.rival.id]
         if self.rival.cause is None:
-            return (
-                f"no pose tells {cause.id} from {self.rival.id} in these data: "
-                f"{ELSE.get(self.rival.id, 'another sensor or another direction of load is needed')}"
-            )
+            return f"no pose tells {cause.id} from {rival.id} in these data: {rival.told_by or ANY_MEANS}"
         if self.chance < ENOUGH:
+            means = dict.fromkeys(filter(None, (cause.effect.told_by, rival.told_by)))
             return (
-                f"no {POSES} poses under these loads tell {cause.id} from {self.rival.id} ({self.after:.1f} sd after them): "
-                "another payload, a load from another direction, or a sensor at the joint is needed"
+                f"no {POSES} poses under these loads tell {cause.id} from {rival.id} ({self.after:.1f} sd after them): "
+                f"{', or '.join(means) or ANY_MEANS}"
             )
         return f"measure {POSES} further poses, once the other rivals are excluded: {apart}"
 
@@ -171,11 +168,11 @@ def separations_table(questions: Sequence[Question]) -> pd.DataFrame:
 
 
 def _choices(fitted: Fitted, rng: np.random.Generator) -> Choices:
-    """Draw poses in the measured region, under every payload there was, each joint coming from either side."""
+    """Draw poses in the measured region, under every payload there was or may be, each joint coming from either side."""
     data, model = fitted.data, fitted.model
     region = np.array([data.position.min(axis=0), data.position.max(axis=0)])
     readings, approach, payloads, packed = [], [], [], []
-    for payload in dict.fromkeys(data.table["payload"]):
+    for payload in dict.fromkeys([*data.table["payload"], *data.robot.payloads]):
         drawn, _ = candidates(model, CANDIDATES, payload, str(data.table["marker"].iloc[0]), region, rng)
         came = rng.choice([-1.0, 1.0], drawn.shape)
         table = _rows_like(data, drawn, came, str(payload), rng)
