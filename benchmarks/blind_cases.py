@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from calflow.faults import mended
 from calflow.runs import run
@@ -27,6 +27,7 @@ from hidden.case import Case, World, draw, write_case
 from hidden.causes import Hidden, measured_points
 
 FALSE_ALARM = 0.01
+QUANTILES = (np.arange(200) + 0.5) / 200  # of a distribution that is averaged over
 TRIES = 30
 SIZES = (1.0, 1.5, 2.0, 3.0, 5.0)
 NULLS = ("gauss", "heavy", "range", "outliers")
@@ -253,8 +254,9 @@ def _limit(bare: Bare, h: Hidden, shift: np.ndarray, others: Sequence[np.ndarray
 def _expected(bare: Bare, h: Hidden, shift: np.ndarray) -> tuple[int, float]:
     """How many causes are as near to this one as the verdict allows, itself included, and the chance that it is named first.
 
-    Scores are those without noise. Noise of one sigma lets the difference of two causes' chi², d² without it, spread by 2 d;
-    the chance is that against the rival most likely to win, an upper bound.
+    Scores are those without noise. Noise of one sigma lets the difference of two causes' chi², d² without it, spread by 2 d, and
+    fits each parameter that the rival has more than the cause by a chi² of its own; the chance is that against the rival most
+    likely to win, an upper bound.
     """
     seen, n = _screened(bare, shift), len(shift)
     scores = [
@@ -268,12 +270,18 @@ def _expected(bare: Bare, h: Hidden, shift: np.ndarray) -> tuple[int, float]:
     own = [score for score in scores if (score.cause.id, score.cause.joint) == (h.cause, h.joint)]
     best = min(own, key=lambda score: score.delta_bic)
     rivals = verdict(Finding(best.cause, tuple(scores), bare.screened.family)).rivals
-    leads = [
-        rival.bic / (2 * np.sqrt(max(best.drop - rival.score.drop, 1e-6)))
+    chances = [
+        _leads(rival.bic, best.drop - rival.score.drop, rival.score.shown - best.shown)
         for rival in rivals
         if rival.score is not None
     ]
-    return 1 + len({rival.id for rival in rivals}), float(norm.cdf(min(leads, default=np.inf)))
+    return 1 + len({rival.id for rival in rivals}), min(chances, default=1.0)
+
+
+def _leads(bic: float, apart: float, more: int) -> float:
+    """The chance that a cause's BIC stays below a rival's, bic and apart in chi² above it without noise, with more parameters."""
+    fitted = chi2.ppf(QUANTILES, more) if more > 0 else np.zeros(1)
+    return float(norm.cdf((bic - fitted) / (2 * np.sqrt(max(apart, 1e-6)))).mean())
 
 
 def _screened(bare: Bare, residual: np.ndarray, others: Sequence[np.ndarray] = ()) -> Screening:

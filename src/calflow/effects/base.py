@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from calflow.measurements import Measurements
 
 
+NOTHING = 1e-300  # keeps the slope of a length finite where the length is zero
+
+
 @dataclass(frozen=True)
 class Parameter:
     """A bounded decision variable (SI units); at its nominal value the effect is absent.
@@ -123,11 +126,11 @@ class Effect(ABC):
         """Return what explains it at a joint (0 for none): the row's place in measuring order unless it knows better."""
         return Variable("place in measuring order", "", lambda state, row: row.order)
 
-    def size(self, values: np.ndarray) -> float:
-        """Return one figure for the parameters of one part: their length, of those with the first one's unit."""
+    def size(self, p: ca.SX) -> ca.SX:
+        """Return one figure for the parameters (n,) of one part: their length, of those with the first one's unit."""
         unit = self.declared[0].unit
-        same = [parameter.unit == unit for parameter in self.declared[: len(values)]]
-        return float(np.linalg.norm(values[np.array(same)]))
+        same = [k for k, parameter in enumerate(self.declared[: p.numel()]) if parameter.unit == unit]
+        return ca.sqrt(ca.sumsqr(p[same]) + NOTHING)
 
     @property
     def detail(self) -> str:

@@ -63,9 +63,9 @@ class JointErrorMap(JointError):
         """Say how smooth it is."""
         return f"alike over {self.length:g} rad"
 
-    def size(self, values: np.ndarray) -> float:
+    def size(self, p: ca.SX) -> ca.SX:
         """Return the curve's root mean square: a wave of amplitude 1 has 1/sqrt(2)."""
-        return float(np.linalg.norm(values) / sqrt(2))
+        return super().size(p) / sqrt(2)
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the waves, the longest first."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 import numpy as np
@@ -13,19 +13,39 @@ import numpy as np
 from calflow.conditions import Row
 from calflow.effects.base import Variable
 from calflow.effects.joint_error import JointError, Term
+from calflow.robot.description import Robot
 from calflow.robot.statics import State, rated_torques
 
-PLAY = 0.01  # share of the rated torque within which a gear crosses its play
+if TYPE_CHECKING:
+    from calflow.measurements import Measurements
+
+CROSSINGS = (0.002, 0.02)  # share of the rated torque within which a gear crosses its play
 
 
 @dataclass(frozen=True)
 class TorqueBacklash(JointError):
-    """dq = b/2 · sign(torque), smoothed where the torque changes sign."""
+    """dq = b/2 · sign(torque), smoothed where the torque changes sign: within about crossing times the rated torque."""
+
+    crossing: float = CROSSINGS[0]
 
     id: ClassVar[str] = "torque-backlash"
     title: ClassVar[str] = "backlash by sign of torque"
     needs: ClassVar[tuple[str, ...]] = ("torques",)
     told_by: ClassVar[str] = "measure some poses again with a load that turns the joint's torque around"
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return a sharp and a gradual change of sides."""
+        return tuple(cls(robot, crossing) for crossing in CROSSINGS)
+
+    def finer(self, data: Measurements) -> tuple[Self, ...]:
+        """Return sharper and more gradual changes."""
+        return tuple(replace(self, crossing=float(self.crossing * factor)) for factor in np.geomspace(1 / 2, 2, 9))
+
+    @property
+    def detail(self) -> str:
+        """Say how sharp the change of sides is."""
+        return f"crossed within {100 * self.crossing:.2g} % of the rated torque"
 
     @cached_property
     def rated(self) -> np.ndarray:
@@ -34,7 +54,7 @@ class TorqueBacklash(JointError):
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the half of the play, on the side the load presses."""
-        return [Term("b", "rad", 3e-4, 10e-3, ca.tanh(state.torque[joint] / (PLAY * self.rated[joint])) / 2)]
+        return [Term("b", "rad", 3e-4, 10e-3, ca.tanh(state.torque[joint] / (self.crossing * self.rated[joint])) / 2)]
 
     def variable(self, joint: int) -> Variable:
         """Return the joint's torque."""

@@ -11,6 +11,7 @@ import pandas as pd
 from calflow.effects import catalogue
 from calflow.measurements import Measurements
 from calflow.stages.accuracy import errors
+from calflow.stages.amplitude import amplitude, found_amplitude
 from calflow.stages.causes import Cause
 from calflow.stages.detection_limit import detection_limit
 from calflow.stages.extension import Extended
@@ -124,18 +125,6 @@ def candidates_table(found: Diagnosis) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=CANDIDATES).astype({"joint": "Int64"})
 
 
-def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-    """Return one figure for a cause's parameters, and its standard deviation; a single parameter keeps its sign."""
-    if len(values) == 1:
-        return float(values[0]), float(np.sqrt(covariance[0, 0]))
-    size = cause.effect.size(values)
-    step = 1e-6 * np.sqrt(np.diag(covariance)) + 1e-300
-    slope = np.array(
-        [(cause.effect.size(values + h) - cause.effect.size(values - h)) / (2 * h.max()) for h in np.diag(step)]
-    )
-    return size, float(np.sqrt(slope @ covariance @ slope))
-
-
 def _score(score: Score) -> dict[str, object]:
     estimate, sd = amplitude(score.cause, score.estimate, score.covariance)
     return {
@@ -148,8 +137,7 @@ def _score(score: Score) -> dict[str, object]:
 def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None) -> dict[str, object]:
     """One finding's row; left is what nobody can name along the same input, which makes a certain name uncertain."""
     cause = verdict.finding.cause
-    own = fitted.model.columns(cause)
-    estimate, sd = amplitude(cause, fitted.fit.estimate[own], fitted.fit.covariance[np.ix_(own, own)])
+    estimate, sd = found_amplitude(verdict.finding, fitted)
     others = list(
         dict.fromkeys(rival.id for rival in verdict.rivals if rival.id != cause.id or rival.joint != cause.joint)
     )
