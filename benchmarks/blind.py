@@ -235,7 +235,18 @@ def _by(key: pd.Series, rows: pd.DataFrame) -> pd.DataFrame:
     within = key[seen.index]
     inside = (seen["z"].abs() < 1.96).where(seen["z"].notna()).astype(float)
     names = (
-        seen[["right", "first_by_calculation", "up_to_class", "in_set", "set_size", "set_by_calculation", "found"]]
+        seen[
+            [
+                "right",
+                "probability",
+                "first_by_calculation",
+                "up_to_class",
+                "in_set",
+                "set_size",
+                "set_by_calculation",
+                "found",
+            ]
+        ]
         .astype(float)
         .groupby(within)
         .mean()

@@ -255,7 +255,7 @@ def _expected(bare: Bare, h: Hidden, shift: np.ndarray) -> tuple[int, float]:
     """How many causes are as near to this one as the verdict allows, itself included, and the chance that it is named first.
 
     Scores are those without noise. Noise of one sigma lets the difference of two causes' chi², d² without it, spread by 2 d, and
-    fits each parameter that the rival has more than the cause by a chi² of its own; the chance is that against the rival most
+    fits each parameter that one of them has more than the other by a chi² of its own; the chance is that against the rival most
     likely to win, an upper bound.
     """
     seen, n = _screened(bare, shift), len(shift)
@@ -280,7 +280,7 @@ def _expected(bare: Bare, h: Hidden, shift: np.ndarray) -> tuple[int, float]:
 
 def _leads(bic: float, apart: float, more: int) -> float:
     """The chance that a cause's BIC stays below a rival's, bic and apart in chi² above it without noise, with more parameters."""
-    fitted = chi2.ppf(QUANTILES, more) if more > 0 else np.zeros(1)
+    fitted = np.sign(more) * chi2.ppf(QUANTILES, abs(more)) if more else np.zeros(1)
     return float(norm.cdf((bic - fitted) / (2 * np.sqrt(max(apart, 1e-6)))).mean())
 
 

@@ -86,6 +86,15 @@ def test_many_rows_equal_single_ones() -> None:
         assert np.array_equal(derivative[k], model.position_jacobian(p, rows[:, [k]])[0])
 
 
+def test_whole_numbers_are_numbers() -> None:
+    """Breaks if parameters that come as integers are read as the bits of floating-point ones."""
+    robot = robots.hh800()
+    model, rows = build(robot, ("geometry",)), robots.rows(Model(robot, ()), robots.poses(robot, 3))
+    whole = np.zeros(len(model.parameters), dtype=int)
+    whole[0] = 1
+    assert_allclose(model.position(whole, rows), model.position(whole.astype(float), rows), atol=0)
+
+
 def test_closure_is_told_for_each_row() -> None:
     """Breaks if the closure's cosine is another row's; a robot without loop can always be closed."""
     robot = robots.hh800_with_bars(0.75, 1.7, 0.9)

@@ -184,7 +184,10 @@ def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[n
         part = slice(first, min(first + size, n_rows))
         mapped = _mapped(function, part.stop - part.start)
         buffer, evaluate = mapped.buffer()  # CasADi reads and writes NumPy's memory: no lists between
-        arguments = [np.tile(p, (part.stop - part.start, 1)), *(np.ascontiguousarray(row[:, part].T) for row in rows)]
+        arguments = [
+            np.tile(np.asarray(p, dtype=float), (part.stop - part.start, 1)),
+            *(np.ascontiguousarray(row[:, part].T) for row in rows),
+        ]
         for k, argument in enumerate(arguments):
             buffer.set_arg(k, memoryview(argument.ravel()))  # type: ignore[call-arg, arg-type]
         for k, value in enumerate(values):

@@ -597,6 +597,22 @@ def test_a_knee_between_two_that_are_tried_is_reached(full: Measurements) -> Non
         assert all(np.abs(finer - other).min() < 0.05 for other in knees if abs(other - variant.knee) < 0.16)
 
 
+def test_backlash_does_not_become_a_stiffness(full: Measurements) -> None:
+    """Breaks if a change of sides is refined until it is a smooth function of the torque, or not refined at all."""
+    crossings = {effect.crossing for effect in catalogue()["torque-backlash"].variants(full.robot, full)}
+    for _ in range(6):
+        finer = {e.crossing for c in crossings for e in made_torque(full, c).finer(full)}
+        assert finer
+        crossings = {min(finer), max(finer)}
+    assert min(crossings) < 0.001
+    assert 0.025 < max(crossings) <= 0.05
+
+
+def made_torque(data: Measurements, crossing: float) -> Effect:
+    """Backlash by torque with one width of its change of sides."""
+    return catalogue()["torque-backlash"](data.robot, crossing)
+
+
 def test_orders_are_scanned_without_gaps(full: Measurements) -> None:
     """Breaks if an order between two that are tried could be missed, or refinement leaves the neighbourhood."""
     variants = catalogue()["periodic-joint-error"].variants(full.robot, full)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.stages.amplitude import amplitude, found_amplitude
+from calflow.stages.amplitude import amplitude, found_amplitude, same_quantities
 from calflow.stages.causes import Catalogue
 from calflow.stages.look import Look
 from stages.found import cause, hidden, start
@@ -66,3 +66,14 @@ def test_two_forms_alike_leave_the_amplitude_open(fitted, finding):
         (found_amplitude(finding, fitted)[1] ** 2 + spread**2 + (size - estimate) ** 2) / 2, rel=1e-6
     )
     assert sd > found_amplitude(with_evidence(finding, 6.0), fitted)[1] > found_amplitude(finding, fitted)[1]
+
+
+def test_a_cause_at_its_bound_has_no_spread(fitted, finding):
+    """Breaks if other forms lend a deviation to a value that a bound has stopped, or count that mean another quantity."""
+    model = fitted.model
+    bounded = replace(fitted, fit=replace(fitted.fit, estimate=np.where(np.isin(np.arange(len(model.parameters)),
+                      model.columns(SECOND)), model.bounds[:, 1], fitted.fit.estimate)))  # fmt: skip
+    assert found_amplitude(with_evidence(finding, 0.0), bounded)[1] == 0
+    knee, cubic = cause("nonlinear-joint-stiffness", "joint2", knee=0.3), cause("nonlinear-joint-stiffness", "joint2")
+    assert not same_quantities(knee, cubic)
+    assert same_quantities(FIRST, SECOND)

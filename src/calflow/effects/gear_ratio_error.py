@@ -17,6 +17,7 @@ class GearRatioError(JointError):
 
     id: ClassVar[str] = "gear-ratio-error"
     title: ClassVar[str] = "gear ratio error"
+    told_by: ClassVar[str] = "turn the joint alone over all its travel, and measure closely on the way"
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the joint's angle."""

@@ -25,6 +25,7 @@ class GearTransmissionError(JointError):
     title: ClassVar[str] = "gear transmission error"
     needs: ClassVar[tuple[str, ...]] = ("gear_ratio",)
     family: ClassVar[str] = TRANSMISSION
+    told_by: ClassVar[str] = "turn the joint alone over all its travel, and measure closely on the way"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

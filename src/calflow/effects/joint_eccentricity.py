@@ -24,6 +24,7 @@ class JointEccentricity(JointError):
     id: ClassVar[str] = "joint-eccentricity"
     title: ClassVar[str] = "eccentricity"
     family: ClassVar[str] = TRANSMISSION
+    told_by: ClassVar[str] = "turn the joint alone over all its travel, and measure closely on the way"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

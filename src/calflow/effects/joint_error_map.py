@@ -41,6 +41,7 @@ class JointErrorMap(JointError):
     id: ClassVar[str] = "joint-error-map"
     title: ClassVar[str] = "joint error map"
     family: ClassVar[str] = TRANSMISSION
+    told_by: ClassVar[str] = "turn the joint alone over all its travel, and measure closely on the way"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

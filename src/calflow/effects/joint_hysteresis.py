@@ -31,7 +31,7 @@ class JointHysteresis(JointError):
     title: ClassVar[str] = "hysteresis by friction"
     needs: ClassVar[tuple[str, ...]] = ("approach", "travel")
     alike: ClassVar[tuple[str, ...]] = ("joint-backlash",)
-    told_by: ClassVar[str] = "log each joint's travel since its last reversal (columns travel1_deg …)"
+    told_by: ClassVar[str] = "vary the travel since the last reversal, from tenths of a degree to many degrees"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

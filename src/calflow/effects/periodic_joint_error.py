@@ -30,6 +30,7 @@ class PeriodicJointError(JointError):
     id: ClassVar[str] = "periodic-joint-error"
     title: ClassVar[str] = "periodic error"
     family: ClassVar[str] = TRANSMISSION
+    told_by: ClassVar[str] = "turn the joint alone over all its travel, and measure closely on the way"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -19,14 +19,16 @@ from calflow.robot.statics import State, rated_torques
 if TYPE_CHECKING:
     from calflow.measurements import Measurements
 
-CROSSINGS = (0.002, 0.02)  # share of the rated torque within which a gear crosses its play
+CROSSING = 0.01  # share of the rated torque within which a gear crosses its play
+CROSSINGS = (0.002, 0.02)  # to look for
+WIDEST = 0.05  # beyond it is a stiffness
 
 
 @dataclass(frozen=True)
 class TorqueBacklash(JointError):
     """dq = b/2 · sign(torque), smoothed where the torque changes sign: within about crossing times the rated torque."""
 
-    crossing: float = CROSSINGS[0]
+    crossing: float = CROSSING
 
     id: ClassVar[str] = "torque-backlash"
     title: ClassVar[str] = "backlash by sign of torque"
@@ -40,7 +42,8 @@ class TorqueBacklash(JointError):
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return sharper and more gradual changes."""
-        return tuple(replace(self, crossing=float(self.crossing * factor)) for factor in np.geomspace(1 / 2, 2, 9))
+        near = (float(self.crossing * factor) for factor in np.geomspace(1 / 2, 2, 9))
+        return tuple(replace(self, crossing=crossing) for crossing in near if crossing <= WIDEST)
 
     @property
     def detail(self) -> str:

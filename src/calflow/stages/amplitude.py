@@ -29,9 +29,10 @@ def found_amplitude(finding: Finding, fitted: Fitted) -> tuple[float, float]:
     cause = finding.cause
     own = fitted.model.columns(cause)
     estimate, sd = amplitude(cause, fitted.fit.estimate[own], fitted.fit.covariance[np.ix_(own, own)])
-    units = [parameter.unit for parameter in cause.declared]
+    if sd == 0:
+        return estimate, sd  # at a bound
     forms = [score for score in finding.scores if score.cause.place == cause.place]
-    others = [s for s in forms if s.cause != cause and [p.unit for p in s.cause.declared] == units]
+    others = [s for s in forms if s.cause != cause and same_quantities(s.cause, cause)]
     least = min(score.delta_bic for score in forms)
     variances, weights = [sd**2], [np.exp((least - finding.own.delta_bic) / 2)]
     for score in others:
@@ -39,3 +40,9 @@ def found_amplitude(finding: Finding, fitted: Fitted) -> tuple[float, float]:
         variances.append(other_sd**2 + (other - estimate) ** 2)
         weights.append(np.exp((least - score.delta_bic) / 2))
     return estimate, float(np.sqrt(np.average(variances, weights=weights)))
+
+
+def same_quantities(one: Cause, other: Cause) -> bool:
+    """Whether the parameters of two forms of a cause mean the same."""
+    first, second = ([(parameter.symbol, parameter.unit) for parameter in cause.declared] for cause in (one, other))
+    return first == second

@@ -23,7 +23,7 @@ from calflow.stages.verdict import Rival, Verdict, label
 POSES = 20
 CANDIDATES = 600  # poses to choose from, for each payload
 APART = ["separation_before_sd", "separation_after_sd", "chance_after"]
-ANY_MEANS = "another sensor, or a load of another size or from another direction, is needed"
+ANY_MEANS = "another sensor or another load is needed"
 ENOUGH = 0.9  # chance of excluding a rival at which poses are worth measuring
 
 
@@ -31,7 +31,8 @@ ENOUGH = 0.9  # chance of excluding a rival at which poses are worth measuring
 class Separation:
     """How far a cause is apart from one rival [sd]: before, and after further poses, which are either proposed or its own.
 
-    chance is that of excluding the rival then, or the cause if the rival is true.
+    chance is that of excluding the rival then, or the cause if the rival is true; lacking is what a rival that could not be
+    tested needs.
     """
 
     rival: Rival
@@ -39,6 +40,7 @@ class Separation:
     after: float = 0.0
     chance: float = 0.0
     proposed: bool = False
+    lacking: str = ""
 
     def words(self, cause: Cause) -> str:
         """Say what to measure."""
@@ -47,12 +49,13 @@ class Separation:
             return f"measure the {POSES} poses of next_poses.csv: {apart}"
         rival = catalogue()[self.rival.id]
         if self.rival.cause is None:
-            return f"no pose tells {cause.id} from {rival.id} in these data: {rival.told_by or ANY_MEANS}"
+            means = f"it takes {self.lacking}" if self.lacking else rival.told_by or ANY_MEANS
+            return f"no pose tells {cause.id} from {rival.id} in these data: {means}"
         if self.chance < ENOUGH:
-            means = dict.fromkeys(filter(None, (cause.effect.told_by, rival.told_by)))
+            said = dict.fromkeys(filter(None, (cause.effect.told_by, rival.told_by)))
             return (
-                f"no {POSES} poses under these loads tell {cause.id} from {rival.id} ({self.after:.1f} sd after them): "
-                f"{', or '.join(means) or ANY_MEANS}"
+                f"no {POSES} poses with any payload known tell {cause.id} from {rival.id} ({self.after:.1f} sd after them): "
+                f"{', or '.join(said) or ANY_MEANS}"
             )
         return f"measure {POSES} further poses, once the other rivals are excluded: {apart}"
 
@@ -85,7 +88,12 @@ class Question:
 def question(verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Generator) -> Question:
     """Return how to tell a finding from each of its rivals; share is how many of the further poses will be fitted."""
     finding = verdict.finding
-    untested = tuple(Separation(rival) for rival in verdict.rivals if not rival.score)
+    data = fitted.data
+    untested = tuple(
+        Separation(rival, lacking=catalogue()[rival.id].lacking(data.robot, data))
+        for rival in verdict.rivals
+        if not rival.score
+    )
     rivals = [rival for rival in verdict.rivals if rival.score]
     if not rivals:
         return Question(finding.cause, untested)

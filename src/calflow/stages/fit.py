@@ -21,8 +21,8 @@ LINEARISED_ROWS = 4096  # rows whose Jacobian is handed out at once
 EXPECTED_EVALUATIONS = 20  # of each row, in a typical fit: decides whether compiling pays
 # IPOPT forgives ten round-offs of the objective. Residuals are differences of metres that count in micrometres, whose round-off
 # is larger: with this added to the scaled objective, IPOPT forgives it too, and does not search lines for what cannot be seen.
-LEVEL = 1e3
-FINEST = 3e-6  # m: a fit to less noise is no more exact than one to this, which is as exact as metres in doubles allow
+LEVEL = 1e4
+FINEST = 1e-5  # m: a fit to less noise is asked to be no more exact than one to this, as round-off allows
 SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two starts found the same
 
 
@@ -286,7 +286,7 @@ def _solver(problem: Problem, loss: Loss) -> tuple[ca.Function, Callable[[bytes]
         "print_time": False,
         "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-6, "max_iter": 200, "nlp_scaling_method": "none",
                   "obj_scaling_factor": 1 / problem.scale, "mu_init": 1e-4, "bound_relax_factor": 0.0,
-                  "dual_inf_tol": problem.excess, "compl_inf_tol": 1e-4 * problem.excess},
+                  "dual_inf_tol": problem.excess},
     }  # fmt: skip
     nlp: Any = {"x": x, "f": value(x)}
     return ca.nlpsol("fit", "ipopt", nlp, options), at, [value, gradient, hessian]

@@ -9,7 +9,7 @@ import numpy as np
 from calflow.measurements import Measurements
 from calflow.model import Model
 from calflow.stages.fit import Fit, Loss, Problem, fit, restated
-from calflow.stages.noise import LackOfFit, Noise, averaged, lack_of_fit
+from calflow.stages.noise import LEAST_SCATTER, LackOfFit, Noise, averaged, lack_of_fit
 
 START_ROWS = 2000  # rows on which several starts are compared; all rows are fitted from the best
 NOISE_PASSES = 4  # fits in which an estimated noise settles
@@ -36,7 +36,7 @@ def fit_settled(
         if level.known:
             level = replace(level, discrepancy=lack.discrepancy)
         else:
-            level = replace(level, sigma=level.sigma * np.sqrt(lack.reduced_chi2))
+            level = replace(level, sigma=np.maximum(level.sigma * np.sqrt(lack.reduced_chi2), LEAST_SCATTER))
         if level.rotation is not None:
             turned = _lack(result, fitted, slice(3, 6), loss)
             level = replace(level, rotation_discrepancy=turned.discrepancy)
