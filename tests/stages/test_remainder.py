@@ -41,6 +41,7 @@ def test_noise_depends_on_nothing():
     [
         (lambda t: 3e-4 * np.outer(np.sin(t["q4"]) * np.cos(t["q6"]), [0, 0, 1]), {"q4", "q6"}),
         (lambda t: 2e-4 * np.outer(np.sin(2 * np.pi * t["time"] / 113.0), [0, 0, 1]), {"time"}),
+        (lambda t: 2e-4 * np.outer(np.sin(2 * np.pi * t["time"] / 23.0), [0, 0, 1]), {"time"}),  # between two poses
         (lambda t: 2e-4 * np.outer(np.sin(3 * t["q1"]), [0, 0, 1]), {"q1"}),
     ],
 )

@@ -28,7 +28,8 @@ SIZE = 3e-4  # rad or m, of a decoy before any data
 ORDERS = 6  # of a function of one joint
 MOST_PARTS = 3  # unexplained dependences that are told
 MOMENTS = 20  # parts of the rows, between which something may have slipped
-FREQUENCIES = 400  # at most, of a disturbance in time
+FREQUENCIES = 800  # at most, of a disturbance in time
+FASTEST = 2.0  # turns a pose: poses at uneven times tell also what turns more than once between them (Lomb 1976)
 
 
 class Decoy(Effect):
@@ -228,12 +229,12 @@ def _waves(q: ca.SX, of: tuple[int, ...]) -> list[ca.SX]:
 
 
 def _rates(time: np.ndarray) -> np.ndarray:
-    """Angular rates from one turn a session to the fastest that so many rows could tell apart."""
+    """Angular rates from one turn a session to the fastest, half a turn a session apart."""
     span = float(np.ptp(time))
     if span <= 0:
         return np.array([])
-    poses = len(np.unique(time))
-    return 2 * np.pi / span * np.linspace(1.0, float(poses), min(FREQUENCIES, 2 * poses))
+    turns = FASTEST * len(np.unique(time))
+    return 2 * np.pi / span * np.linspace(1.0, turns, min(FREQUENCIES, int(2 * turns)))
 
 
 def _powers() -> list[tuple[int, int, int]]:
