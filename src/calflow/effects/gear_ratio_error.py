@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from calflow.conditions import Row
-from calflow.effects.joint_error import JointError, Term
+from calflow.effects.joint_error import JOINT_ALONE, JointError, Term
 from calflow.robot.statics import State
 
 
@@ -17,7 +17,7 @@ class GearRatioError(JointError):
 
     id: ClassVar[str] = "gear-ratio-error"
     title: ClassVar[str] = "gear ratio error"
-    told_by: ClassVar[str] = "turn the joint alone over all its travel, and measure closely on the way"
+    told_by: ClassVar[str] = JOINT_ALONE
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the joint's angle."""

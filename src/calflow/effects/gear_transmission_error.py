@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
 from calflow.conditions import Row
-from calflow.effects.joint_error import TRANSMISSION, JointError, Term, phases
+from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
 from calflow.robot.description import Robot
 from calflow.robot.statics import State
 
@@ -25,7 +25,7 @@ class GearTransmissionError(JointError):
     title: ClassVar[str] = "gear transmission error"
     needs: ClassVar[tuple[str, ...]] = ("gear_ratio",)
     family: ClassVar[str] = TRANSMISSION
-    told_by: ClassVar[str] = "turn the joint alone over all its travel, and measure closely on the way"
+    told_by: ClassVar[str] = JOINT_ALONE
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

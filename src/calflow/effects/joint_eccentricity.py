@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
 from calflow.conditions import Row
-from calflow.effects.joint_error import TRANSMISSION, JointError, Term, phases
+from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
 from calflow.robot.description import Robot
 from calflow.robot.statics import State
 
@@ -24,7 +24,7 @@ class JointEccentricity(JointError):
     id: ClassVar[str] = "joint-eccentricity"
     title: ClassVar[str] = "eccentricity"
     family: ClassVar[str] = TRANSMISSION
-    told_by: ClassVar[str] = "turn the joint alone over all its travel, and measure closely on the way"
+    told_by: ClassVar[str] = JOINT_ALONE
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -15,6 +15,7 @@ from calflow.robot.chain import Deflection
 from calflow.robot.statics import State
 
 TRANSMISSION = "angular transmission error"
+JOINT_ALONE = "turn the joint alone over all its travel, and measure closely on the way"
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.conditions import Row
-from calflow.effects.joint_error import TRANSMISSION, JointError, Term
+from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term
 from calflow.robot.description import Robot
 from calflow.robot.statics import State
 
@@ -41,7 +41,7 @@ class JointErrorMap(JointError):
     id: ClassVar[str] = "joint-error-map"
     title: ClassVar[str] = "joint error map"
     family: ClassVar[str] = TRANSMISSION
-    told_by: ClassVar[str] = "turn the joint alone over all its travel, and measure closely on the way"
+    told_by: ClassVar[str] = JOINT_ALONE
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

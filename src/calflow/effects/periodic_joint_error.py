@@ -10,7 +10,7 @@ import numpy as np
 
 from calflow.conditions import Row
 from calflow.effects.base import around
-from calflow.effects.joint_error import TRANSMISSION, JointError, Term, phases
+from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
 from calflow.robot.description import Robot
 from calflow.robot.statics import State
 
@@ -30,7 +30,7 @@ class PeriodicJointError(JointError):
     id: ClassVar[str] = "periodic-joint-error"
     title: ClassVar[str] = "periodic error"
     family: ClassVar[str] = TRANSMISSION
-    told_by: ClassVar[str] = "turn the joint alone over all its travel, and measure closely on the way"
+    told_by: ClassVar[str] = JOINT_ALONE
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import f as f_distribution
@@ -73,7 +74,7 @@ class Exchange:
         """Return the best candidate that explains the data better than the two that are gone do together."""
         at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
         best = min(self.scores, key=lambda score: score.delta_bic, default=None)
-        if len(at) < 2 or best is None or not best.delta_bic < self._bic()[at[0], at[1]]:
+        if len(at) < 2 or best is None or not best.delta_bic < self._bic[at[0], at[1]]:
             return None
         return best
 
@@ -82,7 +83,7 @@ class Exchange:
         at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
         if len(at) < len(self.gone):
             return  # what is gone does not show here
-        every = self._bic()
+        every = self._bic
         now = every[at[0], at[1]] if len(at) == 2 else self.scores[at[0]].delta_bic - SPLIT
         limit = now - MATERIAL * len(self.screening.regressors.residual)
         bic = np.where(self._of_different_places, every, np.inf)
@@ -100,6 +101,7 @@ class Exchange:
         where = np.array([number[place] for place in places])
         return np.triu(where[:, None] != where, 1)
 
+    @cached_property
     def _bic(self) -> np.ndarray:
         """Return delta BIC of every pair, shape (m, m)."""
         one = np.eye(COLUMNS)

@@ -17,7 +17,7 @@ from calflow.problems import refuse
 ESTIMATE_START = 1e-4  # m; only the weight of the data against the priors in the very first fit
 SIGNIFICANT = 0.01  # p-value below which a lack of fit is believed
 MIN_REPEATS = 10  # degrees of freedom below which repeats say too little
-LEAST_SCATTER = 1e-7  # m; repeats that scatter less are one reading written twice
+LEAST_SCATTER = 1e-7  # m; repeats that scatter less are one reading written twice, and no robot leaves less
 BROKEN = 3.0  # times the median by which the mean square may exceed it: else a few rows are wrong, not the device bad
 GROSS = 4.0  # robust standard deviations from which a robust fit takes an error for an outlier
 NORMAL_MEDIAN = 0.6745  # median of |x| of a standard normal

@@ -37,7 +37,7 @@ class Trial:
         """Its causes, each weighed against all candidates in its place."""
         return tuple(self.look.findings(self.family)) if self.causes else ()
 
-    @property
+    @cached_property
     def bic(self) -> float:
         """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
         fitted = self.fitted
