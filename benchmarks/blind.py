@@ -38,9 +38,9 @@ import blind_cases as cases
 import blind_verdicts as verdicts
 from blind_cases import Job
 
-from calflow.runs import run
-from calflow.stages.discrimination import POSES
-from calflow.stages.verdict import label
+from calflow.design.discrimination import POSES
+from calflow.diagnosis.findings.verdict import label
+from calflow.runs.run import run
 from calflow.study import Study, load_study
 from hidden.case import Case, draw, write_case
 from hidden.causes import PAYLOADS, measured_points

@@ -10,18 +10,18 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2, norm
 
-from calflow.faults import mended
-from calflow.runs import run
-from calflow.stages.causes import Catalogue
-from calflow.stages.detection_limit import noncentrality
+from calflow.diagnosis.findings.verdict import verdict
+from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.screening.detection_limit import noncentrality
+from calflow.diagnosis.screening.regressors import Products
+from calflow.diagnosis.screening.screening import Screening
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.linearisation import Finding, Linearisation, Screened
+from calflow.estimation.calibrated import identified
+from calflow.estimation.noise import averaged
+from calflow.faults import corrected
+from calflow.runs.run import run
 from calflow.stages.diagnose import SHARES
-from calflow.stages.fitted import Fitted
-from calflow.stages.identified import identified
-from calflow.stages.look import Finding, Look, Screened
-from calflow.stages.noise import averaged
-from calflow.stages.regressors import Products
-from calflow.stages.screening import Screening
-from calflow.stages.verdict import verdict
 from calflow.study import Study, load_study
 from hidden.case import Case, World, draw, write_case
 from hidden.causes import Hidden, measured_points
@@ -160,7 +160,7 @@ def _seed(rng: np.random.Generator) -> int:
 class Bare:
     """The same robot, poses and noise with nothing hidden, fitted and screened."""
 
-    look: Look
+    linearisation: Linearisation
     screened: Screened
 
 
@@ -168,7 +168,7 @@ def begun(study: Study, tables: Mapping[str, pd.DataFrame]) -> tuple[Fitted, Cat
     """Return the fit that diagnose begins with, and its catalogue."""
     data = study.measurements()
     known = identified(study.robot, tables, data.given)
-    data = mended(data.on(known.model.robot), tables["identify/faults.csv"])
+    data = corrected(data.on(known.model.robot), tables["identify/faults.csv"])
     train, level = averaged(data.only(data.train), known.noise(data).only(data.train))
     return Fitted.of(known, train, level), Catalogue.of(train, [effect.id for effect in known.model.effects])
 
@@ -198,8 +198,8 @@ def sized(job: Job, folder: Path) -> Sized:
     write_case(folder, replace(job.case, hidden=nothing, settings=once), np.random.default_rng(job.seed))
     study = load_study(folder)
     fitted, catalogue = begun(study, run(study, folder / "run", stage="identify").tables)
-    look = Look.at(fitted, catalogue)
-    bare = Bare(look, look.screened(rng))
+    linearisation = Linearisation.at(fitted, catalogue)
+    bare = Bare(linearisation, linearisation.screened(rng))
     units = [unit for unit in UNITS if set(unit.columns) <= set(job.case.columns)]
     units = [unit for unit in units if not job.among or unit.cause in job.among]
     if len(job.case.payloads) == 1:
@@ -236,8 +236,8 @@ def _shift(bare: Bare, world: World, which: int) -> np.ndarray:
     """What a cause does to the training rows at its largest size, in standard deviations; linear, from a tenth of it."""
     small = replace(world.hidden[which], size=0.1 * world.hidden[which].size)
     moved = measured_points(world.real, world.rows, (small,)) - measured_points(world.real, world.rows, ())
-    rows = bare.look.fitted.data.table["line"].to_numpy(int) - 2
-    return (10 * moved[rows] / bare.look.fitted.noise.total[0][:, None]).ravel()
+    rows = bare.linearisation.fitted.data.table["line"].to_numpy(int) - 2
+    return (10 * moved[rows] / bare.linearisation.fitted.noise.total[0][:, None]).ravel()
 
 
 def _limit(bare: Bare, h: Hidden, shift: np.ndarray, others: Sequence[np.ndarray] = ()) -> float:
@@ -262,7 +262,7 @@ def _expected(bare: Bare, h: Hidden, shift: np.ndarray) -> tuple[int, float]:
     scores = [
         replace(
             score,
-            delta_bic=n * np.log1p(-score.drop / (n + seen.chi2)) + score.freedom * np.log(n)
+            delta_bic=n * np.log1p(-score.drop / (n + seen.chi2)) + score.degrees_of_freedom * np.log(n)
             + 2 * np.log(seen.variants[score.cause.place]),
         )
         for score in seen.scores
@@ -286,7 +286,7 @@ def _leads(bic: float, apart: float, more: int) -> float:
 
 def _screened(bare: Bare, residual: np.ndarray, others: Sequence[np.ndarray] = ()) -> Screening:
     """Screen a residual, with further columns that the model can imitate."""
-    plain = bare.look.regressors
+    plain = bare.linearisation.regressors
     jacobian = np.column_stack([plain.jacobian, *others])
     return Screening(replace(
         plain, residual=-residual, pull=np.zeros(jacobian.shape[1]), prior_rss=0.0, jacobian=jacobian,

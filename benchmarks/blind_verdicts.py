@@ -10,14 +10,14 @@ import numpy as np
 import pandas as pd
 from blind_cases import begun
 
-from calflow.measurements import Measurements
+from calflow.diagnosis.screening.regressors import Regressors
+from calflow.diagnosis.screening.screening import Screening
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.refinement import finest
+from calflow.estimation.accuracy import errors
+from calflow.estimation.calibrated import calibrated, identified
+from calflow.measurements.measurements import Measurements
 from calflow.model import Model
-from calflow.stages.accuracy import errors
-from calflow.stages.fitted import Fitted
-from calflow.stages.identified import calibrated, identified
-from calflow.stages.refinement import finest
-from calflow.stages.regressors import Regressors
-from calflow.stages.screening import Screening
 from calflow.study import Study
 from hidden.causes import Hidden
 

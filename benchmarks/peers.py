@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from calflow.measurements import Measurements
+from calflow.estimation.accuracy import errors
+from calflow.estimation.fit import LeastSquares, fit
+from calflow.estimation.noise import Noise
+from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.robot.description import Robot
-from calflow.stages.accuracy import errors
-from calflow.stages.fit import Problem, fit
-from calflow.stages.noise import Noise
 
 # modified DH of a UR10 [m, rad]: alpha, a, theta, d of each joint, as pybotics states it
 TABLE = np.array(
@@ -112,7 +112,7 @@ def calflow(q: np.ndarray, xyz: np.ndarray) -> tuple[float, float]:
     train, heldout = data.only(np.arange(len(q)) < TRAIN), data.only(np.arange(len(q)) >= TRAIN)
     started = time.perf_counter()
     model = build(robot, ("geometry",))
-    result, _ = fit(Problem.of(model, train, Noise(np.full(TRAIN, SIGMA), "file")))
+    result, _ = fit(LeastSquares.of(model, train, Noise(np.full(TRAIN, SIGMA), "file")))
     seconds = time.perf_counter() - started
     return seconds, 1e3 * float(np.linalg.norm(errors(model, result.estimate, heldout), axis=1).mean())
 

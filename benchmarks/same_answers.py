@@ -112,7 +112,9 @@ def compare(before: Path, after: Path) -> int:
     table = pd.DataFrame(rows)
     print(table.to_string(index=False))
     both = table.dropna(subset=["time"])
-    print(f"time after/before: all together {both['after_s'].sum() / both['before_s'].sum():.3f}, median {both['time'].median():.3f}")
+    print(
+        f"time after/before: all together {both['after_s'].sum() / both['before_s'].sum():.3f}, median {both['time'].median():.3f}"
+    )
     wrong = table[table["differs"] != ""]
     print(f"{len(table) - len(wrong)} of {len(table)} the same")
     return int(len(wrong) > 0)

@@ -8,10 +8,10 @@ from pathlib import Path
 import emcee
 import numpy as np
 
+from calflow.estimation.fit import LeastSquares, fit
+from calflow.estimation.noise import noise
 from calflow.model import build
-from calflow.stages.fit import Problem, fit
-from calflow.stages.noise import noise
-from calflow.stages.posterior import Laplace, Posterior, moves
+from calflow.sampling.posterior import Laplace, Posterior, moves
 from calflow.study import load_study
 
 STUDY = Path(__file__).parents[1] / "studies" / "hh800" / "study.toml"
@@ -22,7 +22,7 @@ def main() -> None:
     study = load_study(STUDY)
     data = study.measurements()
     train = data.only(data.train)
-    problem = Problem.of(build(study.robot, study.file.effects, data.given), train, noise(train))
+    problem = LeastSquares.of(build(study.robot, study.file.effects, data.given), train, noise(train))
     result, _ = fit(problem)
     posterior = Posterior.about(problem, Laplace.of(problem, result.estimate, result.at_bound))
     n = posterior.n_dimensions

@@ -10,7 +10,7 @@ from pathlib import Path
 STUDY = Path(__file__).parents[1] / "studies" / "hh800"
 RUN = """
 import resource, sys
-from calflow.runs import read_manifest, run
+from calflow.runs.run import read_manifest, run
 from calflow.study import load_study
 study = load_study(sys.argv[1])
 for _ in range(int(sys.argv[3])):  # the first time compiles and imports

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.measurement_file import read_measurements
-from calflow.measurements import Measurements, draw_split
+from calflow.estimation.accuracy import errors
+from calflow.estimation.noise import noise
+from calflow.estimation.registration import registered
+from calflow.estimation.reweighting import fit_reweighted
+from calflow.measurements.measurements import Measurements, draw_split
+from calflow.measurements.reading import read_measurements
 from calflow.model import build
-from calflow.stages.accuracy import errors
 from calflow.stages.identify import extrapolation
-from calflow.stages.noise import noise
-from calflow.stages.registration import registered
-from calflow.stages.settle import fit_settled
 from calflow.study import load_study
 
 STUDY = Path(__file__).parents[1] / "studies" / "fanuc-r2000" / "study.toml"
@@ -45,7 +45,7 @@ def heldout(data: Measurements, effects: tuple[str, ...]) -> np.ndarray:
     data = data.on(robot)
     model = build(robot, effects, data.given)
     level = noise(data).only(data.train)
-    result = fit_settled(model, data.only(data.train), level, model.nominal[None], "linear")[0]
+    result = fit_reweighted(model, data.only(data.train), level, model.nominal[None], "linear")[0]
     return 1e3 * np.linalg.norm(errors(model, result.estimate, data), axis=1)[~data.train]
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
+from calflow.design.candidates import pack
 from calflow.model import Model
 from calflow.robot.description import Base, Robot, read_robot
-from calflow.stages.candidates import pack
 
 HH800 = Path(__file__).parents[1] / "studies" / "hh800" / "robot.toml"
 ASKEW = Base(origin_m=(0.5, -1.2, 0.3), rotation_deg=(3.0, -8.0, 40.0))  # in the measuring frame

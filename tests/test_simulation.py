@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2, kstest
 
+from calflow.design.candidates import pack
 from calflow.model import build
 from calflow.robot.description import read_robot
 from calflow.simulation import simulate
-from calflow.stages.candidates import pack
 
 Q, X = ["q1_deg", "q2_deg", "q3_deg"], ["x_mm", "y_mm", "z_mm"]
 DEVICE = "origin_mm = [3000, 0, 1000]\nfloor_mm = 0.02\nnoise_mm_per_m = 0.005"

@@ -7,15 +7,14 @@ import pandas as pd
 import pytest
 
 import calflow
-from calflow.measurements import Measurements, draw_split
-from calflow.problems import InputError, Problem, nearest, together
+from calflow.files.problems import InputError, Problem, nearest, together
+from calflow.measurements.measurements import Measurements, draw_split
 from calflow.robot.description import read_robot
-from calflow.runs import all_stages
 from calflow.study import find_workflow, load_study, workflow_folder
 
 
 def settings(folder, stage):
-    return load_study(folder.path).validated_settings(stage, all_stages()[stage].settings)
+    return load_study(folder.path).validated_settings(stage()[stage].settings)
 
 
 def test_a_study_is_given_by_its_folder_or_its_file(small):

@@ -9,17 +9,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calflow.prediction import predict
-    from calflow.problems import InputError
-    from calflow.runs import Run, run
+    from calflow.deployment.prediction import predict
+    from calflow.files.problems import InputError
+    from calflow.runs.run import Run, run
     from calflow.simulation import simulate
     from calflow.study import Study, load_study
 
 __all__ = ["InputError", "Run", "Study", "load_study", "predict", "run", "simulate"]
 
 _HOMES = {
-    "InputError": "calflow.problems", "Run": "calflow.runs", "run": "calflow.runs", "Study": "calflow.study",
-    "load_study": "calflow.study", "predict": "calflow.prediction", "simulate": "calflow.simulation",
+    "InputError": "calflow.files.problems", "Run": "calflow.runs.run", "run": "calflow.runs.run", "Study": "calflow.study",
+    "load_study": "calflow.study", "predict": "calflow.deployment.prediction", "simulate": "calflow.simulation",
 }  # fmt: skip
 
 

@@ -47,9 +47,9 @@ def new(folder: Path) -> None:
 @click.argument("study", type=FILE)
 def check(study: Path) -> None:
     """Check a study with its robot, workflow and measurements, and run nothing."""
+    from calflow.files.problems import together
     from calflow.model import build
-    from calflow.problems import together
-    from calflow.runs import stages_of
+    from calflow.runs.run import stages_of
     from calflow.study import load_study
 
     loaded = load_study(study)
@@ -75,8 +75,8 @@ def check(study: Path) -> None:
 @FORCE
 def plan(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
     """Show which stages would run, which would be reused, and why."""
-    from calflow.runs import default_folder
-    from calflow.runs import plan as make_plan
+    from calflow.runs.run import default_folder
+    from calflow.runs.run import plan as make_plan
     from calflow.study import load_study
 
     loaded = load_study(study)
@@ -91,7 +91,7 @@ def plan(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
 @FORCE
 def run(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
     """Run a study: what did not change is reused, what was interrupted is resumed."""
-    from calflow.runs import run as run_study
+    from calflow.runs.run import run as run_study
     from calflow.study import load_study
 
     with _listener() as listener:
@@ -106,8 +106,8 @@ def run(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
 @click.argument("study_or_run", type=FILE)
 def status(study_or_run: Path) -> None:
     """Show how far a run has come: give its folder, or its study."""
-    from calflow.problems import refuse
-    from calflow.runs import default_folder, read_manifest
+    from calflow.files.problems import refuse
+    from calflow.runs.run import default_folder, read_manifest
     from calflow.study import load_study
 
     folder = study_or_run
@@ -127,7 +127,7 @@ def status(study_or_run: Path) -> None:
 @OUT
 def report(study: Path, out: Path | None) -> None:
     """Write the report of a study's results anew."""
-    from calflow.runs import run as run_study
+    from calflow.runs.run import run as run_study
     from calflow.study import load_study
 
     with _listener() as listener:
@@ -141,8 +141,8 @@ def report(study: Path, out: Path | None) -> None:
 @click.option("--force", is_flag=True, help="Write over a file that holds something else.")
 def simulate(truth: Path, out: Path | None, force: bool) -> None:
     """Write the measurements that a truth file describes."""
-    from calflow.problems import refuse
-    from calflow.runs import csv_text
+    from calflow.files.problems import refuse
+    from calflow.runs.run import csv_text
     from calflow.simulation import simulate as simulate_truth
 
     path = out or truth.parent / "measurements.csv"
@@ -159,8 +159,8 @@ def simulate(truth: Path, out: Path | None, force: bool) -> None:
 @click.option("--out", type=FILE, help="CSV to write; printed by default.")
 def predict(run_folder: Path, rows: Path, out: Path | None) -> None:
     """Predict where the calibrated robot's markers will be at the joints and conditions of ROWS.csv."""
-    from calflow.prediction import predict as predict_rows
-    from calflow.runs import csv_text
+    from calflow.deployment.prediction import predict as predict_rows
+    from calflow.runs.run import csv_text
 
     table = predict_rows(run_folder, rows)
     for note in table.attrs["notes"]:
@@ -192,7 +192,7 @@ def main() -> None:
             os._exit(1)
         sys.exit(1)
     except Exception as error:
-        from calflow.problems import InputError
+        from calflow.files.problems import InputError
 
         if not isinstance(error, InputError):
             raise
@@ -201,7 +201,7 @@ def main() -> None:
 
 
 def _write(table: pd.DataFrame, path: Path) -> None:
-    from calflow.runs import write_csv
+    from calflow.runs.run import write_csv
 
     write_csv(path, table)
 

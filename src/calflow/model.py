@@ -12,9 +12,9 @@ import casadi as ca
 import numpy as np
 
 from calflow.compiled import WORTH_EVALUATIONS, compiled
-from calflow.conditions import Row
 from calflow.effects import Effect, Parameter, catalogue
 from calflow.robot.chain import Deflection, marker_point, pose
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
 from calflow.robot.statics import state

@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, field_validator, model_validator
 
+from calflow.design.candidates import candidates, pack
+from calflow.files.problems import InputError, Problem, nearest, refuse, together
+from calflow.files.toml import FileModel, Length, Lengths3, Origin, Unit, read_toml
+from calflow.files.units import spellings
 from calflow.model import Model, build
-from calflow.problems import InputError, Problem, nearest, refuse, together
 from calflow.robot.description import Robot, read_robot
-from calflow.stages.candidates import candidates, pack
 from calflow.study import check_effects, known_effects
-from calflow.toml_file import FileModel, Length, Lengths3, Origin, Unit, read_toml
-from calflow.units import spellings
 
 
 class Region(FileModel):

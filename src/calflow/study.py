@@ -10,12 +10,12 @@ from typing import Any
 
 from pydantic import Field, field_validator
 
-from calflow.measurement_file import locate, read_measurements
-from calflow.measurements import Measurements, MeasurementSource, draw_split
-from calflow.problems import InputError, Problem, nearest, refuse, together
+from calflow.files.problems import InputError, Problem, nearest, refuse, together
+from calflow.files.toml import FileModel, Origin, read_toml, validate
+from calflow.files.units import split_unit
+from calflow.measurements.measurements import Measurements, MeasurementSource, draw_split
+from calflow.measurements.reading import locate, read_measurements
 from calflow.robot.description import Robot, read_robot
-from calflow.toml_file import FileModel, Origin, read_toml, validate
-from calflow.units import split_unit
 
 FEWEST_POSES = 3  # fewer do not even say where the robot stands
 

@@ -17,19 +17,19 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from calflow.conditions import Row
+from calflow.design.candidates import pack
 from calflow.effects import Effect, catalogue
 from calflow.effects.joint_error_map import AMPLITUDE, LENGTHS
 from calflow.faults import checks
-from calflow.measurement_file import read_measurements
-from calflow.measurements import Measurements, condition_columns, numbered
+from calflow.measurements.measurements import Measurements, condition_columns, numbered
+from calflow.measurements.reading import read_measurements
 from calflow.model import Model, over_rows
 from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot, read_robot
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
 from calflow.robot.statics import State, rated_torques, state
 from calflow.robot.transforms import rot_x
-from calflow.stages.candidates import pack
 from hidden import simulator
 from hidden.case import Case, draw, robot_file, stated_tables, write_case
 from hidden.causes import (

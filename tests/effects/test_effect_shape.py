@@ -11,11 +11,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from calflow.conditions import Row
 from calflow.effects import Effect, Parameter, catalogue
 from calflow.effects.joint_compliance import JointCompliance
 from calflow.model import Model, build
 from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions, Loads
 from calflow.robot.statics import State

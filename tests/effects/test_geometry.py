@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 import robots
-from calflow.conditions import Row
 from calflow.effects.geometry import Geometry
 from calflow.model import Model, build
+from calflow.robot.conditions import Row
 from calflow.robot.description import Base, Robot
 from calflow.robot.dimensions import nominal_dimensions
 

@@ -7,11 +7,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
+from calflow.design.candidates import pack
 from calflow.effects.joint_compliance import JointCompliance
 from calflow.model import build
 from calflow.robot.description import Robot
 from calflow.robot.statics import rated_torques
-from calflow.stages.candidates import pack
 
 PAPER = np.array([0, 1.792e-7, 1.915e-7, 1.959e-7, 1.820e-7, 0])  # rad/Nm, the paper's s2 to s5
 ROBOTS = {

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from calflow.faults import Fault, Mend, as_table
+from calflow.faults import Correction, Fault, as_table
 from calflow.faults.base import fault
 from calflow.faults.outlier import Outlier
 from calflow.report.document import write
@@ -22,9 +22,9 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Context:
     """A small identified study whose third row was left out and whose first joint counts the other way."""
     given = context(tmp_path_factory.mktemp("small"))
     data = given.study.measurements()
-    out = fault(Outlier(), data, 0, [Mend(3)], "left out", "the position in LINES is 9 mm off; left out")
+    out = fault(Outlier(), data, 0, [Correction(3)], "left out", "the position in LINES is 9 mm off; left out")
     turned = Fault(
-        "joint-sign", 1, (), "joint 1: all readings have the wrong sign", "corrected", (Mend(0, "q1", -1.0),)
+        "joint-sign", 1, (), "joint 1: all readings have the wrong sign", "corrected", (Correction(0, "q1", -1.0),)
     )
     residuals = given.tables["identify/residuals.csv"].copy()
     residuals.loc[2, ["split", "dx_mm"]] = ["", 1e6]

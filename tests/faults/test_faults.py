@@ -15,14 +15,14 @@ import pandas as pd
 import pytest
 
 from calflow import faults
-from calflow.faults import Fault, Mend, as_table, checks, mended, search
-from calflow.faults.base import lines_in_words, mend
+from calflow.faults import Correction, Fault, as_table, checks, corrected, search
+from calflow.faults.base import correct, lines_in_words
 from calflow.faults.outlier import limit_of
 from calflow.faults.reference import NORMAL_LENGTH, Models, Reference
 from calflow.faults.segments import states
-from calflow.measurements import Measurements
-from calflow.problems import InputError
-from calflow.runs import EXACT, csv_text
+from calflow.files.problems import InputError
+from calflow.measurements.measurements import Measurements
+from calflow.runs.run import EXACT, csv_text
 from calflow.study import load_study
 from conftest import in_process
 from hidden.case import Case, write_case
@@ -82,7 +82,9 @@ def test_faulty_rows_are_found_and_no_others(tmp_path, robot, cause, joint, vari
     assert lines_of(found) == sealed
     left_out = [line for fault in found if fault.action == "left out" for line in fault.lines]
     assert after.table.loc[~after.train & ~after.held_out, "line"].tolist() == sorted(left_out)
-    pd.testing.assert_frame_equal(mended(data, through_csv(as_table(found, data))).table, after.table, check_exact=True)
+    pd.testing.assert_frame_equal(
+        corrected(data, through_csv(as_table(found, data))).table, after.table, check_exact=True
+    )
     if any(fault.action == "corrected" for fault in found):
         assert not (Reference.of(after, Models.of(after)).gross & (after.train | after.held_out)).any()
 
@@ -96,14 +98,16 @@ def test_a_joint_that_counts_the_other_way_is_found(tmp_path, robot, joint):
     np.testing.assert_array_equal(after.joints[:, joint - 1], -data.joints[:, joint - 1])
     table = through_csv(as_table(found, data))
     assert table["line"].isna().tolist() == [True]
-    pd.testing.assert_frame_equal(mended(data, table).table, after.table)
+    pd.testing.assert_frame_equal(corrected(data, table).table, after.table)
 
 
 def test_several_signs_and_a_base_that_nobody_knows(tmp_path):
     """Fails if one wrong sign hides another, or the search needs a base that is stated."""
     data, _ = measured(tmp_path, Case(poses=60), 2)
     robot = data.robot.model_copy(update={"base": data.robot.base.model_copy(update={"known": False})})
-    turned = mend(data.on(robot), Fault("", 0, (), "", "corrected", (Mend(0, "q3", -1.0), Mend(0, "q5", -1.0))))
+    turned = correct(
+        data.on(robot), Fault("", 0, (), "", "corrected", (Correction(0, "q3", -1.0), Correction(0, "q5", -1.0)))
+    )
     assert [(fault.cause, fault.joint) for fault in search(turned)[1]] == [("joint-sign", 3), ("joint-sign", 5)]
 
 
@@ -208,11 +212,11 @@ def test_a_handful_of_rows_says_nothing(tmp_path):
 def test_values_of_the_device_go_with_their_position(tmp_path):
     """Fails if a row's stated noise or range stays behind where its position is exchanged or mended."""
     data, _ = measured(tmp_path, Case(poses=20, noise="range", columns=("sigma",)), 12)
-    swapped = mend(data, Fault("", 0, (), "", "corrected", (Mend(3, source=4), Mend(4, source=3))))
+    swapped = correct(data, Fault("", 0, (), "", "corrected", (Correction(3, source=4), Correction(4, source=3))))
     for name in ("x", "sigma", "range"):
         assert swapped.table[name][2:4].tolist() == data.table[name][[3, 2]].tolist()
     assert swapped.table["q1"].equals(data.table["q1"])
-    longer = mend(data, Fault("", 0, (), "", "corrected", (Mend(5, "position", 1.1),)))
+    longer = correct(data, Fault("", 0, (), "", "corrected", (Correction(5, "position", 1.1),)))
     np.testing.assert_allclose(longer.table["range"], np.linalg.norm(longer.position, axis=1))
 
 
@@ -233,8 +237,8 @@ def test_a_table_about_other_rows_is_refused(tmp_path):
     data, _ = measured(tmp_path, Case(noise="outliers"), 14)
     table = as_table(search(data)[1], data)
     with pytest.raises(InputError, match="does not fit"):
-        mended(data.only(data.train), table)
-    assert mended(data, table.iloc[:0]) is data
+        corrected(data.only(data.train), table)
+    assert corrected(data, table.iloc[:0]) is data
 
 
 def test_every_check_has_its_place():

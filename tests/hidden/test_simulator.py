@@ -11,9 +11,9 @@ import pandas as pd
 import pinocchio as pin
 import pytest
 
+from calflow.design.candidates import pack
 from calflow.model import build
 from calflow.robot.description import read_robot
-from calflow.stages.candidates import pack
 from hidden.case import Case, draw, effect_rms, write_case
 from hidden.causes import ON_TABLE, PHYSICAL, XYZ, Hidden, measured_points, response
 from hidden.simulator import Motion, Robot, Rows, energy, equilibrium, frames, moved, statics, tool_point

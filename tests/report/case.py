@@ -9,17 +9,17 @@ import h5py
 import numpy as np
 import pandas as pd
 
+from calflow.design.candidates import candidates
+from calflow.diagnosis.findings.tables import CANDIDATES, FINDINGS
+from calflow.diagnosis.findings.verdict import label
 from calflow.effects import catalogue
+from calflow.effects.cause import Cause
+from calflow.estimation.calibrated import calibrated, effect_table, identified, with_maps_held
 from calflow.model import Model, build
 from calflow.report.material import latest
 from calflow.robot.description import read_robot
-from calflow.stages.candidates import candidates
-from calflow.stages.causes import Cause
-from calflow.stages.findings import CANDIDATES, FINDINGS
-from calflow.stages.identified import calibrated, effect_table, identified, with_maps_held
 from calflow.stages.identify import STAGE as IDENTIFY
 from calflow.stages.stage import Context
-from calflow.stages.verdict import label
 from calflow.study import load_study
 
 ROBOT = """

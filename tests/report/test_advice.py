@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import pandas as pd
 import pytest
 
-from calflow.report.material import Step
+from calflow.diagnosis.findings.tables import CANDIDATES, FINDINGS
+from calflow.report.material import ModelAccuracy
 from calflow.report.section import Advice, Rule, advice, sections
 from calflow.report.sections import (
     accuracy,
@@ -20,7 +21,6 @@ from calflow.report.sections import (
     residuals,
 )
 from calflow.report.sections.verdict import fitting, headline, leftover
-from calflow.stages.findings import CANDIDATES, FINDINGS
 
 SUMMARY = {
     "noise_source": "file", "reduced_chi2": "1.02", "solver": "IPOPT: Solve_Succeeded, 9 iterations",
@@ -261,8 +261,8 @@ def test_the_models_own_error_is_told_where_there_is_one() -> None:
 
 def test_headline_says_where_the_error_was_measured() -> None:
     steps = [
-        Step("nominal", "nominal robot", 4, 30.4622, 31.0, 42.64),
-        Step("geometry", "geometry", 4, 0.04458, 0.05, 0.1031),
+        ModelAccuracy("nominal", "nominal robot", 4, 30.4622, 31.0, 42.64),
+        ModelAccuracy("geometry", "geometry", 4, 0.04458, 0.05, 0.1031),
     ]
     assert headline(steps, "holdout") == (
         "At poses that no fit has seen, calibration reduces the tool-position error from 30.46 mm to 0.045 mm on average, "

@@ -32,7 +32,7 @@ from calflow.report.findings import (
     step_words,
     sureness,
 )
-from calflow.report.material import Material, Step, gathered, steps
+from calflow.report.material import Material, ModelAccuracy, gathered, steps
 from calflow.report.section import chosen, sections
 from calflow.report.sections.diagnosis import gain_words, how_sure, lacked, unsure, untestable
 from calflow.report.style import style
@@ -89,7 +89,7 @@ def test_a_named_cause_is_told_with_place_size_sureness_and_gain(small: Context)
 def test_a_cause_with_several_parameters_is_told(small: Context) -> None:
     """Fails if a cause of the device, or one with more than one parameter, cannot be written."""
     first, section = told(with_diagnosis(small, STEP, BACKLASH))
-    assert "1. Step of the measuring device (after row 12 in measuring order)" in section
+    assert "1. ModelAccuracy of the measuring device (after row 12 in measuring order)" in section
     assert "step 0.3000 ± 0.0090 mm" in section
     assert "2. Backlash of joint 2" in section
     assert "+ 2 causes" in first
@@ -211,7 +211,7 @@ def test_a_report_is_written_whatever_is_known(case: Case, tmp_path: Path) -> No
 
 def test_the_report_is_set_with_causes_and_a_sampled_extended_model(small: Context, tmp_path: Path) -> None:
     """Fails if typst refuses the section, or the posterior is not that of the extended model."""
-    from calflow.report.stage import STAGE
+    from calflow.stages.report import STAGE
 
     given = with_sample(with_diagnosis(small, STEP, OR_HYSTERESIS, COUPLED))
     STAGE.run(replace(given, folder=tmp_path))
@@ -247,7 +247,7 @@ def test_errors_and_accuracy_are_those_of_the_extended_model(small: Context) -> 
 
 def test_causes_are_drawn_together_on_the_first_page() -> None:
     """Fails if ten steps crowd the first page, or a single cause loses its name."""
-    found = [Step(str(k), f"+ {k}", 9, 1.0, 1.0, 1.0) for k in range(6)]
+    found = [ModelAccuracy(str(k), f"+ {k}", 9, 1.0, 1.0, 1.0) for k in range(6)]
     assert [step.label for step in gathered(found, 3)] == ["+ 0", "+ 1", "+ 2", "+ 3 causes"]
     assert gathered(found, 3)[-1].model == "5"
     assert gathered(found, 5) == found
@@ -267,8 +267,8 @@ def test_causes_of_the_same_name_are_told_by_their_detail(small: Context) -> Non
     """Fails if two steps of the device, at different moments, read as one."""
     tables = with_diagnosis(small, STEP, replace(STEP, detail="after row 20 in measuring order")).tables
     assert [head for head, _ in lacked(tables)] == [
-        "Step of the measuring device (after row 12 in measuring order):",
-        "Step of the measuring device (after row 20 in measuring order):",
+        "ModelAccuracy of the measuring device (after row 12 in measuring order):",
+        "ModelAccuracy of the measuring device (after row 20 in measuring order):",
     ]
 
 
@@ -388,7 +388,9 @@ def _drawings() -> dict[str, Figure]:
     curve, cloud = np.sin(x / 8e3), rng.standard_normal(90)
     names = ["nominal robot", "geometry", "+ joint compliance", "+ gear transmission error of joint 6",
              "+ scale error of the measuring device", "+ payload mass error (a long name of a payload)"]  # fmt: skip
-    stages = [Step(n, n, 9, m, m, 2 * m) for n, m in zip(names, (31.0, 1.2, 0.2, 0.1, 0.12, 0.06), strict=True)]
+    stages = [
+        ModelAccuracy(n, n, 9, m, m, 2 * m) for n, m in zip(names, (31.0, 1.2, 0.2, 0.1, 0.12, 0.06), strict=True)
+    ]
     place, error = rng.uniform(0, 3000, (90, 3)), 0.1 * rng.standard_normal((90, 3))
     labels = [
         "periodic angle error of joint 2 (order 14.4)",

@@ -14,8 +14,8 @@ import pytest
 from calflow.report import document
 from calflow.report.material import Material
 from calflow.report.section import Section, chosen, sections
-from calflow.report.stage import STAGE
 from calflow.report.style import style
+from calflow.stages.report import STAGE
 from calflow.stages.stage import Context
 from report.case import Case, changed, context, with_sample, with_select
 

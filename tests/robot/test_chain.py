@@ -9,9 +9,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from calflow.conditions import Row
 from calflow.model import Model, build
 from calflow.robot.chain import Deflection, marker_point, pose
+from calflow.robot.conditions import Row
 from calflow.robot.description import Coupling, Robot
 from calflow.robot.dimensions import nominal_dimensions
 from calflow.robot.statics import gravity_torque

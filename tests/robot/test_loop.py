@@ -13,9 +13,9 @@ from numpy.testing import assert_allclose
 from scipy.optimize import root
 
 import robots
-from calflow.conditions import Row
 from calflow.model import build
 from calflow.robot.chain import Deflection, pose
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
 from calflow.robot.loop import assembly_side, close

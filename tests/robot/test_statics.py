@@ -11,9 +11,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from calflow.conditions import Row
-from calflow.problems import InputError
+from calflow.files.problems import InputError
 from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
 from calflow.robot.statics import gravity_torque, rated_torques, state

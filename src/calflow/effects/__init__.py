@@ -19,7 +19,7 @@ def catalogue() -> dict[str, type[Effect]]:
     here = [
         effect
         for effect in _kinds(Effect)  # type: ignore[type-abstract]
-        if effect.__module__.startswith(f"{__name__}.") and hasattr(effect, "id")
+        if effect.__module__.startswith(f"{__name__}.") and isinstance(getattr(effect, "id", None), str)
     ]
     return {effect.id: effect for effect in sorted(here, key=lambda effect: effect.id)}
 

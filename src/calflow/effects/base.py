@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.conditions import Row
 from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions, Loads
 from calflow.robot.statics import State
 
 if TYPE_CHECKING:
-    from calflow.measurements import Measurements
+    from calflow.measurements.measurements import Measurements
 
 
 NOTHING = 1e-300  # keeps the slope of a length finite where the length is zero

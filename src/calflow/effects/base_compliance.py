@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 
-from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.statics import State, rated_torques
 
 if TYPE_CHECKING:
-    from calflow.measurements import Measurements
+    from calflow.measurements.measurements import Measurements
 
 TILT_SD, TILT_BOUND = 0.5e-3, 10e-3  # rad at the largest rated torque of all joints
 

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
 from calflow.robot.statics import State, rated_torques
 
 TILT_SD, TILT_BOUND = 2e-3, 20e-3  # rad at the largest rated torque of all joints

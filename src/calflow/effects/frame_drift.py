@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 
-from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable, displaced
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 
 if TYPE_CHECKING:
-    from calflow.measurements import Measurements
+    from calflow.measurements.measurements import Measurements
 
 WANDERS_SD, TURNS_SD = 1e-7, 3e-8  # m/s and rad/s: some tenths of a millimetre an hour
 SHIFT_SD, TURN_SD = 3e-4, 1e-4  # m and rad in all

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, displaced
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 
 if TYPE_CHECKING:
-    from calflow.measurements import Measurements
+    from calflow.measurements.measurements import Measurements
 
 MOMENTS, TURNING_MOMENTS = 120, 40  # at most, that are looked at: without turning, and with
 SHIFT_SD, TURN_SD, BOUND = 3e-4, 1e-4, 300.0  # m, rad, and standard deviations

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from calflow.conditions import Row
 from calflow.effects.joint_error import JOINT_ALONE, JointError, Term
+from calflow.robot.conditions import Row
 from calflow.robot.statics import State
 
 

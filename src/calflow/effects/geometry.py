@@ -9,8 +9,8 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions, nominal_dimensions
 from calflow.robot.transforms import placement

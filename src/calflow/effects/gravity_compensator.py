@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection, pose
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import nominal_dimensions
 from calflow.robot.statics import State, rated_torques
 
 if TYPE_CHECKING:
-    from calflow.measurements import Measurements
+    from calflow.measurements.measurements import Measurements
 
 SD, BOUND = 0.3, 2.0  # times joint 2's rated torque
 RATIOS = (0.2, 0.4)  # lever on the arm over the hinge's distance, of short cylinders

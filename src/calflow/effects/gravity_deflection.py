@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, ClassVar
 import casadi as ca
 import numpy as np
 
-from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable
 from calflow.effects.joint_compliance import WINDUP_BOUND, WINDUP_SD
 from calflow.robot.chain import Deflection, pose
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
 from calflow.robot.statics import State, potential_energy, rated_torques
 
 if TYPE_CHECKING:
-    from calflow.measurements import Measurements
+    from calflow.measurements.measurements import Measurements
 
 NEAR_SD, FAR_SD, BOUND = (
     2e-3,

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from calflow.conditions import Row
 from calflow.effects.base import Variable
 from calflow.effects.joint_error import JointError, Term
+from calflow.robot.conditions import Row
 from calflow.robot.statics import State
 
 

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
 from calflow.robot.statics import State, rated_torques
 
 WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad (a slide: m) at the joint's rated torque

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
 from calflow.robot.statics import State
 
 TRANSMISSION = "angular transmission error"

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.conditions import Row
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.statics import State
 
 if TYPE_CHECKING:
-    from calflow.measurements import Measurements
+    from calflow.measurements.measurements import Measurements
 
 AMPLITUDE = 2e-4  # rad rms, before any data
 LENGTHS = (0.06, 0.15, 0.5)  # rad: how far along the travel neighbouring errors are alike

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.conditions import Row
 from calflow.effects.base import Variable
 from calflow.effects.joint_error import JointError, Term
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.statics import State
 
 if TYPE_CHECKING:
-    from calflow.measurements import Measurements
+    from calflow.measurements.measurements import Measurements
 
 LENGTHS = np.deg2rad([1.0, 2.0, 4.0, 8.0, 16.0])  # travel to look for, over which friction develops
 

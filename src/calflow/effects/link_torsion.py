@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable
 from calflow.effects.link_bending import SOFT_BOUND, SOFT_SD, spans
 from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
 from calflow.robot.statics import State, rated_torques
 
 

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.conditions import Row
 from calflow.effects.base import Variable, around
 from calflow.effects.joint_error import JointError, Term
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.statics import State, rated_torques
 
 if TYPE_CHECKING:
-    from calflow.measurements import Measurements
+    from calflow.measurements.measurements import Measurements
 
 BREAKS = (0.2, 0.35, 0.5, 0.65)  # shares of the rated torque at which a stiffer branch may begin
 REACH = 0.15  # about a break, to its neighbours

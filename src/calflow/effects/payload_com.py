@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable
+from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Loads
 
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from calflow.conditions import Row
 from calflow.effects.base import around
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.statics import State
 
 if TYPE_CHECKING:
-    from calflow.measurements import Measurements
+    from calflow.measurements.measurements import Measurements
 
 LOWEST, HIGHEST = 2.5, 30.0  # orders looked for; lower ones are eccentricity
 PHASE = 0.8  # rad at the ends of a joint's travel by which neighbouring orders may differ

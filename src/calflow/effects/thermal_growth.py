@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable, around
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions
 
 if TYPE_CHECKING:
-    from calflow.measurements import Measurements
+    from calflow.measurements.measurements import Measurements
 
 REFERENCE = 293.15  # K, at which drawings hold (ISO 1)
 WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s, time constants to look for

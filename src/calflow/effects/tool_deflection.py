@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 
-from calflow.conditions import Row
 from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.statics import State
 
 if TYPE_CHECKING:
-    from calflow.measurements import Measurements
+    from calflow.measurements.measurements import Measurements
 
 GIVES_SD, GIVES_BOUND = 3e-7, 1e-5  # m/N
 

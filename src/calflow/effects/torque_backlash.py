@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.conditions import Row
 from calflow.effects.base import Variable
 from calflow.effects.joint_error import JointError, Term
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.statics import State, rated_torques
 
 if TYPE_CHECKING:
-    from calflow.measurements import Measurements
+    from calflow.measurements.measurements import Measurements
 
 CROSSING = 0.01  # share of the rated torque within which a gear crosses its play
 CROSSINGS = (0.002, 0.02)  # to look for

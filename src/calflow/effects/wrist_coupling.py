@@ -8,9 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from calflow.conditions import Row
 from calflow.effects.base import Variable
 from calflow.effects.joint_error import JointError, Term
+from calflow.robot.conditions import Row
 from calflow.robot.statics import State
 
 

@@ -9,12 +9,12 @@ from functools import lru_cache
 
 import pandas as pd
 
-from calflow.faults.base import COLUMNS, Check, Fault, Mend, mend
+from calflow.faults.base import COLUMNS, Check, Correction, Fault, correct
 from calflow.faults.reference import Models, Reference
-from calflow.measurements import Measurements
-from calflow.problems import refuse
+from calflow.files.problems import refuse
+from calflow.measurements.measurements import Measurements
 
-__all__ = ["Check", "Fault", "Mend", "as_table", "checks", "mended", "search"]
+__all__ = ["Check", "Correction", "Fault", "as_table", "checks", "corrected", "search"]
 
 
 @lru_cache
@@ -37,7 +37,7 @@ def search(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
     for check in checks():
         found = check.find(data, reference) if reference else ()
         for fault in found:
-            data = mend(data, fault)
+            data = correct(data, fault)
         if found:
             faults += found
             reference = Reference.of(data, models)
@@ -51,7 +51,7 @@ def as_table(faults: Sequence[Fault], data: Measurements) -> pd.DataFrame:
     return pd.concat([fault.table(data) for fault in faults], ignore_index=True)
 
 
-def mended(data: Measurements, table: pd.DataFrame) -> Measurements:
+def corrected(data: Measurements, table: pd.DataFrame) -> Measurements:
     """Return freshly read rows as identify saw them, by the table that it wrote; nothing is searched for again.
 
     Raises:
@@ -68,8 +68,10 @@ def mended(data: Measurements, table: pd.DataFrame) -> Measurements:
         first = own.iloc[0]
         own = own.assign(quantity=own["quantity"].astype(object).where(own["quantity"].notna(), ""))
         values = own[["row", "quantity", "factor", "offset", "source"]].to_numpy(dtype=object)
-        mends = tuple(
-            Mend(int(row), str(of), float(by), float(more), int(source)) for row, of, by, more, source in values
+        corrections = tuple(
+            Correction(int(row), str(of), float(by), float(more), int(source)) for row, of, by, more, source in values
         )
-        data = mend(data, Fault(first["cause"], int(first["joint"]), (), first["statement"], first["action"], mends))
+        data = correct(
+            data, Fault(first["cause"], int(first["joint"]), (), first["statement"], first["action"], corrections)
+        )
     return data

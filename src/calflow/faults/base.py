@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from calflow.faults.reference import Reference
-from calflow.measurement_file import approach_and_travel
-from calflow.measurements import Measurements, numbered
+from calflow.measurements.measurements import Measurements, numbered
+from calflow.measurements.reading import approach_and_travel
 
 Action = Literal["corrected", "left out"]
 POSITION = "position"  # the quantity x, y, z
@@ -21,7 +21,7 @@ COLUMNS = ("cause", "joint", "line", "pose", "action", "statement", "row", "quan
 
 
 @dataclass(frozen=True)
-class Mend:
+class Correction:
     """What is done to a row: its quantity times factor plus offset (SI), or the measured values of the row source in it.
 
     Rows count from 1, in the order of the file; row 0 is every row. A row that is left out has no quantity.
@@ -43,11 +43,11 @@ class Fault:
     lines: tuple[int, ...]
     statement: str
     action: Action
-    mends: tuple[Mend, ...] = ()
+    corrections: tuple[Correction, ...] = ()
 
     def table(self, data: Measurements) -> pd.DataFrame:
         """Return its rows of identify/faults.csv: one a faulty row, or a single one for a whole column."""
-        rows = [mend.row for mend in self.mends]
+        rows = [correction.row for correction in self.corrections]
         there = data.table.iloc[[max(row, 1) - 1 for row in rows]]
         labels = there[["line", "pose"]].astype(object).to_numpy()
         return pd.DataFrame(
@@ -60,7 +60,7 @@ class Fault:
                 "pose": [pose if row else "" for row, (_, pose) in zip(rows, labels, strict=True)],
                 "action": self.action,
                 "statement": self.statement,
-                **pd.DataFrame([asdict(mend) for mend in self.mends]).to_dict("series"),
+                **pd.DataFrame([asdict(correction) for correction in self.corrections]).to_dict("series"),
             },
             columns=COLUMNS,
         )
@@ -78,25 +78,27 @@ class Check(ABC):
         """Return the faults of this kind; the reference is what the rows say of one another."""
 
 
-def fault(check: Check, data: Measurements, joint: int, mends: Sequence[Mend], action: Action, statement: str) -> Fault:
+def fault(
+    check: Check, data: Measurements, joint: int, corrections: Sequence[Correction], action: Action, statement: str
+) -> Fault:
     """Return a fault with the lines of its rows; LINES stands in the statement for these in words."""
-    rows = [mend.row - 1 for mend in mends if mend.row]
+    rows = [correction.row - 1 for correction in corrections if correction.row]
     lines = tuple(dict.fromkeys(int(line) for line in data.table["line"].iloc[rows]))
-    return Fault(check.id, joint, lines, statement.replace("LINES", lines_in_words(lines)), action, tuple(mends))
+    return Fault(check.id, joint, lines, statement.replace("LINES", lines_in_words(lines)), action, tuple(corrections))
 
 
-def mend(data: Measurements, one: Fault) -> Measurements:
+def correct(data: Measurements, one: Fault) -> Measurements:
     """Return the rows with one fault put right, or with the rows it spoils left out of every split."""
     before, table = data.table, data.table.copy()
-    for quantity in dict.fromkeys(own.quantity for own in one.mends if own.quantity):
-        same = [own for own in one.mends if own.quantity == quantity]
+    for quantity in dict.fromkeys(own.quantity for own in one.corrections if own.quantity):
+        same = [own for own in one.corrections if own.quantity == quantity]
         which, factor, offset = (np.array([getattr(own, name) for own in same]) for name in ("row", "factor", "offset"))
         for name in ("x", "y", "z") if quantity == POSITION else (quantity,):
             values = table[name].to_numpy(copy=True)
             at = which - 1 if which[0] else slice(None)
             values[at] = values[at] * factor + offset
             table[name] = values
-    moved = [(own.row - 1, own.source - 1) for own in one.mends if own.source]
+    moved = [(own.row - 1, own.source - 1) for own in one.corrections if own.source]
     if moved:
         rows, sources = np.array(moved).T
         for name in (name for name in OF_DEVICE if name in table):
@@ -105,7 +107,7 @@ def mend(data: Measurements, one: Fault) -> Measurements:
             table[name] = values
     if one.action == "left out":
         split = table["split"].to_numpy(copy=True)
-        split[[own.row - 1 for own in one.mends]] = ""
+        split[[own.row - 1 for own in one.corrections]] = ""
         table["split"] = split
     return Measurements(data.robot, _followed(table, before, data), data.notes)
 

@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from calflow.faults.base import Check, Fault, Mend, fault, mend
+from calflow.faults.base import Check, Correction, Fault, correct, fault
 from calflow.faults.reference import Reference, changed, lengths
 from calflow.faults.segments import cost, states
-from calflow.measurements import Measurements
+from calflow.measurements.measurements import Measurements
 
 TURN = 2 * np.pi
 PAST = np.deg2rad(1.0)  # past a limit: less may be rounding, or a limit of another kind
@@ -30,7 +30,7 @@ class EncoderTurn(Check):
         """Return the block with a motor's turn too much, and the rows with a whole turn too much, joint by joint."""
         faults = self._motor(data, reference)
         for found in faults:  # a motor's turn may have taken readings past a limit
-            data = mend(data, found)
+            data = correct(data, found)
         return (*faults, *(found for joint in range(data.robot.n_joints) for found in self._whole(data, joint)))
 
     def _whole(self, data: Measurements, joint: int) -> list[Fault]:
@@ -83,5 +83,5 @@ class EncoderTurn(Check):
             f"{'more' if step > 0 else 'less'}; corrected so, correct the file and check the joint's zero"
         )
         offset = float(f"{step:.10g}")  # as the table will say it
-        mends = [Mend(int(row) + 1, f"q{joint + 1}", offset=offset) for row in rows]
-        return fault(self, data, joint + 1, mends, "corrected", statement)
+        corrections = [Correction(int(row) + 1, f"q{joint + 1}", offset=offset) for row in rows]
+        return fault(self, data, joint + 1, corrections, "corrected", statement)

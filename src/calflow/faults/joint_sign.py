@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from calflow.faults.base import Check, Fault, Mend, fault, mend
+from calflow.faults.base import Check, Correction, Fault, correct, fault
 from calflow.faults.reference import TINY, Reference, chosen, lengths, motion, rough
-from calflow.measurements import Measurements
+from calflow.measurements.measurements import Measurements
 
 ROWS = 60  # that tell joint signs apart
 FAR_OFF = 0.02  # share of the measured space from which a nominal robot's error makes several wrong signs thinkable
@@ -73,12 +73,12 @@ def _fault(check: Check, data: Measurements, joint: int, before: float, after: f
     return fault(check, data, joint + 1, [_turn(joint)], "corrected", statement)
 
 
-def _turn(joint: int) -> Mend:
-    return Mend(0, f"q{joint + 1}", factor=-1.0)
+def _turn(joint: int) -> Correction:
+    return Correction(0, f"q{joint + 1}", factor=-1.0)
 
 
 def _with(data: Measurements, turned: Signs) -> Measurements:
-    return mend(data, Fault(JointSign.id, 0, (), "", "corrected", tuple(map(_turn, turned))))
+    return correct(data, Fault(JointSign.id, 0, (), "", "corrected", tuple(map(_turn, turned))))
 
 
 def _likely(data: Measurements, reference: Reference) -> list[Signs]:

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from calflow.faults.base import Check, Fault, Mend, fault
+from calflow.faults.base import Check, Correction, Fault, fault
 from calflow.faults.reference import Reference, lengths
-from calflow.measurements import Measurements
+from calflow.measurements.measurements import Measurements
 
 
 class MarkerSwap(Check):
@@ -26,16 +26,18 @@ class MarkerSwap(Check):
         if len(gross) < 2 or data.table["marker"].nunique() < 2:
             return ()
         predicted, position = fit.predicted(data.rows), data.position
-        mends: list[Mend] = []
+        corrections: list[Correction] = []
         for _, group in data.table.iloc[gross].assign(row=gross).groupby(["pose", "repeat"], sort=False):
             pairs = [np.array(pair) for pair in combinations(group["row"], 2)]
             after = {k: lengths(position[pair[::-1]] - predicted[pair]) for k, pair in enumerate(pairs)}
             mended = [k for k, pair in enumerate(pairs) if fit.better(miss[pair], after[k]).all()]
             if len(mended) == 1:
                 first, second = (int(row) + 1 for row in pairs[mended[0]])
-                mends += [Mend(first, source=second), Mend(second, source=first)]
-        if not mends:
+                corrections += [Correction(first, source=second), Correction(second, source=first)]
+        if not corrections:
             return ()
-        markers = " and ".join(dict.fromkeys(data.table["marker"].iloc[[mend.row - 1 for mend in mends]].astype(str)))
+        markers = " and ".join(
+            dict.fromkeys(data.table["marker"].iloc[[correction.row - 1 for correction in corrections]].astype(str))
+        )
         statement = f"markers {markers} were taken for each other in LINES; exchanged, correct the file"
-        return (fault(self, data, 0, mends, "corrected", statement),)
+        return (fault(self, data, 0, corrections, "corrected", statement),)

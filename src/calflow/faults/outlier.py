@@ -7,9 +7,9 @@ from typing import ClassVar
 import numpy as np
 from scipy.stats import t
 
-from calflow.faults.base import Check, Fault, Mend, fault
+from calflow.faults.base import Check, Correction, Fault, fault
 from calflow.faults.reference import Reference, Rough, changed
-from calflow.measurements import Measurements
+from calflow.measurements.measurements import Measurements
 
 # Nothing but its size speaks for an outlier, so noise with heavy tails must not look like one: the limit is what the
 # largest of so many rows exceeds once in 300 data sets if each axis has Student's t with 3 degrees of freedom, measured by
@@ -49,7 +49,7 @@ class Outlier(Check):
             f"the position in LINES is {size} from where all other rows say it is, which miss by "
             f"{1e3 * float(np.median(miss[used])):.2g} mm; left out, measure again or correct the file"
         )
-        return (fault(self, data, 0, [Mend(int(row) + 1) for row in rows], "left out", statement),)
+        return (fault(self, data, 0, [Correction(int(row) + 1) for row in rows], "left out", statement),)
 
 
 def limit_of(miss: np.ndarray, fit: Rough) -> float:

@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from calflow.effects.base import unmet
-from calflow.measurements import Measurements
+from calflow.estimation.noise import conditions
+from calflow.estimation.registration import Placement
+from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
 from calflow.robot.description import Base, Robot
-from calflow.stages.noise import conditions
-from calflow.stages.registration import Placement
 
 FIT_ROWS = 400  # training rows that are fitted: more would hardly tell more
 EQUATIONS = 2.4  # a parameter: with fewer some rows are met exactly whatever they hold, and others look gross

@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from calflow.faults.base import Check, Fault, Mend, fault, mend
+from calflow.faults.base import Check, Correction, Fault, correct, fault
 from calflow.faults.reference import Reference, Rough, best_turn, motion
 from calflow.faults.segments import cost, states
-from calflow.measurements import Measurements
+from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
 BEGINNINGS = 3000  # rows at which a shift may be guessed to begin; it is found to the row afterwards
@@ -62,12 +62,12 @@ class RowMisalignment(Check):
             f"positions stand {rows} {where} against the readings (LINES): a row was lost or written twice where that "
             "begins; they were put back to their readings, correct the file"
         )
-        mends = [Mend(int(row) + 1, source=int(source[row]) + 1) for row in realigned]
-        faults = [fault(self, data, 0, mends, "corrected", statement)]
+        corrections = [Correction(int(row) + 1, source=int(source[row]) + 1) for row in realigned]
+        faults = [fault(self, data, 0, corrections, "corrected", statement)]
         alone = moved[source[moved] < 0]
         if len(alone):
             lost = "no position belongs to these readings (LINES), since positions stand in other rows; left out"
-            faults.append(fault(self, data, 0, [Mend(int(row) + 1) for row in alone], "left out", lost))
+            faults.append(fault(self, data, 0, [Correction(int(row) + 1) for row in alone], "left out", lost))
         return tuple(faults)
 
 
@@ -96,7 +96,7 @@ class LostRows(Check):
             "positions and readings do not belong together (LINES), and no shift of the rows puts that right; left out, "
             "see how these rows came into the file"
         )
-        return (fault(self, data, 0, [Mend(row + 1) for row in rows], "left out", statement),)
+        return (fault(self, data, 0, [Correction(row + 1) for row in rows], "left out", statement),)
 
 
 def _lags(data: Measurements) -> list[int]:
@@ -149,10 +149,10 @@ def _later(values: np.ndarray, lag: int) -> np.ndarray:
 
 def _realigned(data: Measurements, source: np.ndarray) -> Measurements:
     moved = np.flatnonzero((source != np.arange(len(data))) & (source >= 0))
-    there = tuple(Mend(int(row) + 1, source=int(source[row]) + 1) for row in moved)
-    data = mend(data, Fault(RowMisalignment.id, 0, (), "", "corrected", there))
-    alone = tuple(Mend(int(i) + 1) for i in np.flatnonzero(source < 0))
-    return mend(data, Fault(RowMisalignment.id, 0, (), "", "left out", alone)) if alone else data
+    there = tuple(Correction(int(row) + 1, source=int(source[row]) + 1) for row in moved)
+    data = correct(data, Fault(RowMisalignment.id, 0, (), "", "corrected", there))
+    alone = tuple(Correction(int(i) + 1) for i in np.flatnonzero(source < 0))
+    return correct(data, Fault(RowMisalignment.id, 0, (), "", "left out", alone)) if alone else data
 
 
 def _guess(data: Measurements, nominal: Model, lags: list[int]) -> np.ndarray | None:

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from calflow.faults.base import POSITION, Check, Fault, Mend, fault
+from calflow.faults.base import POSITION, Check, Correction, Fault, fault
 from calflow.faults.reference import Reference, Rough, changed, lengths
-from calflow.measurements import Measurements
+from calflow.measurements.measurements import Measurements
 
 LENGTHS = ((1e3, "m instead of mm"), (1e-3, "mm instead of m"))
 ANGLES = ((180 / np.pi, "radians instead of degrees"), (np.pi / 180, "degrees instead of radians"))
@@ -42,7 +42,9 @@ class UnitMistake(Check):
         verb = "is" if joint else "are"
         statement = f"{where} {verb} in {what} in LINES; corrected so, correct the file"
         factor = float(f"{factor:.10g}")  # as the table will say it
-        return fault(self, data, joint, [Mend(int(row) + 1, quantity, factor) for row in rows], "corrected", statement)
+        return fault(
+            self, data, joint, [Correction(int(row) + 1, quantity, factor) for row in rows], "corrected", statement
+        )
 
 
 def _tried(data: Measurements, fit: Rough, rows: np.ndarray) -> Iterator[tuple[int, float, str, np.ndarray]]:

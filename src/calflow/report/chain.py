@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calflow.report.material import Material
-from calflow.stages.posterior import Posterior
+from calflow.sampling.posterior import Posterior
 from calflow.stages.sample import posterior_of
 
 SHOWN_STEPS = 600

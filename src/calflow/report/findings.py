@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import pandas as pd
 
 from calflow.effects import catalogue
+from calflow.files.tables import Tables
 from calflow.report.words import effect_words, listed, number, percent, with_sd
-from calflow.stages.stage import Tables
 
 TOLD = ("named", "one_of")  # statuses of what is in the extended model, or in its noise
 CERTAIN = 0.99  # probability beyond which only this is said
@@ -105,7 +105,7 @@ GENERAL = ("payloads", "base", "device", "links", "tool")  # parts that a cause'
 
 
 @dataclass(frozen=True)
-class Rival:
+class Alternative:
     """What else could explain a finding: an effect's id and its joint (0 for none)."""
 
     cause: str
@@ -132,7 +132,7 @@ class Found:
     probability: float
     gain: tuple[float, float, float]
     left: float
-    rivals: tuple[Rival, ...]
+    rivals: tuple[Alternative, ...]
     alike: tuple[str, ...]
     statement: str
     order: int
@@ -156,11 +156,11 @@ class Found:
         return tuple(dict.fromkeys([*near, *more])) if _family(self.cause) else ()
 
     @property
-    def others(self) -> tuple[Rival, ...]:
+    def others(self) -> tuple[Alternative, ...]:
         """The rivals that a name of its family does not cover."""
         return tuple(rival for rival in self.rivals if not self._is_kin(rival))
 
-    def _is_kin(self, rival: Rival) -> bool:
+    def _is_kin(self, rival: Alternative) -> bool:
         return bool(_family(self.cause)) and _family(rival.cause) == _family(self.cause) and rival.joint == self.joint
 
     @property
@@ -320,10 +320,10 @@ def _family(cause: str) -> str:
     return kind.family if kind else ""
 
 
-def named(text: str) -> Rival:
+def named(text: str) -> Alternative:
     """Read a cause with its joint, as tables name it."""
     cause, _, joint = text.partition(" ")
-    return Rival(cause, int(joint) if joint.isdecimal() else 0)
+    return Alternative(cause, int(joint) if joint.isdecimal() else 0)
 
 
 def _text(value: object) -> str:

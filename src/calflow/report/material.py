@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from calflow.faults import mended
-from calflow.measurements import Measurements
+from calflow.effects.cause import Cause
+from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
+from calflow.faults import corrected
+from calflow.files.tables import Tables
+from calflow.measurements.measurements import Measurements
 from calflow.report.findings import step_words
 from calflow.report.words import effect_words
-from calflow.stages.causes import Cause
-from calflow.stages.identified import Identified, calibrated, with_maps_held
-from calflow.stages.stage import Tables
 from calflow.study import Study
 
 MEAN_OF_NOISE = float(np.sqrt(8 / np.pi))  # mean length of a vector of three unit normals
 
 
 @dataclass(frozen=True)
-class Step:
+class ModelAccuracy:
     """A model's accuracy on one split [mm]; label says what the model has more than the one before."""
 
     model: str
@@ -46,7 +46,7 @@ class Material:
     @staticmethod
     def of(study: Study, tables: Tables, run_folder: Path) -> Material:
         """Read the measurements and rebuild the fitted model."""
-        data = mended(study.measurements(), tables["identify/faults.csv"])
+        data = corrected(study.measurements(), tables["identify/faults.csv"])
         known = calibrated(study.robot, tables, data.given)
         used = data.only(data.train | data.held_out)
         return Material(study, used.on(known.model.robot), known, tables, run_folder)
@@ -122,17 +122,17 @@ def split_judged(accuracy: pd.DataFrame) -> str:
     return "holdout" if (accuracy["split"] == "holdout").any() else "train"
 
 
-def steps(accuracy: pd.DataFrame, split: str) -> list[Step]:
+def steps(accuracy: pd.DataFrame, split: str) -> list[ModelAccuracy]:
     """Return the models of accuracy.csv in their order."""
     rows = accuracy[accuracy["split"] == split]
-    found: list[Step] = []
+    found: list[ModelAccuracy] = []
     for row in rows.to_dict("records"):
         label = _label(row["model"], found[-1].model if found else "")
-        found.append(Step(row["model"], label, row["n"], row["mean_mm"], row["rms_mm"], row["max_mm"]))
+        found.append(ModelAccuracy(row["model"], label, row["n"], row["mean_mm"], row["rms_mm"], row["max_mm"]))
     return found
 
 
-def gathered(found: list[Step], own: int) -> list[Step]:
+def gathered(found: list[ModelAccuracy], own: int) -> list[ModelAccuracy]:
     """Return steps of which the first are the study's own and the others, if there are several, are drawn together."""
     added = len(found) - own
     return found if added < 2 else [*found[:own], replace(found[-1], label=f"+ {added} causes")]

@@ -7,9 +7,9 @@ import pkgutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from calflow.files.tables import Tables
 from calflow.report.document import Block
 from calflow.report.material import Material
-from calflow.stages.stage import Tables
 
 
 @dataclass(frozen=True)

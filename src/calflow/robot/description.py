@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from calflow.toml_file import Angle, Angles3, FileModel, Length, Lengths3, Mass, Moment, read_toml
+from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Mass, Moment, read_toml
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 PARALLEL = 0.1  # axes within this angle [rad] count as nearly parallel: their distance along z is not defined

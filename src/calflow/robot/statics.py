@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from calflow.conditions import Row
-from calflow.problems import refuse
+from calflow.files.problems import refuse
 from calflow.robot.chain import Deflection, Pose, marker_point, pose
+from calflow.robot.conditions import Row
 from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads
 from calflow.robot.loop import reachable

@@ -1,1 +1,12 @@
-"""Stages: study and earlier results in, tables out. A module here that defines STAGE is a stage; the rest are helpers."""
+"""Stages: thin functions from a study and earlier tables to tables, in the order in which they may run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from calflow.stages import diagnose, identify, report, sample, select
+from calflow.stages.stage import Stage
+
+STAGES: Mapping[str, Stage] = {
+    module.STAGE.name: module.STAGE for module in (select, identify, diagnose, sample, report)
+}

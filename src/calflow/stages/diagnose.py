@@ -6,27 +6,27 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, field_validator
 
-from calflow.faults import mended
-from calflow.measurements import Measurements
-from calflow.stages.accuracy import accuracy, errors
-from calflow.stages.causes import Catalogue
-from calflow.stages.confirmation import confirm
-from calflow.stages.curves import curves
-from calflow.stages.discrimination import poses_table, question, separations_table
-from calflow.stages.extension import extend, weighed_against
-from calflow.stages.findings import Diagnosis, candidates_table, findings_table
-from calflow.stages.fitted import Fitted
-from calflow.stages.gate import Gate
-from calflow.stages.identified import Identified, effect_table, identified
-from calflow.stages.narrowing import narrowed
-from calflow.stages.noise import averaged
-from calflow.stages.noise_growth import growth
-from calflow.stages.parameters import covariance_table, parameter_table
-from calflow.stages.remainder import remainder
+from calflow.design.discrimination import poses_table, question, separations_table
+from calflow.diagnosis.findings.curves import curves
+from calflow.diagnosis.findings.remainder import remainder
+from calflow.diagnosis.findings.replication import confirm
+from calflow.diagnosis.findings.tables import Diagnosis, candidates_table, findings_table
+from calflow.diagnosis.findings.verdict import verdict
+from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.search.acceptance import Acceptance
+from calflow.diagnosis.search.extension import extend, weighed_against
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.narrowing import narrowed
+from calflow.estimation.accuracy import accuracy, errors
+from calflow.estimation.calibrated import Identified, effect_table, identified
+from calflow.estimation.noise import averaged
+from calflow.estimation.noise_growth import growth
+from calflow.estimation.parameters import covariance_table, parameter_table
+from calflow.faults import corrected
+from calflow.files.toml import FileModel
+from calflow.measurements.measurements import Measurements
 from calflow.stages.stage import Context, Stage
-from calflow.stages.verdict import verdict
 from calflow.study import known_effects
-from calflow.toml_file import FileModel
 
 SHARES = {"causes": 0.7, "remainder": 0.2, "noise": 0.1}  # of the false alarms that are allowed
 
@@ -50,7 +50,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     study = context.study
     data = study.measurements()
     known = identified(study.robot, context.tables, data.given)
-    data = mended(data.on(known.model.robot), context.tables["identify/faults.csv"])
+    data = corrected(data.on(known.model.robot), context.tables["identify/faults.csv"])
     found = diagnose(known, data, context)
     final = found.extended.fitted
     faults = context.tables["identify/faults.csv"]
@@ -90,17 +90,17 @@ def diagnose(known: Identified, data: Measurements, context: Context) -> Diagnos
     have = [effect.id for effect in known.model.effects]
     catalogue = Catalogue.of(train, have, settings.catalogue, settings.leave_out)
     context.advance(0.1)
-    gate = Gate(SHARES["causes"] * settings.false_alarm, settings.causes)
-    extended = extend(start, catalogue, gate, context.rng("bootstrap"), context.say)
+    acceptance = Acceptance(SHARES["causes"] * settings.false_alarm, settings.causes)
+    extended = extend(start, catalogue, acceptance, context.rng("bootstrap"), context.say)
     context.advance(0.7)
-    level_left = SHARES["remainder"] * settings.false_alarm
-    left = remainder(extended.fitted, level_left, context.rng("decoys"), context.say)
+    significance = SHARES["remainder"] * settings.false_alarm
+    left = remainder(extended.fitted, significance, context.rng("decoys"), context.say)
     if left and extended.findings:
         named = extended
-        extended = narrowed(start, named, [one.score.cause for one in left], catalogue, gate)
+        extended = narrowed(start, named, [one.score.cause for one in left], catalogue, acceptance)
         if extended is not named:
             context.say("what is left over explains some of what was found: dropped")
-            left = remainder(extended.fitted, level_left, context.rng("decoys"), context.say)
+            left = remainder(extended.fitted, significance, context.rng("decoys"), context.say)
     if settings.catalogue or settings.leave_out:
         extended = weighed_against(extended, Catalogue.of(train, have))
     context.advance(0.8)
@@ -108,7 +108,7 @@ def diagnose(known: Identified, data: Measurements, context: Context) -> Diagnos
     if again := growth(last.weighed(plain) if grown else last, alarm):
         context.say(f"the noise grows with range: {1e6 * again.slope:.3g} um/m, p = {again.p:.2g}")
     verdicts = tuple(verdict(finding) for finding in extended.findings)
-    return Diagnosis(start, extended, verdicts, tuple(left), again, catalogue.lacking, gate.false_alarm)
+    return Diagnosis(start, extended, verdicts, tuple(left), again, catalogue.lacking, acceptance.false_alarm)
 
 
 def _accuracy(found: Diagnosis, data: Measurements, before: pd.DataFrame) -> pd.DataFrame:

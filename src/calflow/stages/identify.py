@@ -10,21 +10,21 @@ import pandas as pd
 from pydantic import Field
 from scipy.stats import chi2
 
+from calflow.estimation.accuracy import accuracy, errors
+from calflow.estimation.fit import Fit, LeastSquares, Loss, draw_starts
+from calflow.estimation.identifiability import Identifiability, best_subset, correlations, identifiability
+from calflow.estimation.noise import LackOfFit, Noise, conditions, noise
+from calflow.estimation.parameters import parameter_table
+from calflow.estimation.registration import registered
+from calflow.estimation.reweighting import fit_reweighted
 from calflow.faults import as_table, search
-from calflow.measurements import Measurements
+from calflow.files.problems import nearest, refuse
+from calflow.files.toml import FileModel
+from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
-from calflow.problems import nearest, refuse
 from calflow.robot.description import Robot
-from calflow.stages.accuracy import accuracy, errors
-from calflow.stages.fit import Fit, Loss, Problem, draw_starts
-from calflow.stages.identifiability import Identifiability, best_subset, correlations, identifiability
-from calflow.stages.noise import LackOfFit, Noise, conditions, noise
-from calflow.stages.parameters import parameter_table
-from calflow.stages.registration import registered
-from calflow.stages.settle import fit_settled
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
-from calflow.toml_file import FileModel
 
 FALSE_FLAGS = 0.01  # chance that any good row of a whole data set is flagged
 BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted ones
@@ -66,7 +66,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
         _enough_equations(model, train, study)
         context.say(f"{' + '.join(effects[:k])}: {len(model.parameters)} parameters, {len(train)} rows")
         starts = draw_starts(model, settings.starts, context.rng("starts"))
-        result, settled, lack, agree = fit_settled(model, train, level.only(data.train), starts, settings.loss)
+        result, settled, lack, agree = fit_reweighted(model, train, level.only(data.train), starts, settings.loss)
         rows += accuracy(" + ".join(effects[:k]), errors(model, result.estimate, data), data)
         context.advance(k / len(effects))
 
@@ -109,7 +109,7 @@ def _residuals(result: Fit, data: Measurements, level: Noise) -> pd.DataFrame:
     A training row's residual is studentised by its leverage, so that a row that pulls the fit to itself still shows.
     """
     squared, whitened, start = np.empty(len(data)), np.empty(len(data)), 0
-    for residual, jacobian in Problem.of(result.model, data, level).linearised(result.estimate):
+    for residual, jacobian in LeastSquares.of(result.model, data, level).linearised(result.estimate):
         part = slice(start, start + len(residual))
         start += len(residual)
         predicted = jacobian @ result.covariance @ jacobian.transpose(0, 2, 1)

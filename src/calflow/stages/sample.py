@@ -9,16 +9,16 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from calflow.faults import mended
-from calflow.measurements import Measurements
-from calflow.problems import refuse
-from calflow.stages.chain import BlockBackend, joined, open_ensembles
-from calflow.stages.fit import Problem
-from calflow.stages.identified import Identified, calibrated, with_maps_held
-from calflow.stages.noise import averaged
-from calflow.stages.posterior import Laplace, Posterior, moves
+from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
+from calflow.estimation.fit import LeastSquares
+from calflow.estimation.noise import averaged
+from calflow.faults import corrected
+from calflow.files.problems import refuse
+from calflow.files.toml import FileModel
+from calflow.measurements.measurements import Measurements
+from calflow.sampling.backend import BlockBackend, joined, open_ensembles
+from calflow.sampling.posterior import Laplace, Posterior, moves
 from calflow.stages.stage import Context, Stage
-from calflow.toml_file import FileModel
 
 ENOUGH_TAU = 50  # autocorrelation times that a chain must be long
 LOW_ACCEPTANCE = 0.1  # below this the independent proposal only wastes evaluations
@@ -40,7 +40,7 @@ class SampleSettings(FileModel):
 def run(context: Context) -> dict[str, pd.DataFrame]:
     """Sample the posterior with independent ensembles until it is long enough, and say so if it is not."""
     study, settings = context.study, context.settings
-    data = mended(study.measurements(), context.tables["identify/faults.csv"])
+    data = corrected(study.measurements(), context.tables["identify/faults.csv"])
     known, held = with_maps_held(calibrated(study.robot, context.tables, data.given))
     if held:
         context.say(f"held at their estimates, too many to sample: {', '.join(f'{c.id} {c.part}' for c in held)}")
@@ -82,7 +82,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
 def posterior_of(known: Identified, data: Measurements) -> tuple[Posterior, Laplace]:
     """Return the posterior of what was identified, given the training rows, and its approximation."""
     means = averaged(data.only(data.train), known.noise(data).only(data.train))
-    problem = Problem.of(known.model, *means).reweighted(known.estimate, known.loss)
+    problem = LeastSquares.of(known.model, *means).reweighted(known.estimate, known.loss)
     laplace = Laplace.of(problem, known.estimate, known.at_bound)
     return Posterior.about(problem, laplace), laplace
 

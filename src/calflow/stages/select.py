@@ -6,14 +6,14 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, field_validator, model_validator
 
+from calflow.design.candidates import candidates
+from calflow.design.optimality import exchange, greedy, indices, log_determinant
+from calflow.estimation.identifiability import NULL
+from calflow.files.problems import nearest, refuse
+from calflow.files.toml import FileModel, Length, Lengths3
 from calflow.model import Model, build
-from calflow.problems import nearest, refuse
-from calflow.stages.candidates import candidates
-from calflow.stages.identifiability import NULL
-from calflow.stages.observability import exchange, greedy, indices, log_determinant
 from calflow.stages.stage import Context, Stage
 from calflow.study import known_effects
-from calflow.toml_file import FileModel, Length, Lengths3
 
 TASK_POSES = 400  # candidates over which the tool's expected error is averaged
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from calflow.files.tables import Tables
+from calflow.files.toml import FileModel
 from calflow.study import Study
-from calflow.toml_file import FileModel
-
-Tables = Mapping[str, pd.DataFrame]
 
 
 @dataclass(frozen=True)

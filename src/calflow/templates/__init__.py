@@ -6,7 +6,7 @@ import re
 from importlib import resources
 from pathlib import Path
 
-from calflow.problems import InputError, Problem, refuse
+from calflow.files.problems import InputError, Problem, refuse
 
 FILES = ("robot.toml", "study.toml", "truth.toml")
 

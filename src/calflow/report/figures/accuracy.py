@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from calflow.report.material import Step
+from calflow.report.material import ModelAccuracy
 from calflow.report.style import ACCENT, DARK, LIGHT, MIDDLE, figure, panels
 from calflow.report.words import mm
 
@@ -20,7 +20,7 @@ NOISE_DRAWS = 200_000
 LONGEST = 14  # letters of a line below a bar
 
 
-def before_after(steps: Sequence[Step], floor: float | None) -> Figure:
+def before_after(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
     """Draw mean and largest error [mm] of each model on a logarithmic scale, with what noise alone would leave.
 
     floor is None where that is not known.
@@ -47,7 +47,7 @@ def before_after(steps: Sequence[Step], floor: float | None) -> Figure:
     return drawn
 
 
-def budget(steps: Sequence[Step], floor: float | None) -> Figure:
+def budget(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
     """Draw what each step of the model takes off the mean error [mm], as a waterfall on a logarithmic scale."""
     drawn = figure(1.9)
     axes = drawn.add_subplot()
@@ -111,7 +111,7 @@ def distribution(distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, nois
     return drawn
 
 
-def _base(steps: Sequence[Step], floor: float | None) -> float:
+def _base(steps: Sequence[ModelAccuracy], floor: float | None) -> float:
     """Return where the bars of a logarithmic scale begin [mm]."""
     return 0.4 * min([*(step.mean for step in steps), *([floor] if floor else [])])
 

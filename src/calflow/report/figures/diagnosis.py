@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from calflow.report.material import Step
+from calflow.report.material import ModelAccuracy
 from calflow.report.style import ACCENT, DARK, LIGHT, MANY, MIDDLE, crowded, dots, figure, panels
 from calflow.report.words import mm, number
 
@@ -70,7 +70,7 @@ def explained(
     return drawn
 
 
-def waterfall(steps: Sequence[Step], floor: float | None) -> Figure:
+def waterfall(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
     """Draw what each of many steps takes off the mean error [mm], bar by bar, on a logarithmic scale."""
     drawn = figure(0.8 + ROW * (len(steps) + 1))
     axes = drawn.add_subplot()

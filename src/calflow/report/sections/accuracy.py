@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from calflow.estimation.noise import MIN_REPEATS
+from calflow.files.tables import Tables
 from calflow.report.document import Block, paragraph, plot, table
 from calflow.report.figures.accuracy import budget, distribution
 from calflow.report.figures.diagnosis import waterfall
@@ -11,8 +13,6 @@ from calflow.report.findings import findings
 from calflow.report.material import Material, item, lack_of_fit, latest, split_judged, steps
 from calflow.report.section import Advice, Section
 from calflow.report.words import effect_words, listed, mm, ratio
-from calflow.stages.noise import MIN_REPEATS
-from calflow.stages.stage import Tables
 
 FAR_OFF = 0.1  # share of the measured space by which a nominal robot may miss
 LACKS = 1.5  # times the noise from which a lack of fit is told

@@ -8,12 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
+from calflow.design.discrimination import ENOUGH
+from calflow.diagnosis.findings.tables import UNEXPLAINED
+from calflow.diagnosis.findings.verdict import WITHIN
+from calflow.files.tables import Tables
 from calflow.report.document import Block, bullets, heading, paragraph, plot, table
 from calflow.report.figures.diagnosis import evidence, explained, gains, in_space
 from calflow.report.figures.residuals import magnification
 from calflow.report.findings import (
+    Alternative,
     Found,
-    Rival,
     cause_name,
     cause_words,
     chance,
@@ -30,10 +34,6 @@ from calflow.report.material import Material, item, split_judged, steps
 from calflow.report.section import Advice, Section
 from calflow.report.words import effect_words, listed, mm, number, plural, two_digits
 from calflow.stages.diagnose import SHARES, DiagnoseSettings
-from calflow.stages.discrimination import ENOUGH
-from calflow.stages.findings import UNEXPLAINED
-from calflow.stages.stage import Tables
-from calflow.stages.verdict import WITHIN
 
 SHOWN = 10  # candidates in the figure
 LONGEST = 46  # letters of a name with its detail, beyond which the detail is left out
@@ -168,7 +168,7 @@ def _apart(one: Found, tables: Tables) -> list[str]:
     asked = tables["diagnose/next_poses.csv"].drop_duplicates("tells")
     proposed = {
         named(text).name
-        for tells, rivals in asked[["tells", "from"]].itertuples(index=False) if named(tells) == Rival(one.cause, one.joint)
+        for tells, rivals in asked[["tells", "from"]].itertuples(index=False) if named(tells) == Alternative(one.cause, one.joint)
         for text in rivals.split("; ")
     }  # fmt: skip
     said = []

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pandas as pd
 
 from calflow.faults.base import lines_in_words
+from calflow.files.tables import Tables
 from calflow.report.document import Block, paragraph, table
 from calflow.report.material import Material
 from calflow.report.section import Advice, Section
 from calflow.report.words import effect_words, plural
-from calflow.stages.stage import Tables
 
 FAULTS = "identify/faults.csv"
 SHOWN = 12  # places that a list of lines names

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
+from calflow.files.tables import Tables
 from calflow.report.document import Block, bullets, heading, paragraph, table
 from calflow.report.material import Material, item
 from calflow.report.section import Advice, Section
 from calflow.report.sections.parameters import prior_names
 from calflow.report.words import effect_words, interval, listed, number, readable
-from calflow.stages.stage import Tables
 
 SHOWN = 15  # correlations in the table
 NAMED = 3  # parameters that a trade on the first page names

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from calflow.files.tables import Tables
 from calflow.report.document import Block, paragraph, plot, table
 from calflow.report.figures.parameters import estimates
 from calflow.report.material import Material, latest
 from calflow.report.section import Advice, Section
 from calflow.report.words import effect_words, interval, listed, readable, with_sd
-from calflow.stages.stage import Tables
 
 FEW = 4  # parameters in a trade up to which each is marked
 BY_PRIOR = 0.5  # prior share from which a parameter is left to the prior

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
+from calflow.effects.cause import Cause
+from calflow.files.tables import Tables
 from calflow.report.chain import Chain
 from calflow.report.document import Block, bullets, heading, paragraph, plot, table
 from calflow.report.figures.posterior import against_laplace, corner, traces
@@ -15,8 +17,6 @@ from calflow.report.material import Material, item, latest
 from calflow.report.section import Advice, Section
 from calflow.report.style import WIDTH
 from calflow.report.words import listed, readable, with_sd
-from calflow.stages.causes import Cause
-from calflow.stages.stage import Tables
 
 SAME = 1.01  # R-hat up to which ensembles agree
 TRACED, PAIRED = 3, 6  # parameters in the figures

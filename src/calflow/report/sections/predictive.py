@@ -5,12 +5,12 @@ from __future__ import annotations
 import pandas as pd
 from scipy.stats import binom
 
+from calflow.files.tables import Tables
 from calflow.report.document import Block, paragraph, plot
 from calflow.report.figures.posterior import predictions
 from calflow.report.material import Material
 from calflow.report.section import Advice, Section
 from calflow.report.words import percent
-from calflow.stages.stage import Tables
 
 HELD_OUT = "held-out rows"
 LEVEL = 0.95

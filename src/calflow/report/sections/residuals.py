@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from calflow.files.tables import Tables
 from calflow.report.document import Block, heading, paragraph, plot, table
 from calflow.report.figures.residuals import against_joints, against_place, in_workspace, magnification
 from calflow.report.material import Material, latest
 from calflow.report.section import Advice, Section
 from calflow.report.words import listed, mm, plural, ratio
-from calflow.stages.stage import Tables
 
 SHOWN = 15  # flagged rows in the table
 DRAWN = 700  # arrows in the workspace that can still be told apart

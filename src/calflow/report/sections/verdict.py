@@ -7,7 +7,7 @@ import math
 from calflow.report.document import Block, bullets, card, gap, heading, paragraph, picture, side_by_side
 from calflow.report.figures.accuracy import before_after
 from calflow.report.findings import findings
-from calflow.report.material import Material, Step, gathered, item, lack_of_fit, latest, split_judged, steps
+from calflow.report.material import Material, ModelAccuracy, gathered, item, lack_of_fit, latest, split_judged, steps
 from calflow.report.section import Section, advice, sections
 from calflow.report.sections.accuracy import LACKS
 from calflow.report.sections.diagnosis import lacked, structure, unsure
@@ -62,7 +62,7 @@ def write(material: Material) -> list[Block]:
     ]  # fmt: skip
 
 
-def judgement(material: Material, found: list[Step]) -> str:
+def judgement(material: Material, found: list[ModelAccuracy]) -> str:
     """Say in a few words whether to use the model."""
     first, last = found[0], found[-1]
     urgent = any(found.urgency == 1 for found in advice(sections(), material.tables))
@@ -78,7 +78,7 @@ def judgement(material: Material, found: list[Step]) -> str:
     return "Usable where it was measured, but the model lacks something."
 
 
-def headline(found: list[Step], split: str) -> str:
+def headline(found: list[ModelAccuracy], split: str) -> str:
     """Say in one sentence what calibration gained."""
     first, last = found[0], found[-1]
     seen = "that no fit has seen" if split == "holdout" else "used for the fit (none were held out)"

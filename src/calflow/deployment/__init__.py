@@ -1,0 +1,1 @@
+"""Deployment: what goes back to the robot."""

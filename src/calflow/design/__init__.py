@@ -1,0 +1,1 @@
+"""Design: which poses to measure."""

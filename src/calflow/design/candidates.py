@@ -1,0 +1,55 @@
+"""Candidate poses: joint readings within limits whose tool is where the device can see it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import qmc
+
+from calflow.files.problems import refuse
+from calflow.model import Model
+from calflow.robot.loop import reachable
+
+LARGEST_DRAW = 1 << 15  # poses drawn at once
+MAX_DRAWS = 40  # rounds of drawing before the region counts as out of reach
+
+
+def candidates(
+    model: Model, number: int, payload: str, marker: str, region: np.ndarray | None, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return joint readings (number, n_joints) [rad, or m] and their packed conditions (n_conditions, number).
+
+    Drawn by a scrambled Sobol sequence over the joints' ranges; region is a box (2, 3) [m] in the measuring frame that the
+    nominal marker must be in.
+
+    Raises:
+        InputError: hardly any pose within the joints' ranges reaches the region.
+    """
+    sobol = qmc.Sobol(model.robot.n_joints, rng=rng)
+    size = min(LARGEST_DRAW, 1 << int(np.ceil(np.log2(4 * number))))
+    kept: list[np.ndarray] = []
+    rounds = MAX_DRAWS * max(1, number // size)
+    for _ in range(rounds):
+        drawn = qmc.scale(sobol.random(size), *model.robot.limits.T)
+        readings = np.linalg.solve(model.robot.reading_matrix, drawn.T).T
+        rows = pack(model, readings, payload, marker)
+        good = reachable(model.robot, drawn)
+        if region is not None:
+            position = model.position(model.nominal, rows)
+            good &= ((position > region[0]) & (position < region[1])).all(axis=1)
+        kept.append(readings[good])
+        if sum(map(len, kept)) >= number:
+            readings = np.vstack(kept)[:number]
+            return readings, pack(model, readings, payload, marker)
+    raise refuse(
+        f"of {rounds * size} poses within the joint limits only {sum(map(len, kept))} reach the region, {number} are needed: "
+        "is the region (in the measuring frame) within the robot's reach?"
+    )
+
+
+def pack(model: Model, readings: np.ndarray, payload: str, marker: str) -> np.ndarray:
+    """Return packed conditions (n_conditions, n_rows) of readings (n_rows, n_joints) under one payload, for one marker."""
+    robot, n = model.robot, len(readings)
+    payloads = [np.full(n, float(name == payload)) for name in robot.payloads]
+    markers = [np.full(n, float(name == marker)) for name in robot.markers]
+    rest = model.n_conditions - robot.n_joints - len(payloads) - len(markers)
+    return np.vstack([*readings.T, *payloads, *markers, *np.zeros((rest, n))])

@@ -1,0 +1,1 @@
+"""Diagnosis: what a fitted model still gets wrong, and why."""

@@ -1,0 +1,110 @@
+"""Curves: each finding's effect against the variable that explains it, before and after it was put into the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.effects.base import Effect, Variable
+from calflow.effects.cause import Cause
+from calflow.effects.joint_error import JointError, Term
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model, over_rows
+from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
+from calflow.robot.dimensions import nominal_dimensions, nominal_loads
+from calflow.robot.statics import State, state
+
+PARALLEL = 0.02  # share of an effect off its joint's lever below which it counts as that joint's
+COLUMNS = [
+    "finding",
+    "cause",
+    "joint",
+    "variable",
+    "variable_unit",
+    "x",
+    "before_mm",
+    "after_mm",
+    "fitted_mm",
+    "pose",
+    "split",
+]
+
+
+def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.DataFrame:
+    """Return a row a measured row and finding: the error along the direction in which the cause moves the tool.
+
+    after is what the extended model leaves there, measured minus predicted; before is that with the cause's own part
+    added back, fitted that part.
+    """
+    model, estimate = final.model, final.fit.estimate
+    left = data.position - model.position(estimate, data.rows)
+    turned = Model(model.robot, (*model.effects, _Lever(model.robot)), model.given)
+    whole = turned.position_jacobian(np.append(estimate, np.zeros(model.robot.n_joints)), data.rows)
+    jacobian, levers = np.split(whole, [len(estimate)], axis=2)
+    blocks, start = [], 0
+    for effect in model.effects:
+        own = slice(start, start + len(effect.declared))
+        start = own.stop
+        if effect not in causes:
+            continue
+        assert isinstance(effect, Cause)
+        moved = jacobian[:, :, own] @ estimate[own]
+        lever = levers[:, :, effect.joint - 1] if effect.joint else None
+        along = _direction(jacobian[:, :, own], estimate[own], lever)
+        variable = effect.effect.variable(effect.joint)
+        after, fitted = (np.einsum("ra,ra->r", part, along) for part in (left, moved))
+        block = {
+            "finding": causes.index(effect) + 1, "cause": effect.id, "joint": effect.joint or None,
+            "variable": variable.label, "variable_unit": variable.unit, "x": _values(model, effect, variable, data),
+            "before_mm": 1e3 * (after + fitted), "after_mm": 1e3 * after, "fitted_mm": 1e3 * fitted,
+            "pose": data.table["pose"], "split": data.table["split"],
+        }  # fmt: skip
+        blocks.append(pd.DataFrame(block)[COLUMNS])
+    return pd.concat(blocks, ignore_index=True) if blocks else pd.DataFrame(columns=COLUMNS)
+
+
+@dataclass(frozen=True)
+class _Lever(JointError):
+    """A turn of each joint by an angle of its own: how far a joint's error moves the tool."""
+
+    id: ClassVar[str] = "lever"
+    title: ClassVar[str] = "lever"
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the angle."""
+        return [Term("angle", "rad", 1.0, 1.0, ca.SX(1))]
+
+
+def _direction(jacobian: np.ndarray, value: np.ndarray, lever: np.ndarray | None) -> np.ndarray:
+    """Unit vectors (n_rows, 3) along which a cause acts.
+
+    Where all its parameters move the tool as its joint does, that is the joint's lever (n_rows, 3): its sign does not turn
+    with the effect, or every error would look positive. Else it is the strongest axis of each row, to one side.
+    """
+    moved = jacobian * np.abs(value)
+    if lever is not None:
+        along = lever / np.maximum(np.linalg.norm(lever, axis=1), 1e-12)[:, None]
+        apart = moved - along[:, :, None] * np.einsum("ra,rap->rp", along, moved)[:, None, :]
+        if np.linalg.norm(apart) < PARALLEL * np.linalg.norm(moved):
+            return along
+    _, _, axes = np.linalg.svd(moved.transpose(0, 2, 1), full_matrices=False)
+    along = axes[:, 0, :]
+    mean = np.einsum("rap,rbp,rb->a", moved, moved, along)
+    return along * np.where(along @ mean < 0, -1.0, 1.0)[:, None]
+
+
+def _values(model: Model, cause: Effect, variable: Variable, data: Measurements) -> np.ndarray:
+    c = ca.SX.sym("c", model.n_conditions)
+    row = Row.unpack(model.robot, c, model.given)
+    robot = model.robot
+    now = state(robot, nominal_dimensions(robot), nominal_loads(robot), row, Deflection.zero(robot.n_joints))
+    p = ca.SX.sym("p")
+    function = ca.Function("variable", [p, c], [ca.densify(ca.SX(variable.value(now, row)))])
+    return over_rows(function, np.zeros(1), data.rows)[0].ravel() * variable.factor

@@ -1,0 +1,53 @@
+"""A Gaussian process for what no cause explains: it predicts, without a physical meaning, and is never part of the model.
+
+A decoy's waves with independent normal amplitudes of one size are a Gaussian process over its inputs that acts where the decoy
+does (the weight-space view: Rasmussen and Williams 2006, 2.1). The size is that of the greatest marginal likelihood, the
+noise's level integrated out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calflow.diagnosis.screening.regressors import Regressors
+from calflow.diagnosis.screening.screening import Screening
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.effects.cause import Cause
+from calflow.model import Model
+
+SIZES = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 61)])  # over the prior's, that are tried
+
+
+def predicted(fitted: Fitted, decoy: Cause, rows: np.ndarray) -> np.ndarray:
+    """Return by how much the process moves the predicted points of rows (n_conditions, n_rows), shape (n_rows, 3) [m].
+
+    The model's own parameters settle beside it, as far as their priors let them.
+    """
+    regressors = Regressors.of(fitted.fit, fitted.problem, (decoy,), fitted.poses)
+    amplitudes = _amplitudes(Screening(regressors)) * regressors.prior_sd
+    own = regressors.jacobian
+    imitated = own.T @ (regressors.matrix @ amplitudes)
+    settled = -np.linalg.solve(own.T @ own + np.diag(regressors.precision), imitated)
+    model, fit = fitted.model, fitted.fit
+    both = Model(model.robot, model.effects, model.given, (decoy,))
+    change = np.zeros(len(both.parameters))
+    change[np.flatnonzero(~fit.at_bound)] = settled
+    change[len(fit.estimate) :] = amplitudes
+    return both.position_jacobian(np.append(fit.estimate, both.nominal[len(fit.estimate) :]), rows) @ change
+
+
+def _amplitudes(screening: Screening) -> np.ndarray:
+    """The most probable amplitudes of the only candidate's columns, over their priors."""
+    sd = screening.regressors.prior_sd
+    shown = screening.information(np.arange(len(sd))) * sd[:, None] * sd
+    values, vectors = np.linalg.eigh(shown)
+    values = np.maximum(values, 0.0)
+    score = vectors.T @ (screening.score * sd)
+    square = SIZES[:, None] ** 2
+    kept = square / (1 + square * values)  # (n_sizes, n_columns)
+    drop = kept @ score**2
+    evidence = -0.5 * (
+        screening.degrees_of_freedom * np.log1p(-np.minimum(drop / screening.chi2, 1 - 1e-12))
+        + np.log1p(square * values).sum(axis=1)
+    )
+    return np.asarray(-vectors @ (kept[int(np.argmax(evidence))] * score))

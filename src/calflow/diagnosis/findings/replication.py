@@ -1,0 +1,199 @@
+"""Confirmation: whether what was found on one series of measurements is found on an independent series too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.effects import Effect
+from calflow.effects.cause import Carried, Cause
+from calflow.effects.joint_error import JointError
+from calflow.estimation.accuracy import errors
+from calflow.estimation.fit import Fit
+from calflow.estimation.noise import noise
+from calflow.estimation.registration import registered
+from calflow.estimation.reweighting import fit_reweighted
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model
+from calflow.robot.conditions import Row
+from calflow.robot.statics import State
+
+GRID = 400  # angles at which two curves are compared
+AGREE, AGREE_MAINLY = 0.95, 0.7  # correlations from which two curves count as the same, or as nearly so
+WIDE = 0.3  # share of a joint's travel that two series must have in common for a comparison to mean much
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """The other series fitted on its own, and the first one's joint errors carried over to it.
+
+    curves has cause, joint, angle_deg, here_urad, there_urad; table a row a cause; accuracy the held-out errors there.
+    """
+
+    curves: pd.DataFrame
+    table: pd.DataFrame
+    accuracy: pd.DataFrame
+
+
+def confirm(found: Fitted, other: Measurements) -> Confirmation:
+    """Fit the same effects to another series alone, and compare each joint error's curve over the common travel.
+
+    Args:
+        found: the extended model on the first series.
+        other: the independent series, split into train and holdout.
+    """
+    robot = registered(other.robot, other.only(other.train))
+    other = other.on(robot)
+    train = other.only(other.train)
+    causes = [cause for cause in found.causes if _is_curve(cause)]
+    plain = tuple(_on(effect, train) for effect in found.plain)
+    own = [matched for cause in causes if (matched := _matched(cause, train)) is not None]
+    level = noise(other).only(other.train)
+
+    def fitted(effects: Sequence[Effect]) -> Fit:
+        model = Model(robot, tuple(effects), other.given)
+        return fit_reweighted(model, train, level, model.nominal[None], found.loss)[0]
+
+    alone, without = fitted((*plain, *own)), fitted(plain)
+    rows, curves = [], []
+    for cause in causes:
+        matched = next((one for one in own if one.place == cause.place), None)
+        row, curve = _compared(cause, found, matched, alone, train)
+        rows.append(row)
+        curves += [curve] if curve is not None else []
+    columns = [
+        "cause",
+        "joint",
+        "correlation",
+        "correlation_with_first_order",
+        "rms_here_urad",
+        "rms_there_urad",
+        "common_deg",
+        "share_of_travel",
+        "words",
+    ]
+    table = pd.DataFrame(rows, columns=columns).astype({"joint": "Int64"})
+    values = [tuple(map(float, _values(found.model, found.fit.estimate, cause))) for cause in causes]
+    carried = fitted((*plain, *(Carried(robot, cause, v) for cause, v in zip(causes, values, strict=True))))
+    heldout = other.only(other.held_out & _covered(found, causes, other))
+    steps = [
+        ("without the causes", without),
+        ("its own fit of the causes", alone),
+        ("the causes carried over", carried),
+    ]
+    accuracy = pd.DataFrame(
+        {"model": name, "n": len(heldout), "heldout_mean_mm": _mean(fit, heldout)} for name, fit in steps
+    )
+    together = pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(
+        columns=["cause", "joint", "angle_deg", "here_urad", "there_urad"]
+    )  # fmt: skip
+    return Confirmation(together, table, accuracy)
+
+
+def curve(cause: Cause, values: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Return a joint error [rad] at angles (n,) [rad] of its joint, the other joints at zero."""
+    assert isinstance(cause.effect, JointError)
+    state, row = State.symbols(cause.robot), Row.symbols(cause.robot)
+    terms = [term.value for term in cause.effect.terms(cause.joint - 1, state, row)]
+    function = ca.Function("curve", [state.q], [ca.dot(ca.DM(values), ca.vertcat(*terms))])
+    q = np.zeros((cause.robot.n_joints, len(angle)))
+    q[cause.joint - 1] = angle
+    return np.array(function.map(len(angle))(q)).ravel()
+
+
+def _is_curve(cause: Cause) -> bool:
+    """Whether a cause is a function of its own joint's angle alone."""
+    if not isinstance(cause.effect, JointError):
+        return False
+    state, row = State.symbols(cause.robot), Row.symbols(cause.robot)
+    terms = ca.vertcat(*(term.value for term in cause.effect.terms(cause.joint - 1, state, row)))
+    return all(symbol.name() == state.q[cause.joint - 1].name() for symbol in ca.symvar(terms))
+
+
+def _on(effect: Effect, data: Measurements) -> Effect:
+    return replace(effect, robot=data.robot)
+
+
+def _matched(cause: Cause, data: Measurements) -> Cause | None:
+    """Return the same cause for other data: a map over what they cover, if they cover it."""
+    variants = type(cause.effect).variants(data.robot, data)
+    same = next((v for v in variants if v.detail == cause.effect.detail), None)
+    if same is None and variants:
+        same = replace(cause.effect, robot=data.robot)
+    if same is None or cause.part not in {parameter.part for parameter in same.declared}:
+        return None
+    return Cause(data.robot, same, cause.part)
+
+
+def _compared(
+    cause: Cause, found: Fitted, matched: Cause | None, alone: Fit, data: Measurements
+) -> tuple[dict[str, object], pd.DataFrame | None]:
+    i = cause.joint - 1
+    here, there = ((m.joints @ m.robot.reading_matrix.T)[:, i] for m in (found.data, data))
+    low, high = max(here.min(), there.min()), min(here.max(), there.max())
+    travel = max(np.ptp(here), 1e-9)
+    told: dict[str, object] = {"cause": cause.id, "joint": cause.joint, "common_deg": float(np.rad2deg(max(high - low, 0.0))),
+                               "share_of_travel": float(max(high - low, 0.0) / travel)}  # fmt: skip
+    if matched is None or high <= low:
+        few = f"does not cover joint {cause.joint} densely enough to see it"
+        none = f"has no reading of joint {cause.joint} within the travel that was seen here"
+        return told | {"words": f"the other series {none if high <= low else few}"}, None
+    angle = np.linspace(low, high, GRID)
+    own = _values(found.model, found.fit.estimate, cause)
+    other = _values(alone.model, alone.estimate, matched)
+    whole = [curve(c, v, angle) for c, v in ((cause, own), (matched, other))]
+    first, second = (_beyond_first_order(values, angle) for values in whole)
+    correlation = float(np.corrcoef(first, second)[0, 1])
+    share = float((high - low) / travel)
+    if correlation >= AGREE:
+        words = "the independent series shows the same curve"
+    elif share < WIDE:
+        words = f"the two series have only {share:.0%} of the travel in common: too little to confirm or to contradict"
+    elif correlation >= AGREE_MAINLY:
+        words = "the two series agree in the main: a part of at least one curve belongs to something else"
+    else:
+        words = "the two series do not agree: at least one curve holds what belongs to something else"
+    told |= {
+        "correlation": correlation,
+        "correlation_with_first_order": float(np.corrcoef(whole[0], whole[1])[0, 1]),
+        "rms_here_urad": 1e6 * first.std(),
+        "rms_there_urad": 1e6 * second.std(),
+        "words": words,
+    }
+    drawn = pd.DataFrame({"cause": cause.id, "joint": cause.joint, "angle_deg": np.rad2deg(angle),
+                          "here_urad": 1e6 * first, "there_urad": 1e6 * second})  # fmt: skip
+    return told, drawn
+
+
+def _beyond_first_order(values: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Take off offset, slope and first order, which the joint's zero, geometry and gravity imitate in either series."""
+    imitated = np.column_stack([np.ones_like(angle), angle, np.cos(angle), np.sin(angle)])
+    return np.asarray(values - imitated @ np.linalg.lstsq(imitated, values)[0])
+
+
+def _values(model: Model, estimate: np.ndarray, cause: Cause) -> np.ndarray:
+    start = 0
+    for effect in model.effects:
+        if effect == cause:
+            return estimate[start : start + len(effect.declared)]
+        start += len(effect.declared)
+    raise ValueError("the cause is not in the model")
+
+
+def _covered(found: Fitted, causes: Sequence[Cause], other: Measurements) -> np.ndarray:
+    """Which rows of another series lie within the travel on which the causes were found, shape (n_rows,)."""
+    here, there = (m.joints @ m.robot.reading_matrix.T for m in (found.data, other))
+    joints = [cause.joint - 1 for cause in causes]
+    low, high = here.min(axis=0), here.max(axis=0)
+    return np.asarray(((there >= low) & (there <= high))[:, joints].all(axis=1))
+
+
+def _mean(fit: Fit, rows: Measurements) -> float:
+    if not len(rows):
+        return float("nan")
+    return float(1e3 * np.linalg.norm(errors(fit.model, fit.estimate, rows), axis=1).mean())

@@ -1,0 +1,1 @@
+"""Screening: every candidate cause tested from one Jacobian."""

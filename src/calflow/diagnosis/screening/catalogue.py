@@ -1,0 +1,40 @@
+"""The catalogue for some data: every effect in the forms that they can show, and why others cannot be tested."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from calflow.effects import Effect, catalogue
+from calflow.effects.cause import parts
+from calflow.measurements.measurements import Measurements
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """The effects to look for in some data, every variant, and why others cannot be tested (id -> what is lacking)."""
+
+    effects: tuple[Effect, ...]
+    lacking: dict[str, str]
+
+    @cached_property
+    def variants(self) -> dict[tuple[str, str], int]:
+        """How many forms there are for each place."""
+        return dict(Counter((effect.id, part) for effect in self.effects for part in parts(effect)))
+
+    @staticmethod
+    def of(data: Measurements, have: Sequence[str], only: Sequence[str] = (), without: Sequence[str] = ()) -> Catalogue:
+        """Collect what can be tested on these training data: all, or only some, but what the model has already."""
+        effects: list[Effect] = []
+        lacking = {}
+        for name, kind in catalogue().items():
+            if name in have or name in without or (only and name not in only):
+                continue
+            reason = kind.lacking(data.robot, data)
+            if reason:
+                lacking[name] = reason
+            elif not kind.is_noise():
+                effects += kind.variants(data.robot, data)
+        return Catalogue(tuple(effects), lacking)

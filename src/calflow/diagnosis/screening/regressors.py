@@ -1,0 +1,176 @@
+"""Regressors: what each candidate would do to the residual of a fitted model, whitened, from one Jacobian of all together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from calflow.effects import Effect
+from calflow.effects.cause import Cause, parts
+from calflow.estimation.fit import Fit, LeastSquares
+from calflow.model import Model, over_rows
+
+USUAL = 1e-3  # m, per axis: what a model leaves of a usual robot at most
+SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One variant of a cause: its regressors are these columns."""
+
+    cause: Cause
+    columns: np.ndarray
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Least and largest values of its parameters, from nominal, shape (2, n_columns)."""
+        return np.array([(p.lower - p.nominal, p.upper - p.nominal) for p in self.cause.declared]).T
+
+
+@dataclass(frozen=True)
+class Products:
+    """The sums over all rows that tests need, worked out once for a model and for all that is taken out of it.
+
+    fitted (n_free, n_free) are the Jacobian's with itself, mixed (n_free, n_columns) those with the regressors, own
+    (n_columns, widest) each regressor's with those of its candidate.
+    """
+
+    fitted: np.ndarray
+    mixed: np.ndarray
+    own: np.ndarray
+
+    @staticmethod
+    def of(jacobian: np.ndarray, matrix: np.ndarray, candidates: Sequence[Candidate]) -> Products:
+        """Add up the products of the Jacobian (n, n_free) and the regressors (n, n_columns)."""
+        own = np.zeros((matrix.shape[1], max((len(c.columns) for c in candidates), default=0)))
+        for candidate in candidates:
+            columns = candidate.columns
+            own[columns, : len(columns)] = matrix[:, columns].T @ matrix[:, columns]
+        return Products(jacobian.T @ jacobian, jacobian.T @ matrix, own)
+
+    def only(self, free: np.ndarray) -> Products:
+        """Return the products with some free parameters only."""
+        return Products(self.fitted[np.ix_(free, free)], self.mixed[free], self.own)
+
+
+@dataclass(frozen=True)
+class Regressors:
+    """All candidates' whitened regressors side by side, with the model's own Jacobian.
+
+    residual (n,) and jacobian (n, n_free) are the fit's, pull (n_free,) the priors' part of the gradient; matrix is
+    (n, n_columns), prior_sd (n_columns,). determined is how many parameters the residual has lost. scale is by how much the
+    candidates' priors are wider than they state.
+    """
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    precision: np.ndarray
+    pull: np.ndarray
+    prior_rss: float
+    matrix: np.ndarray
+    prior_sd: np.ndarray
+    candidates: tuple[Candidate, ...]
+    products: Products
+    determined: float = 0.0
+    scale: float = 1.0
+
+    @staticmethod
+    def of(fit: Fit, problem: LeastSquares, effects: Sequence[Effect], poses: np.ndarray | None = None) -> Regressors:
+        """Linearise the fitted model with all these effects at zero, which costs one Jacobian.
+
+        poses (n_rows,) numbers the rows by pose: what the rows of a pose have in common counts once (see `shared_error`).
+        Where much more is left than usual, causes are looked for that are as much larger than usual.
+        """
+        model = fit.model
+        large = Model(model.robot, model.effects, model.given, tuple(effects))
+        wide = replace(problem, model=large)
+        n = len(model.parameters)
+        inputs, residual = wide.expression()
+        both = ca.densify(ca.jacobian(residual, inputs[0])).T
+        function = ca.Function("screen", inputs, [residual, both])
+        point = np.concatenate([fit.estimate, large.nominal[n:]])
+        data = (problem.rows, problem.measured, problem.weight)
+        values, slopes = over_rows(function, point, *data)
+        matrix = slopes.T  # (n, all parameters)
+        left = values.T.ravel()
+        if poses is not None and (shared := shared_error(left, poses, fit.effective_parameters)) < 1:
+            left, matrix = (array - (1 - shared) * _pose_means(array, poses) for array in (left, matrix))
+        free = np.flatnonzero(~fit.at_bound)
+        offset = fit.estimate - model.nominal
+        precision = model.prior_sd**-2.0
+        scale = max(1.0, float(np.median(1 / problem.weight[0])) / USUAL)
+        jacobian, found, candidates = matrix[:, free], matrix[:, n:], _candidates(effects)
+        return Regressors(
+            left,
+            jacobian,
+            precision[free],
+            (precision * offset)[free],
+            float(precision @ offset**2),
+            found,
+            large.prior_sd[n:] * scale,
+            candidates,
+            Products.of(jacobian, found, candidates),
+            fit.effective_parameters,
+            scale,
+        )
+
+    def without(self, columns: np.ndarray, effect: np.ndarray, pull: np.ndarray) -> Regressors:
+        """Return the regressors of the model without some free parameters, whose effect (n,) is taken off the residual."""
+        keep = np.setdiff1d(np.arange(self.jacobian.shape[1]), columns)
+        return replace(
+            self,
+            residual=self.residual - effect,
+            jacobian=self.jacobian[:, keep],
+            precision=self.precision[keep],
+            pull=self.pull[keep],
+            prior_rss=self.prior_rss - float(pull @ pull),
+            products=self.products.only(keep),
+        )
+
+
+def shared_error(residual: np.ndarray, poses: np.ndarray, determined: float) -> float:
+    """Return the factor at which what a pose's rows have in common spreads as what they have apart; 1 where it does.
+
+    Markers of one pose share the robot's error of repeating it, so they are not as many pieces of evidence as rows. determined
+    is the number of parameters that the residual (n,) has lost, which fix what poses have in common.
+    """
+    count = np.bincount(poses)
+    axes = len(residual) // len(poses)
+    apart = axes * (len(poses) - np.count_nonzero(count))
+    common = axes * np.count_nonzero(count) - determined
+    if apart == 0 or common < axes:
+        return 1.0
+    means = _pose_means(residual, poses)
+    between, within = float(means @ means) / common, float(((residual - means) ** 2).sum()) / apart
+    if f_distribution.sf(between / within, common, apart) > SHARED:
+        return 1.0
+    return float(np.sqrt(within / between))
+
+
+def _pose_means(values: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Mean over the rows of each pose, axis by axis, in every row's place; values is (n_rows · n_axes, …)."""
+    count = np.bincount(poses)
+    shaped = values.reshape(len(poses), -1)
+    if (count <= 1).all():
+        return values
+    total = np.zeros((len(count), shaped.shape[1]))
+    np.add.at(total, poses, shaped)
+    return np.asarray((total / np.maximum(count, 1)[:, None])[poses].reshape(values.shape))
+
+
+def _candidates(effects: Sequence[Effect]) -> tuple[Candidate, ...]:
+    found, start = [], 0
+    for effect in effects:
+        if isinstance(effect, Cause):
+            size = len(effect.declared)
+            found.append(Candidate(effect, start + np.arange(size)))
+            start += size
+            continue
+        for part, columns in parts(effect).items():
+            found.append(Candidate(Cause(effect.robot, effect, part), start + columns))
+        start += len(effect.declared)
+    return tuple(found)

@@ -1,0 +1,284 @@
+"""Screening: which causes explain what the model leaves, tested all at once from one Jacobian.
+
+The whitened residual e is a point where the fit's objective is least. For a candidate with whitened regressors X, the fit's
+Jacobian J and the priors' precision P, what J cannot imitate of it has the information S = XᵀX - XᵀJ (JᵀJ + P)⁻¹ JᵀX, and
+the score u = Xᵀe - XᵀJ (JᵀJ + P)⁻¹ (Jᵀe + P δ): uᵀ(S + prior)⁻¹u is the drop of chi² that a refit would bring.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.stats import f as f_distribution
+
+from calflow.diagnosis.screening.regressors import Candidate, Regressors
+from calflow.effects.cause import Cause
+
+MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
+INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
+TAIL = 3.0  # prior standard deviations
+DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
+BOOTSTRAP_SIGNIFICANCE = (
+    0.05  # of the smallest p-value, at which the bootstrap counts how many tests the family is worth
+)
+
+
+@dataclass(frozen=True)
+class Score:
+    """What one candidate would gain, without a refit.
+
+    drop is that of chi² and share its part of all, degrees_of_freedom those that it costs, p the p-value of this test
+    alone; delta_bic is negative where it pays. visible_share is how much of the effect the model's own parameters cannot
+    imitate, information S, shown how many directions of it the data show, left the degrees of freedom besides them. unusual is
+    what delta_bic would lose if priors were taken for what they say (see `prior_cost`).
+    """
+
+    candidate: Candidate
+    drop: float
+    share: float
+    degrees_of_freedom: float
+    p: float
+    delta_bic: float
+    visible_share: float
+    estimate: np.ndarray
+    covariance: np.ndarray
+    information: np.ndarray
+    shown: int
+    left: float
+    unusual: float = 0.0
+
+    @property
+    def explained(self) -> float:
+        """Share of chi² that goes, not counting what the cause pulls at its own prior."""
+        precision = np.linalg.inv(self.covariance)
+        fallen = self.estimate @ (2 * precision - self.information) @ self.estimate
+        return float(np.clip(fallen * self.share / max(self.drop, 1e-12), 0.0, 1 - 1e-6))
+
+    @property
+    def cause(self) -> Cause:
+        """The cause."""
+        return self.candidate.cause
+
+
+@dataclass(frozen=True)
+class Family:
+    """What the number of tests costs: scans is how many each place's variants are worth, places all places together.
+
+    A place pays for its own scan first, so that a cause without variants need not pay for the others'.
+    """
+
+    scans: dict[tuple[str, str], float]
+    places: float
+
+    def tests(self, score: Score) -> float:
+        """Return how many tests a candidate pays for: its place's scan times all places."""
+        return self.scans.get(score.cause.place, 1.0) * self.places
+
+    def p(self, score: Score) -> float:
+        """Return the chance that anything in the family looks like this where nothing is hidden."""
+        return float(-np.expm1(self.tests(score) * np.log1p(-min(score.p, 1 - 1e-16))))
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Candidates with equally many columns d, stacked.
+
+    roots (n_members, d, d) turns scores into independent standard normals, zero in directions that the data cannot show;
+    weight (n_members, d) is what the priors leave of each, degrees_of_freedom (n_members,) how many there are; information
+    (n_members, d, d) is S, share (n_members,) how much of a candidate the model's parameters cannot imitate.
+    """
+
+    members: tuple[int, ...]
+    columns: np.ndarray
+    roots: np.ndarray
+    weight: np.ndarray
+    degrees_of_freedom: np.ndarray
+    information: np.ndarray
+    share: np.ndarray
+
+
+@dataclass(frozen=True)
+class Screening:
+    """The test of all candidates against what a model leaves."""
+
+    regressors: Regressors
+
+    @cached_property
+    def _factor(self) -> np.ndarray:
+        """Lower triangular factor of the model's information, scaled by the priors."""
+        r = self.regressors
+        return np.linalg.cholesky(r.products.fitted + np.diag(r.precision))
+
+    @cached_property
+    def _imitated(self) -> np.ndarray:
+        """Regressors as the model's parameters can imitate them, (n_free, n_columns)."""
+        return np.asarray(solve_triangular(self._factor, self.regressors.products.mixed, lower=True))
+
+    @cached_property
+    def _gradient(self) -> np.ndarray:
+        """The fit's own gradient in the same coordinates; zero at an optimum."""
+        r = self.regressors
+        return np.asarray(solve_triangular(self._factor, r.jacobian.T @ r.residual + r.pull, lower=True))
+
+    @cached_property
+    def score(self) -> np.ndarray:
+        """u of all columns."""
+        r = self.regressors
+        return np.asarray(r.matrix.T @ r.residual - self._imitated.T @ self._gradient)
+
+    @cached_property
+    def chi2(self) -> float:
+        """What the model leaves, priors included, after its own parameters have settled."""
+        r = self.regressors
+        return float(r.residual @ r.residual + r.prior_rss - self._gradient @ self._gradient)
+
+    @cached_property
+    def variants(self) -> dict[tuple[str, str], int]:
+        """How many candidates each place has."""
+        return dict(Counter(candidate.cause.place for candidate in self.regressors.candidates))
+
+    def information(self, columns: np.ndarray) -> np.ndarray:
+        """Return S between some columns, shape (n_columns, n_columns)."""
+        x, imitated = self.regressors.matrix[:, columns], self._imitated[:, columns]
+        return np.asarray(x.T @ x - imitated.T @ imitated)
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """Degrees of freedom of what the model leaves: its own parameters have taken theirs."""
+        return len(self.regressors.residual) - self.regressors.determined
+
+    @cached_property
+    def _blocks(self) -> list[_Block]:
+        sizes = np.array([len(candidate.columns) for candidate in self.regressors.candidates])
+        blocks = []
+        for d in np.unique(sizes):
+            members = np.flatnonzero(sizes == d)
+            columns = np.array([self.regressors.candidates[m].columns for m in members])
+            whole, imitated = self.regressors.products.own[columns, :d], self._imitated[:, columns].transpose(1, 0, 2)
+            s = whole - imitated.transpose(0, 2, 1) @ imitated
+            sd = self.regressors.prior_sd[columns]
+            values, vectors = np.linalg.eigh(s * sd[:, :, None] * sd[:, None, :])
+            shown = values > INVISIBLE
+            normal = vectors * np.where(shown, np.abs(values) + 1e-300, np.inf)[:, None, :] ** -0.5
+            weight = np.where(shown, values / (values + 1), 0.0)
+            some = shown.any(axis=1)
+            roots = normal.transpose(0, 2, 1) * sd[:, None, :]
+            moved = np.maximum(np.einsum("mii,mi->m", whole, sd**2), np.finfo(float).tiny)
+            share = np.sqrt(np.maximum(np.einsum("mii,mi->m", s, sd**2), 0.0) / moved)
+            parts = (columns, roots, weight, shown.sum(axis=1), s, share)
+            blocks.append(_Block(tuple(members[some]), *(part[some] for part in parts)))
+        return [block for block in blocks if block.members]
+
+    @cached_property
+    def scores(self) -> list[Score]:
+        """Every visible candidate's score, best first."""
+        n = len(self.regressors.residual)
+        found = []
+        for block in self._blocks:
+            own = self.score[block.columns]
+            squared = np.einsum("mij,mj->mi", block.roots, own) ** 2
+            p = self._p(squared.sum(axis=1), self.chi2, block, self.degrees_of_freedom)
+            precision = self.regressors.prior_sd[block.columns] ** -2.0
+            covariance = np.linalg.inv(block.information + np.eye(own.shape[1]) * precision[:, None, :])
+            estimate = -np.einsum("mij,mj->mi", covariance, own)
+            least, most = np.array([self.regressors.candidates[member].bounds for member in block.members]).swapaxes(
+                0, 1
+            )
+            inside = np.clip(estimate, least, most)
+            beyond = estimate - inside
+            lost = np.einsum("mi,mij,mj->m", beyond, block.information, beyond) + (precision * beyond**2).sum(axis=1)
+            estimate, pulled = inside, (precision * inside**2).sum(axis=1)
+            relief = pulled - prior_cost(pulled, own.shape[1])
+            drops = (squared * block.weight).sum(axis=1) - lost + relief
+            drops = np.maximum(drops, 0.0)
+            spent = block.weight.sum(axis=1)
+            scans = np.array(
+                [self.variants[self.regressors.candidates[member].cause.place] for member in block.members]
+            )
+            wider = spent * np.log(self.regressors.scale)
+            bic = (
+                n * np.log1p(-np.minimum(drops / self.chi2, 1 - 1e-12))
+                + spent * np.log(n)
+                + 2 * (wider + np.log(scans))
+            )
+            found += [
+                Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),
+                      float(p[k]), float(bic[k]), float(block.share[k]), estimate[k], covariance[k],
+                      block.information[k], int(block.degrees_of_freedom[k]), 
+                      float(max(self.degrees_of_freedom - block.degrees_of_freedom[k], 1)),
+                      float(n * relief[k] / self.chi2))
+                for k, member in enumerate(block.members)
+            ]  # fmt: skip
+        return sorted(found, key=lambda score: score.delta_bic)
+
+    def family(self, rng: np.random.Generator) -> Family:
+        """Return how many independent tests each place's scan and all places together are worth, by a bootstrap.
+
+        Each residual keeps its size and gets a random sign (wild bootstrap: Liu 1988), so that heavy tails and noise that
+        differs from row to row are in the null as they are in the data.
+        """
+        r = self.regressors
+        n = len(r.residual)
+        settled = r.residual - r.jacobian @ solve_triangular(self._factor.T, self._gradient, lower=False)
+        leverage = (solve_triangular(self._factor, r.jacobian.T, lower=True) ** 2).sum(axis=0)
+        size = settled / np.sqrt(np.maximum(1 - leverage, 0.05))
+        places = list(dict.fromkeys(r.candidates[m].cause.place for block in self._blocks for m in block.members))
+        smallest = np.ones((len(places), DRAWS))
+        for start in range(0, DRAWS, DRAWN_AT_ONCE):
+            part = slice(start, min(start + DRAWN_AT_ONCE, DRAWS))
+            count = part.stop - part.start
+            noise = size[:, None] * rng.choice([-1.0, 1.0], (n, count))
+            pseudo = np.sqrt(r.precision)[:, None] * rng.standard_normal((r.jacobian.shape[1], count))
+            gradient = solve_triangular(self._factor, r.jacobian.T @ noise + pseudo, lower=True)
+            score = r.matrix.T @ noise - self._imitated.T @ gradient
+            chi2 = (noise**2).sum(axis=0) + (pseudo**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
+            for block in self._blocks:
+                whitened = np.einsum("mij,mjk->mik", block.roots, score[block.columns])
+                p = self._p((whitened**2).sum(axis=1), chi2, block, n)  # the priors are drawn too: nothing is lost
+                at = [places.index(r.candidates[member].cause.place) for member in block.members]
+                np.minimum.at(smallest[:, part], at, p)
+        scans = np.array([_worth(row) for row in smallest])
+        adjusted = -np.expm1(scans[:, None] * np.log1p(-np.minimum(smallest, 1 - 1e-16)))
+        return Family(dict(zip(places, scans, strict=True)), _worth(adjusted.min(axis=0)) if places else 1.0)
+
+    def _p(self, drops: np.ndarray, chi2: float | np.ndarray, block: _Block, total: float) -> np.ndarray:
+        """p-values of F tests: drops (n_members, …) of chi² (…), which has so many degrees of freedom in all."""
+        shape = (-1, *[1] * (drops.ndim - 1))
+        degrees_of_freedom = block.degrees_of_freedom.reshape(shape)
+        left = np.maximum(total - degrees_of_freedom, 1.0)
+        ratio = drops / degrees_of_freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
+        return np.asarray(f_distribution.sf(ratio, degrees_of_freedom, left))
+
+
+def prior_cost(pulled: np.ndarray, number: int) -> np.ndarray:
+    """Return what a cause's parameters cost beyond their number, pulled (…) squared prior standard deviations from zero.
+
+    Priors state usual sizes: within TAIL standard deviations they are normal. What is far beyond them (a file's mistake, say)
+    pays with the logarithm of its distance, as under a prior with heavy tails.
+    """
+    usual = number * TAIL**2
+    return np.where(pulled <= usual, pulled, usual * (1 + np.log(np.maximum(pulled, usual) / usual)))
+
+
+def by_place(scores: Sequence[Score]) -> dict[tuple[str, str], tuple[float, Score]]:
+    """Return each place's BIC, averaged over its variants as evidence is, and its best score."""
+    groups: dict[tuple[str, str], list[Score]] = {}
+    for score in scores:
+        groups.setdefault(score.cause.place, []).append(score)
+    found = {}
+    for place, members in groups.items():
+        values = np.array([score.delta_bic for score in members])
+        least = float(values.min())
+        found[place] = (least - 2 * float(np.log(np.exp((least - values) / 2).sum())), members[int(values.argmin())])
+    return found
+
+
+def _worth(smallest: np.ndarray) -> float:
+    """How many independent tests have a smallest p-value that is distributed like this."""
+    quantile = float(np.quantile(smallest, BOOTSTRAP_SIGNIFICANCE))
+    return float(max(1.0, np.log1p(-BOOTSTRAP_SIGNIFICANCE) / np.log1p(-min(quantile, BOOTSTRAP_SIGNIFICANCE))))

@@ -1,0 +1,1 @@
+"""Search: the model extended by the causes that explain what it leaves."""

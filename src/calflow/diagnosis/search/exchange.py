@@ -1,0 +1,140 @@
+"""The exchange: two causes at once in the place of others, where one at a time leads astray.
+
+Causes that resemble each other hide each other: the one that explains most of both is found first, and no swap of a single
+cause leads back. All pairs are scored from the same linearisation as single causes are (see `screening`).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from calflow.diagnosis.screening.screening import INVISIBLE, MATERIAL, Family, Score, Screening
+from calflow.effects.cause import Cause
+
+COLUMNS = 4  # of a candidate at most: error maps have rivals of their own
+VARIANTS = 8  # of one place, the best
+SPLIT = 10.0  # of BIC: by how much two must explain the data better than one (Kass and Raftery 1995: "very strong")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two candidates together; p is the larger of their family-wise p-values, each beside the other."""
+
+    first: Score
+    second: Score
+    delta_bic: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """All pairs of candidates in the place of one cause or two, small ones only.
+
+    information (m, m, COLUMNS, COLUMNS) is S between candidates in units of the priors and score (m, COLUMNS) their u, filled
+    up with zeros, which explain nothing and cost nothing.
+    """
+
+    screening: Screening
+    family: Family
+    gone: Sequence[Cause]
+    scores: tuple[Score, ...]
+    information: np.ndarray
+    score: np.ndarray
+
+    @staticmethod
+    def of(screening: Screening, family: Family, gone: Sequence[Cause]) -> Exchange:
+        """Take the best variants of every place, and the causes that are gone."""
+        seen: Counter[tuple[str, str]] = Counter()
+        few = []
+        for score in screening.scores:
+            seen[score.cause.place] += 1
+            best = seen[score.cause.place] <= VARIANTS and len(score.candidate.columns) <= COLUMNS
+            if best or score.cause in gone:
+                few.append(score)
+        columns = np.zeros((len(few), COLUMNS), dtype=int)
+        sd = np.zeros(columns.shape)
+        for k, score in enumerate(few):
+            own = score.candidate.columns
+            columns[k, : len(own)] = own
+            sd[k, : len(own)] = screening.regressors.prior_sd[own]
+        information = screening.information(columns.ravel()) * sd.ravel()[:, None] * sd.ravel()
+        shape = (len(few), COLUMNS, len(few), COLUMNS)
+        return Exchange(
+            screening, family, gone, tuple(few), information.reshape(shape).transpose(0, 2, 1, 3),
+            screening.score[columns] * sd,
+        )  # fmt: skip
+
+    def alone(self) -> Score | None:
+        """Return the best candidate that explains the data better than the two that are gone do together."""
+        at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
+        best = min(self.scores, key=lambda score: score.delta_bic, default=None)
+        if len(at) < 2 or best is None or not best.delta_bic < self._bic[at[0], at[1]]:
+            return None
+        return best
+
+    def better(self) -> Iterator[Pair]:
+        """Yield the pairs of different places that explain the data better than what they replace, best first."""
+        at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
+        if len(at) < len(self.gone):
+            return  # what is gone does not show here
+        every = self._bic
+        now = every[at[0], at[1]] if len(at) == 2 else self.scores[at[0]].delta_bic - SPLIT
+        limit = now - MATERIAL * len(self.screening.regressors.residual)
+        bic = np.where(self._of_different_places, every, np.inf)
+        for k in np.argsort(bic, axis=None, kind="stable"):
+            i, j = (int(x) for x in np.unravel_index(k, bic.shape))
+            if not bic[i, j] < limit:
+                return
+            yield Pair(self.scores[i], self.scores[j], float(bic[i, j]), max(self._p(i, j), self._p(j, i)))
+
+    @property
+    def _of_different_places(self) -> np.ndarray:
+        """Which pairs are of two places, each pair once, shape (m, m)."""
+        places = [score.cause.place for score in self.scores]
+        number = {place: k for k, place in enumerate(dict.fromkeys(places))}
+        where = np.array([number[place] for place in places])
+        return np.triu(where[:, None] != where, 1)
+
+    @cached_property
+    def _bic(self) -> np.ndarray:
+        """Return delta BIC of every pair, shape (m, m)."""
+        one = np.eye(COLUMNS)
+        m = len(self.scores)
+        own = self.information[np.arange(m), np.arange(m)]
+        alone = np.linalg.inv(own + one)
+        drop_alone = np.einsum("ma,mab,mb->m", self.score, alone, self.score)
+        # What j shows beside i, and what is left for it to explain.
+        taken = np.einsum("ijab,iac->ijbc", self.information, alone, optimize=True)
+        beside = own + one - np.einsum("ijbc,ijcd->ijbd", taken, self.information, optimize=True)
+        beside[np.arange(m), np.arange(m)] = one
+        left = self.score - np.einsum("ijbc,ic->ijb", taken, self.score, optimize=True)
+        inverse = np.linalg.inv(beside)
+        drop = drop_alone[:, None] + np.einsum("ijb,ijbc,ijc->ij", left, inverse, left, optimize=True)
+        kept = np.trace(inverse, axis1=2, axis2=3)
+        spent = 2 * COLUMNS - kept - kept.T
+        scans = np.log([self.screening.variants[score.cause.place] for score in self.scores])
+        n = len(self.screening.regressors.residual)
+        share = np.minimum(drop / self.screening.chi2, 1 - 1e-12)
+        return np.asarray(n * np.log1p(-share) + spent * np.log(n) + 2 * (scans[:, None] + scans))
+
+    def _p(self, i: int, j: int) -> float:
+        """Return the family-wise p-value of candidate j where i is in the model."""
+        one = np.eye(COLUMNS)
+        taken = self.information[j, i] @ np.linalg.inv(self.information[i, i] + one)
+        values, vectors = np.linalg.eigh(self.information[j, j] - taken @ self.information[i, j])
+        shown = values > INVISIBLE
+        if not shown.any():
+            return 1.0
+        left = self.score[j] - taken @ self.score[i]
+        drop = float((((vectors.T @ left)[shown]) ** 2 / values[shown]).sum())
+        degrees_of_freedom = int(shown.sum())
+        rest = max(self.screening.degrees_of_freedom - degrees_of_freedom, 1.0)
+        chi2 = max(self.screening.chi2 - self.scores[i].drop - drop, 1e-12 * self.screening.chi2)
+        single = float(f_distribution.sf(drop / degrees_of_freedom / (chi2 / rest), degrees_of_freedom, rest))
+        return self.family.p(replace(self.scores[j], p=single))

@@ -1,0 +1,127 @@
+"""A fitted model as the diagnosis uses it: with its data and noise, and with rows far off counting less."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calflow.effects import Effect
+from calflow.effects.cause import Cause
+from calflow.estimation.calibrated import Identified
+from calflow.estimation.fit import Fit, LeastSquares, Loss
+from calflow.estimation.noise import LackOfFit, Noise
+from calflow.estimation.reweighting import fit_reweighted
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model
+
+FAR, MEDIAN_LENGTH = 4.5, 1.5382  # robust standard deviations; the median length of three unit normals
+SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
+WEIGHINGS = 3  # fits in which the weights of rows far off settle
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted model with the training data and the noise it was fitted with.
+
+    lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight.
+    """
+
+    fit: Fit
+    data: Measurements
+    noise: Noise
+    lack: LackOfFit
+    loss: Loss
+    device: Noise
+
+    @property
+    def model(self) -> Model:
+        """The model."""
+        return self.fit.model
+
+    @property
+    def poses(self) -> np.ndarray:
+        """The rows' poses, numbered from 0, shape (n_rows,)."""
+        return np.unique(self.data.table["pose"], return_inverse=True)[1]
+
+    @property
+    def far(self) -> np.ndarray:
+        """By how much rows count less than the device's noise says, at least 1, shape (n_rows,)."""
+        ratio = self.noise.sigma / self.device.sigma
+        return np.asarray(ratio / ratio.min())
+
+    @property
+    def misfit(self) -> float:
+        """Huber's cost of all rows, and the priors' chi²."""
+        fit, model = self.fit, self.model
+        pulled = (fit.estimate - model.nominal) / model.prior_sd
+        return float((fit.residual**2).sum() + 2 * FAR**2 * (self.far - 1).sum() + pulled @ pulled)
+
+    @property
+    def problem(self) -> LeastSquares:
+        """The problem that was solved, robust weights included."""
+        return LeastSquares.of(self.model, self.data, self.noise).reweighted(self.fit.estimate, self.loss)
+
+    def weighed(self, sigma: np.ndarray) -> Fitted:
+        """Fit anew with other noise (n_rows,) [m]."""
+        noise = replace(self.device, sigma=sigma, discrepancy=0.0)
+        return _settled(self.model, self.data, noise, self.fit.estimate, self.loss)
+
+    @staticmethod
+    def of(known: Identified, data: Measurements, noise: Noise) -> Fitted:
+        """Fit an identified model anew on training rows, from where identify left it."""
+        bare = replace(noise, discrepancy=0.0, rotation_discrepancy=0.0)
+        return _settled(known.model, data, bare, known.estimate, known.loss)
+
+    def _values(self, model: Model) -> np.ndarray:
+        """Another model's parameters at the estimates there are, nominal where there are none."""
+        known = dict(zip(((p.effect, p.name) for p in self.model.parameters), self.fit.estimate, strict=True))
+        return np.array([known.get((p.effect, p.name), p.nominal) for p in model.parameters])
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """What has been found; the other effects are the study's own."""
+        return tuple(effect for effect in self.model.effects if isinstance(effect, Cause))
+
+    @property
+    def plain(self) -> tuple[Effect, ...]:
+        """The study's own effects."""
+        return tuple(effect for effect in self.model.effects if not isinstance(effect, Cause))
+
+    def with_causes(self, causes: Sequence[Cause], start: np.ndarray | None = None, share: float = 0.0) -> Fitted:
+        """Fit the study's own effects with these causes, by IPOPT.
+
+        It starts from the estimates there are, what is new at nothing, unless start says otherwise. share is how much of chi²
+        is expected to go: a noise that is not known starts smaller by it, and settles at once.
+        """
+        model = Model(self.model.robot, (*self.plain, *causes), self.model.given)
+        start = self._values(model) if start is None else start
+        bare = replace(self.device, discrepancy=0.0, rotation_discrepancy=0.0)
+        if not bare.known:
+            bare = replace(bare, sigma=self.noise.sigma / self.far * np.sqrt(1 - share))
+        return _settled(model, self.data, bare, start, self.loss, self.far)
+
+
+def _settled(
+    model: Model, data: Measurements, device: Noise, start: np.ndarray, loss: Loss, far: np.ndarray | None = None
+) -> Fitted:
+    """Fit from a start; rows far beyond the others count no more than one at FAR does (Huber 1964).
+
+    far (n_rows,) is by how much rows were beyond that in the fit before.
+    """
+    far = np.ones(len(data)) if far is None else far
+    for _ in range(WEIGHINGS):
+        weighed = replace(device, sigma=device.sigma * far)
+        fit, noise, lack, _ = fit_reweighted(model, data, weighed, start[None], loss, SETTLED)
+        before, far, start = far, _excess(fit, far), fit.estimate
+        if np.allclose(far, before, rtol=SETTLED):
+            break
+    return Fitted(fit, data, noise, lack, loss, device)
+
+
+def _excess(fit: Fit, far: np.ndarray) -> np.ndarray:
+    """By how much each row's error exceeds FAR robust standard deviations, at least 1, shape (n_rows,)."""
+    size = np.linalg.norm(fit.residual[:, :3], axis=1) * far
+    scale = float(np.median(size)) / MEDIAN_LENGTH
+    return np.asarray(np.maximum(1.0, size / (FAR * scale)))

@@ -1,0 +1,46 @@
+"""Refinement: a cause with an inner unknown (an order, a moment, a time constant) between its neighbours in the scan."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import chain
+
+import numpy as np
+
+from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.screening.regressors import Regressors
+from calflow.diagnosis.screening.screening import Score, Screening
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.linearisation import Linearisation
+from calflow.diagnosis.search.trial import Trial, swapped
+from calflow.effects.cause import Cause
+
+CLEARLY_FINER = 2.0  # of BIC: by how much a variant must be better than its neighbour for another fit
+
+
+def finest(score: Score, now: Fitted) -> Score:
+    """Return the best variant of a cause that is not in the model yet."""
+    finer = _finer(score.cause, now)
+    if not finer:
+        return score
+    scores = Screening(Regressors.of(now.fit, now.problem, finer, now.poses)).scores
+    best = max(scores, key=lambda s: s.drop, default=score)
+    return best if best.drop > score.drop else score
+
+
+def refined(trial: Trial) -> Iterator[list[Cause]]:
+    """Yield a model's causes with one in a variant that is clearly better, now that the others are in the model."""
+    finer = [_finer(cause, trial.fitted) for cause in trial.causes]
+    if not any(finer):
+        return
+    linearisation = Linearisation.at(trial.fitted, Catalogue(tuple(chain.from_iterable(finer)), {}))
+    for cause in (cause for cause, found in zip(trial.causes, finer, strict=True) if found):
+        near = [score for score in linearisation.apart([cause]).scores if score.cause.place == cause.place]
+        own = next((score.delta_bic for score in near if score.cause == cause), np.inf)
+        if near and near[0].delta_bic < own - CLEARLY_FINER:
+            yield swapped(trial.causes, cause, near[0].cause)
+
+
+def _finer(cause: Cause, now: Fitted) -> list[Cause]:
+    return [replace(cause, effect=effect) for effect in cause.effect.finer(now.data)]

@@ -1,0 +1,73 @@
+"""Verification: rivals of a large cause are fitted in its place, where one linearisation is not exact enough to exclude them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calflow.diagnosis.findings.verdict import WITHIN
+from calflow.diagnosis.screening.screening import Score, by_place
+from calflow.diagnosis.search.exchange import COLUMNS
+from calflow.diagnosis.search.linearisation import Finding
+from calflow.diagnosis.search.trial import Trial, same, swapped
+from calflow.effects.cause import Cause
+
+DOUBT = 0.05  # share of a cause's evidence by which the linear comparison with a rival may err
+WORTH = WITHIN  # of BIC: smaller doubts do not decide anything
+
+Place = tuple[str, str]
+
+
+def doubtful(finding: Finding) -> list[Score]:
+    """Return the best variants of the rivals that might explain the data as well, the nearest first; none of a small cause."""
+    doubt = -DOUBT * finding.own.delta_bic
+    if doubt < WORTH:
+        return []
+    places = by_place(finding.scores)
+    own = places.pop(finding.cause.place)[0]
+    near = [(bic, score) for bic, score in places.values() if bic - own < WITHIN + doubt]
+    return [score for _, score in sorted(near, key=lambda one: one[0])]
+
+
+def doubted(best: Trial) -> Iterator[list[Cause]]:
+    """Yield the causes with a rival of a large one in its place, or without one that has another at its joint."""
+    small = [finding for finding in best.findings if len(finding.cause.declared) <= COLUMNS]
+    for finding in small:
+        cause = finding.cause
+        yield from (swapped(best.causes, cause, score.cause) for score in doubtful(finding))
+        if cause.joint and any(other.cause != cause and other.cause.joint == cause.joint for other in small):
+            yield [other for other in best.causes if other != cause]
+
+
+def verified(best: Trial, tried: Sequence[Trial]) -> tuple[Finding, ...]:
+    """Return the findings, with the rivals' evidence from the fits that there were with one of them in a cause's place."""
+    found = []
+    for finding in best.findings:
+        above = {
+            score.cause.place: other.bic - best.bic
+            for score in doubtful(finding)
+            for other in tried if same(other.causes, swapped(best.causes, finding.cause, score.cause))
+        }  # fmt: skip
+        found.append(corrected(finding, above, best.fitted.fit.residual.size))
+    return tuple(found)
+
+
+def corrected(finding: Finding, above: Mapping[Place, float], n: int) -> Finding:
+    """Return the finding with some places' BICs as they were fitted, above that of the cause; n is the number of residuals."""
+    places = by_place(finding.scores)
+    own = places[finding.cause.place][0]
+    shift = {place: bic + own - places[place][0] for place, bic in above.items()}
+
+    def moved(score: Score) -> Score:
+        if score.cause.place not in shift:
+            return score
+        change = shift[score.cause.place]
+        share = 1 - (1 - score.share) * float(np.exp(change / n))
+        return replace(
+            score, delta_bic=score.delta_bic + change, share=share, drop=share * score.drop / max(score.share, 1e-12)
+        )
+
+    scores = sorted(map(moved, finding.scores), key=lambda score: score.delta_bic)
+    return replace(finding, scores=tuple(scores))

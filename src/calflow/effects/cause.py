@@ -1,0 +1,138 @@
+"""A cause: one effect at one place of the robot, and a cause whose values were found before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+
+from calflow.effects.base import Effect, Parameter
+from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
+from calflow.robot.dimensions import Dimensions, Loads
+from calflow.robot.statics import State
+
+
+@dataclass(frozen=True)
+class Cause(Effect):
+    """One effect at one place: of its parameters only those of one part, the others at zero."""
+
+    effect: Effect
+    part: str
+
+    @property
+    def id(self) -> str:  # type: ignore[override]
+        """The effect's id."""
+        return self.effect.id
+
+    @property
+    def title(self) -> str:  # type: ignore[override]
+        """The effect's title."""
+        return self.effect.title
+
+    @property
+    def detail(self) -> str:
+        """The effect's variant."""
+        return self.effect.detail
+
+    @property
+    def joint(self) -> int:
+        """Number of the joint or link, 0 for none."""
+        return self.declared[0].joint
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """What stays the same in all its variants."""
+        return self.effect.id, self.part
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the part's parameters."""
+        return self._own
+
+    @cached_property
+    def _own(self) -> tuple[Parameter, ...]:
+        return tuple(parameter for parameter in self.effect.declared if parameter.part == self.part)
+
+    @cached_property
+    def _at(self) -> list[int]:
+        return [k for k, parameter in enumerate(self.effect.declared) if parameter.part == self.part]
+
+    @cached_property
+    def _size(self) -> int:
+        return len(self.effect.declared)
+
+    def _whole(self, p: ca.SX) -> ca.SX:
+        whole = ca.SX(self._size, 1)
+        whole[self._at] = p
+        return whole
+
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Act as the effect does."""
+        return self.effect.dimensions(self._whole(p), dims, row)
+
+    def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
+        """Act as the effect does."""
+        return self.effect.loads(self._whole(p), loads, row)
+
+    def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
+        """Act as the effect does."""
+        return self.effect.torque(self._whole(p), state, row)
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Act as the effect does."""
+        return self.effect.deflection(self._whole(p), state, row, still)
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Act as the effect does."""
+        return self.effect.device(self._whole(p), point, row)
+
+    def scatter(self, p: ca.SX, row: Row) -> ca.SX | float:
+        """Act as the effect does."""
+        return self.effect.scatter(self._whole(p), row)
+
+
+@dataclass(frozen=True)
+class Carried(Effect):
+    """A cause with values that were found before, and nothing left to fit."""
+
+    cause: Cause
+    values: tuple[float, ...]
+
+    title: ClassVar[str] = "known beforehand"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return none."""
+        return ()
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Act as the cause does."""
+        return self.cause.deflection(self._p, state, row, still)
+
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Act as the cause does."""
+        return self.cause.dimensions(self._p, dims, row)
+
+    def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
+        """Act as the cause does."""
+        return self.cause.loads(self._p, loads, row)
+
+    def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
+        """Act as the cause does."""
+        return self.cause.torque(self._p, state, row)
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Act as the cause does."""
+        return self.cause.device(self._p, point, row)
+
+    @property
+    def _p(self) -> ca.SX:
+        return ca.SX(ca.DM(self.values))
+
+
+def parts(effect: Effect) -> dict[str, np.ndarray]:
+    """Return the indices of each part's parameters."""
+    named = [parameter.part for parameter in effect.declared]
+    return {part: np.flatnonzero(np.array(named) == part) for part in dict.fromkeys(named)}

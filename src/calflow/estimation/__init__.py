@@ -1,0 +1,1 @@
+"""Estimation: the fit, its noise, and what the data determine."""

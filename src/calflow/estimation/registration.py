@@ -1,0 +1,95 @@
+"""Registration: where the robot stands in the measuring frame, when nobody wrote it down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calflow.effects.geometry import DimensionError, Geometry
+from calflow.estimation.fit import LeastSquares, fit
+from calflow.estimation.noise import Noise
+from calflow.files.problems import refuse
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model, build
+from calflow.robot.conditions import Row
+from calflow.robot.description import Base, Robot
+from calflow.robot.dimensions import nominal_dimensions
+
+NOMINAL_ERROR = 1e-3  # m and rad, of a robot as its maker describes it: only sets what counts as an outlier here
+
+
+@dataclass(frozen=True)
+class Placement(Geometry):
+    """The part of the geometry that says where base and tool are; not an effect of its own."""
+
+    @cached_property
+    def errors(self) -> tuple[DimensionError, ...]:
+        """The errors of base, markers and tool."""
+        return tuple(
+            error for error in super().errors if error.field in ("base", "markers", "markers_turn", "tool_rotation")
+        )
+
+
+def registered(robot: Robot, train: Measurements) -> Robot:
+    """Return the robot with base and tool where the training data put them, all links as the maker says.
+
+    A robot whose base is known is returned as it is. Else the base follows from the rigid motion that takes the nominal
+    robot's points to the measured ones (Kabsch 1976), and base and tool together from a robust fit started there.
+    """
+    if robot.base.known:
+        return robot
+    at_origin = robot.model_copy(update={"base": Base(known=False)})
+    nominal = build(at_origin, (), train.given)
+    points = nominal.position(nominal.nominal, train.on(at_origin).rows)
+    centre, measured_centre = points.mean(axis=0), train.position.mean(axis=0)
+    if np.linalg.matrix_rank(train.position - measured_centre, tol=1e-6) < 2:
+        raise refuse("base.known = false: the measured points lie on one line or in one place, so nothing says where the robot "
+                     "stands; measure points that are spread out, or state the base", key=f"robot '{robot.name}'")  # fmt: skip
+    turn, _ = Rotation.align_vectors(train.position - measured_centre, points - centre)
+    placed = _with_base(at_origin, turn, measured_centre - turn.apply(centre))
+
+    if train.rotation is not None:
+        seen = Rotation.from_matrix(nominal.rotation(nominal.nominal, train.rows))
+        tool = ((turn * seen).inv() * Rotation.from_matrix(train.rotation)).mean()
+        placed = placed.model_copy(update={"tool_rotation": _angles(_tool(placed) * tool)})
+
+    model = Model(placed, (Placement(placed),), train.given)
+    rough = None if train.rotation is None else np.full(len(train), NOMINAL_ERROR)
+    noise = Noise(np.full(len(train), NOMINAL_ERROR), "estimated", rotation=rough)
+    result, _ = fit(LeastSquares.of(model, train.on(placed), noise), loss="soft_l1")
+    dims = Placement(placed).dimensions(ca.SX(result.estimate), nominal_dimensions(placed), Row.symbols(placed))
+    markers = np.array(ca.DM(ca.evalf(dims.markers))).T
+    return _moved(placed, dict(zip((p.name for p in model.parameters), result.estimate, strict=True)), markers)
+
+
+def _moved(robot: Robot, found: dict[str, float], markers: np.ndarray) -> Robot:
+    turn = Rotation.from_euler("XYZ", robot.base.rotation)
+    small = Rotation.from_euler("XYZ", [found[f"base.{axis}"] for axis in ("rx", "ry", "rz")])
+    origin = np.array(robot.base.origin) + turn.apply([found[f"base.{axis}"] for axis in "xyz"])
+    placed = {
+        name: marker.model_copy(update={"point": tuple(map(float, point))})
+        for (name, marker), point in zip(robot.markers.items(), markers, strict=True)
+    }
+    moved = _with_base(robot, turn * small, origin).model_copy(update={"markers": placed})
+    if robot.tool_rotation is None:
+        return moved
+    tool = _tool(robot) * Rotation.from_euler("XYZ", [found[f"tool.{axis}"] for axis in ("rx", "ry", "rz")])
+    return moved.model_copy(update={"tool_rotation": _angles(tool)})
+
+
+def _with_base(robot: Robot, turn: Rotation, origin: np.ndarray) -> Robot:
+    base = Base.model_construct(origin=tuple(float(v) for v in origin), rotation=_angles(turn), known=False)
+    return robot.model_copy(update={"base": base})
+
+
+def _tool(robot: Robot) -> Rotation:
+    return Rotation.from_euler("XYZ", robot.tool_rotation or (0.0, 0.0, 0.0))
+
+
+def _angles(turn: Rotation) -> tuple[float, float, float]:
+    rx, ry, rz = (float(angle) for angle in turn.as_euler("XYZ"))
+    return rx, ry, rz

@@ -1,0 +1,1 @@
+"""Files: what users write, and how they are told what is wrong."""

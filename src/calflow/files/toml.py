@@ -1,0 +1,291 @@
+"""TOML files as frozen objects: keys carry units, and every problem is told with its file, line and key."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+
+from calflow.files.problems import InputError, Problem, nearest, refuse
+from calflow.files.units import SUFFIXES, split_unit, to_si
+
+# What pydantic's types are called in the words of a TOML file.
+_EXPECTED = {
+    "bool_type": "expected true or false",
+    "dict_type": "expected a table",
+    "finite_number": "expected a finite number",
+    "float_type": "expected a number",
+    "int_type": "expected a whole number",
+    "model_type": "expected a table",
+    "string_type": "expected a text in quotes",
+    "too_short": "expected at least {min_length} of them",
+    "too_long": "expected at most {max_length} of them",
+    "tuple_type": "expected a list [ … ]",
+}
+_KEY = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
+_MOST_SHOWN = 60  # characters of a wrong value in a message
+
+
+class Unit(str):
+    """The dimension of a field; its key in the file ends in one of that dimension's units."""
+
+
+Length = Annotated[float, Unit("length")]
+Angle = Annotated[float, Unit("angle")]
+Mass = Annotated[float, Unit("mass")]
+Moment = Annotated[float, Unit("moment")]
+Lengths3 = Annotated[tuple[float, float, float], Unit("length")]
+Angles3 = Annotated[tuple[float, float, float], Unit("angle")]
+
+File = TypeVar("File", bound="FileModel")
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a table was written: its file, the table's own path in it, and the line of every key path of the file."""
+
+    path: Path
+    table: tuple[Any, ...]
+    lines: Mapping[tuple[Any, ...], int]
+
+    @staticmethod
+    def of(path: Path, *table: str) -> Origin:
+        """Return the origin of a table of a file that has been read before."""
+        return Origin(path, table, line_numbers(path.read_text(encoding="utf-8-sig")))
+
+    def problem(self, message: str, *location: Any) -> Problem:
+        """Return a problem with the key at a location in the table, or with the nearest thing around it."""
+        where = (*self.table, *location)
+        begun = ([n for key, n in self.lines.items() if key[:end] == where[:end]] for end in range(len(where), 0, -1))
+        line = next((min(numbers) for numbers in begun if numbers), None)
+        return Problem(message, self.path, line, _dotted(where) or None)
+
+
+@dataclass(frozen=True)
+class _Wrong:
+    """Stands for a value that has no SI value, so that its own field fails; key is how the file spells it."""
+
+    reason: str
+    key: str
+
+
+class FileModel(BaseModel):
+    """Base of everything read from TOML: frozen, no unknown keys, quantities converted to SI by their key."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _units(cls, raw: Any) -> Any:
+        """Replace `a_mm = 5` by `a = 0.005` for the fields that have a dimension."""
+        if not isinstance(raw, dict):
+            return raw
+        dimensions = {name: _dimension(field) for name, field in cls.model_fields.items()}
+        converted: dict[str, Any] = {}
+        for key, value in raw.items():
+            name, unit = (key, "") if key in dimensions else split_unit(key) or (key, "")
+            dimension = dimensions.get(name)
+            if dimension is None:
+                converted[key] = _frozen(value)
+            elif name in converted:
+                converted[name] = _Wrong(f"'{name}' is given twice, in different units", key)
+            elif not unit:
+                converted[name] = _Wrong(f"needs its unit in the key: {_spellings(name, dimension)}", key)
+            elif unit not in SUFFIXES[dimension]:
+                converted[name] = _Wrong(f"expected a unit of {dimension}: {_spellings(name, dimension)}", key)
+            else:
+                converted[name] = _convert(value, unit)
+        return converted
+
+
+def read_toml(path: Path, kind: type[File]) -> File:
+    """Read a TOML file into a model.
+
+    Raises:
+        InputError: the file cannot be read or is not TOML, or with all that is wrong in it.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        raw = tomllib.loads(text)
+    except FileNotFoundError:
+        raise refuse("no such file", path) from None
+    except tomllib.TOMLDecodeError as error:
+        line = re.search(r"line (\d+)", str(error))
+        last = len(text.splitlines()) if "end of document" in str(error) else None
+        raise refuse(f"not TOML: {error}", path, int(line.group(1)) if line else last) from None
+    except (OSError, ValueError, RecursionError) as error:  # not UTF-8, or a number of thousands of digits
+        raise refuse(f"cannot be read: {error}", path) from None
+    return validate(raw, kind, Origin(path, (), line_numbers(text)))
+
+
+def validate(raw: dict[str, Any], kind: type[File], origin: Origin, others: Mapping[str, Origin] | None = None) -> File:
+    """Validate a parsed table; others tells which of its keys were written elsewhere, and where.
+
+    Raises:
+        InputError: with all that is wrong in it.
+    """
+    try:
+        return kind.model_validate(raw)
+    except ValidationError as error:
+        items = error.errors()
+        inner = {item["loc"][:end] for item in items for end in range(len(item["loc"]))}
+        problems = [
+            _problem(item, kind, raw, origin, others or {})
+            for item in items
+            if item["type"] != "too_short" or item["loc"] not in inner  # pydantic does not count wrong members
+        ]
+        raise InputError(sorted(problems, key=lambda problem: (str(problem.file), problem.line or 0))) from None
+
+
+def line_numbers(text: str) -> dict[tuple[Any, ...], int]:
+    """Map each key path of a TOML text, tables of arrays indexed, to its line number (from 1)."""
+    table: tuple[Any, ...] = ()
+    counts: dict[tuple[str, ...], int] = {}
+    lines: dict[tuple[Any, ...], int] = {}
+    until, depth = "", 0  # the quotes that end a text of several lines, and how many lists are open
+    for number, line in enumerate(text.splitlines(), start=1):
+        if until:
+            until = "" if until in line else until
+            continue
+        inside, bare = depth, re.sub(r"\"[^\"]*\"|'[^']*'|#.*", "", line)
+        depth += bare.count("[") - bare.count("]")
+        if inside:
+            continue
+        if header := re.match(rf"\s*(\[\[?)\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*\]\]?\s*(#.*)?$", line):
+            names = tuple(_keys(header.group(2)))
+            if header.group(1) == "[[":
+                counts[names] = counts.get(names, -1) + 1
+            table = tuple(
+                part
+                for i, name in enumerate(names)
+                for part in ((name, counts[names[: i + 1]]) if names[: i + 1] in counts else (name,))
+            )
+            lines.setdefault(table, number)
+        elif entry := re.match(rf"\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*=\s*(\"{{3}}|'{{3}})?(.*)", line):
+            lines.setdefault(table + tuple(_keys(entry.group(1))), number)
+            quotes = entry.group(2) or ""
+            until = "" if quotes in entry.group(3) else quotes
+    return lines
+
+
+def _keys(dotted: str) -> list[str]:
+    return [key.strip("\"'") for key in re.findall(_KEY, dotted)]
+
+
+def _dimension(field: Any) -> str | None:
+    for item in field.metadata:
+        if isinstance(item, Unit):
+            return str(item)
+    for argument in get_args(field.annotation):  # Optional[Length] keeps the unit one level down
+        for item in getattr(argument, "__metadata__", ()):
+            if isinstance(item, Unit):
+                return str(item)
+    return None
+
+
+def _spellings(name: str, dimension: str) -> str:
+    return " or ".join(f"{name}_{suffix}" for suffix in SUFFIXES[dimension])
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(_frozen(item) for item in value) if isinstance(value, list) else value
+
+
+def _convert(value: Any, unit: str) -> Any:
+    factor, offset = to_si(unit)
+    if isinstance(value, list):
+        return tuple(_convert(item, unit) for item in value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return value  # left for the type check, which names the key
+    try:
+        return factor * value + offset
+    except OverflowError:  # an integer of hundreds of digits
+        return math.inf
+
+
+def _problem(item: Any, kind: type[BaseModel], raw: Any, origin: Origin, others: Mapping[str, Origin]) -> Problem:
+    location, found, wrong = tuple(item["loc"]), item.get("input"), item["type"] == "value_error"
+    message = _EXPECTED.get(item["type"], "").format(**item.get("ctx", {})) or item["msg"]
+    message = re.sub("^Input should be (greater|less)", r"expected a number \1", message)
+    message = re.sub("^Input should be ", "expected ", message).removeprefix("Value error, ")
+    written = _written(raw, location)
+    if isinstance(found, _Wrong):
+        message, wrong, written = found.reason, True, (*written[:-1], found.key)
+    elif item["type"] == "extra_forbidden":
+        key = str(location[-1])
+        message, wrong = f"unknown key{nearest(key, _known_keys(kind, location[:-1]))}", True
+    elif item["type"] == "missing":
+        name, dimension, wrong = location[-1], _dimension_at(kind, location), True
+        message = f"missing: expected {_spellings(str(name), dimension) if dimension else repr(name)}"
+        if isinstance(name, int):
+            message = f"value {name + 1} is missing"
+        written = written[:-1]
+    if not wrong:
+        message += f", found {_shown(_at(raw, written))}"
+    return (others.get(str(location[0]), origin) if location else origin).problem(message, *written)
+
+
+def _written(raw: Any, location: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A location spelled as the file spells it: its keys with their units."""
+    written: list[Any] = []
+    for part in location:
+        if isinstance(raw, dict) and part not in raw:
+            part = next((key for key in raw if (split_unit(key) or ("",))[0] == part), part)
+        written.append(part)
+        raw = _at(raw, (part,))
+    return tuple(written)
+
+
+def _at(raw: Any, location: tuple[Any, ...]) -> Any:
+    for part in location:
+        known = part in raw if isinstance(raw, dict) else isinstance(raw, list | tuple) and part in range(len(raw))
+        raw = raw[part] if known else None
+    return raw
+
+
+def _shown(value: Any) -> str:
+    """A value as TOML spells it, cut where it is long."""
+    text = str(value).lower() if isinstance(value, bool) else repr(list(value) if isinstance(value, tuple) else value)
+    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]} …"
+
+
+def _model_at(kind: Any, location: tuple[Any, ...]) -> type[BaseModel] | None:
+    for part in location:
+        field = kind.model_fields.get(part) if isinstance(kind, type) and issubclass(kind, BaseModel) else None
+        if field is not None:
+            kind = field.annotation
+        while not (isinstance(kind, type) and issubclass(kind, BaseModel)):
+            arguments = [a for a in get_args(kind) if a not in (str, type(None), ...)]
+            if not arguments:
+                return None
+            kind = arguments[0]
+    return kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None
+
+
+def _known_keys(kind: Any, location: tuple[Any, ...]) -> list[str]:
+    model = _model_at(kind, location)
+    keys: list[str] = []
+    for name, field in (model.model_fields if model else {}).items():
+        dimension = _dimension(field)
+        keys += [f"{name}_{suffix}" for suffix in SUFFIXES[dimension]] if dimension else [field.alias or name]
+    return keys
+
+
+def _dimension_at(kind: Any, location: tuple[Any, ...]) -> str | None:
+    model = _model_at(kind, location[:-1])
+    field = model.model_fields.get(str(location[-1])) if model else None
+    return _dimension(field) if field is not None else None
+
+
+def _dotted(location: tuple[Any, ...]) -> str:
+    """A location as text; members of a list are counted from 1, as joints are."""
+    text = ""
+    for part in location:
+        text += f"[{part + 1}]" if isinstance(part, int) else (f".{part}" if text else str(part))
+    return text

@@ -1,0 +1,1 @@
+"""Sampling: the posterior and the moves that sample it."""

@@ -1,0 +1,167 @@
+"""Prediction: the identified robot's positions and how sure they are, and no others."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calflow.deployment.prediction import predict
+from calflow.estimation.calibrated import identified
+from calflow.measurements.reading import read_measurements
+from calflow.robot.description import read_robot
+from calflow.runs.run import read_tables
+
+X, SD = ["x_mm", "y_mm", "z_mm"], ["sd_x_mm", "sd_y_mm", "sd_z_mm"]
+
+
+@pytest.fixture
+def asked(finished):
+    """The measured rows without what was measured."""
+    finished.measure(finished.rows.drop(columns=[*X, "sigma_mm"]), "asked.csv")
+    return finished / "asked.csv"
+
+
+def test_it_predicts_what_identify_predicts(finished, asked):
+    """Fails if another model, payload or base is used than the one identified: residuals must add up to the millimetre's 1e-6."""
+    predicted = predict(finished / "runs", asked)
+    residuals = pd.read_csv(finished / "runs" / "identify" / "residuals.csv")
+    measured = finished.rows[X].astype(float).to_numpy()
+    np.testing.assert_allclose(predicted[X], measured + residuals[["dx_mm", "dy_mm", "dz_mm"]].to_numpy(), atol=1e-6)
+    assert list(predicted.columns) == [*pd.read_csv(asked).columns, *X, *SD]
+    np.testing.assert_array_equal(predicted["q1_deg"], pd.read_csv(asked)["q1_deg"])
+
+
+def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
+    """Fails if sd is not the root of the diagonal of J C Jᵀ, here with J by central differences."""
+    predicted = predict(finished / "runs", asked)
+    tables = read_tables(finished / "runs", "identify")
+    robot = read_robot(finished / "robot.toml")
+    data = read_measurements(asked, robot, conditions_only=True)
+    known = identified(robot, tables, data.given)
+    covariance = tables["identify/covariance.csv"].drop(columns="parameter").to_numpy()
+    step = 1e-3 * known.model.prior_sd
+    jacobian = np.stack(
+        [
+            (known.model.position(known.estimate + h, data.rows) - known.model.position(known.estimate - h, data.rows))
+            / (2 * s)
+            for h, s in zip(np.diag(step), step, strict=True)
+        ],
+        axis=2,
+    )
+    variance = np.einsum("nai,ij,naj->na", jacobian, covariance, jacobian)
+    np.testing.assert_allclose(predicted[SD], 1e3 * np.sqrt(variance), rtol=1e-4)
+
+
+def test_rows_keep_their_order_columns_and_names(finished):
+    """Fails if empty lines shift predictions, optional columns are needed or unknown text is rewritten."""
+    text = "q3_deg,q1_deg,q2_rad,payload\n10,20,-0.5,heavy\n\n,,,\n30,40,-1,\n"
+    (finished / "few.csv").write_bytes(b"\xef\xbb\xbf" + text.encode())
+    table = predict(finished / "runs", finished / "few.csv")
+    assert list(table.columns[:4]) == ["q3_deg", "q1_deg", "q2_rad", "payload"]
+    assert table["payload"].tolist() == ["heavy", ""]
+    swapped = table.iloc[::-1, :4]
+    finished.measure(swapped, "swapped.csv")
+    np.testing.assert_allclose(predict(finished / "runs", finished / "swapped.csv")[X], table[X][::-1], rtol=1e-12)
+
+
+def test_it_needs_the_run_folder_alone(finished, asked, tmp_path):
+    """Fails if a run folder that was sent to somebody else cannot predict."""
+    here = predict(finished / "runs", asked)
+    shutil.copytree(finished / "runs", tmp_path / "sent")
+    shutil.copy(asked, tmp_path / "asked.csv")
+    shutil.rmtree(finished.path)
+    pd.testing.assert_frame_equal(predict(tmp_path / "sent", tmp_path / "asked.csv"), here)
+
+
+def test_the_command_prints_or_writes_the_same_table(finished, asked):
+    """Fails if the printed table is cut or rounded otherwise than the written one."""
+    printed = finished.calflow("predict", finished / "runs", asked)
+    written = finished.calflow("predict", finished / "runs", asked, "--out", finished / "new" / "p.csv")
+    assert (printed.code, written.code) == (0, 0)
+    assert printed.out == (finished / "new" / "p.csv").read_text(encoding="utf-8")
+
+
+ROWS = {
+    "no such file": (None, ["asked.csv: cannot be read"]),
+    "a column short": ("q1_deg,q2_deg\n1,2\n", ["asked.csv:1: missing column: expected q3_rad or q3_deg"]),
+    "measured positions": (
+        "q1_deg,q2_deg,q3_deg,x_mm\n1,2,3,4\n",
+        ["asked.csv:1: column 'x_mm' is what will be predicted"],
+    ),
+    "unknown column": (
+        "q1_deg,q2_deg,q3_deg,payloda\n1,2,3,4\n",
+        ["asked.csv:1: unknown column 'payloda', did you mean 'payload'?"],
+    ),
+    "unknown payload": ("q1_deg,q2_deg,q3_deg,payload\n1,2,3,havy\n", ["asked.csv:2: unknown payload 'havy'"]),
+    "empty cell": ("q1_deg,q2_deg,q3_deg\n1,2,3\n1,,3\n", ["asked.csv:3: column 'q2_deg' is empty"]),
+    "degrees in _rad": ("q1_rad,q2_rad,q3_rad\n100,20,30\n", ["does a column named _rad hold degrees?"]),
+    "header only": ("q1_deg,q2_deg,q3_deg\n", ["is empty"]),
+}
+
+
+@pytest.mark.parametrize(("text", "expected"), ROWS.values(), ids=ROWS)
+def test_wrong_rows_are_refused(finished, text, expected):
+    """Fails if a prediction is made for rows that say something else or nothing."""
+    if text is not None:
+        (finished / "asked.csv").write_text(text, encoding="utf-8")
+    told = finished.refused("predict", finished / "runs", finished / "asked.csv", "--out", finished / "p.csv")
+    assert len(told) == len(expected), told
+    assert expected[0] in told[0]
+    assert not (finished / "p.csv").exists()
+
+
+def test_what_is_assumed_of_the_rows_is_said(finished):
+    """Fails if rows without a payload are predicted in silence for an empty hand, or the note spoils the table."""
+    (finished / "few.csv").write_text("q1_deg,q2_deg,q3_deg\n10,-20,30\n", encoding="utf-8")
+    answer = finished.calflow("predict", finished / "runs", finished / "few.csv")
+    assert "note: no column 'payload': no row counts as carrying light or heavy" in answer.err
+    assert answer.out.startswith("q1_deg,")
+
+
+def no_run(finished):
+    shutil.rmtree(finished / "runs")
+
+
+def select_alone(finished):
+    no_run(finished)
+    assert finished.calflow("run", "--stage", "select").code == 0
+
+
+def another_robot(finished):
+    finished.edit("robot.toml", ("a_mm = 100", "a_mm = 101"))
+    assert finished.calflow("run", "--stage", "select").code == 0
+
+
+def failed_since(finished):
+    finished.measure(finished.rows[:12])
+    assert finished.calflow("run").code == 2
+
+
+def by_hand(finished):
+    path = finished / "runs" / "identify" / "parameters.csv"
+    path.write_text(path.read_text(encoding="utf-8").replace("joint2.a,", "joint2.b,"), encoding="utf-8")
+
+
+def lost(finished):
+    (finished / "runs" / "identify" / "covariance.csv").unlink()
+
+
+@pytest.mark.parametrize(
+    ("happened", "expected"),
+    [
+        (no_run, "holds no run: expected a folder that 'calflow run' has filled"),
+        (select_alone, "holds no identified robot: identify was never run"),
+        (another_robot, "holds no identified robot: the robot file changed after identify ran"),
+        (failed_since, "holds no identified robot: identify did not finish (failed)"),
+        (by_hand, "identify/parameters.csv was changed by hand"),
+        (lost, "identify/covariance.csv is missing"),
+    ],
+)
+def test_a_run_that_does_not_hold_is_refused(finished, asked, happened, expected):
+    """Fails if old results are mixed with a new robot, or edited or half a run's results are used."""
+    happened(finished)
+    (told,) = finished.refused("predict", finished / "runs", asked)
+    assert expected in told

@@ -1,0 +1,44 @@
+"""Rivals of a large cause are fitted in its place before they are excluded."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calflow.diagnosis.findings.verdict import verdict
+from calflow.diagnosis.screening.screening import Family, by_place
+from calflow.diagnosis.search.linearisation import Finding
+from calflow.diagnosis.search.verification import corrected, doubtful
+from diagnosis.findings.test_verdict import score
+
+N = 300
+
+
+def finding(*scores):
+    """A finding of the first one's cause."""
+    return Finding(scores[0].cause, tuple(sorted(scores, key=lambda s: s.delta_bic)), Family({}, 1.0))
+
+
+def test_only_a_large_cause_leaves_doubts():
+    """Breaks if every finding costs fits, or one that the linear comparison excludes by little is believed to be out."""
+    small = finding(score(-90.0, "gravity-compensator", 2), score(-85.0, "joint-eccentricity", 2))
+    assert doubtful(small) == []
+    near, far = score(-960.0, "joint-eccentricity", 2), score(-800.0, "gear-ratio-error", 2)
+    assert doubtful(finding(score(-1000.0, "gravity-compensator", 2), near, far)) == [near]
+
+
+def test_a_fitted_rival_is_as_near_as_its_fit_says():
+    """Breaks if the linear comparison decides although there is a fit, or what was not fitted moves."""
+    own, other = score(-1000.0, "gravity-compensator", 2), score(-800.0, "gear-ratio-error", 2)
+    rivals = [score(bic, "joint-eccentricity", 2, order=order) for bic, order in ((-960.0, 1), (-700.0, 2))]
+    place = rivals[0].cause.place
+    seen = finding(own, other, *rivals)
+    assert verdict(seen).status == "named"
+    now = corrected(seen, {place: 1.5}, N)
+    (rival,) = verdict(now).rivals
+    assert (rival.id, rival.bic) == ("joint-eccentricity", pytest.approx(1.5))
+    places = by_place(now.scores)
+    assert places[other.cause.place][0] == pytest.approx(-800.0)
+    before, after = (next(s for s in one.scores if s.cause == rivals[0].cause) for one in (seen, now))
+    assert N * np.log1p(-after.share) - N * np.log1p(-before.share) == pytest.approx(after.delta_bic - before.delta_bic)
+    assert after.drop / after.share == pytest.approx(before.drop / before.share)

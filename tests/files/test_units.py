@@ -1,0 +1,65 @@
+"""Units in names are split off and converted to SI."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calflow.files.units import SUFFIXES, spellings, split_unit, to_si
+
+IN_SI = {  # what 1 of each unit is, written by hand
+    "m": 1, "mm": 1e-3, "um": 1e-6, "rad": 1, "deg": np.pi / 180, "mrad": 1e-3, "urad": 1e-6, "kg": 1, "g": 1e-3,
+    "N": 1, "kN": 1e3, "Nm": 1, "kNm": 1e3, "s": 1, "min": 60, "h": 3600, "K": 1, "degC": 274.15,
+    "rad_per_Nm": 1, "m_per_N": 1, "m_per_s2": 1, "m_per_m": 1, "mm_per_m": 1e-3,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", [suffix for suffixes in SUFFIXES.values() for suffix in suffixes])
+def test_every_suffix_converts_to_si(suffix):
+    """Fails if a factor or an offset is wrong, or a new unit has no value here."""
+    factor, offset = to_si(suffix)
+    assert factor + offset == pytest.approx(IN_SI[suffix], rel=1e-12)
+    assert offset == (pytest.approx(273.15) if suffix == "degC" else 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("q1_deg", ("q1", "deg")),
+        ("x_mm", ("x", "mm")),
+        ("s_rad_per_Nm", ("s", "rad_per_Nm")),
+        ("noise_mm_per_m", ("noise", "mm_per_m")),
+        ("m1_Nm", ("m1", "Nm")),
+        ("region_min_m", ("region_min", "m")),
+        ("time_min", ("time", "min")),
+        ("temperature_degC", ("temperature", "degC")),
+        ("pose", None),
+        ("x_MM", None),
+        ("x_inch", None),
+        ("_mm", None),
+        ("mm", None),
+    ],
+)
+def test_the_longest_unit_is_split_off(name, expected):
+    """Fails if `rad_per_Nm` is taken for `Nm`, a name for a unit, or a unit guessed."""
+    assert split_unit(name) == expected
+
+
+def test_only_units_of_a_dimension_are_split_off():
+    """Fails if a length passes for an angle."""
+    assert split_unit("q1_mm", "angle") is None
+    assert split_unit("q1_mm", "length") == ("q1", "mm")
+
+
+@pytest.mark.parametrize(
+    ("unit", "expected"),
+    [
+        ("rad/Nm", {"_rad_per_Nm": 1}),
+        ("m", {"_m": 1, "_mm": 1e-3, "_um": 1e-6}),
+        ("1", {"": 1}),
+        ("1/K", {"_1_per_K": 1}),
+    ],
+)
+def test_a_parameters_unit_has_its_spellings(unit, expected):
+    """Fails if a truth file cannot state a parameter in its own unit, or states it in another dimension's."""
+    assert spellings(unit) == pytest.approx(expected)

@@ -1,0 +1,88 @@
+"""Sampling: every mixture of moves recovers a known posterior, and resuming changes nothing."""
+
+from __future__ import annotations
+
+import emcee
+import numpy as np
+import pytest
+
+from calflow.estimation.fit import fit
+from calflow.model import build
+from calflow.sampling.backend import joined, open_ensembles
+from calflow.sampling.posterior import Laplace, Posterior, moves
+from calflow.stages.sample import _extend
+from estimation.data import SIGMA, drawn_truth, measured, problem
+from robots import industrial
+
+
+@pytest.mark.parametrize(("independent", "steps"), [(0.8, 1200), (1.0, 1200), (0.0, 4000)])
+def test_moves_recover_a_known_covariance(independent, steps):
+    """Fails if a move's acceptance is wrong, as DESnookerMove's is: whitened variances would leave 1 by a quarter."""
+    n = 35
+    rng = np.random.default_rng(13)
+    # in the coordinates that Laplace makes round, what is left of the shape: ten per cent, and weak correlations
+    root = np.tril(0.03 * rng.standard_normal((n, n)), -1) + np.diag(rng.uniform(0.9, 1.1, n))
+    inverse = np.linalg.inv(root)
+
+    def log_probability(x):
+        return -0.5 * ((x @ inverse.T) ** 2).sum(axis=1)
+
+    # walkers start from the target itself, so nothing has to be thrown away
+    start = rng.standard_normal((4 * n, n)) @ root.T
+    sampler = emcee.EnsembleSampler(
+        4 * n, n, log_probability, vectorize=True, moves=moves(np.zeros(n, dtype=bool), independent)
+    )
+    sampler.run_mcmc(emcee.State(start, random_state=np.random.RandomState(1).get_state()), steps)
+    whitened = sampler.get_chain(flat=True) @ inverse.T
+    covariance = np.cov(whitened.T)
+    assert np.abs(np.diag(covariance) - 1).max() < 0.1
+    assert abs(np.diag(covariance).mean() - 1) < 0.02
+    assert np.abs(covariance - np.diag(np.diag(covariance))).max() < 0.1
+    assert np.abs(whitened.mean(axis=0)).max() < 0.1
+
+
+@pytest.fixture(scope="module")
+def posterior():
+    rng = np.random.default_rng(14)
+    model = build(industrial(), ("geometry", "joint-compliance"))
+    given = problem(model, measured(model, drawn_truth(model, rng), 50, rng))
+    result, _ = fit(given)
+    return Posterior.about(given, Laplace.of(given, result.estimate, result.at_bound))
+
+
+def test_log_probability_is_the_models(posterior):
+    """Fails if the scaling, a prior, the noise's normalisation or a bound is wrong: compared with plain numpy."""
+    rng = np.random.default_rng(15)
+    u = 0.5 * rng.standard_normal((6, posterior.n_dimensions))
+    given, model = posterior.problem, posterior.problem.model
+    x = posterior.parameters(u)
+    expected = []
+    for values, level in zip(x[:, :-1], x[:, -1], strict=True):
+        residual = (model.position(values, given.rows).T - given.measured) / (SIGMA * np.exp(level))
+        prior = ((values - model.nominal) / model.prior_sd) ** 2
+        expected.append(-0.5 * (residual**2).sum() - residual.size * level - 0.5 * prior.sum() - 0.5 * level**2)
+    inside = ((x[:, :-1] >= model.bounds[:, 0]) & (x[:, :-1] <= model.bounds[:, 1])).all(axis=1)
+    expected = np.where(inside, expected, -np.inf)
+    assert inside.any()
+    np.testing.assert_allclose(posterior.log_probability(u), expected, rtol=1e-9)
+
+
+def test_starts_are_inside_the_bounds(posterior):
+    """Fails if a walker starts where the posterior is zero: emcee would not complain."""
+    start = posterior.start(2 * posterior.n_dimensions, np.random.default_rng(16))
+    assert np.isfinite(posterior.log_probability(start)).all()
+    assert len(np.unique(start, axis=0)) == len(start)
+
+
+def test_interrupted_and_resumed_is_the_same_chain(posterior, tmp_path):
+    """Fails if the random state or the last positions are lost between two blocks."""
+    start = posterior.start(2 * posterior.n_dimensions, np.random.default_rng(17))
+
+    def sampled(name, blocks):
+        path = tmp_path / name
+        for steps in blocks:
+            (backend,) = open_ensembles(path, 1, start.shape, 0.8, lambda line: None)
+            _extend(backend, posterior, start, 5, 0.8, steps)
+        return joined([backend], 0, 30)
+
+    np.testing.assert_array_equal(sampled("whole.h5", [30]), sampled("parts.h5", [10, 7, 13]))

@@ -1,0 +1,86 @@
+"""The house: which room may import which, that no file grows a second purpose, and that no import hides."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+SOURCE = Path(__file__).parents[1] / "src" / "calflow"
+FLOORS = (  # an import points to a floor further up this list, or stays within its room
+    ("files", "compiled"),
+    ("robot",),
+    ("measurements",),
+    ("observations", "effects"),
+    ("model",),
+    ("estimation",),
+    ("faults", "diagnosis", "sampling"),
+    ("design",),
+    ("deployment",),
+    ("study", "templates"),
+    ("simulation",),
+    ("report",),
+    ("stages",),
+    ("runs",),
+    ("api",),
+    ("__init__", "cli"),
+    ("__main__",),
+)
+MOST_LINES = 400
+FLOOR = {room: k for k, floor in enumerate(FLOORS) for room in floor}
+
+
+def modules() -> dict[str, Path]:
+    """Every module of the package by its dotted name."""
+    found = {}
+    for path in SOURCE.rglob("*.py"):
+        parts = path.relative_to(SOURCE).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" and len(parts) > 1 else parts)] = path
+    return found
+
+
+def imports(name: str, path: Path) -> Iterator[str]:
+    """Every module of the package that a file imports, wherever in it the import stands."""
+    known = modules()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            asked = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            asked = [f"{node.module}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        for one in asked:
+            inner = one.removeprefix("calflow.") if one.startswith("calflow.") else ""
+            while inner and inner not in known:
+                inner = inner.rpartition(".")[0]
+            if inner and inner != name:
+                yield inner
+
+
+def room(module: str) -> str:
+    """The room of a module."""
+    return module.partition(".")[0]
+
+
+def test_every_arrow_points_down():
+    """Fails if a room imports one that stands on it, or beside it, or if a room has no floor yet."""
+    wrong = [
+        f"{name} imports {other}"
+        for name, path in modules().items()
+        for other in imports(name, path)
+        if room(name) != room(other) and FLOOR[room(other)] >= FLOOR[room(name)]
+    ]
+    assert not wrong
+
+
+def test_no_two_files_need_each_other():
+    """Fails if imports go round in a circle, also through a function or for types alone."""
+    graph = {name: set(imports(name, path)) for name, path in modules().items()}
+    TopologicalSorter(graph).prepare()
+
+
+def test_a_file_holds_one_thing():
+    """Fails if a file grows beyond what a reader can hold."""
+    long = {name: n for name, path in modules().items() if (n := len(path.read_text().splitlines())) > MOST_LINES}
+    assert not long
