@@ -16,7 +16,9 @@ from calflow.estimation.fit import LeastSquares, fit
 from calflow.estimation.noise import Noise
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
-from calflow.robot.description import Robot
+from calflow.robot.frames import modified_dh
+from calflow.robot.parts import Joint, Marker
+from calflow.robot.robot import Robot
 
 # modified DH of a UR10 [m, rad]: alpha, a, theta, d of each joint, as pybotics states it
 TABLE = np.array(
@@ -96,15 +98,8 @@ def main() -> None:
 
 def calflow(q: np.ndarray, xyz: np.ndarray) -> tuple[float, float]:
     """Seconds, from table to estimate with the graph's construction, and held-out mean error [mm]."""
-    joints = [{"alpha_rad": r[0], "a_m": r[1], "theta_rad": r[2], "d_m": r[3]} for r in TABLE.tolist()]
-    robot = Robot.model_validate(
-        {
-            "name": "UR10",
-            "convention": "modified-dh",
-            "joints": joints,
-            "markers": {"flange": {"point_m": [0.0, 0.0, 0.0]}},
-        }
-    )
+    joints = [Joint(modified_dh(alpha=r[0], a=r[1], theta=r[2], d=r[3])) for r in TABLE.tolist()]
+    robot = Robot(joints, name="UR10", markers={"flange": Marker((0.0, 0.0, 0.0))})
     table = pd.DataFrame(q, columns=[f"q{i + 1}" for i in range(6)])
     table[["x", "y", "z"]] = xyz
     table = table.assign(pose=np.arange(len(q)), repeat=1, marker="flange", payload="", split="train")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,33 +12,36 @@ from scipy.spatial.transform import Rotation
 
 from calflow.design.candidates import pack
 from calflow.model import Model
-from calflow.robot.description import Base, Robot, read_robot
+from calflow.robot.formats.robot_toml import RobotFile
+from calflow.robot.parts import Base
+from calflow.robot.robot import Robot
 
 HH800 = Path(__file__).parents[1] / "studies" / "hh800" / "robot.toml"
-ASKEW = Base(origin_m=(0.5, -1.2, 0.3), rotation_deg=(3.0, -8.0, 40.0))  # in the measuring frame
+ASKEW = Base(origin=(0.5, -1.2, 0.3), rotation=np.deg2rad((3.0, -8.0, 40.0)))  # in the measuring frame
 
 
 def hh800(**changed: Any) -> Robot:
     """The paper's robot, with some fields of its file replaced."""
-    return read_robot(HH800).model_copy(update=changed)
+    return replace(Robot.from_toml(HH800), **changed)
 
 
 def hh800_with_bars(crank: float = 0.8, rod: float = 1.6, rocker: float = 0.8, assembly: str = "open") -> Robot:
     """The HH800 with other bar lengths [m] in its loop."""
     loop = hh800().loop
     bars = {
-        "crank": loop.crank.model_copy(update={"length": crank}),
-        "rod": loop.rod.model_copy(update={"length": rod}),
+        "crank": replace(loop.crank, length=crank),
+        "rod": replace(loop.rod, length=rod),
         "rocker": rocker,
         "assembly": assembly,
     }
-    return hh800(loop=loop.model_copy(update=bars))
+    return hh800(loop=replace(loop, **bars))
 
 
 def robot(convention: str, joints: list[dict[str, Any]], **rest: Any) -> Robot:
     """A robot from what its file would say."""
     rest = {"markers": {"E": {"point_m": [0.05, -0.03, 0.12]}}} | rest
-    return Robot.model_validate({"name": "test", "convention": convention, "joints": joints} | rest)
+    file = {"name": "test", "convention": convention, "joints": joints} | rest
+    return Robot(**RobotFile.model_validate(file).fields())
 
 
 def ur10(**rest: Any) -> Robot:
@@ -140,10 +144,11 @@ def pinocchio_model(of: Robot, payload: str) -> pin.Model:
     model.gravity.linear = np.array(of.gravity)
     parent, to_next = 0, pin.SE3.Identity()
     for joint in of.joints:
-        aside = se3(pin.rpy.rpyToMatrix(joint.alpha, 0, 0), joint.a, 0, 0)
-        turn = se3(pin.rpy.rpyToMatrix(0, 0, joint.theta), 0, 0, joint.d)
-        before = to_next * aside * turn if of.convention == "modified-dh" else to_next * turn
-        to_next = pin.SE3.Identity() if of.convention == "modified-dh" else aside
+        figs = joint.frame.figures
+        aside = se3(pin.rpy.rpyToMatrix(figs["alpha"], 0, 0), figs["a"], 0, 0)
+        turn = se3(pin.rpy.rpyToMatrix(0, 0, figs["theta"]), 0, 0, figs["d"])
+        before = to_next * aside * turn if of.kinematics == "modified-dh" else to_next * turn
+        to_next = pin.SE3.Identity() if of.kinematics == "modified-dh" else aside
         parent = model.addJoint(parent, pin.JointModelRZ(), before, f"joint{parent + 1}")
         model.appendBodyToJoint(parent, inertia(joint.mass, joint.com), to_next)
     load = of.payloads[payload]
@@ -169,7 +174,9 @@ class Frames(NamedTuple):
 def figures(of: Robot) -> dict[str, np.ndarray]:
     """Every length and angle that the robot's file states; `base` is an error of the stated base."""
     lengths = [of.loop.crank.length, of.loop.rod.length, of.loop.rocker] if of.loop else []
-    table = {name: np.array([getattr(j, name) for j in of.joints]) for name in ("alpha", "a", "d", "theta", "beta")}
+    table = {
+        name: np.array([j.frame.figures[name] for j in of.joints]) for name in ("alpha", "a", "d", "theta", "beta")
+    }
     return table | {
         "base": np.zeros(6),
         "bars": np.array(lengths),
@@ -252,17 +259,17 @@ def frames(
         if i == k:
             angle[k], bars[:] = _driven_by_loop(of, figs, ground, at, q[..., k])
         theta, d = (theta + angle[i], d) if joint.kind == "revolute" else (theta, d + angle[i])
-        if of.convention == "modified-dh":  # a link's far end is at the next joint, the base's where the base is
+        if of.kinematics == "modified-dh":  # a link's far end is at the next joint, the base's where the base is
             at = at @ turned(0, alpha) @ shifted(0 if i else a, 0, 0) @ turned(1, beta)
         if i == k - 1:
             ground = at
         at = at @ turned(2, theta) @ placed(bearing[:, i])
         result.joints.append(at)
         at = at @ shifted(0, 0, d)
-        if of.convention == "dh":
+        if of.kinematics == "dh":
             at = at @ shifted(a, 0, 0) @ turned(0, alpha) @ turned(1, beta)
         result.links.append(at)
-        if of.convention == "modified-dh" and i + 1 < n:
+        if of.kinematics == "modified-dh" and i + 1 < n:
             at = at @ shifted(figs["a"][i + 1], 0, 0)
         at = at @ placed(link[:, i + 1])
         result.ends.append(at)
@@ -279,7 +286,7 @@ def _driven_by_loop(
     """
     k = of.loop.joint - 1
     arm = np.linalg.inv(ground) @ end
-    if of.convention == "dh":
+    if of.kinematics == "dh":
         arm = arm @ turned(1, -figs["beta"][k - 1]) @ turned(0, -figs["alpha"][k - 1])
     s, along = (arm[..., 0, column] + 1j * arm[..., 1, column] for column in (3, 0))
     crank, rod, rocker = figs["bars"]

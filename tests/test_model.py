@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +11,14 @@ from numpy.testing import assert_allclose
 
 import robots
 from calflow.model import BLOCK_ROWS, Model, build
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 
 MARKERS = {
     name: {"point_m": point} for name, point in {"A": [0.1, 0, 0.2], "B": [0, -0.3, 0.1], "C": [0, 0, 0]}.items()
 }
 ROBOTS = {
     "hh800": robots.hh800(base=robots.ASKEW, tool_rotation=(0.3, -0.5, 1.2)),
-    "ur10": robots.ur10(tool_rotation_deg=[90, 20, -45]).model_copy(update={"base": robots.ASKEW}),
+    "ur10": replace(robots.ur10(tool_rotation_deg=[90, 20, -45]), base=robots.ASKEW),
     "no tool": robots.industrial(),
 }
 

@@ -9,7 +9,7 @@ from scipy.stats import chi2, kstest
 
 from calflow.design.candidates import pack
 from calflow.model import build
-from calflow.robot.description import read_robot
+from calflow.robot.robot import Robot
 from calflow.simulation import simulate
 
 Q, X = ["q1_deg", "q2_deg", "q3_deg"], ["x_mm", "y_mm", "z_mm"]
@@ -24,7 +24,7 @@ def simulated(small, *changes):
 
 def true_positions(small, table):
     """Where the markers are with the errors of the truth file: the graph's, with the values put in by hand."""
-    model = build(read_robot(small / "robot.toml"), ("geometry", "joint-compliance"))
+    model = build(Robot.from_toml(small / "robot.toml"), ("geometry", "joint-compliance"))
     true = {"joint2.a": 0.5e-3, "joint2.s": 2e-6}
     values = np.array([true.get(parameter.name, 0.0) for parameter in model.parameters])
     found = np.empty((len(table), 3))

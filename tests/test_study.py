@@ -9,7 +9,7 @@ import pytest
 import calflow
 from calflow.files.problems import InputError, Problem, nearest, together
 from calflow.measurements.measurements import Measurements, draw_split
-from calflow.robot.description import read_robot
+from calflow.robot.robot import Robot
 from calflow.study import find_workflow, load_study, workflow_folder
 
 
@@ -72,7 +72,7 @@ def drawn(small, seed=1, holdout=0.3, **columns):
     """The split of 60 poses of 2 rows, the first 40 with the light payload."""
     pose = np.repeat(np.arange(60), 2)
     table = pd.DataFrame({"pose": pose, "payload": np.where(pose < 40, "light", "heavy")} | columns)
-    measured = Measurements(read_robot(small / "robot.toml"), table)
+    measured = Measurements(Robot.from_toml(small / "robot.toml"), table)
     return draw_split(measured, holdout, seed).table
 
 
@@ -106,7 +106,7 @@ def test_the_seed_decides_the_split(small):
     first, again, other = drawn(small), drawn(small), drawn(small, seed=2)
     assert first["split"].equals(again["split"])
     assert not first["split"].equals(other["split"])
-    backwards = Measurements(read_robot(small / "robot.toml"), first.drop(columns="split")[::-1])
+    backwards = Measurements(Robot.from_toml(small / "robot.toml"), first.drop(columns="split")[::-1])
     assert draw_split(backwards, 0.3, 1).table.sort_index()["split"].equals(first["split"])
 
 

@@ -15,8 +15,8 @@ from calflow.compiled import WORTH_EVALUATIONS, compiled
 from calflow.effects import Effect, Parameter, catalogue
 from calflow.robot.chain import Deflection, marker_point, pose
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
+from calflow.robot.robot import Robot
 from calflow.robot.statics import state
 from calflow.robot.transforms import apply, placement
 

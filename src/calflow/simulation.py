@@ -14,7 +14,7 @@ from calflow.files.problems import InputError, Problem, nearest, refuse, togethe
 from calflow.files.toml import FileModel, Length, Lengths3, Origin, Unit, read_toml
 from calflow.files.units import spellings
 from calflow.model import Model, build
-from calflow.robot.description import Robot, read_robot
+from calflow.robot.robot import Robot
 from calflow.study import check_effects, known_effects
 
 
@@ -85,7 +85,7 @@ def simulate(path: Path) -> pd.DataFrame:
     """
     truth = read_toml(path, Truth)
     robot_path = path.parent / truth.robot
-    robot = read_robot(robot_path)
+    robot = Robot.from_toml(robot_path)
     check_effects(truth.effects, robot, robot_path)
     model = build(robot, truth.effects)
     values, _ = together(lambda: _values(truth, model, path), lambda: _check_payloads(truth, robot, path))

@@ -15,7 +15,7 @@ from calflow.files.toml import FileModel, Origin, read_toml, validate
 from calflow.files.units import split_unit
 from calflow.measurements.measurements import Measurements, MeasurementSource, draw_split
 from calflow.measurements.reading import locate, read_measurements
-from calflow.robot.description import Robot, read_robot
+from calflow.robot.robot import Robot
 
 FEWEST_POSES = 3  # fewer do not even say where the robot stands
 
@@ -217,7 +217,7 @@ def load_study(path: str | Path) -> Study:
     robot_path = path.parent / file.robot
 
     def checked_robot() -> Robot:
-        robot = read_robot(robot_path)
+        robot = Robot.from_toml(robot_path)
         check_effects(file.effects, robot, robot_path)
         return robot
 

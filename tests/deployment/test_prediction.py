@@ -11,7 +11,7 @@ import pytest
 from calflow.deployment.prediction import predict
 from calflow.estimation.calibrated import identified
 from calflow.measurements.reading import read_measurements
-from calflow.robot.description import read_robot
+from calflow.robot.robot import Robot
 from calflow.runs.run import read_tables
 
 X, SD = ["x_mm", "y_mm", "z_mm"], ["sd_x_mm", "sd_y_mm", "sd_z_mm"]
@@ -38,7 +38,7 @@ def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
     """Fails if sd is not the root of the diagonal of J C Jᵀ, here with J by central differences."""
     predicted = predict(finished / "runs", asked)
     tables = read_tables(finished / "runs", "identify")
-    robot = read_robot(finished / "robot.toml")
+    robot = Robot.from_toml(finished / "robot.toml")
     data = read_measurements(asked, robot, conditions_only=True)
     known = identified(robot, tables, data.given)
     covariance = tables["identify/covariance.csv"].drop(columns="parameter").to_numpy()

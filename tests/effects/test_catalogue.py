@@ -26,8 +26,10 @@ from calflow.measurements.reading import read_measurements
 from calflow.model import Model, over_rows
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot, read_robot
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
+from calflow.robot.formats.robot_toml import RobotFile
+from calflow.robot.frames import modified_dh
+from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques, state
 from calflow.robot.transforms import rot_x
 from hidden import simulator
@@ -107,7 +109,7 @@ def benches(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Bench]:
         case = Case(robot=name, poses=500, columns=EVERYTHING, base=BASE)
         write_case(folder, case, np.random.default_rng(1))
         world = draw(case, np.random.default_rng(1))
-        robot = read_robot(folder / "robot.toml")
+        robot = Robot.from_toml(folder / "robot.toml")
         data = read_measurements(folder / "measurements.csv", robot)
         few = np.arange(len(data)) % 8 == 0
         rows = Rows(**{part: values[few] for part, values in vars(world.rows).items()})
@@ -379,12 +381,13 @@ def modified(of: Robot) -> Robot:
     """The same robot in modified DH: a link's frame is where its axis is, not where the next one is."""
     joints, aside, twist = [], 0.0, 0.0
     for joint in of.joints:
-        rotation = np.array(ca.DM(rot_x(joint.alpha)))[:3, :3]
-        com = rotation @ np.array(joint.com) + [joint.a, 0.0, 0.0]
-        joints.append(joint.model_copy(update={"a": aside, "alpha": twist, "com": tuple(map(float, com))}))
-        aside, twist = joint.a, joint.alpha
+        figures = joint.frame.figures
+        rotation = np.array(ca.DM(rot_x(figures["alpha"])))[:3, :3]
+        com = rotation @ np.array(joint.com) + [figures["a"], 0.0, 0.0]
+        joints.append(replace(joint, frame=modified_dh(**figures | {"a": aside, "alpha": twist}), com=com))
+        aside, twist = figures["a"], figures["alpha"]
     assert aside == twist == 0  # the flange's frame is the last link's
-    return of.model_copy(update={"convention": "modified-dh", "joints": tuple(joints)})
+    return replace(of, joints=joints)
 
 
 OF_ONE_CONVENTION = {
@@ -399,8 +402,8 @@ OF_ONE_CONVENTION = {
 def conventions() -> Callable[[str], list[np.ndarray]]:
     """Points of a UR10 stated in both conventions, with springs and one effect as large as its prior, or none."""
     dh = robots.ur10(base=robots.ASKEW)
-    geared = tuple(joint.model_copy(update={"gear_ratio": 100.0}) for joint in dh.joints)
-    dh = dh.model_copy(update={"joints": geared})
+    geared = tuple(replace(joint, gear_ratio=100.0) for joint in dh.joints)
+    dh = replace(dh, joints=geared)
     q, rng = robots.poses(dh, 20), np.random.default_rng(9)
     given = (*EVERYTHING, "order")
     names = [name for name in catalogue() if name not in OF_ONE_CONVENTION]
@@ -456,7 +459,8 @@ def test_gravity_deflection_stands_for_springs(benches: dict[str, Bench], name: 
 
 def without_masses(name: str) -> Robot:
     """The robot whose links' masses nobody knows."""
-    return Robot.model_validate(robot_file(stated_tables(Case(robot=name, base=BASE)), masses=False))
+    file = robot_file(stated_tables(Case(robot=name, base=BASE)), masses=False)
+    return Robot(**RobotFile.model_validate(file).fields())
 
 
 def waves(effect: Effect, joint: int, angle: np.ndarray) -> np.ndarray:
@@ -668,17 +672,17 @@ def without(data: Measurements, *conditions: str) -> Measurements:
 
 def changed(data: Measurements, **fields: Any) -> Measurements:
     """The rows of a robot whose file says something else."""
-    return Measurements(data.robot.model_copy(update=fields), data.table)
+    return Measurements(replace(data.robot, **fields), data.table)
 
 
 def bare(data: Measurements) -> Measurements:
     """The rows of a robot whose file tells no masses."""
-    return changed(data, joints=tuple(joint.model_copy(update={"mass": None}) for joint in data.robot.joints))
+    return changed(data, joints=tuple(replace(joint, mass=None) for joint in data.robot.joints))
 
 
 def gearless(data: Measurements) -> Measurements:
     """The rows of a robot whose file tells no gear ratio."""
-    return changed(data, joints=tuple(joint.model_copy(update={"gear_ratio": None}) for joint in data.robot.joints))
+    return changed(data, joints=tuple(replace(joint, gear_ratio=None) for joint in data.robot.joints))
 
 
 OF_MASSES = (

@@ -16,8 +16,8 @@ from calflow.effects.joint_compliance import JointCompliance
 from calflow.model import Model, build
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions, Loads
+from calflow.robot.robot import Robot
 from calflow.robot.statics import State
 
 SPRINGS = np.array([1.0, 2.0, 3.0, 8.0, 8.0, 8.0]) * 1e-5
@@ -39,9 +39,9 @@ class LongerArm(Toy):
     """Link 2 is p longer."""
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        a = ca.SX(dims.a)
-        a[1] += p
-        return replace(dims, a=a)
+        steps = ca.SX(dims.steps)
+        steps[self.robot.step_index(1, "a")] += p
+        return replace(dims, steps=steps)
 
 
 class HeavierLoad(Toy):
@@ -179,8 +179,8 @@ def test_loads_change_what_the_springs_carry(robot: Robot, q: np.ndarray) -> Non
 @pytest.mark.parametrize("order", [[JointCompliance, BalancingSpring], [BalancingSpring, JointCompliance]])
 def test_torque_winds_the_springs_up(robot: Robot, q: np.ndarray, order: list[type[Effect]]) -> None:
     """Breaks if an added torque is dropped, acts on another joint, or misses effects named before it."""
-    rated = tuple(joint.model_copy(update={"rated_torque": 100.0}) for joint in robot.joints)
-    floating = robot.model_copy(update={"gravity": (0.0, 0.0, 0.0), "joints": rated})
+    rated = tuple(replace(joint, rated_torque=100.0) for joint in robot.joints)
+    floating = replace(robot, gravity=(0.0, 0.0, 0.0), joints=rated)
     turned = q.copy()
     turned[:, 1] += SPRINGS[1] * 70.0 * q[:, 1]
     p = np.append(SPRINGS, 70.0) if order[0] is JointCompliance else np.append(70.0, SPRINGS)
@@ -247,7 +247,7 @@ def test_structure_balances_what_it_carries(make: type, softness: float, effect:
 
 def test_device_changes_only_what_is_reported(robot: Robot, q: np.ndarray) -> None:
     """Breaks if a device's error is applied before the base is, or turns the tool."""
-    model = Model(robot.model_copy(update={"base": robots.ASKEW}), (StretchedScale(robot),))
+    model = Model(replace(robot, base=robots.ASKEW), (StretchedScale(robot),))
     rows, p = robots.rows(model, q), np.array([0.001])
     assert_allclose(model.position(p, rows), 1.001 * robots.marker_position(model.robot, q), atol=1e-12)
     assert_allclose(model.rotation(p, rows), robots.tool_rotation(model.robot, q), atol=1e-12)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -12,14 +14,15 @@ import robots
 from calflow.effects.geometry import Geometry
 from calflow.model import Model, build
 from calflow.robot.conditions import Row
-from calflow.robot.description import Base, Robot
 from calflow.robot.dimensions import nominal_dimensions
+from calflow.robot.parts import Base
+from calflow.robot.robot import Robot
 
 TWO_MARKERS = {"A": {"point_m": [0.05, -0.03, 0.12]}, "B": {"point_m": [-0.1, 0.0, 0.2]}}
 ROBOTS = {
     "hh800": robots.hh800(base=robots.ASKEW),
     "hh800 other bars": robots.hh800_with_bars(0.75, 1.7, 0.9),
-    "ur10": robots.ur10(markers=TWO_MARKERS, tool_rotation_deg=[10, -20, 30]).model_copy(update={"base": robots.ASKEW}),
+    "ur10": replace(robots.ur10(markers=TWO_MARKERS, tool_rotation_deg=[10, -20, 30]), base=robots.ASKEW),
     "industrial": robots.industrial(),
 }
 CASES = [(name, parameter.name) for name, robot in ROBOTS.items() for parameter in Geometry(robot).parameters()]

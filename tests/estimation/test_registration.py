@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from calflow.estimation.registration import registered
 from calflow.model import build
-from calflow.robot.description import Base, Marker
+from calflow.robot.parts import Base, Marker
 from estimation.data import measured
 from robots import industrial
 
@@ -18,12 +20,12 @@ def test_base_and_tool_are_found(angles):
     """Fails for a tracker that stands on its head, beside a singular angle, or far away."""
     rng = np.random.default_rng(18)
     robot = industrial()
-    stands = Base(origin_m=(12.0, -7.0, 2.0), rotation_deg=tuple(float(a) for a in angles), known=True)
+    stands = Base(origin=(12.0, -7.0, 2.0), rotation=np.deg2rad(angles))
     name = next(iter(robot.markers))
-    moved = Marker.model_construct(point=tuple(np.add(robot.markers[name].point, (0.02, -0.03, 0.05))))
-    real = build(robot.model_copy(update={"base": stands, "markers": {name: moved}}), ())
+    moved = Marker(point=tuple(np.add(robot.markers[name].point, (0.02, -0.03, 0.05))))
+    real = build(replace(robot, base=stands, markers={name: moved}), ())
     data = measured(real, real.nominal, 40, rng)
-    found = registered(robot.model_copy(update={"base": Base(known=False)}), data)
+    found = registered(replace(robot, base=Base(known=False)), data)
     np.testing.assert_allclose(found.base.origin, stands.origin, atol=1e-4)
     turn = Rotation.from_euler("XYZ", found.base.rotation).inv() * Rotation.from_euler("XYZ", stands.rotation)
     assert turn.magnitude() < 1e-4

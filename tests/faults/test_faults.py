@@ -104,7 +104,7 @@ def test_a_joint_that_counts_the_other_way_is_found(tmp_path, robot, joint):
 def test_several_signs_and_a_base_that_nobody_knows(tmp_path):
     """Fails if one wrong sign hides another, or the search needs a base that is stated."""
     data, _ = measured(tmp_path, Case(poses=60), 2)
-    robot = data.robot.model_copy(update={"base": data.robot.base.model_copy(update={"known": False})})
+    robot = replace(data.robot, base=replace(data.robot.base, known=False))
     turned = correct(
         data.on(robot), Fault("", 0, (), "", "corrected", (Correction(0, "q3", -1.0), Correction(0, "q5", -1.0)))
     )

@@ -13,7 +13,7 @@ import pytest
 
 from calflow.design.candidates import pack
 from calflow.model import build
-from calflow.robot.description import read_robot
+from calflow.robot import robot as stated
 from hidden.case import Case, draw, effect_rms, write_case
 from hidden.causes import ON_TABLE, PHYSICAL, XYZ, Hidden, measured_points, response
 from hidden.simulator import Motion, Robot, Rows, energy, equilibrium, frames, moved, statics, tool_point
@@ -246,7 +246,7 @@ def test_calflow_reads_the_robot_as_it_was_simulated(tmp_path, name):
     """Fails if simulator and calflow differ in a convention: neither knows the other."""
     case = Case(robot=name, poses=30, markers=2, payloads=("full",))
     write_case(tmp_path, case, np.random.default_rng(10))
-    model = build(read_robot(tmp_path / "robot.toml"), ("geometry", "joint-compliance"))
+    model = build(stated.Robot.from_toml(tmp_path / "robot.toml"), ("geometry", "joint-compliance"))
     world = draw(case, np.random.default_rng(10))
     robot = replace(world.stated, compliance=world.real.compliance)
     springs = iter(robot.compliance)

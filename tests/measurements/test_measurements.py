@@ -14,7 +14,7 @@ from calflow.files.problems import InputError
 from calflow.files.units import SUFFIXES
 from calflow.measurements.measurements import MeasurementSource, column_names
 from calflow.measurements.reading import locate, read_measurements
-from calflow.robot.description import read_robot
+from calflow.robot.robot import Robot
 
 Q = ["q1_deg", "q2_deg", "q3_deg"]
 X = ["x_mm", "y_mm", "z_mm"]
@@ -28,7 +28,9 @@ def read(small):
         if rows is not None:
             small.measure(rows)
         small.edit("robot.toml", *robot)
-        return read_measurements(small / name, read_robot(small / "robot.toml"), MeasurementSource(file=name, **source))
+        return read_measurements(
+            small / name, Robot.from_toml(small / "robot.toml"), MeasurementSource(file=name, **source)
+        )
 
     return reader
 
@@ -236,7 +238,7 @@ def test_the_known_columns_are_those_that_are_read(small, read):
     rows = small.rows
     extra = [
         f"{name}_{SUFFIXES[dimension][0]}" if dimension else name
-        for name, dimension in column_names(read_robot(small / "robot.toml")).items()
+        for name, dimension in column_names(Robot.from_toml(small / "robot.toml")).items()
         if name.startswith(("time", "temp", "tau", "appr"))
     ]
     assert len(extra) == 8

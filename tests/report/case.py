@@ -17,7 +17,7 @@ from calflow.effects.cause import Cause
 from calflow.estimation.calibrated import calibrated, effect_table, identified, with_maps_held
 from calflow.model import Model, build
 from calflow.report.material import latest
-from calflow.robot.description import read_robot
+from calflow.robot.robot import Robot
 from calflow.stages.identify import STAGE as IDENTIFY
 from calflow.stages.stage import Context
 from calflow.study import load_study
@@ -356,7 +356,7 @@ def _write(folder: Path, case: Case) -> Path:
 
 
 def _measure(folder: Path, case: Case) -> pd.DataFrame:
-    robot = read_robot(folder / "robot.toml")
+    robot = Robot.from_toml(folder / "robot.toml")
     model = build(robot, ("geometry", "joint-compliance") if case.payload else ("geometry",))
     rng = np.random.default_rng(0)
     truth = np.clip(0.3 * model.prior_sd * rng.standard_normal(len(model.nominal)), *model.bounds.T)

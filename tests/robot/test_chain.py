@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
@@ -12,8 +14,9 @@ import robots
 from calflow.model import Model, build
 from calflow.robot.chain import Deflection, marker_point, pose
 from calflow.robot.conditions import Row
-from calflow.robot.description import Coupling, Robot
 from calflow.robot.dimensions import nominal_dimensions
+from calflow.robot.parts import Coupling
+from calflow.robot.robot import Robot
 from calflow.robot.statics import gravity_torque
 
 SERIAL = {"ur10": robots.ur10(), "industrial": robots.industrial()}
@@ -46,7 +49,7 @@ def test_frames_and_jacobian_equal_pinocchio(name: str) -> None:
 @pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.80665), (3.0, -2.0, -9.0)])
 def test_gravity_torques_equal_pinocchio(name: str, gravity: tuple[float, float, float]) -> None:
     """Breaks if a mass hangs in the wrong frame, a payload is left out, or gravity's direction is ignored."""
-    robot = SERIAL[name].model_copy(update={"gravity": gravity})
+    robot = replace(SERIAL[name], gravity=gravity)
     model, torque = robots.pinocchio_model(robot, "load"), gravity_torque(robot)
     data = model.createData()
     for q in robots.poses(robot, 25):
@@ -69,9 +72,9 @@ def test_numpy_mechanics_equal_pinocchio() -> None:
 def test_signs_and_couplings_turn_readings_into_angles() -> None:
     """Breaks if a sign or FANUC's J2/J3 coupling is dropped, transposed, or applied to the signed angle."""
     plain = robots.industrial()
-    joints = tuple(j.model_copy(update={"sign": s}) for j, s in zip(plain.joints, (1, -1, -1, 1, -1, 1), strict=True))
+    joints = tuple(replace(j, sign=s) for j, s in zip(plain.joints, (1, -1, -1, 1, -1, 1), strict=True))
     coupling = Coupling(joint=3, source=2, factor=1.0)
-    robot = plain.model_copy(update={"joints": joints, "couplings": (coupling,)})
+    robot = replace(plain, joints=joints, couplings=(coupling,))
     readings = np.random.default_rng(3).uniform(-1, 1, (10, 6))
     q = readings * [1, -1, -1, 1, -1, 1]
     q[:, 2] += readings[:, 1]

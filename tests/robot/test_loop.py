@@ -16,9 +16,10 @@ import robots
 from calflow.model import build
 from calflow.robot.chain import Deflection, pose
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
+from calflow.robot.frames import CONVENTIONS
 from calflow.robot.loop import assembly_side, close
+from calflow.robot.robot import Robot
 from calflow.robot.statics import state
 
 LENGTH = st.floats(0.2, 3.0)
@@ -39,9 +40,11 @@ def closure_graph(side: int) -> ca.Function:
 def askew(robot: Robot) -> Robot:
     """The robot with its arm's two axes not quite parallel and its arm beside the loop's plane."""
     joints = list(robot.joints)
-    joints[1] = joints[1].model_copy(update={"alpha": joints[1].alpha + 0.03, "beta": -0.02, "d": 0.15})
-    joints[2] = joints[2].model_copy(update={"alpha": joints[2].alpha - 0.02, "beta": 0.03, "d": -0.1})
-    return robot.model_copy(update={"joints": tuple(joints)})
+    for i, (alpha, beta, d) in {1: (0.03, -0.02, 0.15), 2: (-0.02, 0.03, -0.1)}.items():
+        figures = joints[i].frame.figures
+        figures |= {"alpha": figures["alpha"] + alpha, "beta": beta, "d": d}
+        joints[i] = replace(joints[i], frame=CONVENTIONS[robot.kinematics](**figures))
+    return replace(robot, joints=tuple(joints))
 
 
 GENERAL = {name: robots.hh800_with_bars(0.75, 1.7, 0.9, name) for name in ("open", "crossed")}
@@ -126,7 +129,7 @@ def test_parallelogram_keeps_the_rocker_parallel_to_the_crank() -> None:
     serial = q.copy()
     serial[:, 2] = q[:, 2] - q[:, 1] - np.pi / 2
     model = build(robot, [])
-    wanted = robots.marker_position(robot.model_copy(update={"loop": None}), serial)
+    wanted = robots.marker_position(replace(robot, loop=None), serial)
     assert_allclose(model.position(model.nominal, robots.rows(model, q)), wanted, atol=1e-12)
 
 
@@ -166,7 +169,7 @@ def test_loop_closes_where_its_arm_has_given_way(robot: Robot) -> None:
     """Breaks if an arm that bends or shifts in its plane stretches the rod, or takes the crank or the rocker with it."""
     in_plane = np.array([1, 1, 0, 0, 0, 1]) * np.random.default_rng(5).normal(0, 5e-3, (2, 6))
     bent, straight = mechanism(robot, deflection(arm_gives_way(robot, *in_plane))), mechanism(robot, Deflection.zero(6))
-    from_x = -(robot.loop.offset + robot.joints[robot.loop.joint - 1].theta)
+    from_x = -(robot.loop.offset + robot.frames[robot.loop.joint - 1].turn.value)
     rocker = robot.loop.rocker * np.array([np.cos(from_x), np.sin(from_x), 0])
     for q in robots.poses(robot, 10):
         joint, crank, rod, _ = (np.array(frame) for frame in bent(q))
@@ -208,15 +211,16 @@ def test_arm_carries_what_the_rod_leaves_it(robot: Robot) -> None:
 def test_an_arm_that_stands_still_costs_nothing(robot: Robot) -> None:
     """Breaks if motions that are zero, left out or put in, leave operations in the graph."""
     q, still, dims = ca.SX.sym("q", 6), Deflection.zero(6), nominal_dimensions(robot)
-    dims = replace(dims, **{name: ca.SX.sym(name, 6) for name in ("alpha", "a", "d", "theta", "beta")})
+    dims = replace(dims, steps=ca.SX.sym("steps", 30))
     moving = replace(still, bearing=ca.SX.sym("bearing", 6, 6), link=ca.SX.sym("link", 6, 7))
     left_out, with_motions = (pose(robot, dims, q, given).flange for given in (still, moving))
     put_in = ca.substitute(with_motions, ca.veccat(moving.bearing, moving.link), ca.DM.zeros(78))
     j = robot.loop.joint - 1
-    turn, length = q[j - 1] + dims.theta[j - 1], dims.a[j if robot.convention == "modified-dh" else j - 1]
+    figure = lambda joint, symbol: dims.steps[robot.step_index(joint, symbol)]  # noqa: E731
+    turn, length = q[j - 1] + figure(j - 1, "theta"), figure(j if robot.kinematics == "modified-dh" else j - 1, "a")
     pin, angles = length * ca.vertcat(ca.cos(turn), ca.sin(turn)), ca.SX(q)
     angles[j] = close(assembly_side(robot), pin, dims.bars, q[j]).rocker_angle - turn + robot.loop.offset
-    by_hand = pose(robot.model_copy(update={"loop": None}), dims, angles, still).flange
+    by_hand = pose(replace(robot, loop=None), dims, angles, still).flange
     assert ca.n_nodes(left_out) == ca.n_nodes(put_in) == ca.n_nodes(by_hand)
 
 
@@ -224,8 +228,8 @@ def test_an_arm_that_stands_still_costs_nothing(robot: Robot) -> None:
 def test_model_stays_finite_where_the_loop_cannot_close(rod: float, rocker: float) -> None:
     """Breaks if an unclosable pose gives NaN in positions or derivatives instead of a telling cosine."""
     robot = robots.hh800_with_bars(rod=rod, rocker=rocker)
-    joints = tuple(joint.model_copy(update={"rated_torque": 1e4}) for joint in robot.joints)
-    robot = robot.model_copy(update={"joints": joints})
+    joints = tuple(replace(joint, rated_torque=1e4) for joint in robot.joints)
+    robot = replace(robot, joints=joints)
     model = build(robot, ["geometry", "joint-compliance"])
     q = np.random.default_rng(4).uniform(*robot.limits.T, (300, 6))
     rows = robots.rows(model, q, "rated")

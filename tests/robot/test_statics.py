@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -14,8 +15,8 @@ import robots
 from calflow.files.problems import InputError
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
+from calflow.robot.robot import Robot
 from calflow.robot.statics import gravity_torque, rated_torques, state
 
 LOOPS = {
@@ -88,7 +89,7 @@ def test_wrenches_sum_up_all_that_hangs_outboard(name: str, wrench: np.ndarray |
 @pytest.mark.parametrize("name", SERIAL)
 def test_applied_wrench_works_through_the_jacobian(name: str) -> None:
     """Breaks if the force acts elsewhere than at the marker, or force or moment are in another frame."""
-    robot = SERIAL[name].model_copy(update={"gravity": (0.0, 0.0, 0.0)})
+    robot = replace(SERIAL[name], gravity=(0.0, 0.0, 0.0))
     model = robots.pinocchio_model(robot, "load")
     data = model.createData()
     for q in robots.poses(robot, 20):
@@ -110,7 +111,7 @@ def test_loads_are_taken_at_the_deflected_pose() -> None:
 
 def test_loop_works_through_the_applied_wrench() -> None:
     """Breaks if the closed loop does not pass a force at the marker on to both its motors."""
-    robot = LOOPS["general open"].model_copy(update={"gravity": (0.0, 0.0, 0.0)})
+    robot = replace(LOOPS["general open"], gravity=(0.0, 0.0, 0.0))
     for q in robots.poses(robot, 5):
         steps = 1e-6 * np.eye(6)
         tips = [robots.marker_position(robot, np.array([q + h, q - h])) for h in steps]
@@ -135,11 +136,8 @@ def test_stated_rated_torques_win() -> None:
     """Breaks if a stated rated torque is overruled, or one not stated is not what gravity asks at most."""
     plain = robots.ur10()
     stated = {0: 330.0, 1: 1e-3}
-    joints = tuple(
-        joint.model_copy(update={"rated_torque": stated[i]} if i in stated else {})
-        for i, joint in enumerate(plain.joints)
-    )
-    rated = rated_torques(plain.model_copy(update={"joints": joints}))
+    joints = tuple(replace(joint, rated_torque=stated.get(i)) for i, joint in enumerate(plain.joints))
+    rated = rated_torques(replace(plain, joints=joints))
     assert_allclose(rated[:2], [330.0, 1e-3])
     largest = np.abs(robots.holding_torque(plain, robots.poses(plain, 4000), "load")).max(axis=0)
     assert (rated[2:3] <= 1.05 * largest[2:3]).all()

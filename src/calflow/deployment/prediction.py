@@ -11,7 +11,7 @@ from calflow.estimation.calibrated import calibrated
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import LABELS, Measurements
 from calflow.measurements.reading import read_measurements
-from calflow.robot.description import read_robot
+from calflow.robot.robot import Robot
 from calflow.runs.run import outdated, read_manifest, read_tables
 
 
@@ -29,7 +29,7 @@ def predict(run_folder: str | Path, rows: str | Path) -> pd.DataFrame:
     folder, path = Path(run_folder), Path(rows)
     if not read_manifest(folder):
         raise refuse("holds no run: expected a folder that 'calflow run' has filled", folder)
-    robot = read_robot(folder / "inputs" / "robot.toml")
+    robot = Robot.from_toml(folder / "inputs" / "robot.toml")
     reason = outdated(folder, "identify", robot)
     if reason:
         raise refuse(f"holds no identified robot: {reason}; run the study again", folder)

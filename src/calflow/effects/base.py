@@ -13,8 +13,8 @@ import numpy as np
 
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions, Loads
+from calflow.robot.robot import Robot
 from calflow.robot.statics import State
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import casadi as ca
 from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques
 
 if TYPE_CHECKING:

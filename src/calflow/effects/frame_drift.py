@@ -9,7 +9,7 @@ import casadi as ca
 
 from calflow.effects.base import Effect, Parameter, Variable, displaced
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 
 if TYPE_CHECKING:
     from calflow.measurements.measurements import Measurements

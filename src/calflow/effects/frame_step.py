@@ -10,7 +10,7 @@ import numpy as np
 
 from calflow.effects.base import Effect, Parameter, displaced
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 
 if TYPE_CHECKING:
     from calflow.measurements.measurements import Measurements

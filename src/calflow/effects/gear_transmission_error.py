@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 from calflow.robot.statics import State
 
 if TYPE_CHECKING:

@@ -11,8 +11,9 @@ import casadi as ca
 
 from calflow.effects.base import Effect, Parameter
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions, nominal_dimensions
+from calflow.robot.frames import places
+from calflow.robot.robot import Robot
 from calflow.robot.transforms import placement
 
 # m and rad alike: what machining and assembly leave on a link, and what is a mistake rather than an error
@@ -23,15 +24,17 @@ UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # a base whose place nobody wrote down, ab
 
 MEANINGS = {  # by field of `Dimensions`
     "base": "base, {symbol}",
+    "bars": "length of the loop's {symbol}",
+    "markers": "{symbol} of marker {part}",
+    "tool_rotation": "turn of the tool, {symbol}",
+    "markers_turn": "turn of the markers about the first, {symbol}",
+}
+FIGURES = {  # by symbol of a frame's step
     "alpha": "twist alpha of link {link}",
     "beta": "twist beta of link {link}",
     "theta": "zero of joint {link}",
     "a": "length a of link {link}",
     "d": "length d of link {link}",
-    "bars": "length of the loop's {symbol}",
-    "markers": "{symbol} of marker {part}",
-    "tool_rotation": "turn of the tool, {symbol}",
-    "markers_turn": "turn of the markers about the first, {symbol}",
 }
 
 
@@ -46,12 +49,12 @@ class DimensionError:
 
 @dataclass(frozen=True)
 class Geometry(Effect):
-    """DH or modified-DH errors with a second rotation between nearly parallel axes, base, tool and loop.
+    """Errors of the frames' figures, with a second rotation between nearly parallel axes, of base, tool and loop.
 
     Of two figures that move the tool in exactly the same way whatever the pose, one is left out: the first joint's place
-    is the base's, the rocker's length the crank's, and along nearly parallel axes beta replaces d (Hayati 1983). The
-    last joint's trade against the tool is kept, and what prismatic joints or planar arms leave redundant, for the
-    identifiability analysis to name. Markers whose places beside the first are known move and turn with it.
+    is the base's, the rocker's length the crank's, and along nearly parallel axes beta replaces d (a frame says which of its
+    own are free). The last joint's trade against the tool is kept, and what prismatic joints or planar arms leave redundant,
+    for the identifiability analysis to name. Markers whose places beside the first are known move and turn with it.
     """
 
     id: ClassVar[str] = "geometry"
@@ -87,13 +90,11 @@ class Geometry(Effect):
 def _error(
     robot: Robot, part: str, symbol: str, field: str, index: int | tuple[int, int], sd: float, bound: float
 ) -> DimensionError:
-    unit = "rad" if symbol in ("alpha", "beta", "theta", "rx", "ry", "rz") else "m"
+    """An error of what is not in the chain of frames."""
+    unit = "rad" if symbol in ("rx", "ry", "rz") else "m"
     figure = float(getattr(nominal_dimensions(robot), field)[index])
-    number = index + 1 if isinstance(index, int) and part == f"joint{index + 1}" else 0
-    words = MEANINGS.get(field, "").format(symbol=symbol, link=number, part=part)
-    parameter = Parameter(
-        Geometry.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=words, joint=number
-    )
+    words = MEANINGS[field].format(symbol=symbol, part=part)
+    parameter = Parameter(Geometry.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=words)
     return DimensionError(parameter, field, index)
 
 
@@ -104,18 +105,12 @@ def _base(robot: Robot) -> Iterator[DimensionError]:
 
 
 def _links(robot: Robot) -> Iterator[DimensionError]:
-    last = robot.n_joints - 1
-    for i in range(robot.n_joints):
-        if robot.convention == "modified-dh":
-            along = "beta" if robot.nearly_parallel(i) else "d"
-            symbols = ["alpha", "a", along, "theta"] if i > 0 else []
-        else:
-            along = "beta" if robot.nearly_parallel(i) and i < last else "d"
-            symbols = ["theta"] if i > 0 else []
-            symbols += [along] if i > 0 or along == "beta" else []
-            symbols += ["a", "alpha"] if i < last else []
-        for symbol in symbols:
-            yield _error(robot, f"joint{i + 1}", symbol, symbol, i, LINK_SD, LINK_BOUND)
+    for i, (frame, place) in enumerate(zip(robot.frames, places(robot.n_joints), strict=True)):
+        for step in frame.free(place):
+            words = FIGURES.get(step.symbol, f"{step.symbol} of the frame of joint {{link}}").format(link=i + 1)
+            parameter = Parameter(Geometry.id, f"joint{i + 1}", step.symbol, step.unit, LINK_SD, -LINK_BOUND, LINK_BOUND,
+                                  figure=step.value, meaning=words, joint=i + 1)  # fmt: skip
+            yield DimensionError(parameter, "steps", robot.step_index(i, step.symbol))
 
 
 def _loop(robot: Robot) -> Iterator[DimensionError]:

@@ -12,8 +12,8 @@ import numpy as np
 from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection, pose
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
 from calflow.robot.dimensions import nominal_dimensions
+from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques
 
 if TYPE_CHECKING:

@@ -12,8 +12,9 @@ from calflow.effects.base import Effect, Parameter, Variable
 from calflow.effects.joint_compliance import WINDUP_BOUND, WINDUP_SD
 from calflow.robot.chain import Deflection, pose
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
+from calflow.robot.links import to_axis
+from calflow.robot.robot import Robot
 from calflow.robot.statics import State, potential_energy, rated_torques
 
 if TYPE_CHECKING:
@@ -93,9 +94,7 @@ class GravityDeflection(Effect):
     @property
     def _upright(self) -> bool:
         robot = self.robot
-        axis = np.array([0.0, -np.sin(robot.joints[0].alpha), np.cos(robot.joints[0].alpha)])
-        if robot.convention == "dh":
-            axis = np.array([0.0, 0.0, 1.0])
+        axis = np.array(ca.DM(ca.evalf(to_axis(ca.SX.eye(4), robot, nominal_dimensions(robot), 0)[:3, 2]))).ravel()
         return bool(np.linalg.norm(np.cross(axis, robot.gravity)) < 1e-6)
 
     def variable(self, joint: int) -> Variable:

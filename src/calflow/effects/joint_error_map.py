@@ -12,7 +12,7 @@ import numpy as np
 
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 from calflow.robot.statics import State
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ import casadi as ca
 from calflow.effects.base import Effect, Parameter, Variable
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
 from calflow.robot.dimensions import nominal_dimensions
+from calflow.robot.links import span
+from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques
-from calflow.robot.transforms import rot_x
 
 SOFT_SD, SOFT_BOUND = 2e-3, 40e-3  # rad of slope per metre at the largest rated torque
 SHORTEST = 0.2  # m: stubs do not bend
@@ -21,7 +21,7 @@ SHORTEST = 0.2  # m: stubs do not bend
 
 @dataclass(frozen=True)
 class Span:
-    """A link as a beam: from its joint's axis by the vector span (3,) [m] to its far end; link is its index."""
+    """A link (its index) as a beam: span (3,) [m] leads from its joint's axis to its far end, in that end's axes."""
 
     link: int
     span: ca.DM
@@ -35,15 +35,9 @@ class Span:
 def spans(robot: Robot) -> tuple[Span, ...]:
     """Return the links that are long enough to give way."""
     dims = nominal_dimensions(robot)
-    found = []
-    for i in range(robot.n_joints):
-        if robot.convention == "modified-dh":  # the next axis is a_(i+1) further along x
-            ahead = float(dims.a[i + 1]) if i + 1 < robot.n_joints else 0.0
-            span = ca.DM([ahead, 0.0, float(dims.d[i])])
-        else:
-            span = ca.evalf(rot_x(dims.alpha[i])[:3, :3].T @ ca.vertcat(dims.a[i], 0, dims.d[i]))
-        found.append(Span(i, span))
-    return tuple(span for span in found if span.length >= SHORTEST)
+    ends = [ca.evalf(span(robot, dims, i)) for i in range(robot.n_joints)]
+    beams = (Span(i, end[:3, :3].T @ end[:3, 3]) for i, end in enumerate(ends))
+    return tuple(beam for beam in beams if beam.length >= SHORTEST)
 
 
 @dataclass(frozen=True)

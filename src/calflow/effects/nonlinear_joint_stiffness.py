@@ -13,7 +13,7 @@ import numpy as np
 from calflow.effects.base import Variable, around
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from calflow.effects.base import around
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 from calflow.robot.statics import State
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ import numpy as np
 
 from calflow.effects.base import Effect, Parameter, Variable, around
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions
+from calflow.robot.robot import Robot
 
 if TYPE_CHECKING:
     from calflow.measurements.measurements import Measurements
@@ -69,7 +69,10 @@ class ThermalGrowth(Effect):
             growth = 1 + p * (1 - ca.exp(-row.time / self.constant)) if row.time.nnz() else ca.SX(1)
         else:
             growth = 1 + p * (row.temperature - REFERENCE) if row.temperature.nnz() else ca.SX(1)
-        return replace(dims, a=dims.a * growth, d=dims.d * growth, bars=dims.bars * growth)
+        steps = ca.SX(dims.steps)
+        lengths = [k for k, step in enumerate(self.robot.steps) if step.is_length]
+        steps[lengths] = dims.steps[lengths] * growth
+        return replace(dims, steps=steps, bars=dims.bars * growth)
 
     def variable(self, joint: int) -> Variable:
         """Return the temperature, or the time."""

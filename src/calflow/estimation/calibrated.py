@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,8 @@ from calflow.files.problems import refuse
 from calflow.files.tables import Tables
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
-from calflow.robot.description import Base, Robot
+from calflow.robot.parts import Base, Vector, vector
+from calflow.robot.robot import Robot
 
 MANY = 20  # parameters of one cause, beyond which sampling them would take days and say nothing new
 
@@ -100,7 +101,7 @@ def effect_table(effects: Sequence[Effect]) -> pd.DataFrame:
     rows = []
     for effect in effects:
         whole, part = (effect.effect, effect.part) if isinstance(effect, Cause) else (effect, "")
-        variant = {name: value for name, value in asdict(whole).items() if name != "robot"}
+        variant = {field.name: getattr(whole, field.name) for field in fields(whole) if field.name != "robot"}
         rows.append({"effect": whole.id, "part": part, "variant": json.dumps(variant)})
     return pd.DataFrame(rows, columns=["effect", "part", "variant"])
 
@@ -120,11 +121,11 @@ def placed(robot: Robot, tables: Tables) -> Robot:
     if (placement["source"] == "robot file").all():
         return robot
     points = placement[["x_m", "y_m", "z_m"]].to_numpy(dtype=float)
-    at = {name: tuple(float(v) for v in point) for name, point in zip(placement.index, points, strict=True)}
-    base = Base.model_construct(origin=at["base"], rotation=_angles(placement, "base"), known=False)
-    markers = {name: marker.model_copy(update={"point": at[name]}) for name, marker in robot.markers.items()}
+    at = {name: vector(point) for name, point in zip(placement.index, points, strict=True)}
+    base = Base(origin=at["base"], rotation=_angles(placement, "base"), known=False)
+    markers = {name: replace(marker, point=at[name]) for name, marker in robot.markers.items()}
     tool = None if robot.tool_rotation is None else _angles(placement, "tool")
-    return robot.model_copy(update={"base": base, "markers": markers, "tool_rotation": tool})
+    return replace(robot, base=base, markers=markers, tool_rotation=tool)
 
 
 def _read(stage: str, model: Model, tables: Tables) -> Identified:
@@ -151,6 +152,5 @@ def _frozen(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
-def _angles(placement: pd.DataFrame, what: str) -> tuple[float, float, float]:
-    rx, ry, rz = np.deg2rad(placement.loc[[what], ["rx_deg", "ry_deg", "rz_deg"]].to_numpy(dtype=float)[0])
-    return float(rx), float(ry), float(rz)
+def _angles(placement: pd.DataFrame, what: str) -> Vector:
+    return vector(np.deg2rad(placement.loc[[what], ["rx_deg", "ry_deg", "rz_deg"]].to_numpy(dtype=float)[0]))

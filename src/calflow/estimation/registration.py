@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -16,8 +16,9 @@ from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
 from calflow.robot.conditions import Row
-from calflow.robot.description import Base, Robot
 from calflow.robot.dimensions import nominal_dimensions
+from calflow.robot.parts import Base, Vector, vector
+from calflow.robot.robot import Robot
 
 NOMINAL_ERROR = 1e-3  # m and rad, of a robot as its maker describes it: only sets what counts as an outlier here
 
@@ -42,7 +43,7 @@ def registered(robot: Robot, train: Measurements) -> Robot:
     """
     if robot.base.known:
         return robot
-    at_origin = robot.model_copy(update={"base": Base(known=False)})
+    at_origin = replace(robot, base=Base(known=False))
     nominal = build(at_origin, (), train.given)
     points = nominal.position(nominal.nominal, train.on(at_origin).rows)
     centre, measured_centre = points.mean(axis=0), train.position.mean(axis=0)
@@ -55,7 +56,7 @@ def registered(robot: Robot, train: Measurements) -> Robot:
     if train.rotation is not None:
         seen = Rotation.from_matrix(nominal.rotation(nominal.nominal, train.rows))
         tool = ((turn * seen).inv() * Rotation.from_matrix(train.rotation)).mean()
-        placed = placed.model_copy(update={"tool_rotation": _angles(_tool(placed) * tool)})
+        placed = replace(placed, tool_rotation=_angles(_tool(placed) * tool))
 
     model = Model(placed, (Placement(placed),), train.given)
     rough = None if train.rotation is None else np.full(len(train), NOMINAL_ERROR)
@@ -71,25 +72,24 @@ def _moved(robot: Robot, found: dict[str, float], markers: np.ndarray) -> Robot:
     small = Rotation.from_euler("XYZ", [found[f"base.{axis}"] for axis in ("rx", "ry", "rz")])
     origin = np.array(robot.base.origin) + turn.apply([found[f"base.{axis}"] for axis in "xyz"])
     placed = {
-        name: marker.model_copy(update={"point": tuple(map(float, point))})
+        name: replace(marker, point=vector(point))
         for (name, marker), point in zip(robot.markers.items(), markers, strict=True)
     }
-    moved = _with_base(robot, turn * small, origin).model_copy(update={"markers": placed})
+    moved = replace(_with_base(robot, turn * small, origin), markers=placed)
     if robot.tool_rotation is None:
         return moved
     tool = _tool(robot) * Rotation.from_euler("XYZ", [found[f"tool.{axis}"] for axis in ("rx", "ry", "rz")])
-    return moved.model_copy(update={"tool_rotation": _angles(tool)})
+    return replace(moved, tool_rotation=_angles(tool))
 
 
 def _with_base(robot: Robot, turn: Rotation, origin: np.ndarray) -> Robot:
-    base = Base.model_construct(origin=tuple(float(v) for v in origin), rotation=_angles(turn), known=False)
-    return robot.model_copy(update={"base": base})
+    base = Base(origin=vector(origin), rotation=_angles(turn), known=False)
+    return replace(robot, base=base)
 
 
 def _tool(robot: Robot) -> Rotation:
     return Rotation.from_euler("XYZ", robot.tool_rotation or (0.0, 0.0, 0.0))
 
 
-def _angles(turn: Rotation) -> tuple[float, float, float]:
-    rx, ry, rz = (float(angle) for angle in turn.as_euler("XYZ"))
-    return rx, ry, rz
+def _angles(turn: Rotation) -> Vector:
+    return vector(turn.as_euler("XYZ"))

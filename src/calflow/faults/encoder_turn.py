@@ -35,7 +35,7 @@ class EncoderTurn(Check):
 
     def _whole(self, data: Measurements, joint: int) -> list[Fault]:
         of = data.robot.joints[joint]
-        if of.kind != "revolute" or of.limits_deg is None:
+        if of.kind != "revolute" or of.limits is None:
             return []
         angle = (data.joints @ data.robot.reading_matrix.T)[:, joint]
         low, high = of.range

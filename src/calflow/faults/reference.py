@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +13,8 @@ from calflow.estimation.noise import conditions
 from calflow.estimation.registration import Placement
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
-from calflow.robot.description import Base, Robot
+from calflow.robot.parts import Base
+from calflow.robot.robot import Robot
 
 FIT_ROWS = 400  # training rows that are fitted: more would hardly tell more
 EQUATIONS = 2.4  # a parameter: with fewer some rows are met exactly whatever they hold, and others look gross
@@ -43,7 +44,7 @@ class Models:
     @staticmethod
     def of(data: Measurements) -> Models:
         """Return the models of the data's robot, its base in the origin."""
-        return Models(data.robot.model_copy(update={"base": Base(known=False)}), data.given)
+        return Models(replace(data.robot, base=Base(known=False)), data.given)
 
     @cached_property
     def nominal(self) -> Model:

@@ -11,7 +11,7 @@ import pandas as pd
 from calflow.files.problems import Problem, nearest
 from calflow.files.units import SUFFIXES
 from calflow.measurements.measurements import Measurements, MeasurementSource, column_names, numbered, split_column
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 
 MAX_ROWS_TOLD = 5  # a message names this many rows of a kind, then counts the rest
 MEASURED = ("x", "y", "z", "rx", "ry", "rz", "qw", "qx", "qy", "qz")

@@ -14,7 +14,7 @@ from pydantic import Field, field_validator, model_validator
 from calflow.files.toml import Angle, FileModel, Length, Lengths3
 from calflow.files.units import split_unit
 from calflow.robot.conditions import OPTIONAL, Row
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 
 LABELS = ("pose", "repeat", "marker", "payload", "session", "split")
 BLOCKS = ("payload", "session")  # what poses are held out, and resampled, within

@@ -13,7 +13,7 @@ from calflow.files.problems import InputError, Problem, nearest, refuse
 from calflow.files.units import to_si
 from calflow.measurements.checks import at_rows, check_header, check_loop, check_units, check_values, mapped
 from calflow.measurements.measurements import Measurements, MeasurementSource, column_names, numbered, split_column
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 
 NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
 

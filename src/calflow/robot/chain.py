@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions
+from calflow.robot.links import along, figures, span, to_axis, to_end
 from calflow.robot.loop import Closure, assembly_side, close
-from calflow.robot.transforms import apply, placement, rot_x, rot_y, rot_z, translation
+from calflow.robot.robot import Robot
+from calflow.robot.transforms import apply, placement, rot_z, translation
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Pose:
     """The frames of one pose, 4x4 each, in the robot's base frame.
 
     joints has each joint's frame after its rotation, ends each link's far end (ends[0] the base, the last the flange),
-    links each link's own DH frame, bars the crank's and the rod's. closure is None without a loop.
+    links each link's own frame, bars the crank's and the rod's. closure is None without a loop.
     """
 
     joints: tuple[ca.SX, ...]
@@ -62,8 +63,7 @@ class Pose:
 def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Pose:
     """Return all frames at driven joint angles q (n_joints,) [rad, or m].
 
-    A modified-DH link is Rx(alpha) Tx(a) Ry(beta) Rz(theta) Tz(d) (Craig; equations 1 and 6 of the HH800 paper), a DH link
-    Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta). In both the joint's own frame is the one just after Rz.
+    A joint's own frame is the one just after it has turned about its axis (see `frames.Frame`).
     A loop is closed at the place to which its pin S has moved in the loop's plane.
     """
     driven = q + deflection.joint
@@ -73,24 +73,18 @@ def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Po
     ends, links = [end], list[ca.SX]()
     bars: tuple[ca.SX, ...] = ()
     for i, joint in enumerate(robot.joints):
-        before = end
-        if robot.convention == "modified-dh":
-            length = dims.a[0] if i == 0 else 0  # the base gives way at its origin
-            before = end @ rot_x(dims.alpha[i]) @ translation(length, 0, 0) @ rot_y(dims.beta[i])
+        before = to_axis(end, robot, dims, i)
         if robot.loop and i == robot.loop.joint - 2 and closure:
             bars = _bar_frames(before, dims, driven[robot.loop.joint - 1], closure)
-        slide = dims.d[i] + (angles[i] if joint.kind == "prismatic" else 0)
-        turn = dims.theta[i] + (angles[i] if joint.kind == "revolute" else 0)
-        moved = before @ rot_z(turn) @ _twist(deflection.bearing[:, i])
-        frame = moved @ translation(0, 0, slide)
-        if robot.convention == "dh":
-            frame = frame @ translation(dims.a[i], 0, 0) @ rot_x(dims.alpha[i]) @ rot_y(dims.beta[i])
-        end = frame
-        if robot.convention == "modified-dh" and i + 1 < robot.n_joints:
-            end = frame @ translation(dims.a[i + 1], 0, 0)
-        end = end @ _twist(deflection.link[:, i + 1])
+        values, frame = figures(robot, dims, i), joint.frame
+        moving = frame.turn if joint.kind == "revolute" else frame.slide
+        if moving:
+            values[moving.symbol] += angles[i]
+        moved = along(before, (frame.turn,), values) @ _twist(deflection.bearing[:, i])
+        link = along(moved, frame.body, values)
+        end = to_end(link, robot, dims, i) @ _twist(deflection.link[:, i + 1])
         joints.append(moved)
-        links.append(frame)
+        links.append(link)
         ends.append(end)
     return Pose(tuple(joints), tuple(ends), tuple(links), bars, closure)
 
@@ -107,7 +101,7 @@ def _chain_angles(
     if robot.loop is None:
         return driven, None
     j = robot.loop.joint - 1
-    turn = driven[j - 1] + dims.theta[j - 1]
+    turn = driven[j - 1] + figures(robot, dims, j - 1)[robot.frames[j - 1].turn.symbol]
     arm = _arm(robot, dims, deflection, j - 1)
     pin = (rot_z(turn) @ arm)[:2, 3]
     closure = close(assembly_side(robot), pin, dims.bars, driven[j])
@@ -120,13 +114,12 @@ def _chain_angles(
 
 def _arm(robot: Robot, dims: Dimensions, deflection: Deflection, i: int) -> ca.SX:
     """Frame at S with x along the arm PS, which is link i, seen from the arm's joint before its bearing gives way."""
-    joint = _twist(deflection.bearing[:, i]) @ translation(0, 0, dims.d[i])
-    bend = _twist(deflection.link[:, i + 1])
-    if robot.convention == "modified-dh":
-        return joint @ translation(dims.a[i + 1], 0, 0) @ bend
-    turns, still = rot_x(dims.alpha[i]) @ rot_y(dims.beta[i]), ca.SX.eye(4)
-    # The bend is in the turned axes. As a difference it leaves no operations where nothing bends.
-    return joint @ translation(dims.a[i], 0, 0) @ (still + turns @ (bend - still) @ turns.T)
+    end, still = span(robot, dims, i), ca.SX.eye(4)
+    turns, bend = ca.SX(still), _twist(deflection.link[:, i + 1])
+    turns[:3, :3] = end[:3, :3]
+    # The bend is in the end's axes. As a difference it leaves no operations where nothing bends.
+    straight = _twist(deflection.bearing[:, i]) @ translation(*ca.vertsplit(end[:3, 3]))
+    return straight @ (still + turns @ (bend - still) @ turns.T)
 
 
 def _bar_frames(ground: ca.SX, dims: Dimensions, crank_angle: ca.SX, closure: Closure) -> tuple[ca.SX, ...]:

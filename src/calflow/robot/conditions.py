@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 
 OPTIONAL = ("approach", "travel", "wrench", "torque", "time", "temperature", "order", "range")
 

@@ -7,24 +7,20 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 
 
 @dataclass(frozen=True)
 class Dimensions:
     """Every length and angle of a robot and its tool.
 
-    base (6,) and tool_rotation (3,) are errors in the base's and the tool's own frame (see `transforms.placement`); the
-    DH figures are (n_joints,); bars (crank, rod, rocker) is (3,); markers is (3, n_markers); markers_turn (3,) turns the
-    markers whose places beside the first are known about it. SI units.
+    base (6,) and tool_rotation (3,) are errors in the base's and the tool's own frame (see `transforms.placement`); steps
+    are the values of the frames' steps, joint by joint (see `Robot.step_index`); bars (crank, rod, rocker) is (3,); markers
+    is (3, n_markers); markers_turn (3,) turns the markers whose places beside the first are known about it. SI units.
     """
 
     base: ca.SX
-    alpha: ca.SX
-    a: ca.SX
-    d: ca.SX
-    theta: ca.SX
-    beta: ca.SX
+    steps: ca.SX
     bars: ca.SX
     tool_rotation: ca.SX
     markers: ca.SX
@@ -48,15 +44,11 @@ class Loads:
 
 
 def nominal_dimensions(robot: Robot) -> Dimensions:
-    """Return the dimensions that the robot file states."""
-    joints, loop = robot.joints, robot.loop
+    """Return the dimensions that the maker states."""
+    loop = robot.loop
     return Dimensions(
         base=_column([0.0] * 6),
-        alpha=_column([joint.alpha for joint in joints]),
-        a=_column([joint.a for joint in joints]),
-        d=_column([joint.d for joint in joints]),
-        theta=_column([joint.theta for joint in joints]),
-        beta=_column([joint.beta for joint in joints]),
+        steps=_column([step.value for step in robot.steps]),
         bars=_column([loop.crank.length, loop.rod.length, loop.rocker] if loop else []),
         tool_rotation=_column([0.0] * 3),
         markers=_points([marker.point for marker in robot.markers.values()]),
@@ -65,7 +57,7 @@ def nominal_dimensions(robot: Robot) -> Dimensions:
 
 
 def nominal_loads(robot: Robot) -> Loads:
-    """Return the masses that the robot file states; a missing mass counts as zero."""
+    """Return the masses that the maker states; a missing mass counts as zero."""
     bars = [robot.loop.crank, robot.loop.rod] if robot.loop else []
     payloads = robot.payloads.values()
     return Loads(

@@ -7,7 +7,11 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from calflow.robot.description import Robot
+from calflow.robot.dimensions import nominal_dimensions
+from calflow.robot.links import span
+from calflow.robot.parts import FourBar
+from calflow.robot.robot import Robot
+from calflow.robot.transforms import rot_z
 
 DEAD_POINT = 0.97  # |cosine| of the closure from which a loop is too near its dead point to go there
 WAY_POINTS = 21
@@ -35,7 +39,8 @@ def assembly_side(robot: Robot) -> int:
     if loop is None:
         return 1
     link, crank = robot.joints[loop.joint - 2], robot.joints[loop.joint - 1]
-    between = np.mean(crank.range) - np.mean(link.range) - link.theta
+    x, y = _pin(robot, loop)
+    between = np.mean(crank.range) - np.mean(link.range) - link.frame.turn.value - np.arctan2(y, x)
     return (1 if np.sin(between) > 0 else -1) * (1 if loop.assembly == "open" else -1)
 
 
@@ -49,15 +54,20 @@ def reachable(robot: Robot, q: np.ndarray) -> np.ndarray:
         return np.ones(len(q), dtype=bool)
     j = loop.joint - 1
     symbols = ca.SX.sym("link_angle"), ca.SX.sym("crank_angle")
-    link = robot.joints[j if robot.convention == "modified-dh" else j - 1].a
     bars = ca.SX([loop.crank.length, loop.rod.length, loop.rocker])
-    pin = link * ca.vertcat(ca.cos(symbols[0]), ca.sin(symbols[0]))
+    pin = rot_z(symbols[0])[:2, :2] @ ca.DM(_pin(robot, loop))
     cosine = ca.Function("cosine", symbols, [close(assembly_side(robot), pin, bars, symbols[1]).cosine])
     middle = robot.limits.mean(axis=1)
     ways = middle + np.linspace(0, 1, WAY_POINTS)[:, None, None] * (q - middle)
-    angles = ways[..., j - 1].ravel() + robot.joints[j - 1].theta, ways[..., j].ravel()
+    angles = ways[..., j - 1].ravel() + robot.frames[j - 1].turn.value, ways[..., j].ravel()
     along = np.array(cosine.map(len(angles[0]))(*angles)).reshape(WAY_POINTS, len(q))
     return np.asarray((np.abs(along) < DEAD_POINT).all(axis=0))
+
+
+def _pin(robot: Robot, loop: FourBar) -> np.ndarray:
+    """Place (2,) of the pin S of the nominal robot in the loop's plane, from P, where the arm's joint has not turned."""
+    end = span(robot, nominal_dimensions(robot), loop.joint - 2)
+    return np.array(ca.DM(ca.evalf(end[:2, 3]))).ravel()
 
 
 def close(side: int, pin: ca.SX, bars: ca.SX, crank_angle: ca.SX) -> Closure:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -10,9 +11,9 @@ import numpy as np
 from calflow.files.problems import refuse
 from calflow.robot.chain import Deflection, Pose, marker_point, pose
 from calflow.robot.conditions import Row
-from calflow.robot.description import Robot
 from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads
 from calflow.robot.loop import reachable
+from calflow.robot.robot import Robot
 from calflow.robot.transforms import apply
 
 SMALLEST_RATED = 1.0  # Nm, where gravity loads no joint at all
@@ -91,17 +92,23 @@ def gravity_torque(robot: Robot) -> ca.Function:
     return ca.Function("gravity_torque", [q, row.payload], [ca.densify(-loads.torque)])
 
 
+@lru_cache(maxsize=16)
 def rated_torques(robot: Robot) -> np.ndarray:
-    """Return each joint's rated torque [Nm], shape (n_joints,): the file's, else what gravity asks of it.
+    """Return each joint's rated torque [Nm], shape (n_joints,), read-only: the maker's, else what gravity asks of it.
 
-    Where the file is silent it is the largest gravity torque over the joints' ranges under the heaviest payload, and for
+    Where the maker is silent it is the largest gravity torque over the joints' ranges under the heaviest payload, and for
     a joint that gravity hardly loads (a vertical axis) a tenth of the most loaded joint's of its kind. A slide's is in N.
     """
+    stated = np.array([joint.rated_torque or np.nan for joint in robot.joints])
+    rated = np.where(np.isnan(stated), _gravity_torques(robot), stated) if np.isnan(stated).any() else stated
+    rated.flags.writeable = False  # all who ask get the same array
+    return rated
+
+
+def _gravity_torques(robot: Robot) -> np.ndarray:
+    """The largest torques that gravity asks of the joints, shape (n_joints,)."""
     from scipy.stats import qmc
 
-    stated = np.array([joint.rated_torque or np.nan for joint in robot.joints])
-    if not np.isnan(stated).any():
-        return stated
     function = gravity_torque(robot)
     sample = qmc.scale(qmc.Sobol(robot.n_joints, scramble=False).random(256), *robot.limits.T)
     sample = sample[reachable(robot, sample)]
@@ -115,7 +122,7 @@ def rated_torques(robot: Robot) -> np.ndarray:
     slides = np.array([joint.kind == "prismatic" for joint in robot.joints])
     for kind in (slides, ~slides):
         largest[kind] = np.maximum(largest[kind], max(SMALLEST_RATED, 0.1 * largest[kind].max(initial=0.0)))
-    return np.where(np.isnan(stated), largest, stated)
+    return np.asarray(largest)
 
 
 def _moment_work(moment: ca.SX, flange: ca.SX, motion: ca.SX) -> ca.SX:

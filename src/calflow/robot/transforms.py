@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 
+from calflow.robot.frames import Motion
+
 Scalar = ca.SX | ca.DM | float
 
 
@@ -35,6 +37,14 @@ def translation(x: Scalar, y: Scalar, z: Scalar) -> ca.SX:
     matrix = ca.SX.eye(4)
     matrix[0, 3], matrix[1, 3], matrix[2, 3] = x, y, z
     return matrix
+
+
+def elementary(motion: Motion, value: Scalar) -> ca.SX:
+    """Turn about an axis, or shift along it."""
+    kind, axis = motion
+    if kind == "r":
+        return _rotation("xyz".index(axis), value)
+    return translation(*(value if axis == other else 0 for other in "xyz"))
 
 
 def placement(v: ca.SX | ca.DM) -> ca.SX:

@@ -21,7 +21,7 @@ import pandas as pd
 from calflow.files.problems import InputError, nearest, refuse, together
 from calflow.files.toml import Origin
 from calflow.measurements.reading import sha256
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 from calflow.stages import STAGES
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
@@ -240,7 +240,7 @@ def outdated(folder: Path, stage: str, robot: Robot) -> str | None:
         return f"{stage} was never run"
     if entry["status"] != "done":
         return f"{stage} did not finish ({entry['status']})"
-    if _digest(robot.model_dump_json()) not in entry["key"].values():
+    if _digest(robot.canonical()) not in entry["key"].values():
         return f"the robot file changed after {stage} ran"
     return _damage(entry, folder)
 
@@ -434,7 +434,7 @@ def _common_key(study: Study) -> dict[str, str]:
         "code": code_digest(),
         "versions": _digest(json.dumps(versions(), sort_keys=True)),
         **{f"study's {name}": json.dumps(value, ensure_ascii=False) for name, value in asked.items()},
-        f"file {study.robot_path.name}": _digest(study.robot.model_dump_json()),
+        f"file {study.robot_path.name}": _digest(study.robot.canonical()),
     }
 
 

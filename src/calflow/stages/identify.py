@@ -22,7 +22,7 @@ from calflow.files.problems import nearest, refuse
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
-from calflow.robot.description import Robot
+from calflow.robot.robot import Robot
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 

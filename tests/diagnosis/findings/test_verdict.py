@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -132,9 +134,7 @@ TRANSMISSION = "angular transmission error"
 )
 def test_a_family_is_named_where_all_rivals_are_of_it(rivals, family):
     """Fails if rivals of another family or joint are hidden behind a family's name, or a lone name is made vague."""
-    geared = ROBOT.model_copy(
-        update={"joints": tuple(j.model_copy(update={"gear_ratio": 200.0}) for j in ROBOT.joints)}
-    )
+    geared = replace(ROBOT, joints=tuple(replace(j, gear_ratio=200.0) for j in ROBOT.joints))
     effects = {name: catalogue()[name](geared) for name, _ in rivals}
     others = []
     for name, joint in rivals:

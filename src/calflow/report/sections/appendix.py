@@ -20,7 +20,7 @@ def write(material: Material) -> list[Block]:
     facts: list[tuple[str, str] | str] = [
         "asked",
         ("study", study.name),
-        ("robot", f"{study.robot.name}: {study.robot.n_joints} joints, {study.robot.convention}"),
+        ("robot", f"{study.robot.name}: {study.robot.n_joints} joints, {study.robot.kinematics}"),
         ("effects", ", ".join(effect_words(effect) for effect in study.file.effects)),
         ("measurements", measured.file if measured else "none"),
         ("workflow", f"{study.workflow.name}: {', '.join(study.workflow.stages)}"),

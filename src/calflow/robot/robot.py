@@ -1,0 +1,139 @@
+"""A robot as its maker describes it, in SI."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from calflow.files.problems import InputError
+from calflow.robot import summary
+from calflow.robot.checks import joint_problems, other_problems
+from calflow.robot.formats import robot_toml
+from calflow.robot.frames import Frame, Step, kinematics
+from calflow.robot.parts import STANDARD_GRAVITY, Base, Coupling, FourBar, Joint, Marker, Named, Part, Payload, Vector
+
+
+@dataclass(frozen=True, repr=False)
+class Robot(Part):
+    """A serial robot, possibly with one four-bar loop.
+
+    gravity [m/s²] is in the base's frame, payloads and markers are in the flange's; tool_rotation [rad, about x, y and z in
+    turn] leads from the flange to the frame whose orientation is measured. Two robots are equal where all that they hold
+    is, the order of payloads and markers included.
+
+    Raises:
+        InputError: with all values that cannot be.
+    """
+
+    joints: tuple[Joint, ...]
+    name: str = "robot"
+    notes: str = ""
+    gravity: Vector = STANDARD_GRAVITY
+    base: Base = field(default_factory=Base)
+    couplings: tuple[Coupling, ...] = ()
+    loop: FourBar | None = None
+    tool_rotation: Vector | None = None
+    payloads: Mapping[str, Payload] = field(default_factory=Named)
+    markers: Mapping[str, Marker] = field(default_factory=Named)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("payloads", "markers"):
+            object.__setattr__(self, name, Named(getattr(self, name)))
+        n_joints = len(self.joints) if isinstance(self.joints, tuple) else 0
+        rest = (self.gravity, self.base, self.couplings, self.loop, self.tool_rotation, self.payloads, self.markers)
+        problems = [*joint_problems(self.joints), *other_problems(n_joints, *rest)]
+        if problems:
+            raise InputError(dataclasses.replace(one, key=f"robot '{self.name}': {one.key}") for one in problems)
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a robot file.
+
+        Raises:
+            InputError: with all that is wrong in it.
+        """
+        return cls(**robot_toml.read(Path(path)))
+
+    def to_toml(self, path: str | Path) -> None:
+        """Write a robot file that reads back equal.
+
+        Raises:
+            InputError: the robot's frames follow no convention that a robot file can state.
+        """
+        robot_toml.write(Path(path), {one.name: getattr(self, one.name) for one in dataclasses.fields(self)})
+
+    def canonical(self) -> str:
+        """Return all that it holds as JSON, the same for equal robots."""
+        return json.dumps(_canonical(self))
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def frames(self) -> tuple[Frame, ...]:
+        """Each joint's frame."""
+        return tuple(joint.frame for joint in self.joints)
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """The steps of all frames, joint by joint."""
+        return tuple(step for frame in self.frames for step in frame.steps)
+
+    def step_index(self, joint: int, symbol: str) -> int:
+        """Return where the step of a joint (from 0) with a symbol is among all steps."""
+        return self._step_indices[joint, symbol]
+
+    @cached_property
+    def _step_indices(self) -> dict[tuple[int, str], int]:
+        keys = ((i, step.symbol) for i, frame in enumerate(self.frames) for step in frame.steps)
+        return {key: k for k, key in enumerate(keys)}
+
+    @property
+    def kinematics(self) -> str:
+        """What its frames follow: a convention's name, or `frames of its own`."""
+        return kinematics(self.frames)
+
+    @property
+    def has_masses(self) -> bool:
+        """Whether the link masses are known, so that gravity torques can be computed."""
+        return all(joint.mass is not None for joint in self.joints)
+
+    @property
+    def limits(self) -> np.ndarray:
+        """Joint limits, shape (n_joints, 2) [rad, or m]."""
+        return np.array([joint.range for joint in self.joints])
+
+    @property
+    def reading_matrix(self) -> np.ndarray:
+        """Matrix C with q = C · reading: signs and linear couplings, shape (n_joints, n_joints)."""
+        matrix = np.diag([float(joint.sign) for joint in self.joints])
+        for coupling in self.couplings:
+            matrix[coupling.joint - 1, coupling.source - 1] += coupling.factor
+        return matrix
+
+    def __repr__(self) -> str:
+        return summary.text(self.name, self.joints, self.payloads, self.markers)
+
+    def _repr_html_(self) -> str:
+        return summary.html(self.name, self.joints, self.payloads, self.markers)
+
+
+def _canonical(value: Any) -> Any:
+    """A value as JSON has it: numbers as floats, so that 1 and 1.0 are the same."""
+    if dataclasses.is_dataclass(value):
+        return {one.name: _canonical(getattr(value, one.name)) for one in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return [[name, _canonical(thing)] for name, thing in value.items()]
+    if isinstance(value, tuple):
+        return [_canonical(one) for one in value]
+    return value + 0.0 if isinstance(value, int | float) and not isinstance(value, bool) else value
