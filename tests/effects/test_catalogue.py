@@ -401,7 +401,7 @@ OF_ONE_CONVENTION = {
 @pytest.fixture(scope="module")
 def conventions() -> Callable[[str], list[np.ndarray]]:
     """Points of a UR10 stated in both conventions, with springs and one effect as large as its prior, or none."""
-    dh = robots.ur10(base=robots.ASKEW)
+    dh = replace(robots.ur10(), base=robots.ASKEW)
     geared = tuple(replace(joint, gear_ratio=100.0) for joint in dh.joints)
     dh = replace(dh, joints=geared)
     q, rng = robots.poses(dh, 20), np.random.default_rng(9)
