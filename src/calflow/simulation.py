@@ -214,7 +214,7 @@ def _measure(
 
 
 def _reading_columns(robot: Robot) -> list[str]:
-    return [f"q{i + 1}_{'deg' if joint.kind == 'revolute' else 'mm'}" for i, joint in enumerate(robot.joints)]
+    return [f"q{i + 1}_{joint.shown[0]}" for i, joint in enumerate(robot.joints)]
 
 
 def _reading_units(robot: Robot) -> np.ndarray:

@@ -143,8 +143,8 @@ def _together(
 def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
     """Return diagnose/next_poses.csv: the poses that tell each finding from its rivals, as far as poses can."""
     robot = fitted.model.robot
-    readings = [f"q{i + 1}_{'deg' if joint.kind == 'revolute' else 'mm'}" for i, joint in enumerate(robot.joints)]
-    units = np.array([np.rad2deg(1.0) if joint.kind == "revolute" else 1e3 for joint in robot.joints])
+    readings = [f"q{i + 1}_{joint.shown[0]}" for i, joint in enumerate(robot.joints)]
+    units = np.array([joint.shown[1] for joint in robot.joints])
     blocks = []
     for one in questions:
         if one.plan is None:

@@ -61,6 +61,20 @@ class Variable:
     factor: float = 1.0
 
 
+def joint_variable(robot: Robot, joint: int) -> Variable:
+    """Return a joint's (from 1) own angle, or a slide's position, as what an error is drawn against."""
+    of = robot.joints[joint - 1]
+    unit, factor = of.shown
+    return Variable(f"{of.noun} of joint {joint}", unit, lambda state, row: state.q[joint - 1], factor)
+
+
+def torque_variable(robot: Robot, joint: int) -> Variable:
+    """Return the torque on a joint (from 1), or the force on a slide, as what an error is drawn against."""
+    unit = robot.joints[joint - 1].load_unit
+    noun = "torque" if unit == "Nm" else "force"
+    return Variable(f"{noun} of joint {joint}", unit, lambda state, row: state.torque[joint - 1])
+
+
 def around(value: float, reach: float) -> list[float]:
     """Return values about one as far as reach on either side, the denser the nearer: for `Effect.finer`."""
     steps = reach * np.geomspace(1 / 1024, 1.0, 21)

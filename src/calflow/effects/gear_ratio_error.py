@@ -20,5 +20,6 @@ class GearRatioError(JointError):
     told_by: ClassVar[str] = JOINT_ALONE
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the joint's angle."""
-        return [Term("kappa", "1", 1e-3, 0.1, state.q[joint])]
+        """Return the joint's angle, or a slide's position."""
+        unit = "1" if self.unit(joint) == "rad" else "m/m"
+        return [Term("kappa", unit, 1e-3, 0.1, state.q[joint])]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class GearTransmissionError(JointError):
-    """dq = A cos(m N q) + B sin(m N q) at the gear ratio N, m = 1 or 2."""
+    """dq = A cos(m N q) + B sin(m N q) at the gear ratio N (a slide's in rad/m), m = 1 or 2."""
 
     multiple: int = 1
 
@@ -46,4 +46,4 @@ class GearTransmissionError(JointError):
         ratio = self.robot.joints[joint].gear_ratio
         if ratio is None:
             return []
-        return phases(self.multiple * ratio * state.q[joint], 1.5e-4, 5e-3)
+        return phases(self.multiple * ratio * state.q[joint], self.unit(joint), 1.5e-4, 5e-3)

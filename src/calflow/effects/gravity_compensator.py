@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Parameter, Variable
+from calflow.effects.base import Effect, Parameter, Variable, joint_variable
 from calflow.robot.chain import Deflection, pose
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions
@@ -56,7 +56,7 @@ class GravityCompensator(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the torque's two phases."""
-        if self.robot.n_joints < 2:
+        if not self._has_arm:
             return ()
         rated = float(rated_torques(self.robot)[1])
         return tuple(
@@ -64,6 +64,11 @@ class GravityCompensator(Effect):
                       meaning=f"compensator's torque, {wave} part", joint=2)
             for phase, wave in (("c", "cosine"), ("s", "sine"))
         )  # fmt: skip
+
+    @property
+    def _has_arm(self) -> bool:
+        """Whether joint 2 turns an arm that a cylinder can carry."""
+        return self.robot.n_joints > 1 and self.robot.joints[1].kind == "revolute"
 
     @cached_property
     def upright(self) -> float:
@@ -77,7 +82,7 @@ class GravityCompensator(Effect):
 
     def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
         """Add the cylinder's torque."""
-        if self.robot.n_joints < 2:
+        if not self._has_arm:
             return 0.0
         q = state.q[1]
         length = 1.0
@@ -90,4 +95,4 @@ class GravityCompensator(Effect):
 
     def variable(self, joint: int) -> Variable:
         """Return joint 2's angle."""
-        return Variable("angle of joint 2", "deg", lambda state, row: state.q[1], float(np.rad2deg(1.0)))
+        return joint_variable(self.robot, 2)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Parameter, Variable
+from calflow.effects.base import Effect, Parameter, Variable, joint_variable
 from calflow.effects.joint_compliance import WINDUP_BOUND, WINDUP_SD
 from calflow.robot.chain import Deflection, pose
 from calflow.robot.conditions import Row
@@ -99,4 +99,4 @@ class GravityDeflection(Effect):
 
     def variable(self, joint: int) -> Variable:
         """Return the joint's angle."""
-        return Variable(f"angle of joint {joint}", "deg", lambda state, row: state.q[joint - 1], float(np.rad2deg(1.0)))
+        return joint_variable(self.robot, joint)

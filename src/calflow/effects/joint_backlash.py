@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from calflow.effects.base import Variable
-from calflow.effects.joint_error import JointError, Term
+from calflow.effects.joint_error import REVERSALS, JointError, Term
 from calflow.robot.conditions import Row
 from calflow.robot.statics import State
 
@@ -20,11 +20,11 @@ class JointBacklash(JointError):
     title: ClassVar[str] = "backlash by direction of approach"
     needs: ClassVar[tuple[str, ...]] = ("approach",)
     alike: ClassVar[tuple[str, ...]] = ("joint-hysteresis",)  # where it has fully developed at every pose
-    told_by: ClassVar[str] = "vary the travel since the last reversal, from tenths of a degree to many degrees"
+    told_by: ClassVar[str] = REVERSALS
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the half of the play, on the side the joint came from."""
-        return [Term("b", "rad", 3e-4, 50e-3, row.approach[joint] / 2)]
+        return [Term("b", self.unit(joint), 3e-4, 50e-3, row.approach[joint] / 2)]
 
     def variable(self, joint: int) -> Variable:
         """Return the direction of approach."""

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Parameter, Variable
+from calflow.effects.base import Effect, Parameter, Variable, torque_variable
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.statics import State, rated_torques
@@ -28,13 +28,12 @@ class JointCompliance(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return one compliance a joint."""
-        units = {"revolute": "rad/Nm", "prismatic": "m/N"}
         return tuple(
             Parameter(
                 self.id,
                 f"joint{i + 1}",
                 "s",
-                units[joint.kind],
+                f"{joint.unit}/{joint.load_unit}",
                 WINDUP_SD / rated,
                 0.0,
                 WINDUP_BOUND / rated,
@@ -50,4 +49,4 @@ class JointCompliance(Effect):
 
     def variable(self, joint: int) -> Variable:
         """Return the joint's torque."""
-        return Variable(f"torque of joint {joint}", "Nm", lambda state, row: state.torque[joint - 1])
+        return torque_variable(self.robot, joint)

@@ -44,4 +44,4 @@ class JointEccentricity(JointError):
         """Return the two phases."""
         if self.robot.joints[joint].kind == "prismatic":
             return []
-        return phases(self.order * state.q[joint], 1e-3, 20e-3)
+        return phases(self.order * state.q[joint], self.unit(joint), 1e-3, 20e-3)

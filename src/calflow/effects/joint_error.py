@@ -7,20 +7,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
-import numpy as np
 
-from calflow.effects.base import Effect, Parameter, Variable
+from calflow.effects.base import Effect, Parameter, Variable, joint_variable
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.statics import State
 
 TRANSMISSION = "angular transmission error"
-JOINT_ALONE = "turn the joint alone over all its travel, and measure closely on the way"
+REVERSALS = "vary the travel since the last reversal, from tenths of a degree (a slide: of a millimetre) to many"
+JOINT_ALONE = "move the joint alone over all its travel, and measure closely on the way"
 
 
 @dataclass(frozen=True)
 class Term:
-    """One parameter of a joint's error: dq = parameter · value."""
+    """One parameter of a joint's error: dq = parameter · value; unit, prior_sd and bound are SI, so m for a slide."""
 
     symbol: str
     unit: str
@@ -30,9 +30,9 @@ class Term:
     one_sided: bool = False
 
 
-def phases(angle: ca.SX, sd: float, bound: float) -> list[Term]:
-    """Return cosine and sine of an angle, for a wave of any phase; sd and bound [rad]."""
-    return [Term("cos", "rad", sd, bound, ca.cos(angle)), Term("sin", "rad", sd, bound, ca.sin(angle))]
+def phases(angle: ca.SX, unit: str, sd: float, bound: float) -> list[Term]:
+    """Return cosine and sine of an angle, for a wave of any phase; sd and bound are in the joint's unit."""
+    return [Term("cos", unit, sd, bound, ca.cos(angle)), Term("sin", unit, sd, bound, ca.sin(angle))]
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,10 @@ class JointError(Effect):
     @abstractmethod
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the terms of one joint (index from 0); none where it does not apply."""
+
+    def unit(self, joint: int) -> str:
+        """Return the unit of a joint's error (index from 0): m for a slide."""
+        return self.robot.joints[joint].unit
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return each joint's parameters."""
@@ -63,7 +67,5 @@ class JointError(Effect):
         return replace(still, joint=ca.vertcat(*turned))
 
     def variable(self, joint: int) -> Variable:
-        """Return the joint's angle."""
-        degrees = self.robot.joints[joint - 1].kind == "revolute"
-        unit, factor = ("deg", float(np.rad2deg(1.0))) if degrees else ("mm", 1e3)
-        return Variable(f"angle of joint {joint}", unit, lambda state, row: state.q[joint - 1], factor)
+        """Return the joint's angle, or a slide's position."""
+        return joint_variable(self.robot, joint)

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Variable
-from calflow.effects.joint_error import JointError, Term
+from calflow.effects.joint_error import REVERSALS, JointError, Term
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State
@@ -18,7 +18,7 @@ from calflow.robot.statics import State
 if TYPE_CHECKING:
     from calflow.measurements.measurements import Measurements
 
-LENGTHS = np.deg2rad([1.0, 2.0, 4.0, 8.0, 16.0])  # travel to look for, over which friction develops
+LENGTHS = np.deg2rad([1.0, 2.0, 4.0, 8.0, 16.0])  # rad (a slide: m) of travel to look for, over which friction develops
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class JointHysteresis(JointError):
     title: ClassVar[str] = "hysteresis by friction"
     needs: ClassVar[tuple[str, ...]] = ("approach", "travel")
     alike: ClassVar[tuple[str, ...]] = ("joint-backlash",)
-    told_by: ClassVar[str] = "vary the travel since the last reversal, from tenths of a degree to many degrees"
+    told_by: ClassVar[str] = REVERSALS
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
@@ -41,14 +41,16 @@ class JointHysteresis(JointError):
     @property
     def detail(self) -> str:
         """Say the travel over which it develops."""
-        return f"developed after {np.rad2deg(self.length):.3g} deg"
+        shown = dict.fromkeys(joint.shown for joint in self.robot.joints)
+        return f"developed after {' or '.join(f'{factor * self.length:.3g} {unit}' for unit, factor in shown)}"
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the wind-up after the travel since the last reversal."""
         developed = 1 - 2 * ca.exp(-row.travel[joint] / self.length)
-        return [Term("h", "rad", 2e-4, 10e-3, row.approach[joint] * developed)]
+        return [Term("h", self.unit(joint), 2e-4, 10e-3, row.approach[joint] * developed)]
 
     def variable(self, joint: int) -> Variable:
         """Return the travel since the reversal, by its direction."""
-        return Variable(f"travel of joint {joint} since its reversal", "deg",
-                        lambda state, row: row.approach[joint - 1] * row.travel[joint - 1], float(np.rad2deg(1.0)))  # fmt: skip
+        unit, factor = self.robot.joints[joint - 1].shown
+        return Variable(f"travel of joint {joint} since its reversal", unit,
+                        lambda state, row: row.approach[joint - 1] * row.travel[joint - 1], factor)  # fmt: skip

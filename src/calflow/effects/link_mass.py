@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Parameter, Variable
+from calflow.effects.base import Effect, Parameter, Variable, torque_variable
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Loads
 
@@ -35,4 +35,4 @@ class LinkMass(Effect):
 
     def variable(self, joint: int) -> Variable:
         """Return joint 2's torque, to which every link adds."""
-        return Variable("torque of joint 2", "Nm", lambda state, row: state.torque[1])
+        return torque_variable(self.robot, 2)

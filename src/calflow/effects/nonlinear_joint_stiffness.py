@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Variable, around
+from calflow.effects.base import Variable, around, torque_variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
@@ -54,16 +54,25 @@ class NonlinearJointStiffness(JointError):
 
     @cached_property
     def rated(self) -> np.ndarray:
-        """Rated torques [Nm], shape (n_joints,)."""
+        """Rated torques [Nm, a slide's N], shape (n_joints,)."""
         return rated_torques(self.robot)
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the cube of the torque, or what of it is beyond the break."""
         share = state.torque[joint] / self.rated[joint]
         if not self.knee:
-            return [Term("c3", "rad", 1e-3, 20e-3, share**3)]
-        return [Term("c", "rad", 2e-3, 40e-3, -ca.sign(share) * ca.fmax(ca.fabs(share) - self.knee, 0), one_sided=True)]
+            return [Term("c3", self.unit(joint), 1e-3, 20e-3, share**3)]
+        return [
+            Term(
+                "c",
+                self.unit(joint),
+                2e-3,
+                40e-3,
+                -ca.sign(share) * ca.fmax(ca.fabs(share) - self.knee, 0),
+                one_sided=True,
+            )
+        ]
 
     def variable(self, joint: int) -> Variable:
         """Return the joint's torque."""
-        return Variable(f"torque of joint {joint}", "Nm", lambda state, row: state.torque[joint - 1])
+        return torque_variable(self.robot, joint)

@@ -54,7 +54,7 @@ class PeriodicJointError(JointError):
         """Return the two phases."""
         if self.robot.joints[joint].kind == "prismatic":
             return []
-        return phases(self.order * state.q[joint], 3e-4, 10e-3)
+        return phases(self.order * state.q[joint], self.unit(joint), 3e-4, 10e-3)
 
 
 def _step(data: Measurements) -> float:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Variable
+from calflow.effects.base import Variable, torque_variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
@@ -52,13 +52,21 @@ class TorqueBacklash(JointError):
 
     @cached_property
     def rated(self) -> np.ndarray:
-        """Rated torques [Nm], shape (n_joints,)."""
+        """Rated torques [Nm, a slide's N], shape (n_joints,)."""
         return rated_torques(self.robot)
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the half of the play, on the side the load presses."""
-        return [Term("b", "rad", 3e-4, 10e-3, ca.tanh(state.torque[joint] / (self.crossing * self.rated[joint])) / 2)]
+        return [
+            Term(
+                "b",
+                self.unit(joint),
+                3e-4,
+                10e-3,
+                ca.tanh(state.torque[joint] / (self.crossing * self.rated[joint])) / 2,
+            )
+        ]
 
     def variable(self, joint: int) -> Variable:
         """Return the joint's torque."""
-        return Variable(f"torque of joint {joint}", "Nm", lambda state, row: state.torque[joint - 1])
+        return torque_variable(self.robot, joint)

@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
-from calflow.effects.base import Variable
+from calflow.effects.base import Variable, joint_variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.conditions import Row
 from calflow.robot.statics import State
@@ -27,10 +25,9 @@ class WristCoupling(JointError):
         first = n - 3
         if n < 6 or joint <= first:
             return []
-        return [Term(f"k{joint + 1}{k + 1}", "1", 1e-3, 0.1, state.q[k]) for k in range(first, joint)]
+        units = {k: f"{self.unit(joint)}/{self.unit(k)}".replace("rad/rad", "1") for k in range(first, joint)}
+        return [Term(f"k{joint + 1}{k + 1}", unit, 1e-3, 0.1, state.q[k]) for k, unit in units.items()]
 
     def variable(self, joint: int) -> Variable:
         """Return the angle of the joint before."""
-        return Variable(
-            f"angle of joint {joint - 1}", "deg", lambda state, row: state.q[joint - 2], float(np.rad2deg(1.0))
-        )
+        return joint_variable(self.robot, joint - 1)

@@ -121,9 +121,8 @@ def _poses(model: Model, readings: np.ndarray, rows: np.ndarray, payload: str, m
     robot = model.robot
     table: dict[str, object] = {"pose": np.arange(1, len(readings) + 1)}
     for i, joint in enumerate(robot.joints):
-        revolute = joint.kind == "revolute"
-        unit = np.rad2deg(1.0) if revolute else 1e3
-        table[f"q{i + 1}_{'deg' if revolute else 'mm'}"] = np.round(readings[:, i] * unit, 4)
+        unit, factor = joint.shown
+        table[f"q{i + 1}_{unit}"] = np.round(readings[:, i] * factor, 4)
     came = np.sign(np.diff(readings, axis=0, prepend=readings[:1])).astype(int)
     for i in range(robot.n_joints):
         table[f"approach{i + 1}"] = came[:, i]

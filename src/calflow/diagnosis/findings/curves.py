@@ -79,7 +79,7 @@ class _Lever(JointError):
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the angle."""
-        return [Term("angle", "rad", 1.0, 1.0, ca.SX(1))]
+        return [Term("angle", self.unit(joint), 1.0, 1.0, ca.SX(1))]
 
 
 def _direction(jacobian: np.ndarray, value: np.ndarray, lever: np.ndarray | None) -> np.ndarray:

@@ -57,7 +57,9 @@ class JointField(JointError, Decoy):
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return waves of the joint's angle, or products of waves of both."""
-        return [Term(f"wave{k + 1}", "rad", SIZE, 1.0, value) for k, value in enumerate(_waves(state.q, self.of))]
+        return [
+            Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(_waves(state.q, self.of))
+        ]
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ class Since(Decoy):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the joints' offsets, and the marker's."""
-        units = ["rad" if joint.kind == "revolute" else "m" for joint in self.robot.joints] + ["m"] * 3
+        units = [joint.unit for joint in self.robot.joints] + ["m"] * 3
         return tuple(
             Parameter(self.id, "since", f"offset{k + 1}", unit, SIZE, -1.0, 1.0) for k, unit in enumerate(units)
         )

@@ -32,7 +32,8 @@ WIDE = 0.3  # share of a joint's travel that two series must have in common for 
 class Confirmation:
     """The other series fitted on its own, and the first one's joint errors carried over to it.
 
-    curves has cause, joint, angle_deg, here_urad, there_urad; table a row a cause; accuracy the held-out errors there.
+    curves has cause, joint, angle_deg, here_urad, there_urad (a slide's are position_mm, here_um, there_um); table a row a
+    cause; accuracy the held-out errors there.
     """
 
     curves: pd.DataFrame
@@ -74,6 +75,9 @@ def confirm(found: Fitted, other: Measurements) -> Confirmation:
         "rms_here_urad",
         "rms_there_urad",
         "common_deg",
+        "rms_here_um",
+        "rms_there_um",
+        "common_mm",
         "share_of_travel",
         "words",
     ]
@@ -96,7 +100,7 @@ def confirm(found: Fitted, other: Measurements) -> Confirmation:
 
 
 def curve(cause: Cause, values: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Return a joint error [rad] at angles (n,) [rad] of its joint, the other joints at zero."""
+    """Return a joint error [rad] at angles (n,) [rad] of its joint (a slide's in m), the other joints at zero."""
     assert isinstance(cause.effect, JointError)
     state, row = State.symbols(cause.robot), Row.symbols(cause.robot)
     terms = [term.value for term in cause.effect.terms(cause.joint - 1, state, row)]
@@ -135,9 +139,11 @@ def _compared(
 ) -> tuple[dict[str, object], pd.DataFrame | None]:
     i = cause.joint - 1
     here, there = ((m.joints @ m.robot.reading_matrix.T)[:, i] for m in (found.data, data))
+    unit, factor = data.robot.joints[i].shown
+    error = "urad" if unit == "deg" else "um"
     low, high = max(here.min(), there.min()), min(here.max(), there.max())
     travel = max(np.ptp(here), 1e-9)
-    told: dict[str, object] = {"cause": cause.id, "joint": cause.joint, "common_deg": float(np.rad2deg(max(high - low, 0.0))),
+    told: dict[str, object] = {"cause": cause.id, "joint": cause.joint, f"common_{unit}": factor * float(max(high - low, 0.0)),
                                "share_of_travel": float(max(high - low, 0.0) / travel)}  # fmt: skip
     if matched is None or high <= low:
         few = f"does not cover joint {cause.joint} densely enough to see it"
@@ -161,12 +167,13 @@ def _compared(
     told |= {
         "correlation": correlation,
         "correlation_with_first_order": float(np.corrcoef(whole[0], whole[1])[0, 1]),
-        "rms_here_urad": 1e6 * first.std(),
-        "rms_there_urad": 1e6 * second.std(),
+        f"rms_here_{error}": 1e6 * first.std(),
+        f"rms_there_{error}": 1e6 * second.std(),
         "words": words,
     }
-    drawn = pd.DataFrame({"cause": cause.id, "joint": cause.joint, "angle_deg": np.rad2deg(angle),
-                          "here_urad": 1e6 * first, "there_urad": 1e6 * second})  # fmt: skip
+    along = "angle_deg" if unit == "deg" else "position_mm"
+    drawn = pd.DataFrame({"cause": cause.id, "joint": cause.joint, along: factor * angle,
+                          f"here_{error}": 1e6 * first, f"there_{error}": 1e6 * second})  # fmt: skip
     return told, drawn
 
 

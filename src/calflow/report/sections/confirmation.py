@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from calflow.report.document import Block, paragraph, plot, table
@@ -24,8 +27,8 @@ def write(material: Material) -> list[Block]:
     curves = material.tables["diagnose/confirmation_curves.csv"]
     accuracy = material.tables["diagnose/confirmation_accuracy.csv"]
     cells = [
-        (f"joint {row['joint']}", _number(row["correlation"], "{:.3f}"), _number(row["rms_here_urad"], "{:.0f}"),
-         _number(row["rms_there_urad"], "{:.0f}"), _number(row["common_deg"], "{:.0f}"), str(row["words"]))
+        (f"joint {row['joint']}", _number(row["correlation"], "{:.3f}"), _either(row, "rms_here_urad", "rms_here_um", "µm"),
+         _either(row, "rms_there_urad", "rms_there_um", "µm"), _either(row, "common_deg", "common_mm", "mm"), str(row["words"]))
         for row in rows.to_dict("records")
     ]  # fmt: skip
     header = ("joint", "correlation", "here [µrad]", "there [µrad]", "common [deg]", "what it means")
@@ -45,6 +48,13 @@ def _carried(accuracy: object) -> str:
         )
     parts = [f"{mm(value)} mm {name}" for name, value in found["heldout_mean_mm"].items()]
     return f"At the {n} held-out rows of the other series within the travel covered here the mean error is {', '.join(parts)}."
+
+
+def _either(row: Mapping[Any, Any], turns: str, slides: str, unit: str) -> str:
+    """A turning joint's figure in the column's unit, or a slide's with its own."""
+    if np.isfinite(float(row[slides])):
+        return f"{_number(row[slides], '{:.0f}')} {unit}"
+    return _number(row[turns], "{:.0f}")
 
 
 def _number(value: object, form: str) -> str:

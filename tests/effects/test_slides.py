@@ -1,0 +1,93 @@
+"""What is said of a prismatic joint is in metres and newtons, in every effect."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calflow.design.candidates import pack
+from calflow.effects import catalogue
+from calflow.effects.joint_hysteresis import JointHysteresis
+from calflow.model import build
+from calflow.robot.frames import modified_dh
+from calflow.robot.parts import Joint, Marker, Payload
+from calflow.robot.robot import Robot
+
+TURN, SLIDE = (
+    {"mass": 20.0, "com": (0.1, 0, 0), "gear_ratio": 100.0},
+    {"mass": 10.0, "com": (0, 0, 0.1), "gear_ratio": 60.0},
+)
+GANTRY = Robot(
+    [
+        Joint(modified_dh(alpha=np.pi / 2), kind="prismatic", limits=(0, 2), **SLIDE),
+        Joint(modified_dh(alpha=np.pi / 2), kind="prismatic", limits=(0, 1), **SLIDE),
+        Joint(modified_dh(alpha=np.pi / 2, a=0.2), limits=(-3, 3), **TURN),
+        Joint(modified_dh(alpha=np.pi / 2, d=0.4), limits=(-2, 2), **TURN),
+        Joint(modified_dh(alpha=-np.pi / 2), kind="prismatic", limits=(0.1, 0.5), **SLIDE),
+        Joint(modified_dh(alpha=np.pi / 2, d=0.1), limits=(-3, 3), **TURN),
+    ],
+    payloads={"load": Payload(5.0, (0, 0, 0.1))},
+    markers={"tool": Marker((0.05, 0, 0.1))},
+)  # fmt: skip
+SLIDES = (1, 2, 5)
+UNITS = {  # of a slide's parameters and of a turning joint's
+    "joint-backlash": ({"m"}, {"rad"}),
+    "joint-hysteresis": ({"m"}, {"rad"}),
+    "torque-backlash": ({"m"}, {"rad"}),
+    "nonlinear-joint-stiffness": ({"m"}, {"rad"}),
+    "gear-transmission-error": ({"m"}, {"rad"}),
+    "gear-ratio-error": ({"m/m"}, {"1"}),
+    "joint-compliance": ({"m/N"}, {"rad/Nm"}),
+    "joint-eccentricity": (set(), {"rad"}),
+    "periodic-joint-error": (set(), {"rad"}),
+    "gravity-deflection": (set(), {"rad", "rad/Nm"}),
+    "gravity-compensator": (set(), set()),
+    "wrist-coupling": ({"m/rad"}, {"1", "rad/m"}),
+}
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_a_slides_parameters_are_lengths(name):
+    """Fails if a parameter of a prismatic joint says rad, or that of a turning one m."""
+    parameters = catalogue()[name](GANTRY).parameters()
+    slides, turns = UNITS[name]
+    assert {p.unit for p in parameters if p.joint in SLIDES} == slides
+    assert {p.unit for p in parameters if p.joint not in SLIDES} <= turns
+
+
+@pytest.mark.parametrize("name", [name for name, (slides, _) in UNITS.items() if slides and name != "wrist-coupling"])
+def test_a_slides_error_is_drawn_against_millimetres_and_newtons(name):
+    """Fails if a figure calls a slide's travel an angle, or the force on it a torque."""
+    effect = catalogue()[name](GANTRY)
+    for joint in range(1, 7):
+        variable = effect.variable(joint)
+        assert variable.unit in ({"", "mm", "N"} if joint in SLIDES else {"", "deg", "Nm"})
+        if joint in SLIDES:
+            assert "angle" not in variable.label
+            assert "torque" not in variable.label
+
+
+def test_coupling_is_drawn_against_the_joint_before():
+    """Fails if the joint that a coupling comes from is given the unit of the one that it turns."""
+    assert [catalogue()["wrist-coupling"](GANTRY).variable(joint).unit for joint in (5, 6)] == ["deg", "mm"]
+
+
+def test_hysteresis_says_its_travel_in_the_units_of_the_joints():
+    """Fails if the travel over which a slide's friction develops is told in degrees alone."""
+    assert JointHysteresis(GANTRY, 0.05).detail == "developed after 50 mm or 2.86 deg"
+    turning = Robot([GANTRY.joints[2]], markers=GANTRY.markers)
+    assert JointHysteresis(turning, np.deg2rad(4.0)).detail == "developed after 4 deg"
+
+
+def test_a_slides_backlash_moves_it_by_metres():
+    """Fails if a slide's play does not shift what it carries by half of it."""
+    model = build(GANTRY, ["joint-backlash"], given=("approach",))
+    rows = pack(model, np.array([[0.5, 0.5, 0.1, 0.2, 0.3, 0.4]]), "", "tool")
+    rows[-6:, 0] = [1, -1, 1, 1, 1, 1]
+    at = model.position(np.zeros(6), rows)
+    for joint, sign in ((0, 1.0), (1, -1.0)):
+        p = 2e-3 * (np.arange(6) == joint)
+        ahead = rows.copy()
+        ahead[joint] += sign * 1e-3
+        np.testing.assert_allclose(model.position(p, rows), model.position(np.zeros(6), ahead), atol=1e-15)
+        assert np.linalg.norm(model.position(p, rows) - at) == pytest.approx(1e-3)
