@@ -18,7 +18,7 @@ from calflow.diagnosis.screening.screening import Screening
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Finding, Linearisation, Screened
 from calflow.estimation.calibrated import identified
-from calflow.estimation.noise import averaged
+from calflow.estimation.repeats import averaged
 from calflow.faults import corrected
 from calflow.runs.run import run
 from calflow.stages.diagnose import SHARES
@@ -237,7 +237,7 @@ def _shift(bare: Bare, world: World, which: int) -> np.ndarray:
     small = replace(world.hidden[which], size=0.1 * world.hidden[which].size)
     moved = measured_points(world.real, world.rows, (small,)) - measured_points(world.real, world.rows, ())
     rows = bare.linearisation.fitted.data.table["line"].to_numpy(int) - 2
-    return (10 * moved[rows] / bare.linearisation.fitted.noise.total[0][:, None]).ravel()
+    return (10 * moved[rows] / bare.linearisation.fitted.noise.total[:, None]).ravel()
 
 
 def _limit(bare: Bare, h: Hidden, shift: np.ndarray, others: Sequence[np.ndarray] = ()) -> float:

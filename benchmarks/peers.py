@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.fit import LeastSquares, fit
+from calflow.estimation.fit import fit
+from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
@@ -107,7 +108,7 @@ def calflow(q: np.ndarray, xyz: np.ndarray) -> tuple[float, float]:
     train, heldout = data.only(np.arange(len(q)) < TRAIN), data.only(np.arange(len(q)) >= TRAIN)
     started = time.perf_counter()
     model = build(robot, ("geometry",))
-    result, _ = fit(LeastSquares.of(model, train, Noise(np.full(TRAIN, SIGMA), "file")))
+    result, _ = fit(LeastSquares.of(model, train, Noise(np.full(TRAIN, SIGMA), ("file",))))
     seconds = time.perf_counter() - started
     return seconds, 1e3 * float(np.linalg.norm(errors(model, result.estimate, heldout), axis=1).mean())
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import emcee
 import numpy as np
 
-from calflow.estimation.fit import LeastSquares, fit
-from calflow.estimation.noise import noise
+from calflow.estimation.fit import fit
+from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.repeats import measured_noise
 from calflow.model import build
 from calflow.sampling.posterior import Laplace, Posterior, moves
 from calflow.study import load_study
@@ -22,7 +23,7 @@ def main() -> None:
     study = load_study(STUDY)
     data = study.measurements()
     train = data.only(data.train)
-    problem = LeastSquares.of(build(study.robot, study.file.effects, data.given), train, noise(train))
+    problem = LeastSquares.of(build(study.robot, study.file.effects, data.given), train, measured_noise(train))
     result, _ = fit(problem)
     posterior = Posterior.about(problem, Laplace.of(problem, result.estimate, result.at_bound))
     n = posterior.n_dimensions

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.noise import noise
 from calflow.estimation.registration import registered
+from calflow.estimation.repeats import measured_noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.measurements.measurements import Measurements, draw_split
 from calflow.measurements.reading import read_measurements
@@ -44,7 +44,7 @@ def heldout(data: Measurements, effects: tuple[str, ...]) -> np.ndarray:
     robot = registered(data.robot, data.only(data.train))
     data = data.on(robot)
     model = build(robot, effects, data.given)
-    level = noise(data).only(data.train)
+    level = measured_noise(data).only(data.train)
     result = fit_reweighted(model, data.only(data.train), level, model.nominal[None], "linear")[0]
     return 1e3 * np.linalg.norm(errors(model, result.estimate, data), axis=1)[~data.train]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -12,10 +12,12 @@ import casadi as ca
 import numpy as np
 
 from calflow.compiled import WORTH_EVALUATIONS, compiled
-from calflow.effects import Effect, Parameter, catalogue
+from calflow.effects import Effect, catalogue
+from calflow.observations import Observation, Seen
 from calflow.robot.chain import Deflection, marker_point, pose
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
+from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import state
 from calflow.robot.transforms import apply, placement
@@ -26,36 +28,53 @@ BLOCK_ROWS, BLOCK_VALUES = 8192, 1 << 22  # rows and values of one output evalua
 
 
 class Prediction(NamedTuple):
-    """What the graph says of one row: position (3,) [m] and rotation (3, 3) of the marker, cosine of the loop's closure."""
+    """What the graph says of one row.
 
+    point (3,) [m] is where the marker is in the measuring frame and rotation (3, 3) how the tool is turned, position (3,) [m] what
+    a device in the measuring frame reports of it, which `device` says of any frame; closure is the cosine of the loop's closure.
+    """
+
+    point: ca.SX
     position: ca.SX
     rotation: ca.SX
     closure: ca.SX
+    device: Callable[[ca.SX], ca.SX]
 
 
 @dataclass(frozen=True)
 class Model:
     """A robot with effects; given names the optional conditions that its rows have (see `conditions.Row`).
 
-    probes are effects at nothing, for derivatives alone: what they move does not change the loads, which saves most of the
-    work and leaves out a thousandth of their effect.
+    observations are those of the data's series, whose own parameters come first. probes are effects at nothing, for derivatives
+    alone: what they move does not change the loads, which saves most of the work and leaves out a thousandth of their effect.
     """
 
     robot: Robot
     effects: tuple[Effect, ...]
     given: tuple[str, ...] = ()
+    observations: tuple[Observation, ...] = ()
     probes: tuple[Effect, ...] = ()
+
+    @property
+    def parts(self) -> tuple[Observation | Effect, ...]:
+        """All that has parameters: observations, effects, probes."""
+        return (*self.observations, *self.effects, *self.probes)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters, effect by effect, the probes' last."""
-        return tuple(parameter for effect in (*self.effects, *self.probes) for parameter in effect.declared)
+        """All parameters, part by part."""
+        return tuple(parameter for part in self.parts for parameter in part.declared)
 
-    def columns(self, effect: Effect) -> np.ndarray:
-        """Return the indices of an effect's parameters; ValueError where the model does not have it."""
-        at = self.effects.index(effect)
-        start = sum(len(before.declared) for before in self.effects[:at])
-        return np.arange(start, start + len(effect.declared))
+    def columns(self, part: Observation | Effect) -> np.ndarray:
+        """Return the indices of the parameters of an observation or an effect; ValueError where the model does not have it."""
+        own = self._spans[self.parts.index(part)]
+        return np.arange(own.start, own.stop)
+
+    @cached_property
+    def _spans(self) -> tuple[slice, ...]:
+        """Where each part's parameters are."""
+        ends = np.cumsum([0, *(len(part.declared) for part in self.parts)])
+        return tuple(slice(int(i), int(j)) for i, j in pairwise(ends))
 
     @cached_property
     def nominal(self) -> np.ndarray:
@@ -83,9 +102,8 @@ class Model:
         turns is how often the loads are evaluated anew at the deflected pose.
         """
         row = Row.unpack(self.robot, c, self.given)
-        every = (*self.effects, *self.probes)
-        ends = np.cumsum([0, *(len(effect.declared) for effect in every)])
-        parts = [(effect, p[int(i) : int(j)]) for effect, (i, j) in zip(every, pairwise(ends), strict=True)]
+        spans = zip((*self.effects, *self.probes), self._spans[len(self.observations) :], strict=True)
+        parts = [(effect, p[span]) for effect, span in spans]
         dims, loads = nominal_dimensions(self.robot), nominal_loads(self.robot)
         for effect, part in parts:
             dims = effect.dimensions(part, dims, row)
@@ -106,13 +124,18 @@ class Model:
 
         at = pose(self.robot, dims, row.q, deflection)
         stands = placement(ca.DM([*self.robot.base.origin, *self.robot.base.rotation])) @ placement(dims.base)
-        position = apply(stands, marker_point(dims, at, row.marker))
-        for effect, part in parts:
-            position = effect.device(part, position, row)
+        point = apply(stands, marker_point(dims, at, row.marker))
+
+        def device(seen: ca.SX) -> ca.SX:
+            for effect, part in parts:
+                seen = effect.device(part, seen, row)
+            return seen
+
         nominal_turn = placement(ca.DM([0, 0, 0, *(self.robot.tool_rotation or (0, 0, 0))]))
         tool = nominal_turn @ placement(ca.vertcat(0, 0, 0, dims.tool_rotation))
         rotation = (stands @ at.flange @ tool)[:3, :3]
-        return Prediction(position, rotation, at.closure.cosine if at.closure else ca.SX(0))
+        cosine = at.closure.cosine if at.closure else ca.SX(0)
+        return Prediction(point, device(point), rotation, cosine, device)
 
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, Prediction]:
@@ -120,9 +143,20 @@ class Model:
         p, c = ca.SX.sym("p", len(self.parameters)), ca.SX.sym("c", self.n_conditions)
         return p, c, self.expression(p, c)
 
+    def error(self, observation: Observation) -> tuple[ca.SX, ca.SX]:
+        """Return a symbol for what one row reports (see `Observation.reported`), and predicted minus reported (n_units,)."""
+        p, _, predicted = self.symbols
+        reported = ca.SX.sym("y", observation.reports)
+        seen = Seen(predicted.point, predicted.rotation, predicted.device)
+        return reported, observation.error(p[self._spans[self.parts.index(observation)]], seen, reported)
+
     def position(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Return predicted positions [m], shape (n_rows, 3), for rows (n_conditions, n_rows)."""
+        """Return what a device in the measuring frame reports [m], shape (n_rows, 3), for rows (n_conditions, n_rows)."""
         return self._over_rows("position", p, rows)[0].T
+
+    def point(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return where the markers are [m], whatever a device makes of it, shape (n_rows, 3)."""
+        return self._over_rows("point", p, rows)[0].T
 
     def rotation(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Return predicted rotations, shape (n_rows, 3, 3)."""
@@ -132,6 +166,33 @@ class Model:
         """Return the positions' derivatives, shape (n_rows, 3, n_parameters)."""
         stacked = self._over_rows("jacobian", p, rows)[0]
         return stacked.T.reshape(rows.shape[1], 3, -1)
+
+    def point_jacobian(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return the points' derivatives, shape (n_rows, 3, n_parameters)."""
+        return self._over_rows("point_jacobian", p, rows)[0].T.reshape(rows.shape[1], 3, -1)
+
+    def observed_error(
+        self, observation: Observation, p: np.ndarray, rows: np.ndarray, reported: np.ndarray
+    ) -> np.ndarray:
+        """Return predicted minus reported, shape (n_rows, n_units), of rows and what an observation packs of them."""
+        return self._over_rows(self._observed(observation, "error"), p, rows, reported)[0].T
+
+    def observed_jacobian(
+        self, observation: Observation, p: np.ndarray, rows: np.ndarray, reported: np.ndarray
+    ) -> np.ndarray:
+        """Return the derivatives of `observed_error`, shape (n_rows, n_units, n_parameters)."""
+        stacked = self._over_rows(self._observed(observation, "slope"), p, rows, reported)[0]
+        return stacked.T.reshape(rows.shape[1], len(observation.units), -1)
+
+    def _observed(self, observation: Observation, what: str) -> str:
+        """Name the function of (p, conditions, reported) for an observation's error or its derivatives, made when first asked."""
+        k = self.observations.index(observation)
+        if f"{what}{k}" not in self._functions:
+            y, error = self.error(observation)
+            inputs = [*self.symbols[:2], y]
+            output = error if what == "error" else ca.jacobian(error, inputs[0]).T
+            self._functions[f"{what}{k}"] = ca.Function(f"{what}{k}", inputs, [ca.densify(output)])
+        return f"{what}{k}"
 
     def closure_cosine(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Return the loop's closure cosine of each row, shape (n_rows,); a pose can be closed where it is within ±1."""
@@ -154,14 +215,17 @@ class Model:
             "position": predicted.position,
             "rotation": ca.vec(predicted.rotation),
             "jacobian": jacobian,
+            "point": predicted.point,
+            "point_jacobian": ca.jacobian(predicted.point, p).T,
             "closure": predicted.closure,
         }
         return {name: ca.Function(name, [p, c], [ca.densify(output)]) for name, output in outputs.items()}
 
-    def _over_rows(self, name: str, p: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
-        if name not in self._compiled or rows.shape[1] >= WORTH_EVALUATIONS:
-            self._compiled[name] = compiled(self._functions[name], rows.shape[1])
-        return over_rows(self._compiled[name], p, rows)
+    def _over_rows(self, name: str, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
+        n_rows = rows[0].shape[1]
+        if name not in self._compiled or n_rows >= WORTH_EVALUATIONS:
+            self._compiled[name] = compiled(self._functions[name], n_rows)
+        return over_rows(self._compiled[name], p, *rows)
 
     @cached_property
     def _compiled(self) -> dict[str, ca.Function]:
@@ -169,9 +233,11 @@ class Model:
         return {}
 
 
-def build(robot: Robot, effects: Sequence[str], given: tuple[str, ...] = ()) -> Model:
+def build(
+    robot: Robot, effects: Sequence[str], given: tuple[str, ...] = (), observations: tuple[Observation, ...] = ()
+) -> Model:
     """Return the model of a robot with the effects of these ids."""
-    return Model(robot, tuple(catalogue()[name](robot) for name in effects), given)
+    return Model(robot, tuple(catalogue()[name](robot) for name in effects), given, observations)
 
 
 def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:

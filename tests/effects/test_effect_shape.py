@@ -11,12 +11,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from calflow.effects import Effect, Parameter, catalogue
+from calflow.effects import Effect, catalogue
 from calflow.effects.joint_compliance import JointCompliance
 from calflow.model import Model, build
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions, Loads
+from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State
 

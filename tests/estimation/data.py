@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.design.candidates import candidates
-from calflow.estimation.fit import LeastSquares
+from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model

@@ -9,8 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
-from calflow.estimation.fit import LeastSquares, fit
-from calflow.estimation.noise import averaged, lack_of_fit, noise
+from calflow.estimation.fit import fit
+from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.noise import lack_of_fit
+from calflow.estimation.repeats import averaged, measured_noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.files.problems import InputError
 from calflow.model import build
@@ -29,7 +31,7 @@ def test_repeats_give_the_devices_noise(model):
     data = measured(model, drawn_truth(model, rng), 40, rng, repeats=5)
     data.table.loc[data.table["pose"] > 30, "split"] = "holdout"
     data.table.loc[data.table["pose"] > 30, "x"] += rng.normal(scale=1e-3, size=(data.table["pose"] > 30).sum())
-    level = noise(data)
+    level = measured_noise(data)
     assert level.source == "repeats"
     assert level.sigma[0] == pytest.approx(SIGMA, rel=0.12)
 
@@ -38,9 +40,9 @@ def test_without_repeats_the_file_is_believed_and_else_the_fit(model):
     """Fails if the order of the sources changes."""
     rng = np.random.default_rng(9)
     data = measured(model, model.nominal, 20, rng)
-    assert noise(data).source == "estimated"
+    assert measured_noise(data).source == "estimated"
     data.table["sigma"] = 2e-5
-    assert noise(data).source == "file"
+    assert measured_noise(data).source == "file"
 
 
 def test_p_values_of_a_true_model_are_uniform(model):
@@ -96,7 +98,7 @@ def test_moving_a_little_between_repeats_is_not_noise(model):
     data = measured(model, model.nominal, 40, rng, repeats=4, sigma=0.0)
     data.table[[f"q{i + 1}" for i in range(6)]] += 1e-3 * rng.standard_normal((160, 6))
     data.table[["x", "y", "z"]] = model.position(model.nominal, data.rows) + SIGMA * rng.standard_normal((160, 3))
-    assert noise(data).sigma[0] == pytest.approx(SIGMA, rel=0.15)
+    assert measured_noise(data).sigma[0] == pytest.approx(SIGMA, rel=0.15)
 
 
 def test_a_source_that_is_not_there_is_refused(model):
@@ -104,7 +106,7 @@ def test_a_source_that_is_not_there_is_refused(model):
     data = measured(model, model.nominal, 10, np.random.default_rng(23))
     for source in ("repeats", "file"):
         with pytest.raises(InputError, match=source):
-            noise(data, source)
+            measured_noise(data, source)
 
 
 def test_full_poses_have_a_discrepancy_of_their_own(model):

@@ -89,7 +89,7 @@ def test_a_named_cause_is_told_with_place_size_sureness_and_gain(small: Context)
 def test_a_cause_with_several_parameters_is_told(small: Context) -> None:
     """Fails if a cause of the device, or one with more than one parameter, cannot be written."""
     first, section = told(with_diagnosis(small, STEP, BACKLASH))
-    assert "1. ModelAccuracy of the measuring device (after row 12 in measuring order)" in section
+    assert "1. Step of the measuring device (after row 12 in measuring order)" in section
     assert "step 0.3000 ± 0.0090 mm" in section
     assert "2. Backlash of joint 2" in section
     assert "+ 2 causes" in first
@@ -267,8 +267,8 @@ def test_causes_of_the_same_name_are_told_by_their_detail(small: Context) -> Non
     """Fails if two steps of the device, at different moments, read as one."""
     tables = with_diagnosis(small, STEP, replace(STEP, detail="after row 20 in measuring order")).tables
     assert [head for head, _ in lacked(tables)] == [
-        "ModelAccuracy of the measuring device (after row 12 in measuring order):",
-        "ModelAccuracy of the measuring device (after row 20 in measuring order):",
+        "Step of the measuring device (after row 12 in measuring order):",
+        "Step of the measuring device (after row 20 in measuring order):",
     ]
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.fit import LeastSquares, fit
+from calflow.estimation.fit import fit
+from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.model import build
@@ -54,7 +55,7 @@ def test_residuals_are_whitened_by_the_noise_that_is_returned(model):
     """Breaks if a noise that has settled, but not to the last digit, is another one than that of residuals and covariance."""
     rng = np.random.default_rng(7)
     data = measured(model, drawn_truth(model, rng), 60, rng)
-    level = Noise(np.full(len(data), 1.3 * SIGMA), "estimated")
+    level = Noise(np.full(len(data), 1.3 * SIGMA), ("estimated",))
     result, noise, _, _ = fit_reweighted(model, data, level, model.nominal[None], "linear", tolerance=0.5)
     error = errors(model, result.estimate, data)
     assert result.residual[:, :3] * noise.sigma[:, None] == pytest.approx(error, abs=1e-12)

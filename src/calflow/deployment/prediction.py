@@ -40,10 +40,10 @@ def predict(run_folder: str | Path, rows: str | Path) -> pd.DataFrame:
         raise refuse("expected a CSV", path)
     data = read_measurements(path, robot, conditions_only=True)
     known = calibrated(robot, tables, data.given)
-    position = known.model.position(known.estimate, data.rows)
-    jacobian = known.model.position_jacobian(known.estimate, data.rows)
+    position = known.model.point(known.estimate, data.rows)
+    jacobian = known.model.point_jacobian(known.estimate, data.rows)
     variance = np.einsum("nai,ij,naj->na", jacobian, known.covariance, jacobian)
-    variance += (known.discrepancy if known.noise_source != "estimated" else known.sigma) ** 2
+    variance += (known.discrepancy if known.noise_known else known.sigma) ** 2
     asked = pd.read_csv(path, dtype=str, keep_default_na=False, skip_blank_lines=False, encoding="utf-8-sig").fillna("")
     asked = asked.iloc[data.table["line"] - 2].reset_index(drop=True)  # without empty lines
     for name in asked:

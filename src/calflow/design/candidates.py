@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import qmc
 
+from calflow.design.contact import brought
 from calflow.files.problems import refuse
 from calflow.model import Model
+from calflow.observations import Observation
 from calflow.robot.loop import reachable
 
 LARGEST_DRAW = 1 << 15  # poses drawn at once
@@ -14,12 +16,18 @@ MAX_DRAWS = 40  # rounds of drawing before the region counts as out of reach
 
 
 def candidates(
-    model: Model, number: int, payload: str, marker: str, region: np.ndarray | None, rng: np.random.Generator
+    model: Model,
+    number: int,
+    payload: str,
+    marker: str,
+    region: np.ndarray | None,
+    rng: np.random.Generator,
+    observation: Observation | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return joint readings (number, n_joints) [rad, or m] and their packed conditions (n_conditions, number).
 
     Drawn by a scrambled Sobol sequence over the joints' ranges; region is a box (2, 3) [m] in the measuring frame that the
-    nominal marker must be in.
+    nominal marker must be in. Where an observation needs the robot to touch something, the poses do.
 
     Raises:
         InputError: hardly any pose within the joints' ranges reaches the region.
@@ -33,7 +41,13 @@ def candidates(
         readings = np.linalg.solve(model.robot.reading_matrix, drawn.T).T
         rows = pack(model, readings, payload, marker)
         good = reachable(model.robot, drawn)
-        if region is not None:
+        if observation is not None and observation.touches:
+            readings, touching = brought(model, observation, readings, rows)
+            rows = pack(model, readings, payload, marker)
+            angles = readings @ model.robot.reading_matrix.T
+            within = ((angles >= model.robot.limits[:, 0]) & (angles <= model.robot.limits[:, 1])).all(axis=1)
+            good &= touching & within
+        elif region is not None:
             position = model.position(model.nominal, rows)
             good &= ((position > region[0]) & (position < region[1])).all(axis=1)
         kept.append(readings[good])

@@ -6,21 +6,25 @@ Any of a finding's rivals may be the truth: poses are to tell all of them from e
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 import pandas as pd
 
 from calflow.design.candidates import candidates
+from calflow.design.planned import Planned
 from calflow.design.t_optimality import Choices, Explanation, Pair, TCriterion, closest, propose
 from calflow.diagnosis.findings.verdict import Rival, Verdict, label
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
+from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements, condition_columns
+from calflow.observations import Observation
 
 POSES = 20
+THINNEST = 0.1  # m: a measured region is widened to it, since poses are drawn at random
 CANDIDATES = 600  # poses to choose from, for each payload
 APART = ["separation_before_sd", "separation_after_sd", "chance_after"]
 ANY_MEANS = "another sensor or another load is needed"
@@ -32,7 +36,7 @@ class Separation:
     """How far a cause is apart from one rival [sd]: before, and after further poses, which are either proposed or its own.
 
     chance is that of excluding the rival then, or the cause if the rival is true; lacking is what a rival that could not be
-    tested needs.
+    tested needs, unasked why no further poses could be looked for.
     """
 
     rival: Rival
@@ -41,6 +45,7 @@ class Separation:
     chance: float = 0.0
     proposed: bool = False
     lacking: str = ""
+    unasked: str = ""
 
     def words(self, cause: Cause) -> str:
         """Say what to measure."""
@@ -48,6 +53,10 @@ class Separation:
         if self.proposed:
             return f"measure the {POSES} poses of next_poses.csv: {apart}"
         rival = catalogue()[self.rival.id]
+        if self.unasked:
+            means = ", or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, rival.told_by)))) or ANY_MEANS
+            where = f"no further poses could be looked for where it was measured ({self.unasked})"
+            return f"{where}: measure in a wider region, or {means}"
         if self.rival.cause is None:
             means = f"it takes {self.lacking}" if self.lacking else rival.told_by or ANY_MEANS
             return f"no pose tells {cause.id} from {rival.id} in these data: {means}"
@@ -98,9 +107,13 @@ def question(verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Gene
     if not rivals:
         return Question(finding.cause, untested)
     explanations = [Explanation(finding.own, 0.0), *(Explanation(r.score, r.bic) for r in rivals if r.score)]
-    choices = _choices(fitted, rng)
-    sigma = float(np.sqrt(np.mean(fitted.noise.total[0] ** 2) / share))
-    criteria = TCriterion.between(fitted, explanations, choices, sigma)
+    planned = _planned(fitted, share)
+    try:
+        choices = _choices(fitted, planned.observation, rng)
+    except InputError as error:
+        unasked = tuple(Separation(rival, unasked=error.problems[0].message) for rival in rivals)
+        return Question(finding.cause, unasked + untested)
+    criteria = TCriterion.between(fitted, explanations, choices, planned)
     before = {pair: closest(criteria, pair) for pair in combinations(range(len(explanations)), 2)}
     alone = {pair: propose(criteria, [pair], POSES)[1][pair] for pair in before}
     chosen, together = _together(criteria, alone)
@@ -177,13 +190,27 @@ def separations_table(questions: Sequence[Question]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns).astype({"joint": "Int64", "rival_joint": "Int64"})
 
 
-def _choices(fitted: Fitted, rng: np.random.Generator) -> Choices:
-    """Draw poses in the measured region, under every payload there was or may be, each joint coming from either side."""
+def _planned(fitted: Fitted, share: float) -> Planned:
+    """Further poses are measured as those there are: from outside, if any series is."""
+    observed = fitted.model.observations
+    k = next((k for k, one in enumerate(observed) if one.from_outside), 0)
+    return Planned.like(observed[k], fitted.noise, k, share)
+
+
+def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator) -> Choices:
+    """Draw poses in the measured region, under every payload there was or may be, each joint coming from either side.
+
+    Raises:
+        InputError: hardly any pose is there.
+    """
     data, model = fitted.data, fitted.model
-    region = np.array([data.position.min(axis=0), data.position.max(axis=0)])
+    points = model.point(fitted.fit.estimate, data.rows)
+    region = np.array([points.min(axis=0), points.max(axis=0)])
+    thin = np.maximum(0.0, THINNEST - np.ptp(region, axis=0)) / 2
+    region += np.array([-thin, thin])
     readings, approach, payloads, packed = [], [], [], []
     for payload in dict.fromkeys([*data.table["payload"], *data.robot.payloads]):
-        drawn, _ = candidates(model, CANDIDATES, payload, str(data.table["marker"].iloc[0]), region, rng)
+        drawn, _ = candidates(model, CANDIDATES, payload, str(data.table["marker"].iloc[0]), region, rng, observation)
         came = rng.choice([-1.0, 1.0], drawn.shape)
         table = _rows_like(data, drawn, came, str(payload), rng)
         readings.append(drawn)
@@ -207,4 +234,4 @@ def _rows_like(
     for name in ("order", "time"):
         if name in data.given:
             drawn[name] = data.table[name].max()
-    return Measurements(robot, drawn)
+    return replace(data, table=drawn)

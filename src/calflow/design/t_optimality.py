@@ -13,10 +13,11 @@ from itertools import permutations
 import numpy as np
 from scipy.stats import norm
 
+from calflow.design.planned import Planned
 from calflow.diagnosis.findings.verdict import WITHIN
 from calflow.diagnosis.screening.screening import Score
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.model import Model
+from calflow.estimation.least_squares import LeastSquares
 
 Pair = tuple[int, int]  # of explanations, by their numbers
 
@@ -54,8 +55,8 @@ class TCriterion:
     """An explanation's effect, and how well another one and all other parameters can imitate it: in the data, and further on.
 
     information (n, n), moment (n,) and energy are of the least squares problem in standard deviations of noise and priors;
-    new_effect (n_poses, 3) and new_imitate (n_poses, 3, n) what a further pose would add to it. cost is by how much the other
-    is dearer in BIC.
+    new_effect (n_poses, n_units) and new_imitate (n_poses, n_units, n) what a further pose would add to it. cost is by how much
+    the other is dearer in BIC.
     """
 
     information: np.ndarray
@@ -67,30 +68,30 @@ class TCriterion:
 
     @staticmethod
     def between(
-        fitted: Fitted, explanations: Sequence[Explanation], choices: Choices, sigma: float
+        fitted: Fitted, explanations: Sequence[Explanation], choices: Choices, planned: Planned
     ) -> dict[Pair, TCriterion]:
         """Set explanations of a finding against each other: keys are the true one's number and that of what imitates it.
 
-        The first is in the fitted model, the others are not; sigma [m] is a further measurement's.
+        The first is in the fitted model, the others are not; planned is how a further pose will be measured.
         """
         model, fit = fitted.model, fitted.fit
         scores = [explanation.score for explanation in explanations]
         costs = [explanation.cost(fit.residual.size) for explanation in explanations]
-        both = Model(model.robot, (*model.effects, *(score.cause for score in scores[1:])), model.given)
+        both = replace(model, effects=(*model.effects, *(score.cause for score in scores[1:])))
         columns = [both.columns(score.cause) for score in scores]
         rest = np.setdiff1d(np.arange(len(both.parameters)), np.concatenate(columns))
         rest = np.setdiff1d(rest, np.flatnonzero(fit.at_bound))
         point = np.concatenate([fit.estimate, both.nominal[len(fit.estimate) :]])
-        seen = both.position_jacobian(point, fitted.data.rows) / fitted.noise.total[0][:, None, None]
-        new = both.position_jacobian(point, choices.rows) / sigma
+        seen = LeastSquares.of(both, fitted.data, fitted.noise).screened(point)[1]
+        new = planned.whitened(both, point, choices.rows)
 
         def criterion(true: int, other: int) -> TCriterion:
             imitating = np.concatenate([rest, columns[other]])
             sd = both.prior_sd[imitating]
             effect, new_effect = (slopes[..., columns[true]] @ scores[true].estimate for slopes in (seen, new))
             imitate, new_imitate = (slopes[..., imitating] * sd for slopes in (seen, new))
-            information = np.eye(len(sd)) + np.einsum("rai,raj->ij", imitate, imitate, optimize=True)
-            moment = np.einsum("rai,ra->i", imitate, effect)
+            information = np.eye(len(sd)) + imitate.T @ imitate
+            moment = imitate.T @ effect
             energy, dearer = float((effect**2).sum()), costs[other] - costs[true]
             return TCriterion(information, moment, energy, new_effect, new_imitate, dearer)
 
@@ -118,7 +119,9 @@ class TCriterion:
         """By how much each further pose would raise the separation's square, shape (n_poses,)."""
         covariance = np.linalg.inv(self.information)
         unexplained = self.new_effect - self.new_imitate @ (covariance @ self.moment)
-        spread = np.eye(3) + np.einsum("rai,ij,rbj->rab", self.new_imitate, covariance, self.new_imitate, optimize=True)
+        spread = np.eye(self.new_effect.shape[1]) + np.einsum(
+            "rai,ij,rbj->rab", self.new_imitate, covariance, self.new_imitate, optimize=True
+        )
         return np.einsum("ra,ra->r", unexplained, np.linalg.solve(spread, unexplained[..., None])[..., 0])
 
     def measured(self, pose: int) -> TCriterion:

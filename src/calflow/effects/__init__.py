@@ -6,9 +6,9 @@ import importlib
 import pkgutil
 from functools import lru_cache
 
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect
 
-__all__ = ["Effect", "Parameter", "catalogue"]
+__all__ = ["Effect", "catalogue"]
 
 
 @lru_cache

@@ -14,6 +14,7 @@ import numpy as np
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions, Loads
+from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State
 
@@ -22,33 +23,6 @@ if TYPE_CHECKING:
 
 
 NOTHING = 1e-300  # keeps the slope of a length finite where the length is zero
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A bounded decision variable (SI units); at its nominal value the effect is absent.
-
-    The prior is normal about the nominal value with standard deviation prior_sd, cut at the bounds. Parameters of one
-    part stand and fall together; joint is the number of the joint or link that it belongs to, 0 for none. figure is the
-    maker's figure that the parameter's value is added to, for tables that show the sum; meaning says in words what it is.
-    """
-
-    effect: str
-    part: str
-    symbol: str
-    unit: str
-    prior_sd: float
-    lower: float
-    upper: float
-    nominal: float = 0.0
-    figure: float = 0.0
-    meaning: str = ""
-    joint: int = 0
-
-    @property
-    def name(self) -> str:
-        """The name that tables show, e.g. `joint2.alpha`."""
-        return f"{self.part}.{self.symbol}"
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,10 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Parameter, Variable
+from calflow.effects.base import Effect, Variable
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
+from calflow.robot.parameter import Parameter
 from calflow.robot.statics import State, rated_torques
 
 TILT_SD, TILT_BOUND = 2e-3, 20e-3  # rad at the largest rated torque of all joints

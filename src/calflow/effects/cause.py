@@ -9,10 +9,11 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions, Loads
+from calflow.robot.parameter import Parameter
 from calflow.robot.statics import State
 
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Parameter, Variable, displaced
+from calflow.effects.base import Effect, Variable, displaced
 from calflow.robot.conditions import Row
+from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 
 if TYPE_CHECKING:

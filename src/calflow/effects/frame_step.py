@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Parameter, displaced
+from calflow.effects.base import Effect, displaced
 from calflow.robot.conditions import Row
+from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 
 if TYPE_CHECKING:

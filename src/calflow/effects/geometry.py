@@ -9,10 +9,11 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions, nominal_dimensions
 from calflow.robot.frames import places
+from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.transforms import placement
 

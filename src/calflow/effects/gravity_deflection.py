@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, ClassVar
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Parameter, Variable, joint_variable
+from calflow.effects.base import Effect, Variable, joint_variable
 from calflow.effects.joint_compliance import WINDUP_BOUND, WINDUP_SD
 from calflow.robot.chain import Deflection, pose
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
 from calflow.robot.links import to_axis
+from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State, potential_energy, rated_torques
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Parameter, Variable, joint_variable
+from calflow.effects.base import Effect, Variable, joint_variable
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
+from calflow.robot.parameter import Parameter
 from calflow.robot.statics import State
 
 TRANSMISSION = "angular transmission error"

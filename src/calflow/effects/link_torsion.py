@@ -7,10 +7,11 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Parameter, Variable
+from calflow.effects.base import Effect, Variable
 from calflow.effects.link_bending import SOFT_BOUND, SOFT_SD, spans
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
+from calflow.robot.parameter import Parameter
 from calflow.robot.statics import State, rated_torques
 
 

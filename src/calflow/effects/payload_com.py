@@ -7,9 +7,10 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Parameter, Variable
+from calflow.effects.base import Effect, Variable
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Loads
+from calflow.robot.parameter import Parameter
 
 
 @dataclass(frozen=True)

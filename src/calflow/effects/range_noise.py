@@ -7,8 +7,9 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Parameter
+from calflow.effects.base import Effect
 from calflow.robot.conditions import Row
+from calflow.robot.parameter import Parameter
 
 
 @dataclass(frozen=True)

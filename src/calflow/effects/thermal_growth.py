@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Parameter, Variable, around
+from calflow.effects.base import Effect, Variable, around
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions
+from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 
 if TYPE_CHECKING:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Parameter, Variable
+from calflow.effects.base import Effect, Variable
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
+from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State
 

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from pydantic import TypeAdapter
 
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Carried, Cause
-from calflow.estimation.fit import Loss
+from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import Noise, Source
+from calflow.estimation.repeats import stated_noise
 from calflow.files.problems import refuse
 from calflow.files.tables import Tables
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
+from calflow.observations import Observation
+from calflow.observations import catalogue as observation_kinds
 from calflow.robot.parts import Base, Vector, vector
 from calflow.robot.robot import Robot
 
@@ -25,38 +29,59 @@ MANY = 20  # parameters of one cause, beyond which sampling them would take days
 
 
 @dataclass(frozen=True)
-class Identified:
-    """The fitted model with its estimate, covariance (SI units), and the noise and discrepancy it left [m].
+class SeriesNoise:
+    """The noise of a series: sigma of a single row [m] (of one that grows, at no distance), growth [m/m], and its source."""
 
-    sigma is that of a single row, of noise that grows with range at no distance; growth is per metre of range.
-    """
+    sigma: float
+    source: Source
+    growth: float = 0.0
+
+
+@dataclass(frozen=True)
+class Identified:
+    """The fitted model with its estimate, covariance (SI units), each series' noise, and the discrepancy it left [m, rad]."""
 
     model: Model
     estimate: np.ndarray
     covariance: np.ndarray
     at_bound: np.ndarray
-    sigma: float
+    device: tuple[SeriesNoise, ...]
     discrepancy: float
     rotation_discrepancy: float
-    noise_source: Source
     loss: Loss
-    growth: float = 0.0
+
+    @property
+    def noise_known(self) -> bool:
+        """Whether any series' noise is known apart from the fit."""
+        return any(one.source != "estimated" for one in self.device)
+
+    @property
+    def sigma(self) -> float:
+        """Noise of a single row of the first series [m]."""
+        return self.device[0].sigma
 
     def noise(self, data: Measurements) -> Noise:
         """Return the noise of these rows, from where it was taken."""
-        sigma = data.sigma if self.noise_source == "file" and not self.growth else None
-        if sigma is None:
-            distance = data.table["range"].to_numpy() if self.growth else 0.0
-            sigma = np.hypot(np.full(len(data), self.sigma), self.growth * distance)
-        rotation = data.table["sigma_rotation"].to_numpy() if data.rotation is not None else None
-        return Noise(sigma, self.noise_source, self.discrepancy, rotation, self.rotation_discrepancy)
+        stated = stated_noise(data)
+        sigma = stated.sigma.copy()
+        for k, one in enumerate(self.device):
+            own = data.of_series(k)
+            if one.growth:
+                sigma[own] = one.sigma + one.growth * data.table["range"].to_numpy()[own]
+            elif one.source != "file":
+                sigma[own] = one.sigma
+        return replace(
+            stated, sigma=sigma, sources=tuple(one.source for one in self.device), discrepancy=self.discrepancy,
+            rotation_discrepancy=self.rotation_discrepancy,
+        )  # fmt: skip
 
 
 def identified(robot: Robot, tables: Tables, given: tuple[str, ...]) -> Identified:
     """Rebuild the model that identify fitted, for rows with these optional conditions."""
     robot = placed(robot, tables)
     names = tuple(dict.fromkeys(tables["identify/parameters.csv"]["effect"]))
-    return _read("identify", build(robot, names, given), tables)
+    observed = read_observations(tables["identify/observations.csv"])
+    return _read("identify", build(robot, [name for name in names if name in catalogue()], given, observed), tables)
 
 
 def calibrated(robot: Robot, tables: Tables, given: tuple[str, ...]) -> Identified:
@@ -64,16 +89,18 @@ def calibrated(robot: Robot, tables: Tables, given: tuple[str, ...]) -> Identifi
     if "diagnose/effects.csv" not in tables:
         return identified(robot, tables, given)
     robot = placed(robot, tables)
-    return _read("diagnose", Model(robot, read_effects(tables["diagnose/effects.csv"], robot), given), tables)
+    observed = read_observations(tables["identify/observations.csv"])
+    effects = read_effects(tables["diagnose/effects.csv"], robot)
+    return _read("diagnose", Model(robot, effects, given, observed), tables)
 
 
 def with_maps_held(known: Identified) -> tuple[Identified, tuple[Cause, ...]]:
     """Return the model with causes of very many parameters held at their estimates, and which these are."""
     effects: list[Effect] = []
-    kept, held, start = [], [], 0
+    kept = [int(i) for observation in known.model.observations for i in known.model.columns(observation)]
+    held = []
     for effect in known.model.effects:
-        own = np.arange(start, start + len(effect.declared))
-        start += len(own)
+        own = known.model.columns(effect)
         if isinstance(effect, Cause) and len(own) > MANY:
             effects.append(Carried(effect.robot, effect, tuple(map(float, known.estimate[own]))))
             held.append(effect)
@@ -82,13 +109,13 @@ def with_maps_held(known: Identified) -> tuple[Identified, tuple[Cause, ...]]:
             kept += list(own)
     if not held:
         return known, ()
-    rest = np.setdiff1d(np.arange(start), kept)
+    rest = np.setdiff1d(np.arange(len(known.estimate)), kept)
     free = rest[~known.at_bound[rest]]
     whole = known.covariance
     given = whole[np.ix_(kept, free)] @ np.linalg.solve(whole[np.ix_(free, free)], whole[np.ix_(free, kept)])
     lean = replace(
         known,
-        model=Model(known.model.robot, tuple(effects), known.model.given),
+        model=replace(known.model, effects=tuple(effects)),
         estimate=known.estimate[kept],
         covariance=whole[np.ix_(kept, kept)] - given,
         at_bound=known.at_bound[kept],
@@ -115,6 +142,34 @@ def read_effects(table: pd.DataFrame, robot: Robot) -> tuple[Effect, ...]:
     return tuple(found)
 
 
+def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
+    """Return a row a series: what kind of observation it is, and all that makes it."""
+    rows = [(one.id, one.series.name, json.dumps(asdict(one))) for one in observed]
+    return pd.DataFrame(rows, columns=["kind", "series", "observation"])
+
+
+def read_observations(table: pd.DataFrame) -> tuple[Observation, ...]:
+    """Rebuild the observations of a table that `observation_table` wrote."""
+    rows = table[["kind", "observation"]].astype(str).itertuples(index=False)
+    return tuple(TypeAdapter(observation_kinds()[kind]).validate_json(text) for kind, text in rows)
+
+
+def noise_table(
+    noise: Noise, observed: Sequence[Observation], growth: tuple[float, float] | None = None
+) -> pd.DataFrame:
+    """Return a row a series: the noise of a single row, and where it is from; growth is its floor [m] and slope [m/m]."""
+    rows = []
+    for k, (source, one) in enumerate(zip(noise.sources, observed, strict=True)):
+        sigma, slope = growth or (float(np.sqrt(np.mean(noise.sigma[noise.of_series(k)] ** 2))), 0.0)
+        rows.append((one.series.name, one.id, source, 1e3 * sigma, 1e3 * slope))
+    return pd.DataFrame(rows, columns=["series", "kind", "source", "sigma_mm", "growth_mm_per_m"])
+
+
+def _read_noise(table: pd.DataFrame) -> tuple[SeriesNoise, ...]:
+    columns = (table["sigma_mm"].to_numpy(float), table["source"], table["growth_mm_per_m"].to_numpy(float))
+    return tuple(SeriesNoise(sigma / 1e3, source, growth / 1e3) for sigma, source, growth in zip(*columns, strict=True))
+
+
 def placed(robot: Robot, tables: Tables) -> Robot:
     """Return the robot with base and markers where identify's errors refer to."""
     placement = tables["identify/placement.csv"].set_index("what")
@@ -139,12 +194,10 @@ def _read(stage: str, model: Model, tables: Tables) -> Identified:
         parameters["estimate"].to_numpy(dtype=float),
         tables[f"{stage}/covariance.csv"].iloc[:, 1:].to_numpy(dtype=float),
         parameters["at_bound"].to_numpy(dtype=bool),
-        float(summary["sigma_mm"]) / 1e3,
+        _read_noise(tables[f"{stage}/noise.csv"]),
         float(summary["discrepancy_mm"]) / 1e3,
         float(summary.get("rotation_discrepancy_mrad", 0.0)) / 1e3,
-        summary["noise_source"],
         summary["loss"],
-        float(summary.get("noise_growth_mm_per_m", 0.0)) / 1e3,
     )
 
 

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from typing import Any, Literal
+from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from calflow.compiled import compiled
-from calflow.estimation.noise import Noise
-from calflow.measurements.measurements import Measurements
-from calflow.model import Model, over_rows
+from calflow.estimation.least_squares import Layout, LeastSquares, Loss, rho, rho_slope
+from calflow.model import Model
 
-Loss = Literal["linear", "soft_l1", "cauchy"]
 AT_BOUND = 0.05  # posterior standard deviations from a bound: closer than that, IPOPT's barrier stopped it
-LINEARISED_ROWS = 4096  # rows whose Jacobian is handed out at once
-EXPECTED_EVALUATIONS = 20  # of each row, in a typical fit: decides whether compiling pays
 # IPOPT forgives ten round-offs of the objective. Residuals are differences of metres that count in micrometres, whose round-off
 # is larger: with this added to the scaled objective, IPOPT forgives it too, and does not search lines for what cannot be seen.
 ROUND_OFF = 1e4
-FINEST = 1e-5  # m: a fit to less noise is asked to be no more exact than one to this, as round-off allows
 SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two starts found the same
 
 
@@ -30,15 +24,16 @@ SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two 
 class Fit:
     """An estimate (n_parameters,) and what it is worth.
 
-    residual (n_rows, n_axes) is whitened by the noise; r_factor (n_parameters, n_parameters) is the triangular factor of its
-    Jacobian, which tells all of it but the rows. covariance is Laplace's, over the parameters off their bounds; a
-    parameter at a bound has zeros there. objective is half of chi² plus half of the priors' part.
+    residual (n,) is whitened by the noise, layout says what each of them is; r_factor (n_parameters, n_parameters) is
+    Householder's R factor of their Jacobian, which tells all of it but the rows. covariance is Laplace's, over the
+    parameters off their bounds; a parameter at a bound has zeros there. objective is half of chi² plus half of the priors' part.
     """
 
     model: Model
     estimate: np.ndarray
     objective: float
     residual: np.ndarray
+    layout: Layout
     r_factor: np.ndarray
     iterations: int
     converged: bool
@@ -80,85 +75,6 @@ class Fit:
         return inverse
 
 
-@dataclass(frozen=True)
-class LeastSquares:
-    """Data in the shape that the graph wants: packed rows, measured values and weights side by side."""
-
-    model: Model
-    rows: np.ndarray
-    measured: np.ndarray
-    weight: np.ndarray
-
-    @staticmethod
-    def of(model: Model, data: Measurements, noise: Noise) -> LeastSquares:
-        """Collect the rows of a table with their noise."""
-        measured = [data.position.T]
-        if data.rotation is not None:
-            measured.append(data.rotation.transpose(0, 2, 1).reshape(len(data), 9).T)
-        return LeastSquares(model, data.rows, np.vstack(measured), 1 / noise.total)
-
-    @property
-    def axes(self) -> int:
-        """Number of residuals a row: 3 for positions, 6 for poses."""
-        return 3 * self.weight.shape[0]
-
-    @property
-    def excess(self) -> float:
-        """How much finer a fit the weights ask for than can be told, squared; 1 where the noise is more than FINEST."""
-        return max(1.0, FINEST * float(np.median(self.weight[0]))) ** 2
-
-    @property
-    def scale(self) -> float:
-        """What the objective is divided by, so that its optimum can be told to the same tolerance for all data."""
-        return self.rows.shape[1] * self.excess
-
-    def expression(self) -> tuple[list[ca.SX], ca.SX]:
-        """Return symbols (p, row, measured, weight) and the whitened residual (axes,) of one row.
-
-        An orientation's residual is 2 sin(angle/2) along the axis of the rotation from measured to predicted.
-        """
-        p, c, predicted = self.model.symbols
-        y, w = ca.SX.sym("y", self.measured.shape[0]), ca.SX.sym("w", self.weight.shape[0])
-        residual = (predicted.position - y[:3]) * w[0]
-        if self.axes == 6:
-            turn = ca.reshape(y[3:], 3, 3).T @ predicted.rotation
-            axis = ca.vertcat(turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]) / 2
-            residual = ca.vertcat(residual, axis / ca.sqrt(ca.fmax((1 + ca.trace(turn)) / 4, 1e-12)) * w[1])
-        return [p, c, y, w], ca.densify(residual)
-
-    @cached_property
-    def function(self) -> ca.Function:
-        """The function of (p, row, measured, weight): whitened residual and its Jacobian, transposed."""
-        inputs, residual = self.expression()
-        jacobian = ca.densify(ca.jacobian(residual, inputs[0])).T
-        both = ca.Function("linearised", inputs, [residual, jacobian])
-        return compiled(both, EXPECTED_EVALUATIONS * self.rows.shape[1])
-
-    def linearised(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield the whitened residual (n_rows, n_axes) and Jacobian (n_rows, n_axes, n_parameters) at p, block by block."""
-        n_rows = self.rows.shape[1]
-        for start in range(0, n_rows, LINEARISED_ROWS):
-            part = slice(start, min(start + LINEARISED_ROWS, n_rows))
-            data = (self.rows[:, part], self.measured[:, part], self.weight[:, part])
-            residual, jacobian = over_rows(self.function, p, *data)
-            yield residual.T, jacobian.T.reshape(residual.shape[1], self.axes, -1)
-
-    def reweighted(self, p: np.ndarray, loss: Loss) -> LeastSquares:
-        """Return the problem with each row weighed as a robust loss weighs it at p."""
-        if loss == "linear":
-            return self
-        squared = np.concatenate([(residual**2).sum(axis=1) for residual, _ in self.linearised(p)])
-        return replace(self, weight=self.weight * np.sqrt(_rho_slope(squared, loss)))
-
-    def reduced(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the whitened residual (n_rows, n_axes) at p and the triangular factor of its Jacobian."""
-        residuals, r_factor = [], np.zeros((0, len(p)))
-        for residual, jacobian in self.linearised(p):
-            residuals.append(residual)
-            r_factor = np.asarray(np.linalg.qr(np.vstack([r_factor, jacobian.reshape(-1, len(p))]), mode="r"))
-        return np.concatenate(residuals), r_factor
-
-
 def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "linear") -> tuple[Fit, int]:
     """Return the best maximum-a-posteriori estimate over the starts, and how many starts agree with it.
 
@@ -186,6 +102,7 @@ def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "l
         estimate,
         objective,
         residual,
+        problem.layout,
         r_factor,
         stats["iter_count"],
         stats["success"],
@@ -226,12 +143,12 @@ def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
     model, n = problem.model, len(x)
     offset = x - model.nominal / model.prior_sd
     value, gradient, hessian = 0.5 * offset @ offset, offset.copy(), np.eye(n)
-    for residual, jacobian in problem.linearised(x * model.prior_sd):
+    for _, residual, jacobian in problem.linearised(x * model.prior_sd):
         squared = (residual**2).sum(axis=1)
-        slope = _rho_slope(squared, loss)[:, None, None]
+        slope = rho_slope(squared, loss)[:, None, None]
         scaled = (jacobian * model.prior_sd).reshape(-1, n)
         weighted = scaled if loss == "linear" else (slope * jacobian * model.prior_sd).reshape(-1, n)
-        value += 0.5 * float(_rho(squared, loss).sum())
+        value += 0.5 * float(rho(squared, loss).sum())
         gradient += weighted.T @ residual.ravel()
         hessian += weighted.T @ scaled
     return Expansion(value, gradient, hessian)
@@ -290,15 +207,3 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
     }  # fmt: skip
     nlp: Any = {"x": x, "f": value(x)}
     return ca.nlpsol("fit", "ipopt", nlp, options), at, [value, gradient, hessian]
-
-
-def _rho(squared: np.ndarray, loss: Loss) -> np.ndarray:
-    if loss == "soft_l1":
-        return 2 * (np.sqrt(1 + squared) - 1)
-    return np.log1p(squared) if loss == "cauchy" else squared
-
-
-def _rho_slope(squared: np.ndarray, loss: Loss) -> np.ndarray:
-    if loss == "soft_l1":
-        return (1 + squared) ** -0.5
-    return 1 / (1 + squared) if loss == "cauchy" else 1 + 0 * squared

@@ -7,180 +7,150 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from calflow.files.problems import refuse
-from calflow.measurements.measurements import Measurements
-from calflow.model import build
-
-ESTIMATE_START = 1e-4  # m; only the weight of the data against the priors in the very first fit
 SIGNIFICANT = 0.01  # p-value below which a lack of fit is believed
-MIN_REPEATS = 10  # degrees of freedom below which repeats say too little
 LEAST_SCATTER = 1e-7  # m; repeats that scatter less are one reading written twice, and no robot leaves less
-BROKEN = 3.0  # times the median by which the mean square may exceed it: else a few rows are wrong, not the device bad
 GROSS = 4.0  # robust standard deviations from which a robust fit takes an error for an outlier
 NORMAL_MEDIAN = 0.6745  # median of |x| of a standard normal
 
 Source = Literal["repeats", "file", "estimated"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Noise:
-    """The device's noise of each row, per axis, and the model's discrepancy, alike in all rows.
+    """The device's noise of each row, and the model's discrepancy, alike in all rows.
 
-    sigma (n_rows,) and discrepancy are of positions [m]; rotation (n_rows,) and rotation_discrepancy of orientations
-    [rad], where they were measured.
+    sigma (n_rows,) is that of lengths, per axis [m]; rotation (n_rows,) that of orientations [rad], where they were measured.
+    Where lengths are not as sure in all directions, axes (n_rows, 3, 3) holds the principal directions (rows) of their
+    covariance and ratios (n_rows, 3) the standard deviations along them over sigma. sources says of each series where its
+    noise comes from, series (n_rows,) which one a row is of (None: all of the first). discrepancy [m] and
+    rotation_discrepancy [rad] are the model's.
     """
 
     sigma: np.ndarray
-    source: Source
+    sources: tuple[Source, ...]
     discrepancy: float = 0.0
     rotation: np.ndarray | None = None
     rotation_discrepancy: float = 0.0
+    axes: np.ndarray | None = None
+    ratios: np.ndarray | None = None
+    series: np.ndarray | None = None
 
     @property
     def known(self) -> bool:
-        """Whether it is known apart from the fit, so that a lack of fit can be told from noise."""
-        return self.source != "estimated"
+        """Whether any of it is known apart from the fit, so that a lack of fit can be told from noise."""
+        return any(source != "estimated" for source in self.sources)
+
+    @property
+    def source(self) -> str:
+        """Where it comes from, in a word a series."""
+        return ";".join(dict.fromkeys(self.sources))
+
+    def of_series(self, k: int) -> np.ndarray:
+        """Which rows are of a series, shape (n_rows,)."""
+        return np.full(len(self.sigma), k == 0) if self.series is None else np.asarray(self.series == k)
+
+    @property
+    def estimated(self) -> np.ndarray:
+        """Which rows' noise only the fit tells, shape (n_rows,)."""
+        return np.any(
+            [self.of_series(k) for k, s in enumerate(self.sources) if s == "estimated"] or [self.sigma < 0], axis=0
+        )
 
     @property
     def total(self) -> np.ndarray:
-        """Standard deviation of each row about the model, shape (1, n_rows), or (2, n_rows) with orientations."""
-        position = np.hypot(self.sigma, self.discrepancy)
-        if self.rotation is None:
-            return position[None]
-        return np.vstack([position, np.hypot(self.rotation, self.rotation_discrepancy)])
+        """Standard deviation of each row's lengths about the model, per axis, shape (n_rows,) [m]."""
+        return np.hypot(self.sigma, self.discrepancy)
 
-    def only(self, mask: np.ndarray) -> Noise:
-        """Return the noise of the rows where mask is true."""
-        return replace(self, sigma=self.sigma[mask], rotation=None if self.rotation is None else self.rotation[mask])
+    @property
+    def total_rotation(self) -> np.ndarray | None:
+        """The same of orientations [rad], where they were measured."""
+        return None if self.rotation is None else np.hypot(self.rotation, self.rotation_discrepancy)
+
+    def principal(self, units: tuple[str, ...]) -> np.ndarray:
+        """Return the device's standard deviations of residuals of these units along their principal axes, (n_units, n_rows)."""
+        directed = self.ratios is not None and units.count("m") == 3
+        rotation = self.sigma if self.rotation is None else self.rotation
+        rows = [rotation if unit == "rad" else self.sigma for unit in units]
+        if directed and self.ratios is not None:
+            rows[:3] = list(self.sigma * self.ratios.T)
+        return np.array(rows)
+
+    def about_model(self, units: tuple[str, ...]) -> np.ndarray:
+        """Return the same with the model's discrepancy."""
+        own = [self.rotation_discrepancy if unit == "rad" else self.discrepancy for unit in units]
+        return np.hypot(self.principal(units), np.array(own)[:, None])
+
+    def whitening(self, units: tuple[str, ...]) -> np.ndarray:
+        """Return what whitens residuals of these units: (n_units, n_rows), or (n_units², n_rows) where axes are correlated.
+
+        The latter holds a matrix a row, column by column, which turns residuals onto their principal axes.
+        """
+        weight = 1 / self.about_model(units)
+        if self.axes is None or units.count("m") != 3:
+            return weight
+        n = len(units)
+        whole = np.zeros((len(self.sigma), n, n))
+        whole[:, np.arange(n), np.arange(n)] = 1.0
+        whole[:, :3, :3] = self.axes
+        whole *= weight.T[:, :, None]
+        return whole.transpose(2, 1, 0).reshape(n * n, -1)
+
+    def only(self, rows: np.ndarray) -> Noise:
+        """Return the noise of some rows, given by a mask or by their numbers."""
+
+        def own(part: np.ndarray | None) -> np.ndarray | None:
+            return None if part is None else np.asarray(part[rows])
+
+        return replace(self, sigma=self.sigma[rows], rotation=own(self.rotation), axes=own(self.axes),
+                       ratios=own(self.ratios), series=own(self.series))  # fmt: skip
 
     @property
     def words(self) -> str:
         """The noise in words."""
-        level = f"{1e3 * np.sqrt(np.mean(self.sigma**2)):.3g} mm per axis"
+        return "; ".join(self._words(source) for source in dict.fromkeys(self.sources))
+
+    def _words(self, source: Source) -> str:
+        own = np.any([self.of_series(k) for k, other in enumerate(self.sources) if other == source], axis=0)
+        level = f"{1e3 * np.sqrt(np.mean(self.sigma[own] ** 2)):.3g} mm per axis"
         return {
             "repeats": f"{level}, from repeated measurements of one pose (train poses, pooled)",
             "file": f"{level}, as the measurement file states it",
             "estimated": f"{level}, estimated from what the fit leaves; without repeats or a stated sigma a lack of fit "
             "cannot be told from noise",
-        }[self.source]
+        }[source]
 
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """Errors of one kind against their noise: chi² per degree of degrees_of_freedom, its p-value, and the discrepancy."""
+    """Errors of one kind against their noise: chi² per degree of freedom, its p-value, and the discrepancy."""
 
     reduced_chi2: float
     p: float
     discrepancy: float
 
 
-def noise(data: Measurements, source: Literal["auto", "repeats", "file", "estimated"] = "auto") -> Noise:
-    """Return the noise by the best source there is, or by the one asked for.
-
-    Repeats are pooled over training poses: sigma² is the sum of squares about each pose's mean over its degrees of
-    degrees_of_freedom, after the nominal robot's part is taken off, so that repeats need not stand at the very same readings. Where
-    a few gross errors make most of it, the median of the scatter stands for it, and those rows are flagged.
-
-    Raises:
-        InputError: the source asked for is not in the data.
-    """
-    rotation = data.table["sigma_rotation"].to_numpy() if data.rotation is not None else None
-    pooled, degrees_of_freedom = _pooled(data)
-    if source == "repeats" and not pooled > LEAST_SCATTER:
-        raise refuse('noise = "repeats" needs poses that were measured several times', key="stages.identify.noise")
-    if source == "file" and data.sigma is None:
-        raise refuse('noise = "file" needs a column sigma_mm, or sigma_mm in the study', key="stages.identify.noise")
-    if source == "repeats" or (source == "auto" and degrees_of_freedom >= MIN_REPEATS and pooled > LEAST_SCATTER):
-        return Noise(np.full(len(data), pooled), "repeats", rotation=rotation)
-    if data.sigma is not None and source in ("auto", "file"):
-        return Noise(data.sigma, "file", rotation=rotation)
-    return Noise(np.full(len(data), ESTIMATE_START), "estimated", rotation=rotation)
-
-
-def averaged(data: Measurements, level: Noise) -> tuple[Measurements, Noise]:
-    """Return the mean of each pose's repeats (see `conditions`), and the noise of the means.
-
-    The model's discrepancy is the same in all repeats of a pose, so that together they are one piece of evidence.
-    """
-    group = conditions(data)
-    count = np.bincount(group)
-    if (count == 1).all():
-        return data, level
-    first = np.unique(group, return_index=True)[1]
-    table = data.table.iloc[first].reset_index(drop=True)
-    table["of_repeats"] = count
-    for name in data.table.columns:
-        if name not in ("pose", "repeat", "line") and data.table[name].dtype.kind == "f":
-            table[name] = np.bincount(group, weights=data.table[name]) / count
-
-    def of_means(sigma: np.ndarray) -> np.ndarray:
-        return np.asarray(np.sqrt(np.bincount(group, weights=sigma**2)) / count)
-
-    rotation = None
-    if data.rotation is not None and level.rotation is not None:
-        turns = Rotation.from_matrix(data.rotation)
-        means = Rotation.concatenate([turns[np.flatnonzero(group == k)].mean() for k in range(len(count))])
-        table = table.drop(columns=["qw", "qx", "qy", "qz"], errors="ignore")
-        table[["rx", "ry", "rz"]] = means.as_euler("XYZ")
-        rotation = of_means(level.rotation)
-        table["sigma_rotation"] = rotation
-    return replace(data, table=table), replace(level, sigma=of_means(level.sigma), rotation=rotation)
-
-
-def conditions(data: Measurements) -> np.ndarray:
-    """Number the rows by what repeats have in common: pose, marker, payload, approach and applied wrench; (n_rows,)."""
-    given = {
-        "approach": [f"approach{i + 1}" for i in range(data.robot.n_joints)],
-        "wrench": ["fx", "fy", "fz", "mx", "my", "mz"],
-    }
-    keys = ["pose", "marker", "payload", *(name for kind in given if kind in data.given for name in given[kind])]
-    return data.table.groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
-
-
-def lack_of_fit(error: np.ndarray, sigma: np.ndarray, determined: float, robust: bool = False) -> LackOfFit:
-    """Compare errors (n_rows, 3) with their noise (n_rows,); determined is the number of parameters they fixed.
+def lack_of_fit(error: np.ndarray, sigma: np.ndarray, determined: float, rows: np.ndarray | None = None) -> LackOfFit:
+    """Compare errors (n,) with their noise (n,); determined is the number of parameters they fixed.
 
     The discrepancy is what has to be added to the noise for chi² to equal its degrees of freedom; zero where the noise
-    explains the errors (p above 1 %). After a robust fit, outliers are left out of it.
+    explains the errors (p above 1 %). After a robust fit rows (n,) numbers the errors' rows: outlying ones are left out.
     """
-    size = np.abs(error) / sigma[:, None]
-    if robust:
+    if rows is not None:
+        size = np.abs(error) / sigma
         scale = max(1.0, float(np.median(size)) / NORMAL_MEDIAN)
-        kept = (size < GROSS * scale).all(axis=1)
+        kept = ~np.isin(rows, rows[size >= GROSS * scale])
         error, sigma = error[kept], sigma[kept]
     degrees_of_freedom = max(1.0, error.size - determined)
 
     def chi_squared(discrepancy: float) -> float:
-        return float(((error / np.hypot(sigma, discrepancy)[:, None]) ** 2).sum())
+        return float(((error / np.hypot(sigma, discrepancy)) ** 2).sum())
 
     found = chi_squared(0.0)
     p = float(chi2.sf(found, degrees_of_freedom))
     if p > SIGNIFICANT or found <= degrees_of_freedom:
         return LackOfFit(found / degrees_of_freedom, p, 0.0)
     largest = 10 * float(np.abs(error).max())
-    return LackOfFit(
-        found / degrees_of_freedom, p, brentq(lambda value: chi_squared(value) - degrees_of_freedom, 0.0, largest)
-    )
-
-
-def _pooled(data: Measurements) -> tuple[float, int]:
-    train = data.only(data.train)
-    if not len(train):
-        return np.nan, 0
-    group = conditions(train)
-    count = np.bincount(group)
-    degrees_of_freedom = 3 * (len(train) - len(count))
-    if not degrees_of_freedom:
-        return np.nan, 0
-    nominal = build(train.robot, (), train.given)
-    error = train.position - nominal.position(nominal.nominal, train.rows)
-    means = np.stack([np.bincount(group, weights=axis) / count for axis in error.T], axis=1)
-    apart = error - means[group]
-    pooled = float(np.sqrt((apart**2).sum() / degrees_of_freedom))
-    several = count[group] > 1
-    shrunk = np.sqrt(1 - 1 / count[group][several])  # what taking a mean of few leaves of the scatter
-    middle = float(np.median(np.abs(apart[several]) / shrunk[:, None])) / NORMAL_MEDIAN
-    return (middle if pooled > BROKEN * middle > 0 else pooled), degrees_of_freedom
+    added = brentq(lambda value: chi_squared(value) - degrees_of_freedom, 0.0, largest)
+    return LackOfFit(found / degrees_of_freedom, p, added)

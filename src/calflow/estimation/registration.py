@@ -10,11 +10,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.effects.geometry import DimensionError, Geometry
-from calflow.estimation.fit import LeastSquares, fit
-from calflow.estimation.noise import Noise
+from calflow.estimation.fit import fit
+from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.noise import Noise, Source
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
+from calflow.observations import Observation
+from calflow.observations.position import Position
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions
 from calflow.robot.parts import Base, Vector, vector
@@ -35,14 +38,32 @@ class Placement(Geometry):
         )
 
 
-def registered(robot: Robot, train: Measurements) -> Robot:
-    """Return the robot with base and tool where the training data put them, all links as the maker says.
+def registered(
+    robot: Robot, observed: tuple[Observation, ...], train: Measurements
+) -> tuple[Robot, tuple[Observation, ...]]:
+    """Return the robot with base and tool where the training data put them, all links as the maker says, and what is observed.
 
-    A robot whose base is known is returned as it is. Else the base follows from the rigid motion that takes the nominal
-    robot's points to the measured ones (Kabsch 1976), and base and tool together from a robust fit started there.
+    A robot whose base is known, or that nothing sees from outside, is returned as it is. Stations, anchors, planes and sockets
+    are placed by the nominal robot's points.
     """
-    if robot.base.known:
+    robot = _stood(robot, observed, train)
+    nominal = build(robot, (), train.given)
+    points, turned = (of(nominal.nominal, train.rows) for of in (nominal.point, nominal.rotation))
+    placed = []
+    for k, observation in enumerate(observed):
+        own = train.of_series(k)
+        placed.append(observation.registered(points[own], turned[own], train.table[own]) if own.any() else observation)
+    return robot, tuple(placed)
+
+
+def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements) -> Robot:
+    """The robot's base by the rigid motion that takes its nominal points to the measured ones (Kabsch 1976), and base and tool
+    together by a robust fit started there."""
+    here = _in_measuring_frame(observed, train)
+    if robot.base.known or not here.any():
         return robot
+    at_origin = replace(robot, base=Base(known=False))
+    train = train.only(here)
     at_origin = replace(robot, base=Base(known=False))
     nominal = build(at_origin, (), train.given)
     points = nominal.position(nominal.nominal, train.on(at_origin).rows)
@@ -57,14 +78,30 @@ def registered(robot: Robot, train: Measurements) -> Robot:
         seen = Rotation.from_matrix(nominal.rotation(nominal.nominal, train.rows))
         tool = ((turn * seen).inv() * Rotation.from_matrix(train.rotation)).mean()
         placed = replace(placed, tool_rotation=_angles(_tool(placed) * tool))
+        oriented = np.isfinite(train.rotation).all(axis=(1, 2))
+        seen = Rotation.from_matrix(nominal.rotation(nominal.nominal, train.rows[:, oriented]))
+        tool = ((turn * seen).inv() * Rotation.from_matrix(train.rotation[oriented])).mean()
+        placed = replace(placed, tool_rotation=_angles(_tool(placed) * tool))
 
     model = Model(placed, (Placement(placed),), train.given)
     rough = None if train.rotation is None else np.full(len(train), NOMINAL_ERROR)
-    noise = Noise(np.full(len(train), NOMINAL_ERROR), "estimated", rotation=rough)
+    noise = Noise(
+        np.full(len(train), NOMINAL_ERROR), tuple[Source, ...]("estimated" for _ in train.series), rotation=rough
+    )
     result, _ = fit(LeastSquares.of(model, train.on(placed), noise), loss="soft_l1")
     dims = Placement(placed).dimensions(ca.SX(result.estimate), nominal_dimensions(placed), Row.symbols(placed))
     markers = np.array(ca.DM(ca.evalf(dims.markers))).T
     return _moved(placed, dict(zip((p.name for p in model.parameters), result.estimate, strict=True)), markers)
+
+
+def _in_measuring_frame(observed: tuple[Observation, ...], data: Measurements) -> np.ndarray:
+    """Which rows are positions in the measuring frame itself, shape (n_rows,)."""
+    here = np.zeros(len(data), dtype=bool)
+    for k, observation in enumerate(observed):
+        own = data.of_series(k)
+        if isinstance(observation, Position):
+            here[own] = ~observation.frames.which(data.table[own]).any(axis=0)
+    return here
 
 
 def _moved(robot: Robot, found: dict[str, float], markers: np.ndarray) -> Robot:

@@ -1,4 +1,4 @@
-"""Settling: a fit whose weights agree with what it leaves."""
+"""Reweighting: a fit whose weights agree with what it leaves."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from calflow.estimation.fit import Fit, LeastSquares, Loss, fit, restated
-from calflow.estimation.noise import LEAST_SCATTER, LackOfFit, Noise, averaged, lack_of_fit
+from calflow.estimation.fit import Fit, fit, restated
+from calflow.estimation.least_squares import LeastSquares, Loss
+from calflow.estimation.noise import LEAST_SCATTER, LackOfFit, Noise, lack_of_fit
+from calflow.estimation.nuisance import observing
+from calflow.estimation.repeats import averaged
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
@@ -16,42 +19,67 @@ NOISE_PASSES = 4  # fits in which an estimated noise settles
 
 
 def fit_reweighted(
-    model: Model, train: Measurements, level: Noise, starts: np.ndarray, loss: Loss, tolerance: float = 0.01
+    model: Model, train: Measurements, noise: Noise, starts: np.ndarray, loss: Loss, tolerance: float = 0.01
 ) -> tuple[Fit, Noise, LackOfFit, int]:
     """Fit the means of repeats, and refit until the weights agree with what the fit leaves.
 
-    A noise that is not known is estimated; to one that is known the model's own discrepancy is added where it shows.
-    Returned are the fit, its noise, the lack of fit against the noise alone, and how many of the starts agree.
+    A noise that is not known is estimated, series by series; to one that is known the model's own discrepancy is added where
+    it shows. Returned are the fit, its noise, the lack of fit against the noise alone, and how many of the starts agree.
     """
-    train, level = averaged(train, level)
+    model = observing(model, train)
+    train, noise = averaged(train, noise)
     some = np.arange(len(train)) % max(1, len(train) // START_ROWS) == 0
     if len(starts) == 1:
         some[:] = True
-    result, agree = fit(LeastSquares.of(model, train.only(some), level.only(some)), starts, loss)
+    result, agree = fit(LeastSquares.of(model, train.only(some), noise.only(some)), starts, loss)
+    problem = LeastSquares.of(model, train, noise)
     if not some.all():
-        result, _ = fit(LeastSquares.of(model, train, level), result.estimate[None], loss)
-    against_noise = lack = _lack(result, level, slice(0, 3), loss)
+        result, _ = fit(problem, result.estimate[None], loss)
+    against_noise = _of_lengths(result, problem, noise, loss)
     for _ in range(NOISE_PASSES):
-        fitted, before = level, level.total
-        if level.known:
-            level = replace(level, discrepancy=lack.discrepancy)
-        else:
-            level = replace(level, sigma=np.maximum(level.sigma * np.sqrt(lack.reduced_chi2), LEAST_SCATTER))
-        if level.rotation is not None:
-            turned = _lack(result, fitted, slice(3, 6), loss)
-            level = replace(level, rotation_discrepancy=turned.discrepancy)
-        if np.allclose(level.total, before, rtol=tolerance):
-            result = restated(result, LeastSquares.of(model, train, level), loss)
+        before, noise = noise, _agreeing(result, problem, noise, loss)
+        problem = LeastSquares.of(model, train, noise)
+        if _alike(noise, before, tolerance):
+            result = restated(result, problem, loss)
             break
-        result, _ = fit(LeastSquares.of(model, train, level), result.estimate[None], loss)
-        lack = _lack(result, level, slice(0, 3), loss)
-    return result, level, against_noise, agree
+        result, _ = fit(problem, result.estimate[None], loss)
+    return result, noise, against_noise, agree
 
 
-def _lack(result: Fit, level: Noise, axes: slice, loss: Loss) -> LackOfFit:
-    """Lack of fit of the positions (axes 0 to 3) or the orientations (3 to 6); each bears its share of the parameters."""
-    of_rotation = axes.start == 3
-    error = result.residual[:, axes] * level.total[int(of_rotation)][:, None]
-    sigma = level.rotation if of_rotation and level.rotation is not None else level.sigma
-    determined = result.effective_parameters * 3 / result.residual.shape[1]
-    return lack_of_fit(error, sigma, determined, robust=loss != "linear")
+def _agreeing(result: Fit, problem: LeastSquares, noise: Noise, loss: Loss) -> Noise:
+    """The noise that agrees with what the fit leaves."""
+    layout = problem.layout
+    estimated = noise.estimated
+    sigma = noise.sigma.copy()
+    for k, source in enumerate(noise.sources):
+        own = noise.of_series(k)
+        if source == "estimated" and own.any():
+            lack = _lack(result, problem, layout.of_row(own) & ~layout.angular, loss)
+            sigma[own] = np.maximum(sigma[own] * np.sqrt(lack.reduced_chi2), LEAST_SCATTER)
+    changed = replace(noise, sigma=sigma)
+    known = layout.of_row(~estimated) & ~layout.angular
+    if known.any():
+        changed = replace(changed, discrepancy=_lack(result, problem, known, loss).discrepancy)
+    if layout.angular.any():
+        changed = replace(changed, rotation_discrepancy=_lack(result, problem, layout.angular, loss).discrepancy)
+    return changed
+
+
+def _of_lengths(result: Fit, problem: LeastSquares, noise: Noise, loss: Loss) -> LackOfFit:
+    """Lack of fit of the lengths whose noise is known, of all where none is."""
+    layout = problem.layout
+    known = layout.of_row(~noise.estimated) & ~layout.angular
+    return _lack(result, problem, known if known.any() else ~layout.angular, loss)
+
+
+def _lack(result: Fit, problem: LeastSquares, which: np.ndarray, loss: Loss) -> LackOfFit:
+    """Lack of fit of some of the residuals, which bear their share of the parameters."""
+    error = (result.residual * problem.total)[which]
+    determined = result.effective_parameters * np.count_nonzero(which) / len(which)
+    rows = None if loss == "linear" else problem.layout.row[which]
+    return lack_of_fit(error, problem.sigma[which], determined, rows)
+
+
+def _alike(one: Noise, other: Noise, tolerance: float) -> bool:
+    pairs = ((one.total, other.total), (one.total_rotation, other.total_rotation))
+    return all(np.allclose(a, b, rtol=tolerance, equal_nan=True) for a, b in pairs if a is not None and b is not None)

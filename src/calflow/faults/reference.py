@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from calflow.effects.base import unmet
-from calflow.estimation.noise import conditions
 from calflow.estimation.registration import Placement
+from calflow.estimation.repeats import conditions
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
 from calflow.robot.parts import Base

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from typing import Literal
 
@@ -13,6 +13,7 @@ from pydantic import Field, field_validator, model_validator
 
 from calflow.files.toml import Angle, FileModel, Length, Lengths3
 from calflow.files.units import split_unit
+from calflow.measurements.series import Series
 from calflow.robot.conditions import OPTIONAL, Row
 from calflow.robot.robot import Robot
 
@@ -76,6 +77,7 @@ class Measurements:
     robot: Robot
     table: pd.DataFrame
     notes: tuple[str, ...] = ()
+    series: tuple[Series, ...] = (Series(),)
 
     def __len__(self) -> int:
         return len(self.table)
@@ -93,13 +95,16 @@ class Measurements:
     @property
     def rotation(self) -> np.ndarray | None:
         """Measured rotations, shape (n_rows, 3, 3), or None where only positions were measured."""
-        from scipy.spatial.transform import Rotation
+        return rotations(self.table) if {"rx", "qw"} & set(self.table) else None
 
-        if "rx" in self.table:
-            return Rotation.from_euler("XYZ", self.table[["rx", "ry", "rz"]].to_numpy()).as_matrix()
-        if "qw" in self.table:
-            return Rotation.from_quat(self.table[["qx", "qy", "qz", "qw"]].to_numpy()).as_matrix()
-        return None
+    @property
+    def series_number(self) -> np.ndarray:
+        """Which series each row is of, counted from 0, shape (n_rows,)."""
+        return self.table["series"].to_numpy() if "series" in self.table else np.zeros(len(self), dtype=int)
+
+    def of_series(self, k: int) -> np.ndarray:
+        """Which rows are of a series (counted from 0), shape (n_rows,)."""
+        return self.series_number == k
 
     @property
     def sigma(self) -> np.ndarray | None:
@@ -141,11 +146,11 @@ class Measurements:
 
     def only(self, mask: np.ndarray) -> Measurements:
         """Return the rows where mask is true."""
-        return Measurements(self.robot, self.table[mask].reset_index(drop=True), self.notes)
+        return replace(self, table=self.table[mask].reset_index(drop=True))
 
     def on(self, robot: Robot) -> Measurements:
         """Return the same rows for a robot that differs in its dimensions only (a registered base, say)."""
-        return Measurements(robot, self.table, self.notes)
+        return replace(self, robot=robot)
 
 
 def draw_split(measured: Measurements, holdout: float, seed: int) -> Measurements:
@@ -162,7 +167,21 @@ def draw_split(measured: Measurements, holdout: float, seed: int) -> Measurement
         poses = np.sort(group.index)
         held = rng.permutation(poses)[: round(holdout * len(poses))]
         table.loc[table["pose"].isin(held), "split"] = "holdout"
-    return Measurements(measured.robot, table, measured.notes)
+    return replace(measured, table=table)
+
+
+def rotations(table: pd.DataFrame) -> np.ndarray:
+    """Return the measured rotations of rows, from angles about x, y, z in turn or quaternions; nan where none, (n_rows, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    angles = "rx" in table
+    stated = table[["rx", "ry", "rz"] if angles else ["qx", "qy", "qz", "qw"]].to_numpy(float)
+    there = np.isfinite(stated).all(axis=1)
+    found = np.full((len(table), 3, 3), np.nan)
+    if there.any():
+        turned = Rotation.from_euler("XYZ", stated[there]) if angles else Rotation.from_quat(stated[there])
+        found[there] = turned.as_matrix()
+    return found
 
 
 def blocks_of(table: pd.DataFrame) -> list[str]:

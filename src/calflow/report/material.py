@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.effects.cause import Cause
+from calflow.estimation.accuracy import distances
 from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
 from calflow.faults import corrected
 from calflow.files.tables import Tables
@@ -84,7 +85,7 @@ class Material:
     @cached_property
     def distance(self) -> np.ndarray:
         """Length of each row's error, shape (n_rows,) [mm]."""
-        return np.linalg.norm(self.error, axis=1)
+        return distances(self.error)
 
     @cached_property
     def sigma(self) -> np.ndarray:
@@ -94,14 +95,14 @@ class Material:
     @property
     def noise_floor(self) -> float | None:
         """Mean error that noise alone would give in the judged rows [mm]; None where only the fit tells the noise."""
-        if self.known.noise_source == "estimated":
+        if not self.known.noise_known:
             return None
         return MEAN_OF_NOISE * float(self.sigma[self.judged].mean())
 
     @cached_property
     def model_sd(self) -> float:
         """How sure the calibrated model's own position is: root mean square over the judged rows [mm]."""
-        jacobian = self.known.model.position_jacobian(self.known.estimate, self.data.rows[:, self.judged])
+        jacobian = self.known.model.point_jacobian(self.known.estimate, self.data.rows[:, self.judged])
         variance = np.einsum("nai,ij,naj->n", jacobian, self.known.covariance, jacobian, optimize=True)
         return 1e3 * float(np.sqrt(variance.mean()))
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from calflow.compiled import compiled
-from calflow.estimation.fit import LeastSquares
+from calflow.estimation.least_squares import Block, LeastSquares
 
 LOG_NOISE_SD = 1.0  # prior on the log of the noise level: a factor e either way
 LEVEL_PASSES = 3  # the noise level and the number of parameters it leaves undetermined depend on each other, weakly
@@ -79,7 +79,7 @@ class Posterior:
         for i in np.flatnonzero(laplace.at_bound):
             centre[i] = lower[i] if at_lower[i] else upper[i]
             factor[i, i] = sd[i] if at_lower[i] else -sd[i]
-        factor[-1, -1] = 1 / np.sqrt(2 * problem.rows.shape[1] * problem.axes)
+        factor[-1, -1] = 1 / np.sqrt(2 * problem.size)
         return Posterior(problem, centre, factor, np.append(laplace.at_bound, False))
 
     @cached_property
@@ -105,7 +105,7 @@ class Posterior:
         inside = ((values >= lower) & (values <= upper)).all(axis=1)
         result = np.full(len(x), -np.inf)
         if inside.any():
-            n_values = self.problem.rows.shape[1] * self.problem.axes
+            n_values = self.problem.size
             squares = self.squares(values[inside].T)
             scaled = (values[inside] - model.nominal) / model.prior_sd
             result[inside] = (
@@ -165,10 +165,19 @@ def _fold(u: np.ndarray, folded: np.ndarray) -> np.ndarray:
 
 def _sum_of_squares(problem: LeastSquares) -> Callable[[np.ndarray], np.ndarray]:
     """Return the function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,)."""
-    n_rows = problem.rows.shape[1]
-    inputs, residual = problem.expression()
+    blocks = [_squares_of(block) for block in problem.blocks]
+
+    def squares(values: np.ndarray) -> np.ndarray:
+        return np.sum([block(values) for block in blocks], axis=0)
+
+    return squares
+
+
+def _squares_of(block: Block) -> Callable[[np.ndarray], np.ndarray]:
+    n_rows = len(block.rows)
+    inputs, residual = block.expression()
     row = compiled(ca.Function("squares", inputs, [ca.sumsqr(residual)]), EXPECTED_EVALUATIONS * n_rows)
-    data = [np.asfortranarray(part) for part in (problem.rows, problem.measured, problem.weight)]
+    data = [np.asfortranarray(part) for part in block.data]
     over_rows = row.map("rows", "serial", n_rows, [0], [])
     mapped: dict[int, ca.Function] = {}
 

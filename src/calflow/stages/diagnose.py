@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 from pydantic import Field, field_validator
@@ -17,11 +19,11 @@ from calflow.diagnosis.search.acceptance import Acceptance
 from calflow.diagnosis.search.extension import extend, weighed_against
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.narrowing import narrowed
-from calflow.estimation.accuracy import accuracy, errors
-from calflow.estimation.calibrated import Identified, effect_table, identified
-from calflow.estimation.noise import averaged
-from calflow.estimation.noise_growth import growth
+from calflow.diagnosis.search.noise_growth import growth
+from calflow.estimation.accuracy import accuracy, errors, residual_table
+from calflow.estimation.calibrated import Identified, effect_table, identified, noise_table
 from calflow.estimation.parameters import covariance_table, parameter_table
+from calflow.estimation.repeats import averaged
 from calflow.faults import corrected
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
@@ -67,6 +69,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
         "diagnose/parameters.csv": parameter_table(final.fit),
         "diagnose/covariance.csv": covariance_table(final.fit),
         "diagnose/effects.csv": effect_table(final.model.effects),
+        "diagnose/noise.csv": _noise_table(found, known, data),
         "diagnose/residuals.csv": _residuals(final, data),
         "diagnose/curves.csv": curves(final, found.causes, data),
         "diagnose/summary.csv": _summary(found, known),
@@ -81,12 +84,12 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
 def diagnose(known: Identified, data: Measurements, context: Context) -> Diagnosis:
     """Extend the identified model on the training rows, and weigh what was found."""
     settings = context.settings
-    train, level = averaged(data.only(data.train), known.noise(data).only(data.train))
-    start = Fitted.of(known, train, level)
+    train, noise = averaged(data.only(data.train), known.noise(data).only(data.train))
+    start = Fitted.of(known, train, noise)
     alarm = SHARES["noise"] * settings.false_alarm
     plain = start.device.sigma
     if grown := growth(start, alarm):
-        start = start.weighed(grown.sigma(train.table["range"].to_numpy()) / np.sqrt(train.repeats))
+        start = start.weighed(grown.sigma(train, start.device))
     have = [effect.id for effect in known.model.effects]
     catalogue = Catalogue.of(train, have, settings.catalogue, settings.leave_out)
     context.advance(0.1)
@@ -123,17 +126,26 @@ def _accuracy(found: Diagnosis, data: Measurements, before: pd.DataFrame) -> pd.
 
 def _residuals(final: Fitted, data: Measurements) -> pd.DataFrame:
     error = errors(final.model, final.fit.estimate, data)
-    table = data.table[["pose", "repeat", "marker"]].copy()
-    for i, axis in enumerate("xyz"):
-        table[f"d{axis}_mm"] = 1e3 * error[:, i]
-    return table.assign(split=data.table["split"], line=data.table["line"])
+    return residual_table(data, error).assign(split=data.table["split"], line=data.table["line"])
+
+
+def _noise_table(found: Diagnosis, known: Identified, data: Measurements) -> pd.DataFrame:
+    """Each series' noise as the extended model leaves it."""
+    final = found.extended.fitted
+    noise = known.noise(data)
+    sigma = noise.sigma.copy()
+    for k, source in enumerate(noise.sources):
+        if source == "estimated":
+            sigma[noise.of_series(k)] = np.median(final.noise.sigma[final.noise.of_series(k)])
+    growth = (found.growth.floor, found.growth.slope) if found.growth else None
+    return noise_table(replace(noise, sigma=sigma), final.model.observations, growth)
 
 
 def _summary(found: Diagnosis, known: Identified) -> pd.DataFrame:
     final, first = found.extended.fitted, found.start
-    sigma = known.sigma
-    if not final.noise.known or found.growth:
-        sigma = found.growth.floor if found.growth else float(np.median(final.noise.sigma))
+    sigma = found.growth.floor if found.growth else known.sigma
+    if final.noise.sources[0] == "estimated" and not found.growth:
+        sigma = float(np.median(final.noise.sigma[final.noise.of_series(0)]))
     rows = [
         ("sigma_mm", f"{1e3 * sigma:.6g}"),
         ("noise_source", final.noise.source),

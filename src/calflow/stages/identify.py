@@ -10,18 +10,23 @@ import pandas as pd
 from pydantic import Field
 from scipy.stats import chi2
 
-from calflow.estimation.accuracy import accuracy, errors
-from calflow.estimation.fit import Fit, LeastSquares, Loss, draw_starts
+from calflow.estimation.accuracy import accuracy, errors, residual_table
+from calflow.estimation.calibrated import noise_table, observation_table
+from calflow.estimation.fit import Fit, draw_starts
 from calflow.estimation.identifiability import Identifiability, best_subset, correlations, identifiability
-from calflow.estimation.noise import LackOfFit, Noise, conditions, noise
+from calflow.estimation.least_squares import LeastSquares, Loss
+from calflow.estimation.noise import LackOfFit, Noise
+from calflow.estimation.nuisance import completed
 from calflow.estimation.parameters import parameter_table
 from calflow.estimation.registration import registered
+from calflow.estimation.repeats import conditions, measured_noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.faults import as_table, search
 from calflow.files.problems import nearest, refuse
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
+from calflow.observations import Observation, observations
 from calflow.robot.robot import Robot
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
@@ -55,26 +60,24 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     for fault in faults:
         context.say(f"{fault.cause.replace('-', ' ')}: {fault.statement}")
     train = data.only(data.train)
-    robot = registered(study.robot, train)
+    robot, observed = registered(study.robot, observations(train), train)
     data, train = data.on(robot), train.on(robot)
-    level = noise(data, settings.noise)
+    nominal = build(robot, (), data.given, observed)
+    noise = measured_noise(data, settings.noise, nominal)
 
-    nominal = build(robot, (), data.given)
     rows = accuracy("nominal", errors(nominal, nominal.nominal, data), data)
     for k in range(1, len(effects) + 1):
-        model = build(robot, effects[:k], data.given)
+        model = build(robot, effects[:k], data.given, observed)
         _enough_equations(model, train, study)
         context.say(f"{' + '.join(effects[:k])}: {len(model.parameters)} parameters, {len(train)} rows")
         starts = draw_starts(model, settings.starts, context.rng("starts"))
-        result, settled, lack, agree = fit_reweighted(model, train, level.only(data.train), starts, settings.loss)
+        result, reweighted, lack, agree = fit_reweighted(model, train, noise.only(data.train), starts, settings.loss)
         rows += accuracy(" + ".join(effects[:k]), errors(model, result.estimate, data), data)
         context.advance(k / len(effects))
 
     found = identifiability(result)
-    level = replace(level, discrepancy=settled.discrepancy, rotation_discrepancy=settled.rotation_discrepancy)
-    if not level.known:  # of a single row: a mean of n repeats is that much better
-        estimated = float(np.max(settled.sigma))
-        level = replace(level, sigma=np.full(len(data), estimated))
+    noise = replace(noise, discrepancy=reweighted.discrepancy, rotation_discrepancy=reweighted.rotation_discrepancy)
+    noise = replace(noise, sigma=_of_single_rows(noise, reweighted))
     names = [parameter.name for parameter in model.parameters]
     covariance = pd.DataFrame(result.covariance, columns=names)
     covariance.insert(0, "parameter", names)
@@ -82,12 +85,14 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
         "identify/faults.csv": as_table(faults, data),
         "identify/parameters.csv": parameter_table(result),
         "identify/accuracy.csv": pd.DataFrame(rows),
-        "identify/residuals.csv": _residuals(result, data, level),
+        "identify/residuals.csv": _residuals(result, data, noise),
         "identify/identifiability.csv": found.statements,
         "identify/correlations.csv": correlations(result),
         "identify/covariance.csv": covariance,
-        "identify/placement.csv": _placement(robot),
-        "identify/summary.csv": _summary(result, found, level, lack, agree, settings.starts, settings.loss, data),
+        "identify/observations.csv": observation_table(observed),
+        "identify/noise.csv": noise_table(noise, observed),
+        "identify/placement.csv": _placement(robot, observed),
+        "identify/summary.csv": _summary(result, found, noise, lack, agree, settings.starts, settings.loss, data),
     }
     if settings.count:
         tables["identify/count.csv"] = best_subset(result, settings.count)
@@ -95,7 +100,8 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
 
 
 def _enough_equations(model: Model, train: Measurements, study: Study) -> None:
-    equations = (6 if train.rotation is not None else 3) * len(np.unique(conditions(train)))
+    first = np.unique(conditions(train), return_index=True)[1]
+    equations = sum(len(model.observations[k].units) for k in train.series_number[first])
     if equations < len(model.parameters):
         poses = train.table["pose"].nunique()
         wanted = -(-len(model.parameters) * poses // equations)
@@ -103,26 +109,32 @@ def _enough_equations(model: Model, train: Measurements, study: Study) -> None:
                      f"{wanted} training poses, better twice as many", study.measurement_path)  # fmt: skip
 
 
-def _residuals(result: Fit, data: Measurements, level: Noise) -> pd.DataFrame:
+def _of_single_rows(noise: Noise, fitted: Noise) -> np.ndarray:
+    """Each row's sigma, an estimated one's as the fit left it: a mean of n repeats is that much better than a single row."""
+    sigma = noise.sigma.copy()
+    for k, source in enumerate(noise.sources):
+        if source == "estimated":
+            sigma[noise.of_series(k)] = fitted.sigma[fitted.of_series(k)].max(initial=0.0)
+    return sigma
+
+
+def _residuals(result: Fit, data: Measurements, noise: Noise) -> pd.DataFrame:
     """Each row's error; flagged where it is too large for the noise and the discrepancy of the rest, unless left out.
 
     A training row's residual is studentised by its leverage, so that a row that pulls the fit to itself still shows.
     """
-    squared, whitened, start = np.empty(len(data)), np.empty(len(data)), 0
-    for residual, jacobian in LeastSquares.of(result.model, data, level).linearised(result.estimate):
-        part = slice(start, start + len(residual))
-        start += len(residual)
+    model, estimate = completed(result.model, result.estimate, data)
+    known = [model.parameters.index(parameter) for parameter in result.model.parameters]
+    squared, whitened, limit = np.empty(len(data)), np.empty(len(data)), np.empty(len(data))
+    for rows, residual, whole in LeastSquares.of(model, data, noise).linearised(estimate):
+        jacobian = whole[:, :, known]
         predicted = jacobian @ result.covariance @ jacobian.transpose(0, 2, 1)
-        spread = np.eye(residual.shape[1]) + np.where(data.train[part], -1.0, 1.0)[:, None, None] * predicted
+        spread = np.eye(residual.shape[1]) + np.where(data.train[rows], -1.0, 1.0)[:, None, None] * predicted
         inverse = np.linalg.pinv(spread, hermitian=True)
-        squared[part] = np.einsum("ni,nij,nj->n", residual, inverse, residual)
-        whitened[part] = np.sqrt((residual**2).mean(axis=1))
-    error = errors(result.model, result.estimate, data)
-    limit = chi2.isf(FALSE_FLAGS / len(data), 3 if data.rotation is None else 6)
-    table = data.table[["pose", "repeat", "marker"]].copy()
-    for i, axis in enumerate("xyz"):
-        table[f"d{axis}_mm"] = 1e3 * error[:, i]
-    return table.assign(
+        squared[rows] = np.einsum("ni,nij,nj->n", residual, inverse, residual)
+        whitened[rows] = np.sqrt((residual**2).mean(axis=1))
+        limit[rows] = chi2.isf(FALSE_FLAGS / len(data), residual.shape[1])
+    return residual_table(data, errors(result.model, result.estimate, data)).assign(
         whitened=whitened,
         flagged=(squared > limit) & (data.train | data.held_out),
         split=data.table["split"],
@@ -130,20 +142,25 @@ def _residuals(result: Fit, data: Measurements, level: Noise) -> pd.DataFrame:
     )
 
 
-def _placement(robot: Robot) -> pd.DataFrame:
-    """Base and markers that the geometry errors refer to: the robot file's, or registered by the training data."""
+def _placement(robot: Robot, observed: tuple[Observation, ...]) -> pd.DataFrame:
+    """What geometry errors and nuisance parameters refer to: the robot file's figures, or those registered by training data."""
     source = "robot file" if robot.base.known else "registered"
     rows = [("base", *robot.base.origin, *np.rad2deg(robot.base.rotation), source)]
     rows += [(name, *marker.point, 0.0, 0.0, 0.0, source) for name, marker in robot.markers.items()]
     if robot.tool_rotation is not None:
         rows.append(("tool", 0.0, 0.0, 0.0, *np.rad2deg(robot.tool_rotation), source))
+    rows += [
+        (one.what, *one.origin, *np.rad2deg(one.rotation), "registered")
+        for observation in observed
+        for one in observation.placements
+    ]
     return pd.DataFrame(rows, columns=["what", "x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg", "source"])
 
 
 def _summary(
     result: Fit,
     found: Identifiability,
-    level: Noise,
+    noise: Noise,
     lack: LackOfFit,
     agree: int,
     starts: int,
@@ -152,14 +169,14 @@ def _summary(
 ) -> pd.DataFrame:
     used = data.only(data.train | data.held_out)
     rows = [
-        ("noise", level.words),
-        ("noise_source", level.source),
-        ("sigma_mm", f"{1e3 * np.sqrt(np.mean(level.sigma**2)):.6g}"),
-        ("reduced_chi2", f"{lack.reduced_chi2 if level.known else 1.0:.6g}"),
-        ("lack_of_fit_p", f"{lack.p:.3g}" if level.known else "cannot tell"),
-        ("discrepancy_mm", f"{1e3 * level.discrepancy:.6g}"),
-        *([] if level.rotation is None else [("rotation_discrepancy_mrad", f"{1e3 * level.rotation_discrepancy:.6g}")]),
-        ("spread_mm", f"{1e3 * np.linalg.norm(used.position - used.position.mean(axis=0), axis=1).mean():.6g}"),
+        ("noise", noise.words),
+        ("noise_source", noise.source),
+        ("sigma_mm", f"{1e3 * np.sqrt(np.mean(noise.sigma**2)):.6g}"),
+        ("reduced_chi2", f"{lack.reduced_chi2 if noise.known else 1.0:.6g}"),
+        ("lack_of_fit_p", f"{lack.p:.3g}" if noise.known else "cannot tell"),
+        ("discrepancy_mm", f"{1e3 * noise.discrepancy:.6g}"),
+        *([] if noise.rotation is None else [("rotation_discrepancy_mrad", f"{1e3 * noise.rotation_discrepancy:.6g}")]),
+        ("spread_mm", f"{1e3 * _spread(result.model, result.estimate, used):.6g}"),
         ("rank", f"{found.rank} of {found.n_parameters} parameters"),
         *((f"rank_{effect}", str(rank)) for effect, rank in found.rank_by_effect.items()),
         ("effective_parameters", f"{result.effective_parameters:.4g}"),
@@ -176,6 +193,12 @@ def _summary(
         *(("extrapolation", statement) for statement in extrapolation(data)),
     ]
     return pd.DataFrame(rows, columns=["item", "value"])
+
+
+def _spread(model: Model, estimate: np.ndarray, data: Measurements) -> float:
+    """Mean distance of the points from their middle [m]."""
+    points = model.point(estimate, data.rows)
+    return float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
 
 
 def extrapolation(data: Measurements) -> list[str]:

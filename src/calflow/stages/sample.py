@@ -9,9 +9,10 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
+from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
-from calflow.estimation.fit import LeastSquares
-from calflow.estimation.noise import averaged
+from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.repeats import averaged
 from calflow.faults import corrected
 from calflow.files.problems import refuse
 from calflow.files.toml import FileModel
@@ -184,13 +185,13 @@ def _predictive(values: np.ndarray, known: Identified, data: Measurements, rng: 
     data = data.only(data.train | data.held_out)
     flat = values.reshape(-1, values.shape[-1])
     draws = flat[rng.choice(len(flat), size=min(DRAWS, len(flat)), replace=False)]
-    sigma = known.noise(data).total[0]
-    centre = known.model.position(flat[:, :-1].mean(axis=0), data.rows)
-    error = 1e3 * np.linalg.norm(data.position - centre, axis=1)
+    sigma = known.noise(data).total
+    centre = errors(known.model, flat[:, :-1].mean(axis=0), data)
+    error = 1e3 * distances(centre)
     expected = np.empty((len(draws), len(data)))
     for k, draw in enumerate(draws):
         noise = (np.exp(draw[-1]) * sigma)[:, None] * rng.standard_normal(centre.shape)
-        expected[k] = 1e3 * np.linalg.norm(known.model.position(draw[:-1], data.rows) + noise - centre, axis=1)
+        expected[k] = 1e3 * distances(errors(known.model, draw[:-1], data) + noise - centre)
     low, middle, high = np.quantile(expected, [0.025, 0.5, 0.975], axis=0)
     table = data.table[["pose", "repeat", "marker", "split"]].assign(
         error_mm=error, expected_mm=middle, low_mm=low, high_mm=high, covered=(error >= low) & (error <= high)

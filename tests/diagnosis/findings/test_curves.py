@@ -43,7 +43,7 @@ def drawn(*names, q, approach):
     table[["x", "y", "z"]] = model.position(estimate, Measurements(ROBOT, table).rows) + noise
     data = Measurements(ROBOT, table)
     fit = Fit(model, estimate, 0.0, noise / NOISE, np.eye(len(estimate)), 0, True, "")
-    level = Noise(np.full(len(q), NOISE), "file")
+    level = Noise(np.full(len(q), NOISE), ("file",))
     fitted = Fitted(fit, data, level, LackOfFit(1.0, 0.5, 0.0), "linear", level)
     return curves(fitted, causes, data), noise
 
@@ -121,7 +121,7 @@ def test_no_finding_draws_nothing(rows):
     )
     model = build(ROBOT, ("geometry",))
     fit = Fit(model, model.nominal, 0.0, np.zeros((len(data), 3)), np.eye(len(model.nominal)), 0, True, "")
-    level = Noise(np.ones(len(data)), "file")
+    level = Noise(np.ones(len(data)), ("file",))
     none = curves(Fitted(fit, data, level, LackOfFit(1.0, 0.5, 0.0), "linear", level), [], data)
     assert list(none.columns) == COLUMNS
     assert none.empty

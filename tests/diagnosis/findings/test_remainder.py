@@ -7,7 +7,7 @@ import pytest
 
 from calflow.diagnosis.findings.remainder import remainder
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.estimation.noise_growth import growth
+from calflow.diagnosis.search.noise_growth import growth
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.model import build
 from estimation.data import SIGMA, measured, stated

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import casadi as ca
@@ -14,6 +14,8 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects.base import Effect, Variable
 from calflow.effects.cause import Cause
 from calflow.effects.joint_error import JointError, Term
+from calflow.estimation.accuracy import error_jacobian, errors
+from calflow.estimation.nuisance import completed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.robot.chain import Deflection
@@ -44,16 +46,16 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
     added back, fitted that part.
     """
     model, estimate = final.model, final.fit.estimate
-    left = data.position - model.position(estimate, data.rows)
-    turned = Model(model.robot, (*model.effects, _Lever(model.robot)), model.given)
-    whole = turned.position_jacobian(np.append(estimate, np.zeros(model.robot.n_joints)), data.rows)
+    left = -np.nan_to_num(errors(model, estimate, data))
+    model, estimate = completed(model, estimate, data)
+    turned = replace(model, effects=(*model.effects, _Lever(model.robot)))
+    whole = error_jacobian(turned, np.append(estimate, np.zeros(model.robot.n_joints)), data)
     jacobian, levers = np.split(whole, [len(estimate)], axis=2)
-    blocks, start = [], 0
+    blocks = []
     for effect in model.effects:
-        own = slice(start, start + len(effect.declared))
-        start = own.stop
         if effect not in causes:
             continue
+        own = model.columns(effect)
         assert isinstance(effect, Cause)
         moved = jacobian[:, :, own] @ estimate[own]
         lever = levers[:, :, effect.joint - 1] if effect.joint else None

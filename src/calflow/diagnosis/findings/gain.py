@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calflow.estimation.accuracy import distances
 from calflow.measurements.measurements import Measurements, blocks_of
 
 RESAMPLES = 2000
@@ -25,7 +26,7 @@ def gain(before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.r
     """Compare two models' errors (n_rows, 3) [m] on held-out rows, resampling whole poses (within payload and session)."""
     if not len(heldout):
         return Gain(np.nan, np.nan, np.nan)
-    fallen = np.linalg.norm(before, axis=1) - np.linalg.norm(after, axis=1)
+    fallen = distances(before) - distances(after)
     blocks = blocks_of(heldout.table)
     table = heldout.table[["pose", *blocks]].assign(fallen=fallen)
     poses = table.groupby("pose", sort=True).agg(

@@ -7,19 +7,22 @@ noise's level integrated out.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from calflow.diagnosis.screening.regressors import Regressors
 from calflow.diagnosis.screening.screening import Screening
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects.cause import Cause
-from calflow.model import Model
+from calflow.estimation.accuracy import error_jacobian
+from calflow.measurements.measurements import Measurements
 
 SIZES = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 61)])  # over the prior's, that are tried
 
 
-def predicted(fitted: Fitted, decoy: Cause, rows: np.ndarray) -> np.ndarray:
-    """Return by how much the process moves the predicted points of rows (n_conditions, n_rows), shape (n_rows, 3) [m].
+def predicted(fitted: Fitted, decoy: Cause, data: Measurements) -> np.ndarray:
+    """Return by how much the process moves what is predicted of rows, shape (n_rows, 3) [m]: see `errors`.
 
     The model's own parameters settle beside it, as far as their priors let them.
     """
@@ -29,11 +32,12 @@ def predicted(fitted: Fitted, decoy: Cause, rows: np.ndarray) -> np.ndarray:
     imitated = own.T @ (regressors.matrix @ amplitudes)
     settled = -np.linalg.solve(own.T @ own + np.diag(regressors.precision), imitated)
     model, fit = fitted.model, fitted.fit
-    both = Model(model.robot, model.effects, model.given, (decoy,))
+    both = replace(model, probes=(decoy,))
     change = np.zeros(len(both.parameters))
     change[np.flatnonzero(~fit.at_bound)] = settled
     change[len(fit.estimate) :] = amplitudes
-    return both.position_jacobian(np.append(fit.estimate, both.nominal[len(fit.estimate) :]), rows) @ change
+    at = np.append(fit.estimate, both.nominal[len(fit.estimate) :])
+    return error_jacobian(both, at, data) @ change
 
 
 def _amplitudes(screening: Screening) -> np.ndarray:

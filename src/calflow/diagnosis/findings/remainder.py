@@ -17,11 +17,12 @@ import numpy as np
 from calflow.diagnosis.screening.regressors import Regressors
 from calflow.diagnosis.screening.screening import Family, Score, Screening
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.effects import Effect, Parameter
+from calflow.effects import Effect
 from calflow.effects.joint_error import JointError, Term
 from calflow.measurements.measurements import Measurements
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
+from calflow.robot.parameter import Parameter
 from calflow.robot.statics import State
 
 SIZE = 3e-4  # rad or m, of a decoy before any data

@@ -13,13 +13,14 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import Effect
 from calflow.effects.cause import Carried, Cause
 from calflow.effects.joint_error import JointError
-from calflow.estimation.accuracy import errors
+from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.fit import Fit
-from calflow.estimation.noise import noise
 from calflow.estimation.registration import registered
+from calflow.estimation.repeats import measured_noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
+from calflow.observations import observations
 from calflow.robot.conditions import Row
 from calflow.robot.statics import State
 
@@ -48,17 +49,17 @@ def confirm(found: Fitted, other: Measurements) -> Confirmation:
         found: the extended model on the first series.
         other: the independent series, split into train and holdout.
     """
-    robot = registered(other.robot, other.only(other.train))
+    robot, observed = registered(other.robot, observations(other), other.only(other.train))
     other = other.on(robot)
     train = other.only(other.train)
     causes = [cause for cause in found.causes if _is_curve(cause)]
     plain = tuple(_on(effect, train) for effect in found.plain)
     own = [matched for cause in causes if (matched := _matched(cause, train)) is not None]
-    level = noise(other).only(other.train)
+    noise = measured_noise(other, nominal=Model(robot, (), other.given, observed)).only(other.train)
 
     def fitted(effects: Sequence[Effect]) -> Fit:
-        model = Model(robot, tuple(effects), other.given)
-        return fit_reweighted(model, train, level, model.nominal[None], found.loss)[0]
+        model = Model(robot, tuple(effects), other.given, observed)
+        return fit_reweighted(model, train, noise, model.nominal[None], found.loss)[0]
 
     alone, without = fitted((*plain, *own)), fitted(plain)
     rows, curves = [], []
@@ -82,7 +83,7 @@ def confirm(found: Fitted, other: Measurements) -> Confirmation:
         "words",
     ]
     table = pd.DataFrame(rows, columns=columns).astype({"joint": "Int64"})
-    values = [tuple(map(float, _values(found.model, found.fit.estimate, cause))) for cause in causes]
+    values = [tuple(map(float, found.fit.estimate[found.model.columns(cause)])) for cause in causes]
     carried = fitted((*plain, *(Carried(robot, cause, v) for cause, v in zip(causes, values, strict=True))))
     heldout = other.only(other.held_out & _covered(found, causes, other))
     steps = [
@@ -150,8 +151,8 @@ def _compared(
         none = f"has no reading of joint {cause.joint} within the travel that was seen here"
         return told | {"words": f"the other series {none if high <= low else few}"}, None
     angle = np.linspace(low, high, GRID)
-    own = _values(found.model, found.fit.estimate, cause)
-    other = _values(alone.model, alone.estimate, matched)
+    own = found.fit.estimate[found.model.columns(cause)]
+    other = alone.estimate[alone.model.columns(matched)]
     whole = [curve(c, v, angle) for c, v in ((cause, own), (matched, other))]
     first, second = (_beyond_first_order(values, angle) for values in whole)
     correlation = float(np.corrcoef(first, second)[0, 1])
@@ -183,15 +184,6 @@ def _beyond_first_order(values: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return np.asarray(values - imitated @ np.linalg.lstsq(imitated, values)[0])
 
 
-def _values(model: Model, estimate: np.ndarray, cause: Cause) -> np.ndarray:
-    start = 0
-    for effect in model.effects:
-        if effect == cause:
-            return estimate[start : start + len(effect.declared)]
-        start += len(effect.declared)
-    raise ValueError("the cause is not in the model")
-
-
 def _covered(found: Fitted, causes: Sequence[Cause], other: Measurements) -> np.ndarray:
     """Which rows of another series lie within the travel on which the causes were found, shape (n_rows,)."""
     here, there = (m.joints @ m.robot.reading_matrix.T for m in (found.data, other))
@@ -203,4 +195,4 @@ def _covered(found: Fitted, causes: Sequence[Cause], other: Measurements) -> np.
 def _mean(fit: Fit, rows: Measurements) -> float:
     if not len(rows):
         return float("nan")
-    return float(1e3 * np.linalg.norm(errors(fit.model, fit.estimate, rows), axis=1).mean())
+    return float(1e3 * distances(errors(fit.model, fit.estimate, rows)).mean())

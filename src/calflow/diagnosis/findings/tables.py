@@ -17,10 +17,10 @@ from calflow.diagnosis.screening.detection_limit import detection_limit
 from calflow.diagnosis.screening.screening import Score, by_place
 from calflow.diagnosis.search.extension import Extended
 from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.noise_growth import Growth
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
-from calflow.estimation.accuracy import errors
-from calflow.estimation.noise_growth import Growth
+from calflow.estimation.accuracy import distances, errors
 from calflow.measurements.measurements import Measurements
 
 FINDINGS = [
@@ -72,7 +72,7 @@ def findings_table(
     if found.growth:
         rows.append(_growth(found.growth))
     for remainder in found.left:
-        after = before + predicted(final, remainder.score.cause, heldout.rows)
+        after = before + predicted(final, remainder.score.cause, heldout)
         rows.append(_left(remainder) | _gained(before, after, heldout, rng))
     return pd.DataFrame(rows, columns=FINDINGS)
 
@@ -81,7 +81,7 @@ def _gained(
     before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator
 ) -> dict[str, object]:
     gained = gain(before, after, heldout, rng)
-    mean = float(np.linalg.norm(after, axis=1).mean()) if len(after) else np.nan
+    mean = float(distances(after).mean()) if len(after) else np.nan
     return {"gain_mean_mm": 1e3 * gained.mean, "gain_low_mm": 1e3 * gained.low, "gain_high_mm": 1e3 * gained.high,
             "heldout_mean_mm": 1e3 * mean}  # fmt: skip
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 from scipy.stats import f as f_distribution
 
 from calflow.effects import Effect
 from calflow.effects.cause import Cause, parts
-from calflow.estimation.fit import Fit, LeastSquares
-from calflow.model import Model, over_rows
+from calflow.estimation.fit import Fit
+from calflow.estimation.least_squares import Layout, LeastSquares
 
 USUAL = 1e-3  # m, per axis: what a model leaves of a usual robot at most
 SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
@@ -86,23 +85,18 @@ class Regressors:
         Where much more is left than usual, causes are looked for that are as much larger than usual.
         """
         model = fit.model
-        large = Model(model.robot, model.effects, model.given, tuple(effects))
-        wide = replace(problem, model=large)
+        large = replace(model, probes=tuple(effects))
         n = len(model.parameters)
-        inputs, residual = wide.expression()
-        both = ca.densify(ca.jacobian(residual, inputs[0])).T
-        function = ca.Function("screen", inputs, [residual, both])
         point = np.concatenate([fit.estimate, large.nominal[n:]])
-        data = (problem.rows, problem.measured, problem.weight)
-        values, slopes = over_rows(function, point, *data)
-        matrix = slopes.T  # (n, all parameters)
-        left = values.T.ravel()
-        if poses is not None and (shared := shared_error(left, poses, fit.effective_parameters)) < 1:
-            left, matrix = (array - (1 - shared) * _pose_means(array, poses) for array in (left, matrix))
+        left, matrix = problem.on(large).screened(point)
+        if poses is not None:
+            group = shared_by(problem.layout, poses)
+            if (shared := shared_error(left, group, fit.effective_parameters)) < 1:
+                left, matrix = (array - (1 - shared) * _group_means(array, group) for array in (left, matrix))
         free = np.flatnonzero(~fit.at_bound)
         offset = fit.estimate - model.nominal
         precision = model.prior_sd**-2.0
-        scale = max(1.0, float(np.median(1 / problem.weight[0])) / USUAL)
+        scale = max(1.0, problem.scatter / USUAL)
         jacobian, found, candidates = matrix[:, free], matrix[:, n:], _candidates(effects)
         return Regressors(
             left,
@@ -132,34 +126,40 @@ class Regressors:
         )
 
 
-def shared_error(residual: np.ndarray, poses: np.ndarray, determined: float) -> float:
+def shared_by(layout: Layout, poses: np.ndarray) -> np.ndarray:
+    """Number the residuals by what the rows of a pose measure alike: the same unit of the same kind, shape (n,).
+
+    poses (n_rows,) numbers the rows by pose and series.
+    """
+    return np.asarray(poses[layout.row] * (int(layout.unit.max(initial=0)) + 1) + layout.unit)
+
+
+def shared_error(residual: np.ndarray, group: np.ndarray, determined: float) -> float:
     """Return the factor at which what a pose's rows have in common spreads as what they have apart; 1 where it does.
 
-    Markers of one pose share the robot's error of repeating it, so they are not as many pieces of evidence as rows. determined
-    is the number of parameters that the residual (n,) has lost, which fix what poses have in common.
+    Markers of one pose share the robot's error of repeating it, so they are not as many pieces of evidence as rows. group (n,)
+    numbers the residuals (n,) by what they may share; determined is the number of parameters that the residual has lost,
+    which fix what poses have in common.
     """
-    count = np.bincount(poses)
-    axes = len(residual) // len(poses)
-    apart = axes * (len(poses) - np.count_nonzero(count))
-    common = axes * np.count_nonzero(count) - determined
-    if apart == 0 or common < axes:
+    groups = len(np.unique(group))
+    apart, common = len(residual) - groups, groups - determined
+    if apart == 0 or common < 3:
         return 1.0
-    means = _pose_means(residual, poses)
+    means = _group_means(residual, group)
     between, within = float(means @ means) / common, float(((residual - means) ** 2).sum()) / apart
     if f_distribution.sf(between / within, common, apart) > SHARED:
         return 1.0
     return float(np.sqrt(within / between))
 
 
-def _pose_means(values: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Mean over the rows of each pose, axis by axis, in every row's place; values is (n_rows · n_axes, …)."""
-    count = np.bincount(poses)
-    shaped = values.reshape(len(poses), -1)
+def _group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Mean over the residuals of each group in every one's place; values is (n, …)."""
+    count = np.bincount(group)
     if (count <= 1).all():
         return values
-    total = np.zeros((len(count), shaped.shape[1]))
-    np.add.at(total, poses, shaped)
-    return np.asarray((total / np.maximum(count, 1)[:, None])[poses].reshape(values.shape))
+    total = np.zeros((len(count), *values.shape[1:]))
+    np.add.at(total, group, values)
+    return np.asarray((total.T / np.maximum(count, 1)).T[group])
 
 
 def _candidates(effects: Sequence[Effect]) -> tuple[Candidate, ...]:

@@ -10,13 +10,15 @@ import numpy as np
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated import Identified
-from calflow.estimation.fit import Fit, LeastSquares, Loss
+from calflow.estimation.fit import Fit
+from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.noise import LackOfFit, Noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
-FAR, MEDIAN_LENGTH = 4.5, 1.5382  # robust standard deviations; the median length of three unit normals
+FAR = 4.5  # robust standard deviations
+MEDIAN_LENGTH = np.array([np.nan, 0.6745, 1.1774, 1.5382])  # of so many unit normals
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
 WEIGHINGS = 3  # fits in which the weights of rows far off settle
 
@@ -42,8 +44,9 @@ class Fitted:
 
     @property
     def poses(self) -> np.ndarray:
-        """The rows' poses, numbered from 0, shape (n_rows,)."""
-        return np.unique(self.data.table["pose"], return_inverse=True)[1]
+        """The rows' poses, those of each series apart, numbered from 0, shape (n_rows,)."""
+        pose = np.unique(self.data.table["pose"], return_inverse=True)[1]
+        return np.asarray(pose * len(self.data.series) + self.data.series_number)
 
     @property
     def far(self) -> np.ndarray:
@@ -95,11 +98,11 @@ class Fitted:
         It starts from the estimates there are, what is new at nothing, unless start says otherwise. share is how much of chi²
         is expected to go: a noise that is not known starts smaller by it, and settles at once.
         """
-        model = Model(self.model.robot, (*self.plain, *causes), self.model.given)
+        model = replace(self.model, effects=(*self.plain, *causes))
         start = self._values(model) if start is None else start
         bare = replace(self.device, discrepancy=0.0, rotation_discrepancy=0.0)
-        if not bare.known:
-            bare = replace(bare, sigma=self.noise.sigma / self.far * np.sqrt(1 - share))
+        near = self.noise.sigma / self.far * np.sqrt(1 - share)
+        bare = replace(bare, sigma=np.where(bare.estimated, near, bare.sigma))
         return _settled(model, self.data, bare, start, self.loss, self.far)
 
 
@@ -122,6 +125,8 @@ def _settled(
 
 def _excess(fit: Fit, far: np.ndarray) -> np.ndarray:
     """By how much each row's error exceeds FAR robust standard deviations, at least 1, shape (n_rows,)."""
-    size = np.linalg.norm(fit.residual[:, :3], axis=1) * far
-    scale = float(np.median(size)) / MEDIAN_LENGTH
+    lengths = ~fit.layout.angular
+    size = np.sqrt(fit.layout.by_row(np.where(lengths, fit.residual**2, 0.0))) * far
+    units = fit.layout.by_row(lengths.astype(float)).astype(int)
+    scale = float(np.median(size / MEDIAN_LENGTH[units]))
     return np.asarray(np.maximum(1.0, size / (FAR * scale)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calflow.estimation.noise import MIN_REPEATS
+from calflow.estimation.repeats import MIN_REPEATS
 from calflow.files.tables import Tables
 from calflow.report.document import Block, paragraph, plot, table
 from calflow.report.figures.accuracy import budget, distribution

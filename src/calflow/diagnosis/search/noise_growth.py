@@ -9,6 +9,8 @@ from scipy.optimize import minimize
 from scipy.stats import spearmanr
 
 from calflow.diagnosis.search.fitted import Fitted
+from calflow.estimation.noise import Noise
+from calflow.measurements.measurements import Measurements
 
 MOST_LEVERAGE = 0.95
 
@@ -22,30 +24,42 @@ class Growth:
     sd: float
     p: float
 
-    def sigma(self, distance: np.ndarray) -> np.ndarray:
-        """Return the standard deviation per axis [m] of one measurement at these ranges [m]."""
-        return self.floor + self.slope * distance
+    def sigma(self, data: Measurements, device: Noise) -> np.ndarray:
+        """Return each row's standard deviation per axis [m]; rows without a range keep the device's."""
+        if "range" not in data.given:
+            return device.sigma
+        distance = data.table["range"].to_numpy()
+        grown = (self.floor + self.slope * distance) / np.sqrt(data.repeats)
+        return np.where(np.isfinite(distance), grown, device.sigma)
 
 
-def growth(fitted: Fitted, level: float) -> Growth | None:
+def growth(fitted: Fitted, significance: float) -> Growth | None:
     """Test whether what a fitted model leaves grows with range, by ranks, and fit the growth where it does.
 
     Ranks (Spearman 1904) keep their promise whatever the noise's tails are; residuals are freed of their leverage first.
     """
     if "range" not in fitted.data.given:
         return None
-    distance = fitted.data.table["range"].to_numpy()
-    residual, weight = fitted.fit.residual[:, :3], 1 / fitted.noise.total[0]
-    kept = 1 - np.concatenate([
-        np.einsum("rai,ij,raj->ra", jacobian, fitted.fit.covariance, jacobian, optimize=True)
-        for _, jacobian in fitted.problem.linearised(fitted.fit.estimate)
-    ])[:, :3]  # fmt: skip
-    error = residual / np.sqrt(np.maximum(kept, 1 - MOST_LEVERAGE))
+    found = [(np.zeros((0, 3)), np.zeros(0, dtype=int))]
+    for block in fitted.problem.blocks:
+        if (
+            block.observation.units[:3] != ("m",) * 3
+            or not block.observation.from_outside
+            or block.observation.series.beam
+        ):
+            continue  # no range, or one whose noise is stated already
+        for rows, residual, jacobian in block.linearised(fitted.fit.estimate):
+            predicted = np.einsum("rai,ij,raj->ra", jacobian, fitted.fit.covariance, jacobian, optimize=True)[:, :3]
+            found.append((residual[:, :3] / np.sqrt(np.maximum(1 - predicted, 1 - MOST_LEVERAGE)), rows))
+    error, rows = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    if not len(rows):
+        return None
+    distance = fitted.data.table["range"].to_numpy()[rows]
     size = np.linalg.norm(error, axis=1)
     p = float(spearmanr(size, distance, alternative="greater").pvalue)
-    if not p < level:
+    if not p < significance:
         return None
-    metres = error / weight[:, None] * np.sqrt(fitted.data.repeats)[:, None]
+    metres = error * (fitted.noise.total * np.sqrt(fitted.data.repeats))[rows, None]
     return _fitted(metres, distance, p)
 
 

@@ -1,0 +1,216 @@
+"""Least squares: the data in the shape that the graph wants, as stacked whitened residuals and their Jacobian."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+
+from calflow.compiled import compiled
+from calflow.estimation.noise import Noise
+from calflow.estimation.nuisance import observing
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model, over_rows
+from calflow.observations import Observation
+
+Loss = Literal["linear", "soft_l1", "cauchy"]
+LINEARISED_ROWS = 4096  # rows whose Jacobian is handed out at once
+EXPECTED_EVALUATIONS = 20  # of each row, in a typical fit: decides whether compiling pays
+FINEST = 1e-5  # m: a fit to less noise is asked to be no more exact than one to this, as round-off allows
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """What each of the stacked residuals is: the row that it belongs to, which of its units, and whether it is an angle; (n,)."""
+
+    row: np.ndarray
+    unit: np.ndarray
+    angular: np.ndarray
+    n_rows: int
+
+    def by_row(self, values: np.ndarray) -> np.ndarray:
+        """Add up values (n,) row by row, shape (n_rows,)."""
+        return np.bincount(self.row, weights=values, minlength=self.n_rows)
+
+    def of_row(self, values: np.ndarray) -> np.ndarray:
+        """Return for each residual its row's value, shape (n,)."""
+        return np.asarray(values[self.row])
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """The rows of one series: their numbers, packed conditions, what was reported, and the whitening of their residuals.
+
+    whitening is (n_units, n_rows) where residuals are independent, else (n_units², n_rows): a matrix a row, column by column.
+    sigma (n_units, n_rows) is the device's noise along the whitened axes, total that and the model's discrepancy.
+    """
+
+    model: Model
+    observation: Observation
+    rows: np.ndarray
+    conditions: np.ndarray
+    reported: np.ndarray
+    whitening: np.ndarray
+    sigma: np.ndarray
+    total: np.ndarray
+
+    @property
+    def n_units(self) -> int:
+        """Number of residuals a row."""
+        return len(self.observation.units)
+
+    def expression(self) -> tuple[list[ca.SX], ca.SX]:
+        """Return symbols (p, conditions, reported, whitening) and the whitened residual (n_units,) of one row."""
+        p, c, _ = self.model.symbols
+        y, error = self.model.error(self.observation)
+        w = ca.SX.sym("w", len(self.whitening))
+        n = self.n_units
+        residual = error * w if len(self.whitening) == n else ca.reshape(w, n, n) @ error
+        return [p, c, y, w], ca.densify(residual)
+
+    @property
+    def data(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What the symbols after p stand for, a column a row."""
+        return self.conditions, self.reported, self.whitening
+
+    @cached_property
+    def graph(self) -> ca.Function:
+        """The function of (p, conditions, reported, whitening): whitened residual and its Jacobian, transposed."""
+        inputs, residual = self.expression()
+        jacobian = ca.densify(ca.jacobian(residual, inputs[0])).T
+        return ca.Function("linearised", inputs, [residual, jacobian])
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """The same, compiled where that pays."""
+        return compiled(self.graph, EXPECTED_EVALUATIONS * len(self.rows))
+
+    def linearised(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Yield row numbers (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, part by part."""
+        for start in range(0, len(self.rows), LINEARISED_ROWS):
+            part = slice(start, start + LINEARISED_ROWS)
+            residual, jacobian = over_rows(self.function, p, *(values[:, part] for values in self.data))
+            yield self.rows[part], residual.T, jacobian.T.reshape(residual.shape[1], self.n_units, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class LeastSquares:
+    """A model and its data, a block a series."""
+
+    model: Model
+    blocks: tuple[Block, ...]
+
+    @staticmethod
+    def of(model: Model, data: Measurements, noise: Noise) -> LeastSquares:
+        """Collect the rows of a table with their noise.
+
+        A model without observations takes those of the data, where they have no parameters of their own.
+        """
+        model = observing(model, data)
+        blocks = []
+        for k, observation in enumerate(model.observations):
+            rows = np.flatnonzero(data.of_series(k))
+            if not len(rows):
+                continue
+            own, units = noise.only(rows), observation.units
+            reported = observation.reported(data.table.iloc[rows])
+            blocks.append(Block(model, observation, rows, data.rows[:, rows], reported, own.whitening(units),
+                                own.principal(units), own.about_model(units)))  # fmt: skip
+        return LeastSquares(model, tuple(blocks))
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows."""
+        return sum(len(block.rows) for block in self.blocks)
+
+    @property
+    def size(self) -> int:
+        """Number of residuals."""
+        return sum(block.n_units * len(block.rows) for block in self.blocks)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """What each of the stacked residuals is."""
+        row = [np.repeat(block.rows, block.n_units) for block in self.blocks]
+        unit = [np.tile(np.arange(block.n_units), len(block.rows)) for block in self.blocks]
+        angular = [np.tile([u == "rad" for u in block.observation.units], len(block.rows)) for block in self.blocks]
+        return Layout(np.concatenate(row), np.concatenate(unit), np.concatenate(angular), self.n_rows)
+
+    @cached_property
+    def sigma(self) -> np.ndarray:
+        """The device's noise of each of the stacked residuals, shape (n,) [m or rad]."""
+        return np.concatenate([block.sigma.T.ravel() for block in self.blocks])
+
+    @cached_property
+    def total(self) -> np.ndarray:
+        """The same with the model's discrepancy."""
+        return np.concatenate([block.total.T.ravel() for block in self.blocks])
+
+    @cached_property
+    def scatter(self) -> float:
+        """Median standard deviation of the rows' lengths about the model [m]."""
+        return float(np.median(np.concatenate([np.sqrt((block.total[:3] ** 2).mean(axis=0)) for block in self.blocks])))
+
+    @property
+    def excess(self) -> float:
+        """How much finer a fit the weights ask for than can be told, squared; 1 where the noise is more than FINEST."""
+        return max(1.0, FINEST / self.scatter) ** 2
+
+    @property
+    def scale(self) -> float:
+        """What the objective is divided by, so that its optimum can be told to the same tolerance for all data."""
+        return self.n_rows * self.excess
+
+    def linearised(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Yield row numbers (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, part by part."""
+        for block in self.blocks:
+            yield from block.linearised(p)
+
+    def on(self, model: Model) -> LeastSquares:
+        """Return the same data with another model that has the same observations."""
+        return LeastSquares(model, tuple(replace(block, model=model) for block in self.blocks))
+
+    def screened(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the stacked whitened residuals (n,) at p and their Jacobian (n, n_parameters), not compiled: it is asked once."""
+        residuals, slopes = [], []
+        for block in self.blocks:
+            residual, jacobian = over_rows(block.graph, p, *block.data)
+            residuals.append(residual.T.ravel())
+            slopes.append(jacobian.T)
+        return np.concatenate(residuals), slopes[0] if len(slopes) == 1 else np.vstack(slopes)
+
+    def reweighted(self, p: np.ndarray, loss: Loss) -> LeastSquares:
+        """Return the problem with each row weighed as a robust loss weighs it at p."""
+        if loss == "linear":
+            return self
+        blocks = []
+        for block in self.blocks:
+            squared = np.concatenate([(residual**2).sum(axis=1) for _, residual, _ in block.linearised(p)])
+            blocks.append(replace(block, whitening=block.whitening * np.sqrt(rho_slope(squared, loss))))
+        return replace(self, blocks=tuple(blocks))
+
+    def reduced(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the stacked whitened residuals (n,) at p and Householder's R factor of their Jacobian."""
+        residuals, r_factor = [], np.zeros((0, len(p)))
+        for _, residual, jacobian in self.linearised(p):
+            residuals.append(residual.ravel())
+            r_factor = np.asarray(np.linalg.qr(np.vstack([r_factor, jacobian.reshape(-1, len(p))]), mode="r"))
+        return np.concatenate(residuals), r_factor
+
+
+def rho(squared: np.ndarray, loss: Loss) -> np.ndarray:
+    """Return how the square of a row's whitened residual counts."""
+    if loss == "soft_l1":
+        return 2 * (np.sqrt(1 + squared) - 1)
+    return np.log1p(squared) if loss == "cauchy" else squared
+
+
+def rho_slope(squared: np.ndarray, loss: Loss) -> np.ndarray:
+    """Return the slope of `rho`."""
+    if loss == "soft_l1":
+        return (1 + squared) ** -0.5
+    return 1 / (1 + squared) if loss == "cauchy" else 1 + 0 * squared

@@ -1,0 +1,145 @@
+"""Repeats: rows of one pose measured again under the same conditions, and what their scatter says of the noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calflow.estimation.accuracy import errors
+from calflow.estimation.noise import LEAST_SCATTER, NORMAL_MEDIAN, Noise, Source
+from calflow.files.problems import refuse
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model
+
+ESTIMATE_START = 1e-4  # m; only the weight of the data against the priors in the very first fit
+MIN_REPEATS = 10  # degrees of freedom below which repeats say too little
+BROKEN = 3.0  # times the median by which the mean square may exceed it: else a few rows are wrong, not the device bad
+
+
+def measured_noise(
+    data: Measurements, source: Literal["auto", "repeats", "file", "estimated"] = "auto", nominal: Model | None = None
+) -> Noise:
+    """Return the noise of each series by the best source there is, or by the one asked for.
+
+    Repeats are pooled over training poses: sigma² is the sum of squares about each pose's mean over its degrees of
+    freedom, after the nominal robot's part is taken off, so that repeats need not stand at the very same readings. Where
+    a few gross errors make most of it, the median of the scatter stands for it, and those rows are flagged. nominal is the
+    robot as its maker says, with the data's observations.
+
+    Raises:
+        InputError: the source asked for is not in the data.
+    """
+    nominal = nominal or Model(data.robot, (), data.given)
+    stated = stated_noise(data)
+    sigma, sources = stated.sigma.copy(), list[Source]()
+    error = errors(nominal, nominal.nominal, data)
+    for k, series in enumerate(data.series):
+        own = data.of_series(k)
+        there = not np.isnan(sigma[own]).any()
+        pooled, degrees_of_freedom = _pooled(data, error, own)
+        if source == "repeats" and not pooled > LEAST_SCATTER:
+            raise refuse('noise = "repeats" needs poses that were measured several times', key="stages.identify.noise")
+        if source == "file" and not there:
+            raise refuse(
+                'noise = "file" needs a column sigma_mm, or sigma_mm in the study', key="stages.identify.noise"
+            )
+        enough = degrees_of_freedom >= MIN_REPEATS and pooled > LEAST_SCATTER and series.beam is None
+        if source == "repeats" or (source == "auto" and enough):
+            sigma[own] = pooled
+            sources.append("repeats")
+        elif there and source in ("auto", "file"):
+            sources.append("file")
+        else:
+            sigma[own] = ESTIMATE_START
+            sources.append("estimated")
+    return replace(stated, sigma=sigma, sources=tuple(sources))
+
+
+def stated_noise(data: Measurements) -> Noise:
+    """Return the noise as file and study state it; sigma is nan where they do not."""
+    sigma = np.full(len(data), np.nan) if data.sigma is None else data.sigma.copy()
+    axes, ratios = np.tile(np.eye(3), (len(data), 1, 1)), np.ones((len(data), 3))
+    for k, series in enumerate(data.series):
+        if series.beam is not None:
+            own = data.of_series(k)
+            values, vectors = np.linalg.eigh(series.beam.covariance(data.position[own]))
+            sigma[own] = np.sqrt(values.mean(axis=1))
+            axes[own], ratios[own] = vectors.transpose(0, 2, 1), np.sqrt(values) / sigma[own][:, None]
+    directed = any(series.beam is not None for series in data.series)
+    return Noise(
+        sigma, tuple[Source, ...]("file" for _ in data.series), axes=axes if directed else None,
+        ratios=ratios if directed else None,
+        rotation=data.table["sigma_rotation"].to_numpy() if data.rotation is not None else None,
+        series=data.series_number if len(data.series) > 1 else None,
+    )  # fmt: skip
+
+
+def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
+    """Return the mean of each pose's repeats (see `conditions`), and the noise of the means.
+
+    The model's discrepancy is the same in all repeats of a pose, so that together they are one piece of evidence.
+    """
+    group = conditions(data)
+    count = np.bincount(group)
+    if (count == 1).all():
+        return data, noise
+    first = np.unique(group, return_index=True)[1]
+    table = data.table.iloc[first].reset_index(drop=True)
+    table["of_repeats"] = count
+    for name in data.table.columns:
+        if name not in ("pose", "repeat", "line") and data.table[name].dtype.kind == "f":
+            table[name] = np.bincount(group, weights=data.table[name]) / count
+
+    def of_means(sigma: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sqrt(np.bincount(group, weights=sigma**2)) / count)
+
+    means = replace(noise.only(first), sigma=of_means(noise.sigma))
+    if data.rotation is not None and noise.rotation is not None:
+        oriented = np.isfinite(data.rotation).all(axis=(1, 2))
+        turns = Rotation.from_matrix(data.rotation[oriented])
+        angles = np.full((len(count), 3), np.nan)
+        for k in np.unique(group[oriented]):
+            angles[k] = turns[np.flatnonzero(group[oriented] == k)].mean().as_euler("XYZ")
+        table = table.drop(columns=["qw", "qx", "qy", "qz"], errors="ignore")
+        table[["rx", "ry", "rz"]] = angles
+        means = replace(means, rotation=of_means(noise.rotation))
+        table["sigma_rotation"] = means.rotation
+    return replace(data, table=table), means
+
+
+def conditions(data: Measurements) -> np.ndarray:
+    """Number the rows by what repeats have in common; (n_rows,).
+
+    That is series, pose, marker, payload, what was touched, approach and applied wrench.
+    """
+    given = {
+        "approach": [f"approach{i + 1}" for i in range(data.robot.n_joints)],
+        "wrench": ["fx", "fy", "fz", "mx", "my", "mz"],
+    }
+    keys = ["pose", "marker", "payload", *(name for kind in given if kind in data.given for name in given[kind])]
+    keys += [name for name in ("series", "socket", "placement", "plane") if name in data.table]
+    return data.table.groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
+
+
+def _pooled(data: Measurements, error: np.ndarray, own: np.ndarray) -> tuple[float, int]:
+    """Standard deviation of the repeats of some rows about their means, and its degrees of freedom."""
+    kept = data.train & own
+    if not kept.any():
+        return np.nan, 0
+    group = np.unique(conditions(data.only(kept)), return_inverse=True)[1]
+    error = error[kept]
+    error = error[:, ~np.isnan(error).all(axis=0)]
+    count = np.bincount(group)
+    degrees_of_freedom = error.shape[1] * (len(error) - len(count))
+    if not degrees_of_freedom:
+        return np.nan, 0
+    means = np.stack([np.bincount(group, weights=axis) / count for axis in error.T], axis=1)
+    apart = error - means[group]
+    pooled = float(np.sqrt((apart**2).sum() / degrees_of_freedom))
+    several = count[group] > 1
+    shrunk = np.sqrt(1 - 1 / count[group][several])  # what taking a mean of few leaves of the scatter
+    middle = float(np.median(np.abs(apart[several]) / shrunk[:, None])) / NORMAL_MEDIAN
+    return (middle if pooled > BROKEN * middle > 0 else pooled), degrees_of_freedom

@@ -1,0 +1,44 @@
+"""Observations: what a device reports of a row, one kind a file."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from functools import lru_cache
+
+from calflow.measurements.measurements import Measurements
+from calflow.observations.base import Observation, Seen
+from calflow.observations.position import Position
+
+__all__ = ["Observation", "Seen", "catalogue", "observations"]
+
+
+@lru_cache
+def catalogue() -> dict[str, type[Observation]]:
+    """Return every kind of observation by its id; a new file in this folder is enough to add one."""
+    for module in pkgutil.iter_modules(__path__):
+        importlib.import_module(f"{__name__}.{module.name}")
+    here = [kind for kind in _kinds(Observation) if isinstance(getattr(kind, "id", None), str)]  # type: ignore[type-abstract]
+    return {kind.id: kind for kind in sorted(here, key=lambda kind: kind.id)}
+
+
+def observations(data: Measurements) -> tuple[Observation, ...]:
+    """Return what was observed in each of the data's series, nothing placed yet.
+
+    The first station is the measuring frame; another of the same name stands where it does.
+    """
+    found: list[Observation] = []
+    first: str | None = None
+    for k, series in enumerate(data.series):
+        table = data.table[data.of_series(k)]
+        kind = catalogue()[series.kind or ("pose" if {"rx", "qw"} & set(table) else "position")]
+        if issubclass(kind, Position):
+            first = series.station.name if first is None else first
+            found.append(kind.of(series, table, series.station.name == first))
+        else:
+            found.append(kind.of(series, table))
+    return tuple(found)
+
+
+def _kinds(of: type[Observation]) -> list[type[Observation]]:
+    return [kind for direct in of.__subclasses__() for kind in (direct, *_kinds(direct))]

@@ -1,0 +1,126 @@
+"""What every observation is: what a device reports of a row, with nuisance parameters of its own."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, Self
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from calflow.measurements.series import Series
+from calflow.robot.parameter import Parameter
+
+UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # m and rad: of what nobody wrote down, about its registered place
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the graph says of one row, in the measuring frame [m].
+
+    point (3,) is where the marker is and rotation (3, 3) how the tool is turned; device maps a point in a device's frame to
+    what the device reports of it, its own errors included.
+    """
+
+    point: ca.SX
+    rotation: ca.SX
+    device: Callable[[ca.SX], ca.SX]
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns that a kind reports in: stems with their dimension ('' for none), needed ones and others."""
+
+    needed: dict[str, str]
+    optional: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where something that is not the robot is thought to be: origin (3,) [m] and rotation (3,) [rad] about x, y, z in turn."""
+
+    what: str
+    origin: tuple[float, float, float]
+    rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Observation(ABC):
+    """What one kind of device reports, for the rows of one series.
+
+    p is the column of its own (nuisance) parameters in the order declared. Everything after it sees residuals: units says
+    of each of them whether it is a length or an angle.
+    """
+
+    series: Series
+
+    id: ClassVar[str]
+    title: ClassVar[str]
+    columns: ClassVar[Columns]
+    units: ClassVar[tuple[str, ...]]  # "m" or "rad", of each residual of a row
+    touches: ClassVar[bool] = False  # whether the robot must be brought to something for a row to be measured
+    from_outside: ClassVar[bool] = False  # whether it tells where the robot stands in the measuring frame
+
+    @classmethod
+    @abstractmethod
+    def of(cls, series: Series, table: pd.DataFrame) -> Self:
+        """Return the observation of a series for the rows of a table (see `measurements`), nothing placed yet."""
+
+    @abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the nuisance parameters."""
+
+    @cached_property
+    def declared(self) -> tuple[Parameter, ...]:
+        """The parameters, worked out once."""
+        return self.parameters()
+
+    @property
+    @abstractmethod
+    def reports(self) -> int:
+        """How many values of a row `reported` packs."""
+
+    @abstractmethod
+    def reported(self, table: pd.DataFrame) -> np.ndarray:
+        """Return what was reported of each row, and which of several things it was of, shape (reports, n_rows)."""
+
+    @abstractmethod
+    def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
+        """Return predicted minus reported, one residual a unit; y is one row of `reported`."""
+
+    def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
+        """Return the observation with what is not the robot placed by the nominal robot's points (n_rows, 3) [m]."""
+        return self
+
+    @property
+    def placements(self) -> tuple[Placement, ...]:
+        """Where the things are that the parameters are errors of."""
+        return ()
+
+    def placed(self, placements: dict[str, Placement]) -> Self:
+        """Return the observation with the things where `placements` of an earlier one had them."""
+        return self
+
+    @abstractmethod
+    def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+        """Return what would be reported of points (n, 3) and rotations (n, 3, 3), shape (reports, n).
+
+        It is that of the first of several things, in the measuring frame.
+        """
+
+    def lacks(self, table: pd.DataFrame) -> bool:
+        """Whether rows are of something (a socket, a session) that has no parameters here yet."""
+        return False
+
+    def extended(self, table: pd.DataFrame) -> Self:
+        """Return the observation with what it lacks, not placed yet."""
+        return self
+
+    @property
+    def part(self) -> str:
+        """What its parameters' part is called."""
+        return self.series.name or self.id

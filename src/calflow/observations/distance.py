@@ -1,0 +1,121 @@
+"""Distance: a draw-wire or a ball bar, which reports how far the marker is from an anchor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+from scipy.optimize import least_squares
+
+from calflow.measurements.series import Series
+from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Columns, Observation, Placement, Seen
+from calflow.robot.parameter import Parameter
+
+OFFSET_SD, OFFSET_BOUND = 0.02, 0.5  # m: where a wire's scale begins
+SCALE_SD, SCALE_BOUND = 1e-3, 0.05  # of a drum's circumference
+ROUGH = 5e-3  # m: what a nominal robot may err by, where the anchor is looked for
+NOWHERE = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Distance(Observation):
+    """length = (1 + scale) · |marker - anchor| + offset; what the settings anchor, offset and scale state is known.
+
+    Settings: anchor (3,) [m] in the measuring frame, anchor_known (false: only roughly), offset [m], scale [m/m].
+    """
+
+    anchor: tuple[float, float, float] = NOWHERE
+
+    id: ClassVar[str] = "distance"
+    title: ClassVar[str] = "length of a wire or a bar"
+    columns: ClassVar[Columns] = Columns({"length": "length"}, {"sigma": "length"})
+    units: ClassVar[tuple[str, ...]] = ("m",)
+
+    @classmethod
+    def of(cls, series: Series, table: pd.DataFrame) -> Self:
+        """Return the observation, its anchor where the settings say."""
+        stated = series.setting("anchor")
+        return cls(series, stated if isinstance(stated, tuple) else NOWHERE)
+
+    @property
+    def _open(self) -> tuple[str, ...]:
+        """What is not known beforehand."""
+        rough = self.series.setting("anchor_known", True) is False
+        unsaid = (name for name in ("anchor", "offset", "scale") if self.series.setting(name) is None)
+        return tuple(dict.fromkeys([*(["anchor"] if rough else []), *unsaid]))
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the anchor's place, the offset and the scale, as far as nobody knows them."""
+        found = []
+        if "anchor" in self._open:
+            found += [
+                Parameter(self.id, self.part, axis, "m", UNKNOWN_SD, -UNKNOWN_BOUND, UNKNOWN_BOUND, figure=self.anchor[k],
+                          meaning=f"anchor of {self.part}, {axis}")
+                for k, axis in enumerate("xyz")
+            ]  # fmt: skip
+        if "offset" in self._open:
+            found.append(Parameter(self.id, self.part, "offset", "m", OFFSET_SD, -OFFSET_BOUND, OFFSET_BOUND,
+                                   meaning=f"zero of {self.part}"))  # fmt: skip
+        if "scale" in self._open:
+            found.append(Parameter(self.id, self.part, "scale", "1", SCALE_SD, -SCALE_BOUND, SCALE_BOUND,
+                                   meaning=f"scale of {self.part}"))  # fmt: skip
+        return tuple(found)
+
+    @property
+    def reports(self) -> int:
+        """One length."""
+        return 1
+
+    def reported(self, table: pd.DataFrame) -> np.ndarray:
+        """Return the lengths."""
+        return table["length"].to_numpy(float)[None]
+
+    def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
+        """Return the difference of the lengths."""
+        at = 0
+        anchor = ca.SX(ca.DM(self.anchor))
+        if "anchor" in self._open:
+            anchor, at = anchor + p[:3], 3
+        offset, scale = (ca.SX(self.series.number(name) or 0.0) for name in ("offset", "scale"))
+        if "offset" in self._open:
+            offset, at = p[at], at + 1
+        if "scale" in self._open:
+            scale = p[at]
+        return (1 + scale) * ca.norm_2(seen.point - anchor) + offset - y
+
+    def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
+        """Find the anchor that the lengths from the nominal robot's points agree on."""
+        if "anchor" not in self._open:
+            return self
+        length = table["length"].to_numpy(float) - (self.series.number("offset") or 0.0)
+        # |point|² - 2 point·anchor + |anchor|² = length²: linear but for one unknown (trilateration).
+        system = np.column_stack([-2 * points, np.ones(len(points))])
+        begin = np.linalg.lstsq(system, length**2 - (points**2).sum(axis=1), rcond=None)[0][:3]
+
+        def miss(x: np.ndarray) -> np.ndarray:
+            return (np.linalg.norm(points - x[:3], axis=1) + x[3] - length) / ROUGH
+
+        def weighed(x: np.ndarray) -> np.ndarray:
+            return np.append(miss(x), x[3] / OFFSET_SD)
+
+        found = least_squares(weighed, np.append(begin, 0.0), loss="soft_l1").x
+        x, y, z = map(float, found[:3])
+        return replace(self, anchor=(x, y, z))
+
+    @property
+    def placements(self) -> tuple[Placement, ...]:
+        """The anchor."""
+        return (Placement(self.part, self.anchor),)
+
+    def placed(self, placements: dict[str, Placement]) -> Self:
+        """Return it with the anchor of an earlier one."""
+        return replace(self, anchor=placements[self.part].origin)
+
+    def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+        """Return the lengths."""
+        stated = (self.series.number(name) or 0.0 for name in ("scale", "offset"))
+        scale, offset = stated
+        return ((1 + scale) * np.linalg.norm(points - np.array(self.anchor), axis=1) + offset)[None]

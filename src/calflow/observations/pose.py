@@ -1,0 +1,55 @@
+"""Pose: a device that reports where the marker is and how the tool is turned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from calflow.measurements.measurements import rotations
+from calflow.observations.base import Columns, Seen
+from calflow.observations.position import LENGTHS, Position
+
+ANGLES = dict.fromkeys(("rx", "ry", "rz"), "angle")
+QUATERNION = dict.fromkeys(("qw", "qx", "qy", "qz"), "")
+
+
+@dataclass(frozen=True)
+class Pose(Position):
+    """x, y, z of the marker and the orientation of the tool, in the station's frame."""
+
+    id: ClassVar[str] = "pose"
+    title: ClassVar[str] = "position of a marker and orientation of the tool"
+    columns: ClassVar[Columns] = Columns(
+        LENGTHS, {**ANGLES, **QUATERNION, "sigma": "length", "sigma_rotation": "angle"}
+    )
+    units: ClassVar[tuple[str, ...]] = ("m",) * 3 + ("rad",) * 3
+
+    @property
+    def reports(self) -> int:
+        """Three coordinates, a rotation matrix, and which frame they are in."""
+        return 12 + len(self.frames.sessions)
+
+    def reported(self, table: pd.DataFrame) -> np.ndarray:
+        """Return the coordinates, the rotations column by column, and the frames."""
+        position = table[["x", "y", "z"]].to_numpy(float).T
+        turned = rotations(table).transpose(0, 2, 1).reshape(len(table), 9).T
+        return np.vstack([position, turned, self.frames.which(table)])
+
+    def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
+        """Return the difference of the positions, and 2 sin(angle/2) along the axis from measured to predicted orientation."""
+        frame = self.frames.inverse(p, y[12:])
+        point, rotation = seen.point, seen.rotation
+        if frame is not None:
+            point, rotation = frame[0] @ point + frame[1], frame[0] @ rotation
+        turn = ca.reshape(y[3:12], 3, 3).T @ rotation
+        axis = ca.vertcat(turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]) / 2
+        return ca.vertcat(seen.device(point) - y[:3], axis / ca.sqrt(ca.fmax((1 + ca.trace(turn)) / 4, 1e-12)))
+
+    def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+        """Return the coordinates and the rotations."""
+        turned = rotations.transpose(0, 2, 1).reshape(len(points), 9).T
+        return np.vstack([points.T, turned, np.zeros((len(self.frames.sessions), len(points)))])
