@@ -124,7 +124,7 @@ def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> N
         InputError: they do not.
     """
     from calflow.effects import catalogue
-    from calflow.effects.base import unmet
+    from calflow.effects.needs import unmet
 
     problems = [
         Problem(f"effect '{effect}' needs {lacking}", path)

@@ -19,6 +19,7 @@ from numpy.testing import assert_allclose
 import robots
 from calflow.design.candidates import pack
 from calflow.effects import Effect, catalogue
+from calflow.effects.cause import Cause
 from calflow.effects.joint_error_map import AMPLITUDE, LENGTHS
 from calflow.faults import checks
 from calflow.measurements.measurements import Measurements, condition_columns, numbered
@@ -56,7 +57,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "effects.md"
 
 @dataclass(frozen=True)
 class Twin:
-    """An effect with values by parameter name, and the same cause in the simulator; compared at the rows of where.
+    """An effect with values by part and symbol, and the same cause in the simulator; compared at the rows of where.
 
     A cause that the simulator lacks is a function of its points and rows. Not soft: the joints do not give way besides.
     """
@@ -188,7 +189,7 @@ def compensator(bench: Bench) -> Twin:
     hidden = Hidden("gravity-compensator", 2, 2e4)
     effect = made(bench, hidden.cause, ratio=ARM / COLUMN)
     values = np.linalg.lstsq(compensator_basis(bench, effect), gravity_compensator(hidden, bench.still), rcond=None)[0]
-    names = [parameter.name for parameter in effect.declared]
+    names = [f"{parameter.part}.{parameter.symbol}" for parameter in effect.declared]
     return Twin(effect, dict(zip(names, values, strict=True)), hidden, close=0.01)  # its column is not quite upright
 
 
@@ -334,7 +335,7 @@ def compared(benches: dict[str, Bench]) -> Callable[[str], tuple[dict[str, Twin]
             values[: sizes[0]] = soft * bench.real.compliance
             if key:
                 k = list(twins).index(key) + 1
-                names = [parameter.name for parameter in effects[k].declared]
+                names = [f"{parameter.part}.{parameter.symbol}" for parameter in effects[k].declared]
                 for parameter, value in twins[key].values.items():
                     values[sum(sizes[:k]) + names.index(parameter)] = value
             return over_rows(position, values, bench.table.rows)[0].T
@@ -587,6 +588,49 @@ def test_variants_are_distinct_and_told_apart(full: Measurements, name: str) -> 
         assert len(set(names)) == len(names)
     if name not in ("periodic-joint-error", "frame-step", "torque-backlash"):
         assert variants[0].finer(full) == ()
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_no_two_parameters_share_an_identity_or_a_name(benches: dict[str, Bench], robot: str) -> None:
+    """Fails if two variants of an effect, or two effects at one place, have a parameter that goes by the same name."""
+    stated, table = benches[robot].robot, benches[robot].data.table.copy()
+    limits = np.where(np.isfinite(stated.limits), stated.limits, np.sign(stated.limits) * pi)
+    table[numbered("q", 6)] = np.random.default_rng(8).uniform(*limits.T, (len(table), 6))
+    data = Measurements(stated, table)
+    forms: dict[tuple[Any, ...], Effect] = {}
+    for name, kind in catalogue().items():
+        variants = kind.variants(stated, data)
+        assert variants
+        near = [finer for variant in variants[:2] for finer in variant.finer(data)]
+        forms |= {
+            (name, *(f"{figure:.12g}" if isinstance(figure, float) else figure for figure in figures(effect))): effect
+            for effect in (*variants, *near)
+        }  # 1800 and exp(log(1800)) are one
+    parameters = [parameter for effect in forms.values() for parameter in effect.declared]
+    assert len(parameters) > 3000
+    assert len({parameter.identity for parameter in parameters}) == len(parameters)
+    assert len({parameter.name for parameter in parameters}) == len(parameters)
+    for parameter in parameters:
+        plain = parameter.effect in ("geometry", "joint-compliance")
+        assert (parameter.name == f"{parameter.part}.{parameter.symbol}") == plain
+        assert plain or parameter.effect in parameter.name
+        assert len(parameter.variant) < 40
+        assert not set(parameter.variant) & set(",;[]")  # which lists of names, and names, are made with
+
+
+def test_names_tell_the_variant_and_stay_the_same_at_one_place(benches: dict[str, Bench]) -> None:
+    """Fails if a cause's parameters are called otherwise than its effect's, or a name hides which form it is of."""
+    robot = benches["serial"].robot
+    eccentric = made(benches["serial"], "joint-eccentricity", order=2)
+    own = Cause(robot, eccentric, "joint3").declared
+    assert [parameter.name for parameter in own] == [
+        "joint3.joint-eccentricity[order 2].cos",
+        "joint3.joint-eccentricity[order 2].sin",
+    ]
+    assert own == tuple(parameter for parameter in eccentric.declared if parameter.joint == 3)
+    assert made(benches["serial"], "joint-backlash").declared[1].name == "joint2.joint-backlash.b"
+    drift = made(benches["serial"], "frame-drift", turning=True).declared[0]
+    assert drift.identity == ("frame-drift", "turning", "device", "vx")
 
 
 def test_a_knee_between_two_that_are_tried_is_reached(full: Measurements) -> None:

@@ -281,9 +281,10 @@ def test_nominal_parameters_mean_no_effect(name: str, make: type) -> None:
 def test_parameters_are_well_formed(name: str) -> None:
     """Breaks if parameters share a name, a bound excludes the nominal, or an id is not the effect's own."""
     effect = catalogue()[name](robots.hh800())
-    parameters = effect.parameters()
+    parameters = effect.declared
     assert effect.id == name
     assert effect.title
+    assert {parameter.variant for parameter in parameters} <= {effect.variant}
     assert {parameter.effect for parameter in parameters} <= {name}
     assert len({parameter.name for parameter in parameters}) == len(parameters)
     for parameter in parameters:

@@ -40,7 +40,8 @@ def accuracies(train: float = 0.05, holdout: float | None = 0.06) -> pd.DataFram
 
 
 def parameter_table(**changed: object) -> pd.DataFrame:
-    row = {"parameter": "joint2.a", "effect": "geometry", "unit": "m", "nominal": 0.0, "estimate": 0.02, "sd": 1e-5,
+    row = {"parameter": "joint2.a", "effect": "geometry", "variant": float("nan"), "part": "joint2", "symbol": "a",
+           "unit": "m", "nominal": 0.0, "estimate": 0.02, "sd": 1e-5,
            "lower": -0.02, "upper": 0.02, "at_bound": False, "prior_share": 0.01, "meaning": ""}  # fmt: skip
     return pd.DataFrame([row | changed])
 
@@ -130,10 +131,11 @@ SPEAKS: list[tuple[Rule, Mapping[str, pd.DataFrame], int, str]] = [
     (parameters.at_bound,
      {"identify/parameters.csv": parameter_table(at_bound=True, parameter="joint3.s", unit="rad/Nm", lower=0.0, upper=1e-6,
                                                  estimate=1e-10)}, 3, "joint3.s came out at zero"),
-    (identifiability.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;E.z"))}, 3, "joint6.d from"),
+    (identifiability.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;E.z")),
+                                     "identify/parameters.csv": parameter_table(parameter="E.z", part="E")}, 3, "joint6.d from"),
     (identifiability.unseen_compliance,
      {"identify/identifiability.csv": statements(("silent", "joint1.s")),
-      "identify/parameters.csv": parameter_table(parameter="joint1.s", unit="rad/Nm")}, 3, "joint 1"),
+      "identify/parameters.csv": parameter_table(parameter="joint1.s", part="joint1", unit="rad/Nm")}, 3, "joint 1"),
     (diagnosis.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07)}, 1, "0.070 mm against 0.060 mm"),
     (diagnosis.unexplained, {"diagnose/findings.csv": found("unexplained")}, 2, "depends on the angle of joint 2 that no cause"),
     (diagnosis.next_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "the 3 poses of diagnose/next_poses.csv that tell backlash"),
@@ -176,8 +178,10 @@ def test_every_rule_is_tested() -> None:
         (accuracy.noise_doubtful, {"identify/summary.csv": summary(reduced_chi2="0.2", noise_source="estimated")}),
         (parameters.at_bound, {"identify/parameters.csv": parameter_table(at_bound=True, prior_share=1.0)}),
         (identifiability.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;A.z;B.z")),
+                                         "identify/parameters.csv": parameter_table(parameter="A.z", part="A"),
                                          "identify/placement.csv": placement("A", "B")}),
-        (identifiability.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;joint5.a"))}),
+        (identifiability.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;joint5.a")),
+                                         "identify/parameters.csv": parameter_table(parameter="E.z", part="E")}),
         (identifiability.unseen_compliance, {"identify/identifiability.csv": statements(("silent", "joint2.a"))}),
         (accuracy.model_lacks, {"identify/summary.csv": summary(reduced_chi2="9"),
                                 "diagnose/summary.csv": summary(reduced_chi2="1.1")}),

@@ -6,11 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calflow.effects import Parameter
 from calflow.report.figures.residuals import magnification
 from calflow.report.material import lack_of_fit, steps
 from calflow.report.sections.parameters import known_from
 from calflow.report.sections.posterior import corner_names
-from calflow.report.words import interval, listed, mm, number, plural, readable, with_sd
+from calflow.report.words import interval, listed, mm, number, part_words, plural, readable, short_names, with_sd
 
 
 @pytest.mark.parametrize(
@@ -64,6 +65,23 @@ def test_lists_and_counts() -> None:
     assert listed(["a", "b", "c"]) == "a, b and c"
     assert listed(range(20), 3) == "0, 1, 2 and 17 more"
     assert (plural(1, "row"), plural(2, "row")) == ("1 row", "2 rows")
+
+
+def test_axes_have_short_names_where_these_are_clear() -> None:
+    """Fails if two parameters of a figure share a name, or a long name stands where a short one would do."""
+    rows = [
+        ("joint2", "alpha", ""),
+        ("joint3", "cos", "wave[order 1]"),
+        ("joint3", "cos", "wave[order 2]"),
+        ("base", "c", "tilt"),
+    ]
+    parameters = [Parameter("any", part, symbol, "rad", 1.0, -1.0, 1.0, tag=tag) for part, symbol, tag in rows]
+    assert short_names(parameters) == ["joint2.alpha", "joint3.wave[order 1].cos", "joint3.wave[order 2].cos", "base.c"]
+
+
+def test_parts_have_their_number_apart() -> None:
+    """Fails if a reader is shown an id, or a marker's name is taken to pieces."""
+    assert [part_words(part) for part in ("joint2", "link12", "base", "T20")] == ["joint 2", "link 12", "base", "T20"]
 
 
 def test_numbers_have_a_true_minus_and_none_before_zero() -> None:

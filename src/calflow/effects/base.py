@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import casadi as ca
 import numpy as np
 
+from calflow.effects.needs import unmet
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions, Loads
@@ -22,7 +23,17 @@ if TYPE_CHECKING:
     from calflow.measurements.measurements import Measurements
 
 
+Readable = Mapping[str, tuple[float, str]]  # SI unit -> factor and unit in which an effect's size is easy to read
 NOTHING = 1e-300  # keeps the slope of a length finite where the length is zero
+
+
+@dataclass(frozen=True)
+class Words:
+    """An effect as a report tells it: its name, what happens, and what the figure for its size is."""
+
+    name: str
+    what: str = ""
+    size: str = "size"
 
 
 @dataclass(frozen=True)
@@ -65,18 +76,24 @@ class Effect(ABC):
     """One physical cause. A subclass declares its parameters and overrides the one place where it acts.
 
     p is the column of this effect's parameters in the order declared; every default below means "does not act here".
-    Fields besides the robot are what cannot be a decision variable, such as the order of a periodic error: `variants`
-    says which values to try.
+    Fields besides the robot are what cannot be a decision variable, such as the order of a periodic error: numbers, text
+    or tuples of them; `variants` says which values to try.
     """
 
     robot: Robot
 
     id: ClassVar[str]
     title: ClassVar[str]
-    needs: ClassVar[tuple[str, ...]] = ()  # what it cannot do without: see `unmet`
+    needs: ClassVar[tuple[str, ...]] = ()  # what it cannot do without: see `needs`
     family: ClassVar[str] = ""  # what to call it when the data do not tell it from others of its family
     alike: ClassVar[tuple[str, ...]] = ()  # ids that no pose tells from it: only another sensor or load would
     told_by: ClassVar[str] = ""  # what to do at the robot to tell it from its rivals where no pose does
+    words: ClassVar[Words | None] = None  # for reports; without them they show the title
+    readable: ClassVar[Readable] = {}  # for units that reports would turn into others
+    place_word: ClassVar[str] = "joint"  # what the number of its place counts
+    whole: ClassVar[str] = ""  # the part that its name says already: a tilt of the base has no other
+    tag: ClassVar[str] = "{id}{variant}"  # in its parameters' names; empty where they are the maker's own figures
+    grows_with: ClassVar[str] = ""  # of a noise: the condition of a row that it grows with
 
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
@@ -84,8 +101,20 @@ class Effect(ABC):
 
     @cached_property
     def declared(self) -> tuple[Parameter, ...]:
-        """The parameters, worked out once."""
-        return self.parameters()
+        """The parameters with what makes them this effect's in this variant, worked out once."""
+        variant = self.variant
+        tag = self.tag.format(id=self.id, variant=f"[{variant}]" if variant else "")
+        return tuple(replace(parameter, variant=variant, tag=tag) for parameter in self.parameters())
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """What makes its variant: its fields besides the robot."""
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "robot"}
+
+    @property
+    def variant(self) -> str:
+        """Name the variant in short, e.g. `order 2`: its figures other than zero; empty where there are none."""
+        return " ".join(said for name, value in self.figures.items() if (said := _figure(name, value)))
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
@@ -101,6 +130,21 @@ class Effect(ABC):
     def is_noise(cls) -> bool:
         """Whether it widens the noise and shifts nothing, so that it is tested by what the fit leaves."""
         return cls.scatter is not Effect.scatter
+
+    @classmethod
+    def of_device(cls) -> bool:
+        """Whether it is the measuring device's: the robot itself is where it would be without it."""
+        return cls.device is not Effect.device or cls.is_noise()
+
+    @classmethod
+    def springs(cls, robot: Robot) -> bool:
+        """Whether it is how this robot's joints give way, which even a rough model must have."""
+        return False
+
+    @classmethod
+    def in_words(cls) -> Words:
+        """Return its words, its title where nobody has written any."""
+        return cls.words or Words(cls.title)
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return variants between this one and its neighbours."""
@@ -150,27 +194,14 @@ class Effect(ABC):
         return 0.0
 
 
-def unmet(needs: tuple[str, ...], robot: Robot, given: tuple[str, ...]) -> list[str]:
-    """Return in words which needs robot file and data leave unmet.
+def _figure(name: str, value: object) -> str:
+    """Name a figure; nothing where it is zero."""
+    if not value or isinstance(value, bool):
+        return name if value else ""
+    if isinstance(value, tuple):
+        return f"{name} {'/'.join(map(_number, value))}"
+    return f"{name} {_number(value)}"
 
-    A need is a condition of the data (`conditions.OPTIONAL`), or of the robot file: masses, torques (computed from
-    masses, or measured), payload, gear_ratio, distances (between markers).
-    """
-    said = {
-        "masses": ("mass_kg and com_mm of every link in the robot file", robot.has_masses),
-        "torques": ("mass_kg and com_mm of every link in the robot file, or measured torques tau1_Nm …",
-                    robot.has_masses or "torque" in given),
-        "payload": ("a payload with a mass in the robot file", any(load.mass for load in robot.payloads.values())),
-        "gear_ratio": ("gear_ratio of a joint in the robot file", any(joint.gear_ratio for joint in robot.joints)),
-        "distances": ("relative_sd_mm of a marker in the robot file (its place beside the first, measured apart)",
-                      any(marker.relative_sd for marker in robot.markers.values())),
-        "approach": ("columns approach1 … (or in_order = true in the study's [measurements])", "approach" in given),
-        "travel": ("columns travel1_deg … (or in_order = true in the study's [measurements])", "travel" in given),
-        "wrench": ("columns fx_N … mz_Nm", "wrench" in given),
-        "torque": ("columns tau1_Nm …", "torque" in given),
-        "time": ("a column time_s", "time" in given),
-        "temperature": ("a column temperature_degC", "temperature" in given),
-        "order": ("rows in measuring order", "order" in given),
-        "range": ("the device's place, tracker_mm in the study's [measurements]", "range" in given),
-    }  # fmt: skip
-    return [said[need][0] for need in needs if not said[need][1]]
+
+def _number(value: object) -> str:
+    return f"{value:.8g}" if isinstance(value, float) else str(value)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable
+from calflow.effects.base import Effect, Variable, Words
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
@@ -28,6 +28,10 @@ class BaseCompliance(Effect):
 
     id: ClassVar[str] = "base-compliance"
     title: ClassVar[str] = "base compliance (tilt of the foundation)"
+    words: ClassVar[Words] = Words(
+        "tilt of the base", "the base or its foundation tilts under the overturning moment", "compliance"
+    )
+    whole: ClassVar[str] = "base"
     needs: ClassVar[tuple[str, ...]] = ("masses",)
     told_by: ClassVar[str] = "watch a marker on the robot's foot while the arm reaches out"
 

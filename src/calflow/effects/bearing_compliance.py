@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable
+from calflow.effects.base import Effect, Variable, Words
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
@@ -22,6 +22,7 @@ class BearingCompliance(Effect):
 
     id: ClassVar[str] = "bearing-compliance"
     title: ClassVar[str] = "bearing compliance (tilt off the joint's axis)"
+    words: ClassVar[Words] = Words("bearing tilt", "the bearing tilts across the joint's axis under load", "compliance")
     needs: ClassVar[tuple[str, ...]] = ("masses",)
     told_by: ClassVar[str] = "watch a marker close behind the bearing while the load changes"
 

@@ -40,6 +40,11 @@ class Cause(Effect):
         return self.effect.detail
 
     @property
+    def variant(self) -> str:
+        """The effect's variant in short."""
+        return self.effect.variant
+
+    @property
     def joint(self) -> int:
         """Number of the joint or link, 0 for none."""
         return self.declared[0].joint
@@ -51,10 +56,11 @@ class Cause(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the part's parameters."""
-        return self._own
+        return self.declared
 
     @cached_property
-    def _own(self) -> tuple[Parameter, ...]:
+    def declared(self) -> tuple[Parameter, ...]:
+        """The effect's parameters of the part, as the effect names them."""
         return tuple(parameter for parameter in self.effect.declared if parameter.part == self.part)
 
     @cached_property
@@ -106,6 +112,11 @@ class Carried(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return none."""
+        return ()
+
+    @cached_property
+    def declared(self) -> tuple[Parameter, ...]:
+        """None."""
         return ()
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable, displaced
+from calflow.effects.base import Effect, Variable, Words, displaced
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
@@ -32,6 +32,10 @@ class FrameDrift(Effect):
 
     id: ClassVar[str] = "frame-drift"
     title: ClassVar[str] = "drift of the measuring device"
+    words: ClassVar[Words] = Words(
+        "drift of the measuring device", "the device wanders steadily while measuring", "speed"
+    )
+    whole: ClassVar[str] = "device"
     told_by: ClassVar[str] = "measure points fixed to the floor from time to time"
 
     @classmethod

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, displaced
+from calflow.effects.base import Effect, Words, displaced
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
@@ -30,6 +30,10 @@ class FrameStep(Effect):
 
     id: ClassVar[str] = "frame-step"
     title: ClassVar[str] = "step of the measuring device"
+    words: ClassVar[Words] = Words(
+        "step of the measuring device", "the device, or the robot's foot, was moved once", "step"
+    )
+    whole: ClassVar[str] = "device"
     needs: ClassVar[tuple[str, ...]] = ("order",)
     told_by: ClassVar[str] = "measure points fixed to the floor from time to time"
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+from calflow.effects.base import Readable, Words
 from calflow.effects.joint_error import JOINT_ALONE, JointError, Term
 from calflow.robot.conditions import Row
 from calflow.robot.statics import State
@@ -17,6 +18,8 @@ class GearRatioError(JointError):
 
     id: ClassVar[str] = "gear-ratio-error"
     title: ClassVar[str] = "gear ratio error"
+    words: ClassVar[Words] = Words("gear ratio error", "the joint turns more, or less, than its reading says", "excess")
+    readable: ClassVar[Readable] = {"1": (1e6, "µrad/rad")}
     told_by: ClassVar[str] = JOINT_ALONE
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
+from calflow.effects.base import Words
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
@@ -23,6 +24,9 @@ class GearTransmissionError(JointError):
 
     id: ClassVar[str] = "gear-transmission-error"
     title: ClassVar[str] = "gear transmission error"
+    words: ClassVar[Words] = Words(
+        "gear transmission error", "the angle is off by an amount that repeats with the turns of the motor", "amplitude"
+    )
     needs: ClassVar[tuple[str, ...]] = ("gear_ratio",)
     family: ClassVar[str] = TRANSMISSION
     told_by: ClassVar[str] = JOINT_ALONE

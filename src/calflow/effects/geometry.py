@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect
+from calflow.effects.base import Effect, Words
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions, nominal_dimensions
 from calflow.robot.frames import places
@@ -60,6 +60,8 @@ class Geometry(Effect):
 
     id: ClassVar[str] = "geometry"
     title: ClassVar[str] = "geometry (link lengths, twists and offsets, base, tool)"
+    words: ClassVar[Words] = Words("geometry error", "a length or an angle is not what the robot file says", "size")
+    tag: ClassVar[str] = ""
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the length and angle errors of this robot."""

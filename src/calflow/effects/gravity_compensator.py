@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Variable, joint_variable
+from calflow.effects.base import Effect, Variable, Words, joint_variable
 from calflow.robot.chain import Deflection, pose
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions
@@ -39,6 +39,9 @@ class GravityCompensator(Effect):
 
     id: ClassVar[str] = "gravity-compensator"
     title: ClassVar[str] = "gravity compensator"
+    words: ClassVar[Words] = Words(
+        "gravity compensator torque", "a spring or gas cylinder carries a part of the arm's weight", "torque"
+    )
     needs: ClassVar[tuple[str, ...]] = ("masses",)
     told_by: ClassVar[str] = "measure some poses again with the compensator's pressure released or its spring unhooked"
 

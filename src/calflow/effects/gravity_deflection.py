@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Variable, joint_variable
+from calflow.effects.base import Effect, Variable, Words, joint_variable
 from calflow.effects.joint_compliance import WINDUP_BOUND, WINDUP_SD
 from calflow.robot.chain import Deflection, pose
 from calflow.robot.conditions import Row
@@ -39,11 +39,17 @@ class GravityDeflection(Effect):
 
     id: ClassVar[str] = "gravity-deflection"
     title: ClassVar[str] = "gravity deflection (joint compliance, masses unknown)"
+    words: ClassVar[Words] = Words("gravity deflection", "the joint sags under the robot's own weight", "size")
 
     @classmethod
     def lacking(cls, robot: Robot, data: Measurements) -> str:
         """Say that it is not needed where torques are known."""
         return "nothing: the masses are known, so joint-compliance stands for it" if robot.has_masses else ""
+
+    @classmethod
+    def springs(cls, robot: Robot) -> bool:
+        """Return whether the masses are unknown."""
+        return not robot.has_masses
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the lumped first moments that load each joint, and its compliance under known payloads."""

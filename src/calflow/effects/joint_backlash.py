@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from calflow.effects.base import Variable
+from calflow.effects.base import Variable, Words
 from calflow.effects.joint_error import REVERSALS, JointError, Term
 from calflow.robot.conditions import Row
 from calflow.robot.statics import State
@@ -18,6 +18,9 @@ class JointBacklash(JointError):
 
     id: ClassVar[str] = "joint-backlash"
     title: ClassVar[str] = "backlash by direction of approach"
+    words: ClassVar[Words] = Words(
+        "backlash", "the gears rest on one flank or the other, depending on the side the joint came from", "play"
+    )
     needs: ClassVar[tuple[str, ...]] = ("approach",)
     alike: ClassVar[tuple[str, ...]] = ("joint-hysteresis",)  # where it has fully developed at every pose
     told_by: ClassVar[str] = REVERSALS

@@ -7,10 +7,11 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable, torque_variable
+from calflow.effects.base import Effect, Variable, Words, torque_variable
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
+from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques
 
 WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad (a slide: m) at the joint's rated torque
@@ -25,7 +26,14 @@ class JointCompliance(Effect):
 
     id: ClassVar[str] = "joint-compliance"
     title: ClassVar[str] = "joint compliance (linear torsional springs)"
+    words: ClassVar[Words] = Words("compliance", "the drive twists in proportion to its torque", "compliance")
+    tag: ClassVar[str] = ""
     needs: ClassVar[tuple[str, ...]] = ("torques",)
+
+    @classmethod
+    def springs(cls, robot: Robot) -> bool:
+        """Return whether the masses are known."""
+        return robot.has_masses
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return one compliance a joint."""

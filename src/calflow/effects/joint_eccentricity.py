@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
+from calflow.effects.base import Words
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
@@ -23,6 +24,11 @@ class JointEccentricity(JointError):
 
     id: ClassVar[str] = "joint-eccentricity"
     title: ClassVar[str] = "eccentricity"
+    words: ClassVar[Words] = Words(
+        "eccentricity",
+        "a gear or an encoder disc does not run true, so that the angle is off as the joint turns",
+        "amplitude",
+    )
     family: ClassVar[str] = TRANSMISSION
     told_by: ClassVar[str] = JOINT_ALONE
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
+from calflow.effects.base import Words
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
@@ -40,6 +41,9 @@ class JointErrorMap(JointError):
 
     id: ClassVar[str] = "joint-error-map"
     title: ClassVar[str] = "joint error map"
+    words: ClassVar[Words] = Words(
+        "angle error curve", "the angle is off by a smooth curve over the joint's travel, of no single order", "rms"
+    )
     family: ClassVar[str] = TRANSMISSION
     told_by: ClassVar[str] = JOINT_ALONE
 
@@ -63,6 +67,11 @@ class JointErrorMap(JointError):
     def detail(self) -> str:
         """Say how smooth it is."""
         return f"alike over {self.length:g} rad"
+
+    @property
+    def variant(self) -> str:
+        """Name how smooth it is; the travels are those of the data."""
+        return f"length {self.length:g}"
 
     def size(self, p: ca.SX) -> ca.SX:
         """Return the curve's root mean square: a wave of amplitude 1 has 1/sqrt(2)."""

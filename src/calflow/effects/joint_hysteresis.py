@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Variable
+from calflow.effects.base import Variable, Words
 from calflow.effects.joint_error import REVERSALS, JointError, Term
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
@@ -29,6 +29,11 @@ class JointHysteresis(JointError):
 
     id: ClassVar[str] = "joint-hysteresis"
     title: ClassVar[str] = "hysteresis by friction"
+    words: ClassVar[Words] = Words(
+        "friction wind-up",
+        "friction leaves the drive wound up after each reversal, until the joint has moved on far enough",
+        "wind-up to one side",
+    )
     needs: ClassVar[tuple[str, ...]] = ("approach", "travel")
     alike: ClassVar[tuple[str, ...]] = ("joint-backlash",)
     told_by: ClassVar[str] = REVERSALS

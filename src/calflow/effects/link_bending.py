@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable
+from calflow.effects.base import Effect, Variable, Words
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions
@@ -51,6 +51,8 @@ class LinkBending(Effect):
 
     id: ClassVar[str] = "link-bending"
     title: ClassVar[str] = "link bending"
+    words: ClassVar[Words] = Words("bending", "the link bends under what it carries", "stiffness EI")
+    place_word: ClassVar[str] = "link"
     needs: ClassVar[tuple[str, ...]] = ("masses",)
     told_by: ClassVar[str] = "put markers on both ends of the link, and watch them while the load changes"
 

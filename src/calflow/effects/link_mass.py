@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable, torque_variable
+from calflow.effects.base import Effect, Variable, Words, torque_variable
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Loads
 from calflow.robot.parameter import Parameter
@@ -19,6 +19,8 @@ class LinkMass(Effect):
 
     id: ClassVar[str] = "link-mass"
     title: ClassVar[str] = "link mass"
+    words: ClassVar[Words] = Words("mass error", "the link is not as heavy as the robot file says", "error")
+    place_word: ClassVar[str] = "link"
     needs: ClassVar[tuple[str, ...]] = ("masses",)
     told_by: ClassVar[str] = "compare the motors' torques at standstill with those computed"
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable
+from calflow.effects.base import Effect, Variable, Words
 from calflow.effects.link_bending import SOFT_BOUND, SOFT_SD, spans
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
@@ -21,6 +21,8 @@ class LinkTorsion(Effect):
 
     id: ClassVar[str] = "link-torsion"
     title: ClassVar[str] = "link torsion"
+    words: ClassVar[Words] = Words("torsion", "the link twists under what it carries", "stiffness GJ")
+    place_word: ClassVar[str] = "link"
     needs: ClassVar[tuple[str, ...]] = ("masses",)
     told_by: ClassVar[str] = (
         "put two markers on the link's end, abreast of each other, and watch them while the load changes"

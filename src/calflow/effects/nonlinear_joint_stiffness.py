@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Variable, around, torque_variable
+from calflow.effects.base import Variable, Words, around, torque_variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
@@ -34,6 +34,9 @@ class NonlinearJointStiffness(JointError):
 
     id: ClassVar[str] = "nonlinear-joint-stiffness"
     title: ClassVar[str] = "nonlinear joint stiffness"
+    words: ClassVar[Words] = Words(
+        "nonlinear stiffness", "the drive does not twist in proportion to its torque", "departure at the rated torque"
+    )
     needs: ClassVar[tuple[str, ...]] = ("torques",)
 
     @classmethod

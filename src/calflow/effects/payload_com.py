@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable
+from calflow.effects.base import Effect, Variable, Words
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Loads
 from calflow.robot.parameter import Parameter
@@ -19,6 +19,10 @@ class PayloadCom(Effect):
 
     id: ClassVar[str] = "payload-com"
     title: ClassVar[str] = "payload centre of mass"
+    words: ClassVar[Words] = Words(
+        "payload centre error", "the payload's centre of mass is not where the robot file says", "distance"
+    )
+    whole: ClassVar[str] = "payloads"
     needs: ClassVar[tuple[str, ...]] = ("masses", "payload")
     told_by: ClassVar[str] = "weigh the payload on two supports"
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable
+from calflow.effects.base import Effect, Variable, Words
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Loads
 from calflow.robot.parameter import Parameter
@@ -19,6 +19,8 @@ class PayloadMass(Effect):
 
     id: ClassVar[str] = "payload-mass"
     title: ClassVar[str] = "payload mass"
+    words: ClassVar[Words] = Words("payload mass error", "the payload is not as heavy as the robot file says", "error")
+    whole: ClassVar[str] = "payloads"
     needs: ClassVar[tuple[str, ...]] = ("masses", "payload")
     told_by: ClassVar[str] = "weigh the payload"
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from calflow.effects.base import around
+from calflow.effects.base import Words, around
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
@@ -29,6 +29,9 @@ class PeriodicJointError(JointError):
 
     id: ClassVar[str] = "periodic-joint-error"
     title: ClassVar[str] = "periodic error"
+    words: ClassVar[Words] = Words(
+        "periodic angle error", "the angle is off by an amount that repeats as the joint turns", "amplitude"
+    )
     family: ClassVar[str] = TRANSMISSION
     told_by: ClassVar[str] = JOINT_ALONE
 

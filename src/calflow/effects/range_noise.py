@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect
+from calflow.effects.base import Effect, Words
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
 
@@ -18,6 +18,11 @@ class RangeNoise(Effect):
 
     id: ClassVar[str] = "range-noise"
     title: ClassVar[str] = "noise that grows with range"
+    words: ClassVar[Words] = Words(
+        "noise that grows with range", "the device scatters more the further it looks", "growth"
+    )
+    whole: ClassVar[str] = "device"
+    grows_with: ClassVar[str] = "range"
     needs: ClassVar[tuple[str, ...]] = ("range",)
 
     def parameters(self) -> tuple[Parameter, ...]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Variable, around
+from calflow.effects.base import Effect, Readable, Variable, Words, around
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions
 from calflow.robot.parameter import Parameter
@@ -33,6 +33,9 @@ class ThermalGrowth(Effect):
 
     id: ClassVar[str] = "thermal-growth"
     title: ClassVar[str] = "thermal growth"
+    words: ClassVar[Words] = Words("thermal growth", "the links grow as the robot warms up", "growth")
+    readable: ClassVar[Readable] = {"1": (1e6, "µm/m")}
+    whole: ClassVar[str] = "links"
     told_by: ClassVar[str] = "measure some poses again when the robot is cold"
 
     @classmethod

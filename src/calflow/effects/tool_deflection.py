@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable
+from calflow.effects.base import Effect, Readable, Variable, Words
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
@@ -29,6 +29,9 @@ class ToolDeflection(Effect):
 
     id: ClassVar[str] = "tool-deflection"
     title: ClassVar[str] = "tool deflection"
+    words: ClassVar[Words] = Words("give of the tool", "tool or flange give way under the payload", "give")
+    readable: ClassVar[Readable] = {"m/N": (9.80665e6, "µm/kg")}
+    whole: ClassVar[str] = "tool"
     needs: ClassVar[tuple[str, ...]] = ("payload",)
     told_by: ClassVar[str] = "put a marker on the flange beside those on the tool"
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Variable, torque_variable
+from calflow.effects.base import Variable, Words, torque_variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
@@ -32,6 +32,9 @@ class TorqueBacklash(JointError):
 
     id: ClassVar[str] = "torque-backlash"
     title: ClassVar[str] = "backlash by sign of torque"
+    words: ClassVar[Words] = Words(
+        "backlash under load", "the gears change their flank where the load changes its sign", "play"
+    )
     needs: ClassVar[tuple[str, ...]] = ("torques",)
     told_by: ClassVar[str] = "measure some poses again with a load that turns the joint's torque around"
 

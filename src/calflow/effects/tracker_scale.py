@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect
+from calflow.effects.base import Effect, Readable, Words
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
 
@@ -18,6 +18,11 @@ class TrackerScale(Effect):
 
     id: ClassVar[str] = "tracker-scale"
     title: ClassVar[str] = "scale of the measuring device"
+    words: ClassVar[Words] = Words(
+        "scale error of the measuring device", "the device's metre is too long or too short", "error"
+    )
+    readable: ClassVar[Readable] = {"1": (1e6, "µm/m")}
+    whole: ClassVar[str] = "device"
     needs: ClassVar[tuple[str, ...]] = ("distances",)
 
     def parameters(self) -> tuple[Parameter, ...]:

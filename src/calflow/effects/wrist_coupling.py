@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from calflow.effects.base import Variable, joint_variable
+from calflow.effects.base import Readable, Variable, Words, joint_variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.conditions import Row
 from calflow.robot.statics import State
@@ -18,6 +18,10 @@ class WristCoupling(JointError):
 
     id: ClassVar[str] = "wrist-coupling"
     title: ClassVar[str] = "wrist coupling"
+    words: ClassVar[Words] = Words(
+        "wrist coupling", "the joint turns a little where the wrist's joints before it turn", "coupling"
+    )
+    readable: ClassVar[Readable] = {"1": (1e6, "µrad/rad")}
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the angles of the wrist's joints before this one."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from calflow.estimation.repeats import stated_noise
 from calflow.files.problems import refuse
 from calflow.files.tables import Tables
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model, build
+from calflow.model import Model
 from calflow.observations import Observation
 from calflow.observations import catalogue as observation_kinds
 from calflow.robot.parts import Base, Vector, vector
@@ -81,7 +81,8 @@ def identified(robot: Robot, tables: Tables, given: tuple[str, ...]) -> Identifi
     robot = placed(robot, tables)
     names = tuple(dict.fromkeys(tables["identify/parameters.csv"]["effect"]))
     observed = read_observations(tables["identify/observations.csv"])
-    return _read("identify", build(robot, [name for name in names if name in catalogue()], given, observed), tables)
+    known = tuple(_kind(name)(robot) for name in names if name not in observation_kinds())
+    return _read("identify", Model(robot, known, given, observed), tables)
 
 
 def calibrated(robot: Robot, tables: Tables, given: tuple[str, ...]) -> Identified:
@@ -128,8 +129,7 @@ def effect_table(effects: Sequence[Effect]) -> pd.DataFrame:
     rows = []
     for effect in effects:
         whole, part = (effect.effect, effect.part) if isinstance(effect, Cause) else (effect, "")
-        variant = {field.name: getattr(whole, field.name) for field in fields(whole) if field.name != "robot"}
-        rows.append({"effect": whole.id, "part": part, "variant": json.dumps(variant)})
+        rows.append({"effect": whole.id, "part": part, "variant": json.dumps(whole.figures)})
     return pd.DataFrame(rows, columns=["effect", "part", "variant"])
 
 
@@ -137,7 +137,7 @@ def read_effects(table: pd.DataFrame, robot: Robot) -> tuple[Effect, ...]:
     """Rebuild the effects of a table that `effect_table` wrote."""
     found: list[Effect] = []
     for effect, part, variant in table.fillna("")[["effect", "part", "variant"]].itertuples(index=False):
-        whole = catalogue()[effect](robot, **{name: _frozen(value) for name, value in json.loads(variant).items()})
+        whole = _kind(effect)(robot, **{name: _frozen(value) for name, value in json.loads(variant).items()})
         found.append(Cause(robot, whole, part) if part else whole)
     return tuple(found)
 
@@ -201,8 +201,14 @@ def _read(stage: str, model: Model, tables: Tables) -> Identified:
     )
 
 
+def _kind(effect: str) -> type[Effect]:
+    if effect not in catalogue():
+        raise refuse(f"the run has effect '{effect}', which is unknown here: install the package that it came from")
+    return catalogue()[effect]
+
+
 def _frozen(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
+    return tuple(map(_frozen, value)) if isinstance(value, list) else value
 
 
 def _angles(placement: pd.DataFrame, what: str) -> Vector:

@@ -21,6 +21,9 @@ def parameter_table(result: Fit) -> pd.DataFrame:
         {
             "parameter": [parameter.name for parameter in result.model.parameters],
             "effect": table["effect"],
+            "variant": table["variant"],
+            "part": table["part"],
+            "symbol": table["symbol"],
             "unit": table["unit"],
             "nominal": table["nominal"],
             "estimate": result.estimate,

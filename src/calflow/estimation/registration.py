@@ -91,7 +91,9 @@ def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements)
     result, _ = fit(LeastSquares.of(model, train.on(placed), noise), loss="soft_l1")
     dims = Placement(placed).dimensions(ca.SX(result.estimate), nominal_dimensions(placed), Row.symbols(placed))
     markers = np.array(ca.DM(ca.evalf(dims.markers))).T
-    return _moved(placed, dict(zip((p.name for p in model.parameters), result.estimate, strict=True)), markers)
+    return _moved(
+        placed, {(p.part, p.symbol): value for p, value in zip(model.parameters, result.estimate, strict=True)}, markers
+    )
 
 
 def _in_measuring_frame(observed: tuple[Observation, ...], data: Measurements) -> np.ndarray:
@@ -104,10 +106,10 @@ def _in_measuring_frame(observed: tuple[Observation, ...], data: Measurements) -
     return here
 
 
-def _moved(robot: Robot, found: dict[str, float], markers: np.ndarray) -> Robot:
+def _moved(robot: Robot, found: dict[tuple[str, str], float], markers: np.ndarray) -> Robot:
     turn = Rotation.from_euler("XYZ", robot.base.rotation)
-    small = Rotation.from_euler("XYZ", [found[f"base.{axis}"] for axis in ("rx", "ry", "rz")])
-    origin = np.array(robot.base.origin) + turn.apply([found[f"base.{axis}"] for axis in "xyz"])
+    small = Rotation.from_euler("XYZ", [found["base", axis] for axis in ("rx", "ry", "rz")])
+    origin = np.array(robot.base.origin) + turn.apply([found["base", axis] for axis in "xyz"])
     placed = {
         name: replace(marker, point=vector(point))
         for (name, marker), point in zip(robot.markers.items(), markers, strict=True)
@@ -115,7 +117,7 @@ def _moved(robot: Robot, found: dict[str, float], markers: np.ndarray) -> Robot:
     moved = replace(_with_base(robot, turn * small, origin), markers=placed)
     if robot.tool_rotation is None:
         return moved
-    tool = _tool(robot) * Rotation.from_euler("XYZ", [found[f"tool.{axis}"] for axis in ("rx", "ry", "rz")])
+    tool = _tool(robot) * Rotation.from_euler("XYZ", [found["tool", axis] for axis in ("rx", "ry", "rz")])
     return replace(moved, tool_rotation=_angles(tool))
 
 

@@ -8,7 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from calflow.effects.base import unmet
+from calflow.effects import catalogue
+from calflow.effects.geometry import Geometry
 from calflow.estimation.registration import Placement
 from calflow.estimation.repeats import conditions
 from calflow.measurements.measurements import Measurements
@@ -59,13 +60,13 @@ class Models:
     @cached_property
     def geometric(self) -> Model:
         """With errors of its geometry."""
-        return build(self.robot, ("geometry",), self.given)
+        return Model(self.robot, (Geometry(self.robot),), self.given)
 
     @cached_property
     def sprung(self) -> Model:
         """With joints that give way besides."""
-        springs = "gravity-deflection" if unmet(("masses",), self.robot, self.given) else "joint-compliance"
-        return build(self.robot, ("geometry", springs), self.given)
+        springs = (kind(self.robot) for kind in catalogue().values() if kind.springs(self.robot))
+        return Model(self.robot, (Geometry(self.robot), *springs), self.given)
 
     def richest(self, equations: int) -> Model | None:
         """Return the richest model that so many equations are enough for; None where there is only a handful."""

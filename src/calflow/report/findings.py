@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from calflow.effects import catalogue
+from calflow.effects.base import Words
 from calflow.files.tables import Tables
 from calflow.report.words import effect_words, listed, number, percent, with_sd
 
@@ -18,73 +19,6 @@ CERTAIN = 0.99  # probability beyond which only this is said
 SMALL = 1e-6  # chance below which only this is said
 
 
-@dataclass(frozen=True)
-class Words:
-    """A cause in words: its name, what happens, and what the figure for its size is."""
-
-    name: str
-    what: str
-    size: str
-
-
-CAUSES = {
-    "joint-backlash": Words(
-        "backlash", "the gears rest on one flank or the other, depending on the side the joint came from", "play"
-    ),
-    "torque-backlash": Words(
-        "backlash under load", "the gears change their flank where the load changes its sign", "play"
-    ),
-    "joint-hysteresis": Words(
-        "friction wind-up",
-        "friction leaves the drive wound up after each reversal, until the joint has moved on far enough",
-        "wind-up to one side",
-    ),
-    "joint-eccentricity": Words(
-        "eccentricity", "a gear or an encoder disc does not run true, so that the angle is off as the joint turns", "amplitude"
-    ),
-    "periodic-joint-error": Words(
-        "periodic angle error", "the angle is off by an amount that repeats as the joint turns", "amplitude"
-    ),
-    "gear-transmission-error": Words(
-        "gear transmission error", "the angle is off by an amount that repeats with the turns of the motor", "amplitude"
-    ),
-    "joint-error-map": Words(
-        "angle error curve", "the angle is off by a smooth curve over the joint's travel, of no single order", "rms"
-    ),
-    "gear-ratio-error": Words("gear ratio error", "the joint turns more, or less, than its reading says", "excess"),
-    "wrist-coupling": Words(
-        "wrist coupling", "the joint turns a little where the wrist's joints before it turn", "coupling"
-    ),
-    "joint-compliance": Words("compliance", "the drive twists in proportion to its torque", "compliance"),
-    "nonlinear-joint-stiffness": Words(
-        "nonlinear stiffness", "the drive does not twist in proportion to its torque", "departure at the rated torque"
-    ),
-    "gravity-deflection": Words("gravity deflection", "the joint sags under the robot's own weight", "size"),
-    "bearing-compliance": Words("bearing tilt", "the bearing tilts across the joint's axis under load", "compliance"),
-    "base-compliance": Words("tilt of the base", "the base or its foundation tilts under the overturning moment", "compliance"),
-    "link-bending": Words("bending", "the link bends under what it carries", "stiffness EI"),
-    "link-torsion": Words("torsion", "the link twists under what it carries", "stiffness GJ"),
-    "link-mass": Words("mass error", "the link is not as heavy as the robot file says", "error"),
-    "payload-mass": Words("payload mass error", "the payload is not as heavy as the robot file says", "error"),
-    "payload-com": Words(
-        "payload centre error", "the payload's centre of mass is not where the robot file says", "distance"
-    ),
-    "gravity-compensator": Words(
-        "gravity compensator torque", "a spring or gas cylinder carries a part of the arm's weight", "torque"
-    ),
-    "tool-deflection": Words("give of the tool", "tool or flange give way under the payload", "give"),
-    "thermal-growth": Words("thermal growth", "the links grow as the robot warms up", "growth"),
-    "frame-drift": Words(
-        "drift of the measuring device", "the device wanders steadily while measuring", "speed"
-    ),
-    "frame-step": Words("step of the measuring device", "the device, or the robot's foot, was moved once", "step"),
-    "tracker-scale": Words(
-        "scale error of the measuring device", "the device's metre is too long or too short", "error"
-    ),
-    "range-noise": Words(
-        "noise that grows with range", "the device scatters more the further it looks", "growth"
-    ),
-}  # fmt: skip
 UNITS = {
     "rad": (1e6, "µrad"), "m": (1e3, "mm"), "1": (100.0, "%"), "rad/Nm": (1e9, "µrad/kNm"), "m/N": (1e6, "µm/N"),
     "Nm2": (1e-6, "MNm²"), "1/Nm2": (1e6, "1/MNm²"), "Nm": (1e-3, "kNm"), "m/s": (3.6e6, "mm/h"), "rad/s": (3.6e6, "mrad/h"),
@@ -92,16 +26,6 @@ UNITS = {
 }  # fmt: skip
 FLEXIBILITY = "1/Nm2"
 LARGE_ANGLE = 2e-3  # rad from which mrad are said
-OWN_UNITS = {  # where the unit alone does not say how to read it
-    ("gear-ratio-error", "1"): (1e6, "µrad/rad"),
-    ("wrist-coupling", "1"): (1e6, "µrad/rad"),
-    ("thermal-growth", "1"): (1e6, "µm/m"),
-    ("tracker-scale", "1"): (1e6, "µm/m"),
-    ("tool-deflection", "m/N"): (9.80665e6, "µm/kg"),
-}
-
-
-GENERAL = ("payloads", "base", "device", "links", "tool")  # parts that a cause's name says already
 
 
 @dataclass(frozen=True)
@@ -233,7 +157,7 @@ def cause_name(cause: str, joint: int = 0, part: str = "") -> str:
     """Return a cause's name with its place; part is said where it is neither joint nor link."""
     name = cause_words(cause).name
     if joint:
-        return f"{name} of {'link' if cause.startswith('link-') else 'joint'} {joint}"
+        return f"{name} of {_place_word(cause)} {joint}"
     return f"{name} ({part})" if part else name
 
 
@@ -247,8 +171,8 @@ def step_words(step: str) -> str:
 def place_name(cause: str, part: str) -> str:
     """Return a cause's name with its place, from the part of the robot that it belongs to."""
     place = re.fullmatch(r"(joint|link)(\d+)", part)
-    general = part in GENERAL
-    return cause_name(cause, int(place[2]) if place else 0, "" if place or general else part)
+    kind = catalogue().get(cause)
+    return cause_name(cause, int(place[2]) if place else 0, "" if place or (kind and kind.whole == part) else part)
 
 
 def place_names(cause: str, parts: Sequence[str]) -> str:
@@ -256,20 +180,24 @@ def place_names(cause: str, parts: Sequence[str]) -> str:
     numbered = [place[2] for part in parts if (place := re.fullmatch(r"(joint|link)(\d+)", part))]
     if len(numbered) < 2 or len(numbered) < len(parts):
         return listed([place_name(cause, part) for part in parts])
-    return f"{cause_words(cause).name} of {'links' if cause.startswith('link-') else 'joints'} {listed(numbered)}"
+    return f"{cause_words(cause).name} of {_place_word(cause)}s {listed(numbered)}"
 
 
 def cause_words(cause: str) -> Words:
-    """Return a cause in words, its title where nobody has written any."""
-    if cause in CAUSES:
-        return CAUSES[cause]
+    """Return a cause in its effect's words."""
     kind = catalogue().get(cause)
-    return Words(kind.title if kind else effect_words(cause), "", "size")
+    return kind.in_words() if kind else Words(effect_words(cause))
+
+
+def _place_word(cause: str) -> str:
+    kind = catalogue().get(cause)
+    return kind.place_word if kind else "joint"
 
 
 def readable_size(cause: str, unit: str) -> tuple[float, str]:
     """Return the factor and the unit in which a cause's size is easy to read."""
-    return OWN_UNITS.get((cause, unit)) or UNITS.get(unit) or (1.0, unit)
+    kind = catalogue().get(cause)
+    return (kind.readable.get(unit) if kind else None) or UNITS.get(unit) or (1.0, unit)
 
 
 def amount(cause: str, estimate: float, sd: float, unit: str) -> str:
@@ -311,7 +239,7 @@ def sureness(probability: float) -> str:
 
 def named_ids(text: str) -> str:
     """Return a text with the ids of causes replaced by their names."""
-    known: Sequence[str] = sorted({*CAUSES, *catalogue()}, key=len, reverse=True)
+    known: Sequence[str] = sorted(catalogue(), key=len, reverse=True)
     return re.sub(rf"\b({'|'.join(map(re.escape, known))})\b", lambda match: cause_words(match[1]).name, text)
 
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
+
+from calflow.robot.parameter import Parameter
 
 READABLE = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
 
@@ -81,3 +84,16 @@ def plural(number: int, noun: str) -> str:
 def effect_words(effect: str) -> str:
     """Return an effect's or a model's id as words."""
     return effect.replace("-", " ")
+
+
+def part_words(part: str) -> str:
+    """Return a part of the robot as words, its number apart."""
+    return re.sub(r"^(joint|link)(\d+)$", r"\1 \2", part)
+
+
+def short_names(parameters: Sequence[Parameter]) -> list[str]:
+    """Return names for a figure's axis: part and symbol where these are clear, else a parameter's whole name."""
+    short = [f"{parameter.part}.{parameter.symbol}" for parameter in parameters]
+    return [
+        name if short.count(name) == 1 else parameter.name for name, parameter in zip(short, parameters, strict=True)
+    ]

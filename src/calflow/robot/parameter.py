@@ -12,6 +12,8 @@ class Parameter:
     The prior is normal about the nominal value with standard deviation prior_sd, cut at the bounds. Parameters of one
     part stand and fall together; joint is the number of the joint or link that it belongs to, 0 for none. figure is the
     maker's figure that the parameter's value is added to, for tables that show the sum; meaning says in words what it is.
+    Effect, variant, part and symbol are a parameter's identity: no two of a model share it, nor a name. The
+    part of the model that declares it sets variant and tag, which stands between part and symbol in the name.
     """
 
     effect: str
@@ -25,8 +27,15 @@ class Parameter:
     figure: float = 0.0
     meaning: str = ""
     joint: int = 0
+    variant: str = ""
+    tag: str = ""
+
+    @property
+    def identity(self) -> tuple[str, str, str, str]:
+        """What it is known by: effect, variant, part and symbol."""
+        return self.effect, self.variant, self.part, self.symbol
 
     @property
     def name(self) -> str:
-        """The name that tables show, e.g. `joint2.alpha`."""
-        return f"{self.part}.{self.symbol}"
+        """The name that tables show, e.g. `joint2.alpha` or `joint3.joint-eccentricity[order 2].cos`."""
+        return ".".join(filter(None, (self.part, self.tag, self.symbol)))

@@ -78,9 +78,6 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     found = identifiability(result)
     noise = replace(noise, discrepancy=reweighted.discrepancy, rotation_discrepancy=reweighted.rotation_discrepancy)
     noise = replace(noise, sigma=_of_single_rows(noise, reweighted))
-    names = [parameter.name for parameter in model.parameters]
-    covariance = pd.DataFrame(result.covariance, columns=names)
-    covariance.insert(0, "parameter", names)
     tables = {
         "identify/faults.csv": as_table(faults, data),
         "identify/parameters.csv": parameter_table(result),
@@ -88,7 +85,6 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
         "identify/residuals.csv": _residuals(result, data, noise),
         "identify/identifiability.csv": found.statements,
         "identify/correlations.csv": correlations(result),
-        "identify/covariance.csv": covariance,
         "identify/observations.csv": observation_table(observed),
         "identify/noise.csv": noise_table(noise, observed),
         "identify/placement.csv": _placement(robot, observed),

@@ -9,6 +9,7 @@ from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.acceptance import Acceptance
 from calflow.diagnosis.search.extension import extend, second_thoughts
 from calflow.diagnosis.search.linearisation import Linearisation
+from calflow.model import Model
 from diagnosis.found import cause, hidden, start
 
 TESTED = ("joint-eccentricity", "gear-ratio-error", "joint-compliance", "base-compliance", "periodic-joint-error")
@@ -98,3 +99,13 @@ def test_orders_of_one_joint_may_act_together():
     assert [finding.cause.place for finding in extended.findings] == [first.place] * 2
     orders = sorted(finding.cause.effect.order for finding in extended.findings)
     assert orders == pytest.approx([4.0, 9.0], abs=0.1)
+
+
+def test_two_forms_of_a_cause_start_from_their_own_estimates():
+    """Fails if one form's estimate is taken for another's, or a form that is new starts from that of another."""
+    first, second, other = (cause("joint-eccentricity", "joint1", order=order) for order in (1, 2, 3))
+    data = hidden([(first, (2e-4, 1e-4)), (second, (-3e-4, 5e-5))])
+    fitted = start(data).with_causes([first, second])
+    swapped = Model(fitted.model.robot, (*fitted.plain, second, other, first), fitted.model.given)
+    estimate = fitted.fit.estimate
+    np.testing.assert_array_equal(fitted._values(swapped)[-6:], [*estimate[-2:], 0, 0, *estimate[-4:-2]])

@@ -17,8 +17,8 @@ from calflow.diagnosis.screening.detection_limit import detection_limit
 from calflow.diagnosis.screening.screening import Score, by_place
 from calflow.diagnosis.search.extension import Extended
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.noise_growth import Growth
-from calflow.effects import catalogue
+from calflow.diagnosis.search.noise_growth import RANGE, Growth
+from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import distances, errors
 from calflow.measurements.measurements import Measurements
@@ -33,7 +33,7 @@ CANDIDATES = [
 ]  # fmt: skip
 
 UNEXPLAINED = "unexplained"  # what a cause is not told from where something without a name depends on the same input
-DEVICE, IN_TIME = "device", {"time", "order"}  # the part of causes that depend on these inputs
+IN_TIME = {"time", "order"}  # the inputs that causes of the measuring device depend on
 
 
 @dataclass(frozen=True)
@@ -109,20 +109,21 @@ def candidates_table(found: Diagnosis) -> pd.DataFrame:
         rows.append({"cause": cause.id, "joint": cause.joint or None, "part": cause.part,
                      "note": "not testable: these data cannot show it, the model's own parameters imitate it"})  # fmt: skip
     rows += [
-        {
-            "cause": name,
-            "p_family": found.growth.p,
-            "estimate": found.growth.slope,
-            "sd": found.growth.sd,
-            "unit": "m/m",
-        }
-        if found.growth
-        else {"cause": name, "note": "tested on the size of what is left: it does not grow with range"}
+        _noise(kind, found.growth)
         for name, kind in catalogue().items()
         if kind.is_noise() and name not in found.lacking
     ]
     rows += [{"cause": name, "note": f"not testable: needs {what}"} for name, what in found.lacking.items()]
     return pd.DataFrame(rows, columns=CANDIDATES).astype({"joint": "Int64"})
+
+
+def _noise(kind: type[Effect], grown: Growth | None) -> dict[str, object]:
+    """One model of the noise: growth with range is what is tested."""
+    if kind.grows_with != RANGE:
+        return {"cause": kind.id, "note": f"not testable: only noise that grows with {RANGE} is looked for"}
+    if grown is None:
+        return {"cause": kind.id, "note": f"tested on the size of what is left: it does not grow with {RANGE}"}
+    return {"cause": kind.id, "p_family": grown.p, "estimate": grown.slope, "sd": grown.sd, "unit": "m/m"}
 
 
 def _score(score: Score) -> dict[str, object]:
@@ -173,13 +174,13 @@ def _statement(verdict: Verdict, left: Remainder | None) -> str:
 
 
 def _place(cause: Cause) -> str:
-    return cause.part.replace("joint", "joint ").replace("link", "link ") if cause.joint else ""
+    return f"{cause.effect.place_word} {cause.joint}" if cause.joint else ""
 
 
 def _overlapping(verdict: Verdict, left: tuple[Remainder, ...]) -> Remainder | None:
     """What is left along the input that a cause depends on: its joint, or the course of the measurement."""
     cause = verdict.finding.cause
-    own = {f"q{cause.joint}"} if cause.joint else IN_TIME if cause.part == DEVICE else set()
+    own = {f"q{cause.joint}"} if cause.joint else IN_TIME if cause.effect.of_device() else set()
     return next((remainder for remainder in left if own & set(remainder.inputs)), None)
 
 
@@ -190,10 +191,11 @@ def _relatives(cause: Cause) -> list[str]:
 
 
 def _growth(grown: Growth) -> dict[str, object]:
+    kind = next(kind for kind in catalogue().values() if kind.grows_with == RANGE)
     return {
-        "status": "named", "cause": "range-noise", "estimate": grown.slope, "sd": grown.sd, "unit": "m/m",
+        "status": "named", "cause": kind.id, "estimate": grown.slope, "sd": grown.sd, "unit": "m/m",
         "p_family": grown.p, "probability": 1 - grown.p, "cannot_tell_from": "", "rivals": "", "rows": "",
-        "statement": f"noise that grows with range: {1e6 * grown.floor:.3g} um and {1e6 * grown.slope:.3g} um/m",
+        "statement": f"{kind.title}: {1e6 * grown.floor:.3g} um and {1e6 * grown.slope:.3g} um/m",
     }  # fmt: skip
 
 

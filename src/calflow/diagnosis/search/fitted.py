@@ -79,8 +79,8 @@ class Fitted:
 
     def _values(self, model: Model) -> np.ndarray:
         """Another model's parameters at the estimates there are, nominal where there are none."""
-        known = dict(zip(((p.effect, p.name) for p in self.model.parameters), self.fit.estimate, strict=True))
-        return np.array([known.get((p.effect, p.name), p.nominal) for p in model.parameters])
+        known = dict(zip((p.identity for p in self.model.parameters), self.fit.estimate, strict=True))
+        return np.array([known.get(p.identity, p.nominal) for p in model.parameters])
 
     @property
     def causes(self) -> tuple[Cause, ...]:

@@ -12,6 +12,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.estimation.noise import Noise
 from calflow.measurements.measurements import Measurements
 
+RANGE = "range"  # the condition of a row that noise is tested to grow with
 MOST_LEVERAGE = 0.95
 
 
@@ -38,7 +39,7 @@ def growth(fitted: Fitted, significance: float) -> Growth | None:
 
     Ranks (Spearman 1904) keep their promise whatever the noise's tails are; residuals are freed of their leverage first.
     """
-    if "range" not in fitted.data.given:
+    if RANGE not in fitted.data.given:
         return None
     found = [(np.zeros((0, 3)), np.zeros(0, dtype=int))]
     for block in fitted.problem.blocks:
@@ -54,7 +55,7 @@ def growth(fitted: Fitted, significance: float) -> Growth | None:
     error, rows = (np.concatenate(parts) for parts in zip(*found, strict=True))
     if not len(rows):
         return None
-    distance = fitted.data.table["range"].to_numpy()[rows]
+    distance = fitted.data.table[RANGE].to_numpy()[rows]
     size = np.linalg.norm(error, axis=1)
     p = float(spearmanr(size, distance, alternative="greater").pvalue)
     if not p < significance:

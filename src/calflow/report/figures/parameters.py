@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import groupby
+from textwrap import fill
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -20,7 +21,8 @@ def estimates(
 ) -> Figure:
     """Draw each estimate's distance from nominal ± 2 sd in prior standard deviations, grouped by effect.
 
-    scaled and sd have shape (n_parameters,), sd is nan at a bound; from_prior marks what the data leave to the prior.
+    effects names each parameter's group, in words. scaled and sd have shape (n_parameters,), sd is nan at a bound;
+    from_prior marks what the data leave to the prior.
     """
     groups = [(effect, len(list(own))) for effect, own in groupby(effects)]
     titles = [_title(effect, number) for effect, number in groups]
@@ -59,8 +61,9 @@ def estimates(
 
 
 def _title(effect: str, number: int) -> str:
-    """Name an effect, a word a line where its parameters take less room than its name."""
-    return effect.replace("-", " " if CHARACTER * len(effect) <= number else "\n")
+    """Break a group's name into lines as long as its parameters give room for, or as its longest word."""
+    words = effect.split(" ")
+    return fill(effect, max(int(number / CHARACTER), *map(len, words)), break_on_hyphens=False)
 
 
 def _longest(title: str) -> int:

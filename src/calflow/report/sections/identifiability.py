@@ -10,7 +10,7 @@ from calflow.report.document import Block, bullets, heading, paragraph, table
 from calflow.report.material import Material, item
 from calflow.report.section import Advice, Section
 from calflow.report.sections.parameters import prior_names
-from calflow.report.words import effect_words, interval, listed, number, readable
+from calflow.report.words import effect_words, interval, listed, number, part_words, readable
 
 SHOWN = 15  # correlations in the table
 NAMED = 3  # parameters that a trade on the first page names
@@ -114,9 +114,11 @@ def second_marker(tables: Tables) -> list[Advice]:
     if len(markers) != 1:
         return []
     marker = markers[0]
+    parameters = tables["identify/parameters.csv"]
+    of_marker = set(parameters.loc[parameters["part"] == marker, "parameter"])
     links: set[str] = set()
     for names in _of_kind(tables, "trade"):
-        own = {name for name in names.split(";") if name.startswith(f"{marker}.")}
+        own = of_marker & set(names.split(";"))
         links |= set(names.split(";")) - own if own else set()
     if not links:
         return []
@@ -130,11 +132,11 @@ def second_marker(tables: Tables) -> list[Advice]:
 def unseen_compliance(tables: Tables) -> list[Advice]:
     """A joint that no load turned keeps an unknown compliance."""
     parameters = tables["identify/parameters.csv"]
-    compliant = set(parameters.loc[parameters["unit"].isin(LOAD_DRIVEN), "parameter"].astype(str))
+    compliant = parameters[parameters["unit"].isin(LOAD_DRIVEN)].set_index("parameter")["part"]
     unseen = [name for name in _of_kind(tables, "silent") if name in compliant]
     if not unseen:
         return []
-    joints = listed([name.split(".")[0].replace("joint", "joint ") for name in unseen], 8)
+    joints = listed([part_words(compliant[name]) for name in unseen], 8)
     sentence = (
         f"The loads measured do not twist {joints}, so {listed(unseen, 8)} {'stays' if len(unseen) == 1 else 'stay'} "
         "unknown. This does no harm under such loads; to know more, apply a known side force."

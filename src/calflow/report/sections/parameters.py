@@ -25,7 +25,10 @@ LEGEND = (
 )
 NEAR_ZERO = 0.01  # share of the range within which a bound of zero was hit
 REGISTERED = " Base and markers: the difference from where the training poses put them (see the appendix)."
-ADDED = " At the end: the causes that the section before names."
+ADDED = (
+    " At the end: the causes that the section before names. Outside this table their parameters have the cause in their "
+    "names, as in joint3.joint-backlash.b."
+)
 CAPTION = (
     "Estimates in units of what was thought likely beforehand (grey band: one prior standard deviation). Bars are ± 2 sd; "
     "where none is seen it is smaller than the dot."
@@ -39,8 +42,13 @@ def write(material: Material) -> list[Block]:
     added = len(parameters) > len(material.tables["identify/parameters.csv"])
     lines, shaded = _lines(parameters, _known_together(material.tables))
     nominal, estimate, sd, share = parameters[["nominal", "estimate", "sd", "prior_share"]].to_numpy(dtype=float).T
-    names, effects = (parameters[column].astype(str).tolist() for column in ("parameter", "effect"))
-    drawn = estimates(names, effects, (estimate - nominal) / model.prior_sd, sd / model.prior_sd, share > BY_PRIOR)
+    drawn = estimates(
+        _places(parameters),
+        _groups(parameters),
+        (estimate - nominal) / model.prior_sd,
+        sd / model.prior_sd,
+        share > BY_PRIOR,
+    )
     return [
         paragraph(LEGEND + (REGISTERED if not model.robot.base.known else "") + (ADDED if added else "")),
         table(("parameter", "unit", "estimate", "sd", "allowed", "known from"), lines, "llrrrl", shaded, 8.6),
@@ -52,15 +60,27 @@ def _lines(parameters: pd.DataFrame, together: set[str]) -> tuple[list[tuple[str
     """Return the table's rows with a heading for each effect, and which rows are left to the prior."""
     lines: list[tuple[str, ...] | str] = []
     shaded = []
-    effect = ""
-    for row in parameters.to_dict("records"):
-        if row["effect"] != effect:
-            effect = row["effect"]
-            lines.append(effect_words(effect))
+    before = ""
+    for row, group, name in zip(parameters.to_dict("records"), _groups(parameters), _places(parameters), strict=True):
+        if group != before:
+            before = group
+            lines.append(group)
         if row["prior_share"] > BY_PRIOR:
             shaded.append(len(lines))
-        lines.append(_line(row, row["parameter"] in together))
+        lines.append((name, *_line(row, row["parameter"] in together)))
     return lines, frozenset(shaded)
+
+
+def _groups(parameters: pd.DataFrame) -> list[str]:
+    """Return each parameter's effect in words, with its variant."""
+    variants = parameters["variant"].astype(object).fillna("")
+    return [" ".join(filter(None, (effect_words(str(effect)), str(variant))))
+            for effect, variant in zip(parameters["effect"], variants, strict=True)]  # fmt: skip
+
+
+def _places(parameters: pd.DataFrame) -> list[str]:
+    """Return each parameter's part and symbol, which is clear within its group."""
+    return [f"{part}.{symbol}" for part, symbol in zip(parameters["part"], parameters["symbol"], strict=True)]
 
 
 def _line(row: dict[Hashable, Any], together: bool) -> tuple[str, ...]:
@@ -70,7 +90,7 @@ def _line(row: dict[Hashable, Any], together: bool) -> tuple[str, ...]:
     )
     value, deviation = with_sd(factor * (estimate - nominal), factor * sd)
     allowed = interval(factor * (lower - nominal), factor * (upper - nominal))
-    return str(row["parameter"]), unit, value, deviation, allowed, known_from(share, bool(row["at_bound"]), together)
+    return unit, value, deviation, allowed, known_from(share, bool(row["at_bound"]), together)
 
 
 def known_from(prior_share: float, at_bound: bool, together: bool = False) -> str:

@@ -16,7 +16,7 @@ from calflow.report.findings import cause_name
 from calflow.report.material import Material, item, latest
 from calflow.report.section import Advice, Section
 from calflow.report.style import WIDTH
-from calflow.report.words import listed, readable, with_sd
+from calflow.report.words import listed, readable, short_names, with_sd
 
 SAME = 1.01  # R-hat up to which ensembles agree
 TRACED, PAIRED = 3, 6  # parameters in the figures
@@ -44,7 +44,7 @@ def write(material: Material) -> list[Block]:
     model, held = material.sampled
     free = ~model.at_bound
     ratio = posterior["sd"].to_numpy(dtype=float)[: len(free)][free] / np.sqrt(np.diag(model.covariance))[free]
-    names = [parameter.name for parameter, is_free in zip(model.model.parameters, free, strict=True) if is_free]
+    names = short_names([p for p, is_free in zip(model.model.parameters, free, strict=True) if is_free])
     return [
         paragraph(INTRODUCTION, keep=True),
         table(("check", "found", "wanted"), _checks(posterior, summary), "lll"),
@@ -99,10 +99,11 @@ def _chain(material: Material) -> list[Block]:
     posterior = material.tables["sample/posterior.csv"]
     chain = Chain.read(path, material)
     names = posterior["parameter"].astype(str).tolist()
+    shown = [*short_names(material.sampled[0].model.parameters), names[-1]]
     units = [readable(str(unit)) for unit in posterior["unit"]]
 
     def labels(which: Sequence[int]) -> list[str]:
-        return [f"{names[k]}\n[{units[k][1]}]" if units[k][1] else names[k] for k in which]
+        return [f"{shown[k]}\n[{units[k][1]}]" if units[k][1] else shown[k] for k in which]
 
     def factors(which: Sequence[int]) -> np.ndarray:
         return np.array([units[k][0] for k in which])
