@@ -6,6 +6,7 @@ import importlib
 import pkgutil
 from functools import lru_cache
 
+from calflow.files import plugins
 from calflow.measurements.measurements import Measurements
 from calflow.observations.base import Observation, Seen
 from calflow.observations.position import Position
@@ -15,11 +16,21 @@ __all__ = ["Observation", "Seen", "catalogue", "observations"]
 
 @lru_cache
 def catalogue() -> dict[str, type[Observation]]:
-    """Return every kind of observation by its id; a new file in this folder is enough to add one."""
+    """Return every kind of observation by its id: a new file in this folder is enough, or another package's entry point.
+
+    Raises:
+        InputError: another package brings what cannot be used.
+    """
     for module in pkgutil.iter_modules(__path__):
         importlib.import_module(f"{__name__}.{module.name}")
-    here = [kind for kind in _kinds(Observation) if isinstance(getattr(kind, "id", None), str)]  # type: ignore[type-abstract]
-    return {kind.id: kind for kind in sorted(here, key=lambda kind: kind.id)}
+    here = [
+        kind
+        for kind in _kinds(Observation)  # type: ignore[type-abstract]
+        if kind.__module__.startswith(f"{__name__}.") and isinstance(getattr(kind, "id", None), str)
+    ]
+    own = {kind.id: kind for kind in here}
+    others = plugins.found(plugins.OBSERVATIONS, Observation, own)  # type: ignore[type-abstract]
+    return dict(sorted((own | others).items()))
 
 
 def observations(data: Measurements) -> tuple[Observation, ...]:

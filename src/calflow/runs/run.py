@@ -18,6 +18,7 @@ from typing import Any, Protocol
 
 import pandas as pd
 
+from calflow.files.plugins import packages
 from calflow.files.problems import InputError, nearest, refuse, together
 from calflow.files.toml import Origin
 from calflow.measurements.reading import sha256
@@ -353,6 +354,7 @@ def _record(study: Study, folder: Path, step: PlannedStage, entry: dict[str, Any
     manifest = {
         "calflow": metadata.version("calflow"),
         "versions": versions(),
+        "packages": packages(),
         "study": study.name,
         "study_file": str(study.path),
         "workflow": study.workflow.name,
@@ -433,6 +435,7 @@ def _common_key(study: Study) -> dict[str, str]:
     return {
         "code": code_digest(),
         "versions": _digest(json.dumps(versions(), sort_keys=True)),
+        **{f"package {name}": said for name, said in packages().items()},
         **{f"study's {name}": json.dumps(value, ensure_ascii=False) for name, value in asked.items()},
         f"file {study.robot_path.name}": _digest(study.robot.canonical()),
     }

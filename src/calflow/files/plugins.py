@@ -1,0 +1,118 @@
+"""Plugins: parts of calflow that other packages bring, found by their entry points."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from collections.abc import Callable, Collection
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TypeVar
+
+from calflow.files.problems import InputError, Problem
+
+EFFECTS, OBSERVATIONS = "calflow.effects", "calflow.observations"  # groups of entry points: id = "module:Class"
+
+Part = TypeVar("Part")
+
+
+def found(
+    group: str, base: type[Part], taken: Collection[str] = (), flaw: Callable[[type[Part]], str] = lambda kind: ""
+) -> dict[str, type[Part]]:
+    """Return the classes that other packages bring to a group, by id.
+
+    Args:
+        group: of entry points, each named by the class's `id`.
+        base: what each class must be.
+        taken: ids that calflow has itself.
+        flaw: says what else is wrong with a class; empty where nothing is.
+
+    Raises:
+        InputError: with every class that cannot be used, by its name and its package's.
+    """
+    kinds: dict[str, type[Part]] = {}
+    owner = dict.fromkeys(taken, "calflow itself")
+    problems = []
+    for entry in sorted(entry_points(group=group), key=lambda entry: (entry.name, package(entry))):
+        kind, wrong = _loaded(entry, base)
+        if entry.name in owner:
+            wrong = f"its id is taken by {owner[entry.name]}"
+        if kind is not None and not wrong:
+            wrong = flaw(kind)
+        if kind is None or wrong:
+            problems.append(
+                Problem(f"package '{package(entry)}' brings '{entry.name}' to {group}, which cannot be used: {wrong}")
+            )
+        else:
+            kinds[entry.name] = kind
+            owner[entry.name] = f"package '{package(entry)}'"
+    if problems:
+        raise InputError(problems)
+    return kinds
+
+
+@lru_cache
+def packages() -> dict[str, str]:
+    """Return every package that brings a part: its version, and a hash of the code that the part comes from."""
+    modules: dict[tuple[str, str], set[str]] = {}
+    for group in (EFFECTS, OBSERVATIONS):
+        for entry in entry_points(group=group):
+            version = entry.dist.version if entry.dist else ""
+            modules.setdefault((package(entry), version), set()).add(entry.module)
+    return {name: f"{version} {_digest(own)}".strip() for (name, version), own in sorted(modules.items())}
+
+
+def package(entry: EntryPoint) -> str:
+    """Return the name of the package that an entry point belongs to."""
+    return entry.dist.name if entry.dist else entry.module.partition(".")[0]
+
+
+def _loaded(entry: EntryPoint, base: type[Part]) -> tuple[type[Part] | None, str]:
+    """A class that an entry point names, or what is wrong with it."""
+    try:
+        kind = entry.load()
+    except Exception as error:  # whatever another package's code does as it is imported
+        return None, f"{entry.value} cannot be imported ({type(error).__name__}: {error})"
+    if not (inspect.isclass(kind) and issubclass(kind, base)):
+        return None, f"{entry.value} is no subclass of {base.__module__}.{base.__qualname__}"
+    if lacking := sorted(getattr(kind, "__abstractmethods__", ())):
+        return None, f"{entry.value} lacks {', '.join(lacking)}"
+    if (own := getattr(kind, "id", None)) != entry.name:
+        return None, f"{entry.value} calls itself {own!r}; expected its id to be the entry point's name"
+    return kind, ""
+
+
+def _digest(modules: Collection[str]) -> str:
+    """Hash all files of the top-level packages that modules are in."""
+    digest = hashlib.sha256()
+    for path in sorted({path for module in modules for path in _sources(module)}):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _sources(module: str) -> list[Path]:
+    """The files of the outermost package that a module is in, or the module's own; none where it is not there.
+
+    A namespace package belongs to many: the first package within it counts.
+    """
+    names = module.split(".")
+    for k in range(len(names)):
+        try:
+            spec = find_spec(".".join(names[: k + 1]))
+        except ImportError:
+            return []
+        if spec is None:
+            return []
+        if spec.origin is None:
+            continue
+        if not spec.submodule_search_locations:
+            return [Path(spec.origin)]
+        return [
+            path
+            for folder in spec.submodule_search_locations
+            for path in Path(folder).rglob("*")
+            if path.is_file() and "__pycache__" not in path.parts
+        ]
+    return []
