@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.design.discrimination import POSES
+from calflow.design.planned import Planned
 from calflow.design.t_optimality import Choices, Explanation, TCriterion, propose
 from calflow.diagnosis.findings.verdict import WITHIN
 from calflow.diagnosis.screening.catalogue import Catalogue
@@ -74,7 +75,7 @@ def nearest(fitted, scores, rows):
 def test_proposed_poses_separate_more_than_random_ones(fitted, choices):
     """Breaks if poses are chosen for anything but what the other cannot imitate, or their worth is misstated."""
     scores = explanations(fitted, ECCENTRIC)
-    criteria = TCriterion.between(fitted, scores, choices, SIGMA)
+    criteria = TCriterion.between(fitted, scores, choices, Planned(fitted.model.observations[0], SIGMA))
     chosen, ends = propose(criteria, [(0, 1)], POSES)
     after = ends[0, 1].separation
     assert len(set(chosen)) == POSES
@@ -89,7 +90,7 @@ def test_proposed_poses_separate_more_than_random_ones(fitted, choices):
 def test_poses_for_all_serve_the_closest_pair(fitted, choices):
     """Breaks if poses that exclude one rival leave another as near as it was, or rivals as near each other."""
     scores = explanations(fitted, ECCENTRIC, SECOND)
-    criteria = TCriterion.between(fitted, scores, choices, SIGMA)
+    criteria = TCriterion.between(fitted, scores, choices, Planned(fitted.model.observations[0], SIGMA))
     pairs = list(combinations(range(3), 2))
     alone = {pair: propose(criteria, [pair], POSES) for pair in pairs}
     chosen, ends = propose(criteria, pairs, POSES)

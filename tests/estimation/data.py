@@ -37,7 +37,7 @@ def measured(
 def stated(data: Measurements, sigma: float = SIGMA) -> Noise:
     """The noise as a file would state it."""
     rotation = data.table["sigma_rotation"].to_numpy() if data.rotation is not None else None
-    return Noise(np.full(len(data), sigma), "file", rotation=rotation)
+    return Noise(np.full(len(data), sigma), ("file",), rotation=rotation)
 
 
 def problem(model: Model, data: Measurements, sigma: float = SIGMA) -> LeastSquares:

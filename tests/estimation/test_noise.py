@@ -54,7 +54,7 @@ def test_p_values_of_a_true_model_are_uniform(model):
         means, level = averaged(data, stated(data))
         result, _ = fit(LeastSquares.of(model, means, level))
         error = model.position(result.estimate, means.rows) - means.position
-        p.append(lack_of_fit(error, level.sigma, result.effective_parameters).p)
+        p.append(lack_of_fit(error.ravel(), np.repeat(level.sigma, 3), result.effective_parameters).p)
     assert kstest(p, "uniform").pvalue > 1e-3
 
 
@@ -70,7 +70,7 @@ def test_the_discrepancy_of_a_model_is_found(model):
     for _ in range(3):
         result, _ = fit(LeastSquares.of(model, means, level))
         error = model.position(result.estimate, means.rows) - means.position
-        lack = lack_of_fit(error, level.sigma, result.effective_parameters)
+        lack = lack_of_fit(error.ravel(), np.repeat(level.sigma, 3), result.effective_parameters)
         level = replace(level, discrepancy=lack.discrepancy)
     assert lack.p < 1e-6
     assert lack.discrepancy == pytest.approx(1e-4, rel=0.15)

@@ -54,11 +54,11 @@ def test_log_probability_is_the_models(posterior):
     """Fails if the scaling, a prior, the noise's normalisation or a bound is wrong: compared with plain numpy."""
     rng = np.random.default_rng(15)
     u = 0.5 * rng.standard_normal((6, posterior.n_dimensions))
-    given, model = posterior.problem, posterior.problem.model
+    (block,), model = posterior.problem.blocks, posterior.problem.model
     x = posterior.parameters(u)
     expected = []
     for values, level in zip(x[:, :-1], x[:, -1], strict=True):
-        residual = (model.position(values, given.rows).T - given.measured) / (SIGMA * np.exp(level))
+        residual = (model.position(values, block.conditions).T - block.reported) / (SIGMA * np.exp(level))
         prior = ((values - model.nominal) / model.prior_sd) ** 2
         expected.append(-0.5 * (residual**2).sum() - residual.size * level - 0.5 * prior.sum() - 0.5 * level**2)
     inside = ((x[:, :-1] >= model.bounds[:, 0]) & (x[:, :-1] <= model.bounds[:, 1])).all(axis=1)

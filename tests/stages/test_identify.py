@@ -58,5 +58,5 @@ def test_residuals_are_whitened_by_the_noise_that_is_returned(model):
     level = Noise(np.full(len(data), 1.3 * SIGMA), ("estimated",))
     result, noise, _, _ = fit_reweighted(model, data, level, model.nominal[None], "linear", tolerance=0.5)
     error = errors(model, result.estimate, data)
-    assert result.residual[:, :3] * noise.sigma[:, None] == pytest.approx(error, abs=1e-12)
+    assert result.residual.reshape(-1, 3) * noise.sigma[:, None] == pytest.approx(error, abs=1e-12)
     assert result.reduced_chi2 == pytest.approx(1.0, abs=0.02)

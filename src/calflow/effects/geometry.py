@@ -103,7 +103,7 @@ def _error(
 
 def _base(robot: Robot) -> Iterator[DimensionError]:
     sd, bound = (PLACED_SD, PLACED_BOUND) if robot.base.known else (UNKNOWN_SD, UNKNOWN_BOUND)
-    for i, symbol in enumerate(("x", "y", "z", "rx", "ry", "rz")):
+    for i, symbol in enumerate(() if robot.base.fixed else ("x", "y", "z", "rx", "ry", "rz")):
         yield _error(robot, "base", symbol, "base", i, sd, bound)
 
 

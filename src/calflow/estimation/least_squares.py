@@ -171,7 +171,8 @@ class LeastSquares:
             yield from block.linearised(p)
 
     def on(self, model: Model) -> LeastSquares:
-        """Return the same data with another model that has the same observations."""
+        """Return the same data with another model, which observes the same."""
+        model = replace(model, observations=self.model.observations)
         return LeastSquares(model, tuple(replace(block, model=model) for block in self.blocks))
 
     def screened(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

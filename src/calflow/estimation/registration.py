@@ -46,7 +46,10 @@ def registered(
     A robot whose base is known, or that nothing sees from outside, is returned as it is. Stations, anchors, planes and sockets
     are placed by the nominal robot's points.
     """
-    robot = _stood(robot, observed, train)
+    if any(observation.from_outside for observation in observed):
+        robot = _stood(robot, observed, train)
+    else:
+        robot = replace(robot, base=Base(fixed=True))
     nominal = build(robot, (), train.given)
     points, turned = (of(nominal.nominal, train.rows) for of in (nominal.point, nominal.rotation))
     placed = []

@@ -139,11 +139,15 @@ class Marker(Part):
 
 @dataclass(frozen=True)
 class Base(Part):
-    """Where the robot's base stands in the measuring device's frame [m and rad, about x, y and z in turn]."""
+    """Where the robot's base stands in the measuring device's frame [m and rad, about x, y and z in turn].
+
+    fixed says that it is the measuring frame itself, since nothing looks at the robot from outside: then it has no errors.
+    """
 
     origin: Vector = (0.0, 0.0, 0.0)
     rotation: Vector = (0.0, 0.0, 0.0)
     known: bool = True
+    fixed: bool = False
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
+from calflow.estimation.least_squares import Layout
 from calflow.estimation.noise import LackOfFit, Noise
 from calflow.measurements.measurements import Measurements, numbered
 from calflow.model import Model, build
@@ -29,6 +30,11 @@ FUNCTIONS = {  # rad, of the joint's angle [rad] and approach
 }
 
 
+def positions(n):
+    """The layout of so many measured positions."""
+    return Layout(np.repeat(np.arange(n), 3), np.tile(np.arange(3), n), np.zeros(3 * n, dtype=bool), n)
+
+
 def drawn(*names, q, approach):
     """The curves of some causes in a model whose values are true, at joint angles and approaches (n_rows, 6)."""
     causes = [Cause(ROBOT, catalogue()[name](ROBOT), f"joint{FUNCTIONS[name][0]}") for name in names]
@@ -42,7 +48,7 @@ def drawn(*names, q, approach):
     noise = NOISE * np.random.default_rng(1).standard_normal((len(q), 3))
     table[["x", "y", "z"]] = model.position(estimate, Measurements(ROBOT, table).rows) + noise
     data = Measurements(ROBOT, table)
-    fit = Fit(model, estimate, 0.0, noise / NOISE, np.eye(len(estimate)), 0, True, "")
+    fit = Fit(model, estimate, 0.0, (noise / NOISE).ravel(), positions(len(q)), np.eye(len(estimate)), 0, True, "")
     level = Noise(np.full(len(q), NOISE), ("file",))
     fitted = Fitted(fit, data, level, LackOfFit(1.0, 0.5, 0.0), "linear", level)
     return curves(fitted, causes, data), noise
@@ -120,7 +126,17 @@ def test_no_finding_draws_nothing(rows):
         ROBOT, pd.DataFrame(rows["q"], columns=numbered("q", 6)).assign(x=0.0, y=0.0, z=0.0, marker="E", payload="")
     )
     model = build(ROBOT, ("geometry",))
-    fit = Fit(model, model.nominal, 0.0, np.zeros((len(data), 3)), np.eye(len(model.nominal)), 0, True, "")
+    fit = Fit(
+        model,
+        model.nominal,
+        0.0,
+        np.zeros(3 * len(data)),
+        positions(len(data)),
+        np.eye(len(model.nominal)),
+        0,
+        True,
+        "",
+    )
     level = Noise(np.ones(len(data)), ("file",))
     none = curves(Fitted(fit, data, level, LackOfFit(1.0, 0.5, 0.0), "linear", level), [], data)
     assert list(none.columns) == COLUMNS

@@ -63,7 +63,7 @@ def test_a_score_is_what_a_refit_gains(data, fitted, regressors):
             s for (place, d), s in scores.items() if place[1] == part and d == detail and place[0] in TESTED[:2]
         )
         wider = Model(data.robot, (*before.model.effects, score.cause))
-        after = fit(replace(asked, model=wider), np.concatenate([before.estimate, score.estimate])[None])[0]
+        after = fit(asked.on(wider), np.concatenate([before.estimate, score.estimate])[None])[0]
         assert 2 * (before.objective - after.objective) == pytest.approx(score.drop, rel=0.02, abs=0.02)
         own = after.estimate[-len(score.estimate) :]
         np.testing.assert_allclose(own, score.estimate, atol=0.05 * np.sqrt(np.diag(score.covariance)).max())
@@ -125,8 +125,9 @@ def test_markers_of_a_pose_are_not_as_many_poses():
     poses = np.repeat(np.arange(200), 3)
     alone = rng.standard_normal((600, 3))
     shared = alone + 2 * rng.standard_normal((200, 3))[poses]
-    assert shared_error(alone.ravel(), poses, 0.0) == 1.0
-    assert shared_error(shared.ravel(), poses, 0.0) == pytest.approx(1 / np.sqrt(1 + 3 * 4), rel=0.1)
+    group = (3 * poses[:, None] + np.arange(3)).ravel()
+    assert shared_error(alone.ravel(), group, 0.0) == 1.0
+    assert shared_error(shared.ravel(), group, 0.0) == pytest.approx(1 / np.sqrt(1 + 3 * 4), rel=0.1)
 
 
 def test_a_wrong_sign_is_no_evidence():
