@@ -1,0 +1,25 @@
+"""The figure of two series: turning joints in degrees and microradians, slides in millimetres and micrometres."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from calflow.report.figures.confirmation import two_series
+
+
+def test_a_slides_curve_is_drawn_in_lengths():
+    """Fails if a slide's curve is left out beside a turning joint's, or labelled as an angle."""
+    x = np.linspace(0, 1, 5)
+    turning = pd.DataFrame(
+        {"cause": "joint-error-map", "joint": 2, "angle_deg": 90 * x, "here_urad": x, "there_urad": x}
+    )
+    sliding = pd.DataFrame({"cause": "gear-transmission-error", "joint": 1, "position_mm": 500 * x, "here_um": 20 * x,
+                            "there_um": 30 * x})  # fmt: skip
+    axes = [one for one in two_series(pd.concat([turning, sliding], ignore_index=True)).axes if one.get_visible()]
+    assert [(one.get_xlabel(), one.get_ylabel()) for one in axes] == [
+        ("angle [deg]", "error [µrad]"),
+        ("position [mm]", "error [µm]"),
+    ]
+    assert [max(line.get_ydata()) for line in axes[1].get_lines()] == [20, 30]
+    assert max(axes[1].get_lines()[0].get_xdata()) == 500
