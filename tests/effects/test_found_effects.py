@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from calflow.robot.description import read_robot
 
 from calflow.effects import catalogue
 from calflow.estimation.calibrated import read_effects
 from calflow.files.problems import InputError
+from calflow.robot.robot import Robot
 from plugin import HOSES, hoses, install
 
 SOURCE = """\
@@ -190,7 +190,7 @@ def test_a_run_with_an_effect_that_is_gone_is_refused(small):
     """Fails if a run whose package was removed ends in a traceback, or reads back as another model."""
     table = pd.DataFrame({"effect": ["hose-pull"], "part": ["joint1"], "variant": ['{"slack": 0.2}']})
     with pytest.raises(InputError, match=r"'hose-pull'.*install the package"):
-        read_effects(table, read_robot(small / "robot.toml"))
+        read_effects(table, Robot.from_toml(small / "robot.toml"))
 
 
 def test_nothing_else_is_installed_here():
