@@ -10,11 +10,12 @@ import calflow
 from calflow.files.problems import InputError, Problem, nearest, together
 from calflow.measurements.measurements import Measurements, draw_split
 from calflow.robot.robot import Robot
+from calflow.stages import STAGES
 from calflow.study import find_workflow, load_study, workflow_folder
 
 
 def settings(folder, stage):
-    return load_study(folder.path).validated_settings(stage()[stage].settings)
+    return load_study(folder.path).validated_settings(stage, STAGES[stage].settings)
 
 
 def test_a_study_is_given_by_its_folder_or_its_file(small):

@@ -17,7 +17,7 @@ from calflow.estimation.identifiability import Identifiability, best_subset, cor
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.noise import LackOfFit, Noise
 from calflow.estimation.nuisance import completed
-from calflow.estimation.parameters import parameter_table
+from calflow.estimation.parameters import covariance_table, parameter_table
 from calflow.estimation.registration import registered
 from calflow.estimation.repeats import conditions, measured_noise
 from calflow.estimation.reweighting import fit_reweighted
@@ -85,6 +85,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
         "identify/residuals.csv": _residuals(result, data, noise),
         "identify/identifiability.csv": found.statements,
         "identify/correlations.csv": correlations(result),
+        "identify/covariance.csv": covariance_table(result),
         "identify/observations.csv": observation_table(observed),
         "identify/noise.csv": noise_table(noise, observed),
         "identify/placement.csv": _placement(robot, observed),
