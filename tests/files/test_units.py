@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
+import pint
 import pytest
 
 from calflow.files.units import SUFFIXES, spellings, split_unit, to_si
@@ -20,6 +24,27 @@ def test_every_suffix_converts_to_si(suffix):
     factor, offset = to_si(suffix)
     assert factor + offset == pytest.approx(IN_SI[suffix], rel=1e-12)
     assert offset == (pytest.approx(273.15) if suffix == "degC" else 0)
+
+
+PINT_NAMES = {"Nm": "N*m", "kNm": "kN*m", "m_per_N": "m/N", "rad_per_Nm": "rad/(N*m)", "m_per_s2": "m/s^2",
+              "m_per_m": "m/m", "mm_per_m": "mm/m"}  # fmt: skip
+
+
+def test_the_table_agrees_with_pint():
+    """Fails if a factor or an offset differs from what a library of units says."""
+    registry = pint.UnitRegistry()
+    for suffixes in SUFFIXES.values():
+        si = registry.Unit(PINT_NAMES.get(suffixes[0], suffixes[0]))
+        for suffix in suffixes:
+            unit = registry.Unit(PINT_NAMES.get(suffix, suffix))
+            zero, one = (registry.Quantity(value, unit).to(si).magnitude for value in (0.0, 1.0))
+            assert to_si(suffix) == (pytest.approx(one - zero, rel=1e-12), pytest.approx(zero, abs=1e-12)), suffix
+
+
+def test_no_unit_needs_pint():
+    """Fails if reading a file loads a library of units, which takes longer than reading it."""
+    code = "import sys; from calflow.files.units import to_si; to_si('deg'); sys.exit('pint' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
 @pytest.mark.parametrize(

@@ -2,40 +2,30 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+import math
 
-# The suffixes that files may use, by dimension; the first of each is the SI unit that calflow computes in.
-SUFFIXES: dict[str, tuple[str, ...]] = {
-    "length": ("m", "mm", "um"),
-    "angle": ("rad", "deg", "mrad", "urad"),
-    "mass": ("kg", "g"),
-    "force": ("N", "kN"),
-    "moment": ("Nm", "kNm"),
-    "time": ("s", "min", "h"),
-    "temperature": ("K", "degC"),
-    "compliance": ("rad_per_Nm",),
-    "compliance of a slide": ("m_per_N",),
-    "acceleration": ("m_per_s2",),
-    "ratio": ("m_per_m", "mm_per_m"),
+# Every suffix that a file may use, by dimension, with (factor, offset): value_SI = factor * value + offset. The first of
+# each dimension is the SI unit that calflow computes in.
+UNITS: dict[str, dict[str, tuple[float, float]]] = {
+    "length": {"m": (1.0, 0.0), "mm": (1e-3, 0.0), "um": (1e-6, 0.0)},
+    "angle": {"rad": (1.0, 0.0), "deg": (math.pi / 180, 0.0), "mrad": (1e-3, 0.0), "urad": (1e-6, 0.0)},
+    "mass": {"kg": (1.0, 0.0), "g": (1e-3, 0.0)},
+    "force": {"N": (1.0, 0.0), "kN": (1e3, 0.0)},
+    "moment": {"Nm": (1.0, 0.0), "kNm": (1e3, 0.0)},
+    "time": {"s": (1.0, 0.0), "min": (60.0, 0.0), "h": (3600.0, 0.0)},
+    "temperature": {"K": (1.0, 0.0), "degC": (1.0, 273.15)},
+    "compliance": {"rad_per_Nm": (1.0, 0.0)},
+    "compliance of a slide": {"m_per_N": (1.0, 0.0)},
+    "acceleration": {"m_per_s2": (1.0, 0.0)},
+    "ratio": {"m_per_m": (1.0, 0.0), "mm_per_m": (1e-3, 0.0)},
 }
-_PINT_NAMES = {"Nm": "N*m", "kNm": "kN*m", "m_per_N": "m/N", "rad_per_Nm": "rad/(N*m)", "m_per_s2": "m/s^2",
-               "m_per_m": "m/m", "mm_per_m": "mm/m"}  # fmt: skip
+SUFFIXES: dict[str, tuple[str, ...]] = {dimension: tuple(units) for dimension, units in UNITS.items()}
+_CONVERSIONS = {suffix: conversion for units in UNITS.values() for suffix, conversion in units.items()}
 
 
-@lru_cache
 def to_si(suffix: str) -> tuple[float, float]:
     """Return (factor, offset) with value_SI = factor * value + offset for a unit suffix."""
-    dimension = next(name for name, suffixes in SUFFIXES.items() if suffix in suffixes)
-    si = SUFFIXES[dimension][0]
-    if suffix == si:
-        return 1.0, 0.0
-    import pint  # heavy: only files that use other units than SI pay for it
-
-    registry: pint.UnitRegistry = pint.UnitRegistry()
-    unit, target = _PINT_NAMES.get(suffix, suffix), _PINT_NAMES.get(si, si)
-    zero = registry.Quantity(0.0, unit).to(target).magnitude
-    one = registry.Quantity(1.0, unit).to(target).magnitude
-    return one - zero, zero
+    return _CONVERSIONS[suffix]
 
 
 def split_unit(name: str, dimension: str | None = None) -> tuple[str, str] | None:
