@@ -66,6 +66,12 @@ MISTAKES = {
         ("a_mm = 100", "a_mm = true", "12: joints[2].a_mm: expected a number, found true"),
         ("a_mm = 100", "a_mm = nan", "12: joints[2].a_mm: expected a finite number, found nan"),
         ("a_mm = 100", "a_mm = -inf", "12: joints[2].a_mm: expected a finite number, found -inf"),
+        ("a_mm = 100", "a_mm = 1e300", "12: joints[2].a_mm: expected at most 1000 m, found 1e+300"),
+        ("alpha_deg = -90", "alpha_deg = -1e300", "13: joints[2].alpha_deg: expected at most 10000 rad, found -1e+300"),
+        ("mass_kg = 30", "mass_kg = 1e300", "15: joints[2].mass_kg: expected at most 1e+06 kg, found 1e+300"),
+        ("[350, 0, 50]", "[350, 0, 1e300]", "16: joints[2].com_mm: expected at most 1000 m, found [350, 0, 1e+300]"),
+        ("[-100, 40]", "[-1e300, 40]", "14: joints[2].limits_deg: expected at most 10000 rad, found [-1e+300, 40]"),
+        ("[-100, 40]", "[-100, 40]\ngear_ratio = 1e300", "15: joints[2].gear_ratio: expected at most 1e+09, found 1e+300"),
         ("a_mm = 100", "a_mm = 1" + 400 * "0", "12: joints[2].a_mm: expected a finite number, found 1000"),
         ("a_mm = 100", "a_mm = 1" + 5000 * "0", " cannot be read: Exceeds the limit"),
         ("a_mm = 100", "a_mm = 100\na_mm = 2", "13: not TOML: Cannot overwrite a value"),
@@ -87,6 +93,9 @@ MISTAKES = {
     ],
     "study.toml": [
         ("seed = 7", "seed = 7\nefects = []", "5: efects: unknown key, did you mean 'effects'?"),
+        ("seed = 7", "seed = 7\n" + 100_000 * "k" + " = 1", f"5: {60 * 'k'} …: is too long: expected at most 200 characters"),
+        ('"small"', f'"{100_000 * "n"}"', "1: name: is too long: expected at most 200 characters in a name, 10000 in a text"),
+        ("joint-compliance", 9000 * "j", f"5: effects: unknown effect '{9000 * 'j'}"[:900]),
         ("seed = 7", "", " missing: expected 'seed'"),
         ("seed = 7", 'seed = "7"', "4: seed: expected a whole number, found '7'"),
         ("seed = 7", "seed = -7", "4: seed: expected a number greater than or equal to 0, found -7"),
@@ -148,6 +157,16 @@ def test_a_file_that_is_not_there_or_no_toml_is_named(small, robot, told):
     small.edit("study.toml", ('"robot.toml"', f'"{robot}"'))
     (problem,) = small.refused("check")
     assert told in problem
+
+
+def test_of_many_mistakes_the_first_are_told_and_the_others_counted(small):
+    """Fails if thousands of problems scroll by, one kind hides another, or none says how many there are."""
+    small.edit("robot.toml", ("a_mm = 100", "a = 100"), ("[payloads.light]", "\n".join(
+        f"[payloads.p{i}]\nmass_kg = -1\ncolour = 1" for i in range(2000)) + "\n[payloads.light]"))  # fmt: skip
+    told = small.refused("check")
+    assert told[0].startswith("robot.toml:12: joints[2].a: needs its unit")
+    assert len(told) == 1 + 2 * (20 + 1)
+    assert sum(problem.endswith(": and 1980 more problems like this one") for problem in told) == 2
 
 
 def test_all_mistakes_of_all_files_are_told_at_once(small):

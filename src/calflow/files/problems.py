@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+MOST_TOLD = 20  # problems of one kind that are told one by one; the others are counted
+LONGEST_WORD, LONGEST_MESSAGE = 60, 1000  # characters of a user's own word, and of a whole message, that are shown
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -19,10 +22,11 @@ class Problem:
     key: str | None = None
 
     def __str__(self) -> str:
-        place = str(self.file) if self.file else ""
+        place = shortened(str(self.file), LONGEST_MESSAGE) if self.file else ""
         if self.line:
             place += f":{self.line}"
-        return ": ".join(part for part in (place, self.key, self.message) if part)
+        key = shortened(self.key or "", LONGEST_MESSAGE)
+        return ": ".join(part for part in (place, key, shortened(self.message, LONGEST_MESSAGE)) if part)
 
 
 class InputError(Exception):
@@ -56,8 +60,15 @@ def together(*checks: Callable[[], Any]) -> list[Any]:
     return results
 
 
+def shortened(text: str, most: int = LONGEST_WORD) -> str:
+    """Return a text that a message can show, cut where it is long."""
+    return text if len(text) <= most else f"{text[:most]} …"
+
+
 def nearest(word: str, known: Iterable[str]) -> str:
     """Return `, did you mean 'x'?` for the known word nearest to a wrong one, or an empty string."""
+    if len(word) > LONGEST_WORD:  # no name is so long, and the comparison would take its time
+        return ""
     spelled = {name.lower(): name for name in known}
     close = difflib.get_close_matches(word.lower(), spelled, n=1, cutoff=0.5)
     return f", did you mean '{spelled[close[0]]}'?" if close else ""

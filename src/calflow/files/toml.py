@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
-from calflow.files.problems import InputError, Problem, nearest, refuse
-from calflow.files.units import SUFFIXES, split_unit, to_si
+from calflow.files.problems import MOST_TOLD, InputError, Problem, nearest, refuse, shortened
+from calflow.files.regular import regular_file
+from calflow.files.units import LARGEST, SUFFIXES, split_unit, to_si
 
 # What pydantic's types are called in the words of a TOML file.
 _EXPECTED = {
@@ -29,7 +31,8 @@ _EXPECTED = {
     "tuple_type": "expected a list [ … ]",
 }
 _KEY = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
-_MOST_SHOWN = 60  # characters of a wrong value in a message
+LONGEST_KEY, LONGEST_TEXT = 200, 10_000  # characters
+TOO_LONG = f"is too long: expected at most {LONGEST_KEY} characters in a name, {LONGEST_TEXT} in a text"
 
 
 class Unit(str):
@@ -52,18 +55,27 @@ class Origin:
 
     path: Path
     table: tuple[Any, ...]
-    lines: Mapping[tuple[Any, ...], int]
+    lines: Mapping[tuple[Any, ...], int]  # of every key path, and of what stands around it: its first line
 
     @staticmethod
     def of(path: Path, *table: str) -> Origin:
         """Return the origin of a table of a file that has been read before."""
-        return Origin(path, table, line_numbers(path.read_text(encoding="utf-8-sig")))
+        return Origin.of_text(path, read_text(path), *table)
+
+    @staticmethod
+    def of_text(path: Path, text: str, *table: str) -> Origin:
+        """Return the origin of a table of a file's text."""
+        lines: dict[tuple[Any, ...], int] = {}
+        for key, line in line_numbers(text).items():
+            for end in range(len(key), 0, -1):
+                lines[key[:end]] = min(line, lines.get(key[:end], line))
+        return Origin(path, table, lines)
 
     def problem(self, message: str, *location: Any) -> Problem:
         """Return a problem with the key at a location in the table, or with the nearest thing around it."""
         where = (*self.table, *location)
-        begun = ([n for key, n in self.lines.items() if key[:end] == where[:end]] for end in range(len(where), 0, -1))
-        line = next((min(numbers) for numbers in begun if numbers), None)
+        around = (self.lines.get(where[:end]) for end in range(len(where), 0, -1))
+        line = next((number for number in around if number), None)
         return Problem(message, self.path, line, _dotted(where) or None)
 
 
@@ -103,6 +115,23 @@ class FileModel(BaseModel):
                 converted[name] = _convert(value, unit)
         return converted
 
+    @field_validator("*")
+    @classmethod
+    def _within_what_robots_have(cls, value: Any, info: ValidationInfo) -> Any:
+        """Refuse figures that no robot has, and whose squares may be beyond what a computer can hold."""
+        name = info.field_name or ""
+        dimension = _dimension(cls.model_fields[name])
+        if dimension is None and (split := split_unit(name)):  # a field that keeps the unit of its key
+            unit = split[1]
+            dimension = next(known for known, units in SUFFIXES.items() if unit in units)
+        else:
+            unit = SUFFIXES[dimension][0] if dimension else ""
+        factor = to_si(unit)[0] if unit else 1.0
+        if any(abs(factor * number) > LARGEST[dimension or ""] for number in _numbers(value)):
+            most = f"{LARGEST[dimension or '']:g}{f' {SUFFIXES[dimension][0]}' if dimension else ''}"
+            raise PydanticCustomError("beyond", "expected at most {most}", {"most": most})
+        return value
+
 
 def read_toml(path: Path, kind: type[File]) -> File:
     """Read a TOML file into a model.
@@ -111,7 +140,7 @@ def read_toml(path: Path, kind: type[File]) -> File:
         InputError: the file cannot be read or is not TOML, or with all that is wrong in it.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path)
         raw = tomllib.loads(text)
     except FileNotFoundError:
         raise refuse("no such file", path) from None
@@ -121,7 +150,21 @@ def read_toml(path: Path, kind: type[File]) -> File:
         raise refuse(f"not TOML: {error}", path, int(line.group(1)) if line else last) from None
     except (OSError, ValueError, RecursionError) as error:  # not UTF-8, or a number of thousands of digits
         raise refuse(f"cannot be read: {error}", path) from None
-    return validate(raw, kind, Origin(path, (), line_numbers(text)))
+    origin = Origin.of_text(path, text)
+    long = [where for where in _long(raw) if where]
+    if long:
+        raise InputError(_counted(long, lambda where: origin.problem(TOO_LONG, *where)))
+    return validate(raw, kind, origin)
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file that may be opened.
+
+    Raises:
+        FileNotFoundError: nothing is there.
+        InputError: it is a folder, a device or a pipe.
+    """
+    return regular_file(path).read_text(encoding="utf-8-sig")
 
 
 def validate(raw: dict[str, Any], kind: type[File], origin: Origin, others: Mapping[str, Origin] | None = None) -> File:
@@ -133,14 +176,42 @@ def validate(raw: dict[str, Any], kind: type[File], origin: Origin, others: Mapp
     try:
         return kind.model_validate(raw)
     except ValidationError as error:
-        items = error.errors()
+        items = error.errors(include_url=False)
         inner = {item["loc"][:end] for item in items for end in range(len(item["loc"]))}
-        problems = [
-            _problem(item, kind, raw, origin, others or {})
+        told = [
+            item
             for item in items
             if item["type"] != "too_short" or item["loc"] not in inner  # pydantic does not count wrong members
         ]
+        kinds = dict.fromkeys(item["type"] for item in told)
+        problems = [
+            problem
+            for one in kinds
+            for problem in _counted(
+                [item for item in told if item["type"] == one],
+                lambda item: _problem(item, kind, raw, origin, others or {}),
+            )
+        ]
         raise InputError(sorted(problems, key=lambda problem: (str(problem.file), problem.line or 0))) from None
+
+
+def _counted(items: Sequence[Any], tell: Callable[[Any], Problem]) -> list[Problem]:
+    """One problem an item for the first of a kind, and one that counts the others."""
+    told = [tell(item) for item in items[:MOST_TOLD]]
+    more = len(items) - len(told)
+    return [*told, replace(told[-1], message=f"and {more} more problems like this one", key=None)] if more else told
+
+
+def _long(raw: Any, where: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The places of keys and texts that are longer than any name."""
+    if isinstance(raw, str) and len(raw) > LONGEST_TEXT:
+        yield where
+    members = raw.items() if isinstance(raw, dict) else enumerate(raw) if isinstance(raw, list) else ()
+    for key, value in members:
+        if isinstance(key, str) and len(key) > LONGEST_KEY:
+            yield (*where, key)
+        else:
+            yield from _long(value, (*where, key))
 
 
 def line_numbers(text: str) -> dict[tuple[Any, ...], int]:
@@ -195,6 +266,15 @@ def _spellings(name: str, dimension: str) -> str:
 
 def _frozen(value: Any) -> Any:
     return tuple(_frozen(item) for item in value) if isinstance(value, list) else value
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    """The figures of a value, in lists and tables too."""
+    if isinstance(value, float):
+        yield value
+    elif isinstance(value, dict | tuple | list):
+        for member in value.values() if isinstance(value, dict) else value:
+            yield from _numbers(member)
 
 
 def _convert(value: Any, unit: str) -> Any:
@@ -252,7 +332,7 @@ def _at(raw: Any, location: tuple[Any, ...]) -> Any:
 def _shown(value: Any) -> str:
     """A value as TOML spells it, cut where it is long."""
     text = str(value).lower() if isinstance(value, bool) else repr(list(value) if isinstance(value, tuple) else value)
-    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]} …"
+    return shortened(text)
 
 
 def _model_at(kind: Any, location: tuple[Any, ...]) -> type[BaseModel] | None:
@@ -287,5 +367,5 @@ def _dotted(location: tuple[Any, ...]) -> str:
     """A location as text; members of a list are counted from 1, as joints are."""
     text = ""
     for part in location:
-        text += f"[{part + 1}]" if isinstance(part, int) else (f".{part}" if text else str(part))
+        text += f"[{part + 1}]" if isinstance(part, int) else (f".{shortened(part)}" if text else shortened(str(part)))
     return text

@@ -20,7 +20,24 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "ratio": {"m_per_m": (1.0, 0.0), "mm_per_m": (1e-3, 0.0)},
 }
 SUFFIXES: dict[str, tuple[str, ...]] = {dimension: tuple(units) for dimension, units in UNITS.items()}
+# The largest amount of each dimension that anything of a robot has, in its SI unit; "" is a plain number.
+LARGEST = {
+    "": 1e9,
+    "length": 1e3,
+    "angle": 1e4,
+    "mass": 1e6,
+    "force": 1e8,
+    "moment": 1e8,
+    "time": 1e11,
+    "temperature": 1e4,
+    "compliance": 1.0,
+    "compliance of a slide": 1.0,
+    "acceleration": 1e4,
+    "ratio": 1e3,
+}
 _CONVERSIONS = {suffix: conversion for units in UNITS.values() for suffix, conversion in units.items()}
+
+_LONGEST_FIRST = sorted(_CONVERSIONS, key=len, reverse=True)
 
 
 def to_si(suffix: str) -> tuple[float, float]:
@@ -30,11 +47,9 @@ def to_si(suffix: str) -> tuple[float, float]:
 
 def split_unit(name: str, dimension: str | None = None) -> tuple[str, str] | None:
     """Split `q1_deg` into (`q1`, `deg`); None where the name carries no unit (of that dimension)."""
-    dimensions = [dimension] if dimension else list(SUFFIXES)
-    suffixes = sorted((s for d in dimensions for s in SUFFIXES[d]), key=len, reverse=True)
-    for suffix in suffixes:
+    for suffix in _LONGEST_FIRST:
         if name.endswith("_" + suffix) and len(name) > len(suffix) + 1:
-            return name[: -len(suffix) - 1], suffix
+            return (name[: -len(suffix) - 1], suffix) if not dimension or suffix in SUFFIXES[dimension] else None
     return None
 
 
