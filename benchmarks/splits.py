@@ -10,7 +10,7 @@ from calflow.estimation.accuracy import errors
 from calflow.estimation.registration import registered
 from calflow.estimation.repeats import measured_noise
 from calflow.estimation.reweighting import fit_reweighted
-from calflow.measurements.measurements import Measurements, draw_split
+from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import read_measurements
 from calflow.model import build
 from calflow.stages.identify import extrapolation
@@ -26,7 +26,7 @@ def main() -> None:
     print("split  held-out mean mm  held-out readings beyond the fitted ones")
     splits = []
     for seed in range(12):
-        split = draw_split(data, study.file.split.holdout, seed)
+        split = data.split(study.file.split.holdout, seed)
         splits.append(heldout(split, study.file.effects))
         beyond = ", ".join(statement.split(":")[0] for statement in extrapolation(split))
         print(f"{seed:5}  {splits[-1].mean():16.3f}  {beyond}")

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+
+from calflow.files.problems import InputError
+from calflow.study import load_study
 
 Q, X = ["q1_deg", "q2_deg", "q3_deg"], ["x_mm", "y_mm", "z_mm"]
 
@@ -59,6 +63,9 @@ HEADER = {
     "two units": (with_columns(x_m="1"), ["column 'x_m': 'x' is there twice, in different units"]),
     "twice": (lambda rows: pd.concat([rows, rows["x_mm"]], axis=1), ["unknown column 'x_mm.1', did you mean 'x_mm'?"]),
     "some approaches": (with_columns(approach2="1"), ["missing column: expected approach1", "missing column: expected approach3"]),
+    "some travel": (with_columns(travel1_deg="1"), ["missing column: expected travel2_rad or travel2_deg",
+                                                    "missing column: expected travel3_rad or travel3_deg"]),
+    "many unknown": (with_columns(**{f"c{i}": "1" for i in range(3000)}), [*["unknown column 'c"] * 20, "and 2980 more columns"]),
     "some torques": (with_columns(tau1_Nm="1", tau2_Nm="1"), ["missing column: expected tau3_Nm or tau3_kNm"]),
     "some forces": (with_columns(fx_N="1", fy_N="1", fz_N="1", mx_Nm="1", my_Nm="1"), ["missing column: expected mz_Nm"]),
     "a fourth joint": (with_columns(q4_deg="1"), ["unknown column 'q4_deg', did you mean 'q"]),
@@ -102,6 +109,14 @@ CELLS = {
     "split empty": (both(with_columns(split="train"), put("split", 2, "")), ["4: split: expected 'train' or 'holdout'"]),
     "split within a pose": (both(with_columns(split="train"), put("split", 1, "holdout")),
                             [f"{line}: split: one pose is in train" for line in (2, 3)]),
+    "huge": (put("y_mm", 3, "1e300"), ["5: column 'y_mm': expected at most 1e+06 m"]),
+    "huge angle": (put("q1_deg", 3, "-1e300"), ["5: column 'q1_deg': expected at most 1e+07 rad"]),
+    "hardly any sigma": (put("sigma_mm", 3, "1e-300"), ["5: sigma: expected a positive standard deviation"]),
+    "long text": (put("x_mm", 3, "9" + "x" * 100_000), [f"5: column 'x_mm': expected a number, found '9{'x' * 59} …'"]),
+    "long name": (put("payload", 3, "p" * 100_000), ["5: unknown payload 'ppp"]),
+    "many names": (lambda rows: rows.assign(payload=[f"p{i}" for i in range(80)]),
+                   [*(f"{line}: unknown payload 'p{line - 2}'; the robot file has" for line in range(2, 22)),
+                    " and 60 more names of a payload that is not there"]),
     "several": (both(put("x_mm", 3, ""), put("payload", 4, "havy"), put("sigma_mm", 5, "0"), put("y_mm", 6, "x")),
                 ["5: column 'x_mm' is empty", "8: column 'y_mm': expected a number", "6: unknown payload", "7: sigma"]),
 }  # fmt: skip
@@ -207,8 +222,11 @@ FILES = {
     "header only": (b"pose,q1_deg,q2_deg,q3_deg,x_mm,y_mm,z_mm\n", "is empty"),
     "header and commas": (b"pose,q1_deg,q2_deg,q3_deg,x_mm,y_mm,z_mm\n,,,,,,\n", "is empty"),
     "binary": (bytes(range(256)) * 99, "is not a text file: expected a CSV"),
-    "utf-16": ("pose,q1_deg\n1,2\n".encode("utf-16"), "is not a text file"),
-    "latin-1": ("pose,Meßpunkt\n1,2\n".encode("latin-1"), "cannot be read: 'utf-8' codec"),
+    "utf-16": ("pose,q1_deg\n1,2\n".encode("utf-16"), "is not a text file in UTF-8 but in UTF-16: save it as"),
+    "utf-16 without a mark": ("pose,q1_deg\n1,2\n".encode("utf-16-le"), "in UTF-16: save it as"),
+    "xlsx": (b"PK\x03\x04" + bytes(99), "is an Excel file (or another archive), not a CSV: save it as \"CSV UTF-8"),
+    "xls": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(99), "is an Excel file"),
+    "latin-1": ("pose,Meßpunkt\n1,2\n".encode("latin-1"), "1: is not in UTF-8: byte 0xdf would be 'ß' in Latin-1; save"),
     "longer rows": (b"pose,q1_deg\n1,2,3\n1,2,3\n", "has more values in a row than the 2 names of the header line"),
     "one longer row": (b"pose,q1_deg\n1,2\n1,2,3\n", "cannot be read: Error tokenizing data. C error: Expected 2 fields in line 3"),
 }  # fmt: skip
@@ -234,6 +252,7 @@ def test_a_broken_matlab_file_is_refused(small, content):
 SOURCES = {
     "no such file": (("measurements.csv", "other.csv"), "other.csv: no such measurement file"),
     "a folder": (("measurements.csv", "."), "no such measurement file"),
+    "no hash": (("[split]", 'sha256 = ""\n[split]'), "study.toml:10: measurements.sha256: expected 64 digits"),
     "another hash": (("[split]", f'sha256 = "{"a" * 64}"\n[split]'), "measurements.csv: wrong SHA-256: the study names aaa"),
     "sigma twice": (("[split]", "sigma_mm = 1\n[split]"), "measurements.csv:1: column 'sigma_mm': the study's"),
     "mapping of nothing": (("[split]", '[measurements.columns]\nq1_deg = "q1_dg"\n[split]'),
@@ -260,6 +279,119 @@ def test_a_forbidden_file_is_refused(small):
     (small / "measurements.csv").chmod(0)
     (told,) = small.refused("check")
     assert "permission" in told.lower()
+
+
+SIDE_BY_SIDE = """
+[measurements.columns]
+q1_deg = "q1_deg"
+q2_deg = "q2_deg"
+q3_deg = "q3_deg"
+[measurements.markers.A]
+x_mm = "A x"
+y_mm = "A y"
+z_mm = "A z"
+[measurements.markers.B]
+x_m = "B x"
+y_m = "B y"
+z_m = "B z"
+[split]"""
+
+
+@pytest.fixture
+def side_by_side(small):
+    """The study with two markers measured side by side, in millimetres and in metres."""
+    small.edit("robot.toml", ("[markers.tool]\npoint_mm = [600, 50, 80]",
+                              "[markers.A]\npoint_mm = [600, 50, 80]\n[markers.B]\npoint_mm = [600, 50, 80]"))  # fmt: skip
+    small.edit("study.toml", ("[split]", SIDE_BY_SIDE))
+    rows = small.rows
+    small.measure(rows.assign(**{f"A {n}": rows[f"{n}_mm"] for n in "xyz"},
+                              **{f"B {n}": rows[f"{n}_mm"].astype(float) / 1e3 for n in "xyz"}))  # fmt: skip
+    return small
+
+
+def test_a_marker_s_column_is_named_as_the_user_wrote_it(side_by_side):
+    """Fails if another marker's column is blamed, calflow's name stands alone, or a line is told once a marker."""
+    assert side_by_side.calflow("check").code == 0
+    rows = side_by_side.rows
+    side_by_side.measure(both(put("B y", 3, ""), put("A x", 4, "x"), put("q2_deg", 5, ""))(rows))
+    assert [problem.split("; ")[0] for problem in side_by_side.refused("check")] == [
+        "measurements.csv:7: column 'q2_deg' is empty or not a number",
+        "measurements.csv:6: column 'A x' (x_mm): expected a number, found 'x'",
+        "measurements.csv:5: column 'B y' (y_m) is empty or not a number",
+    ]
+
+
+def test_a_marker_lacks_a_column_of_its_own(side_by_side):
+    """Fails if a coordinate that one marker's table leaves out is told as empty cells, or of the wrong marker."""
+    side_by_side.edit("study.toml", ('z_m = "B z"\n', ""))
+    (told,) = side_by_side.refused("check")
+    assert told == (
+        "measurements.csv:1: missing column: expected z_m or z_mm or z_um in the study's [measurements.markers.B]"
+    )
+
+
+def test_a_faulty_line_is_told_once(side_by_side):
+    """Fails if a line with several markers is told once for each of them."""
+    side_by_side.measure(side_by_side.rows.assign(payload="havy"))
+    side_by_side.edit("study.toml", ('q1_deg = "q1_deg"', 'payload = "payload"\nq1_deg = "q1_deg"'))
+    told = side_by_side.refused("check")
+    assert [problem.split(": ")[0] for problem in told] == [f"measurements.csv:{i}" for i in range(2, 7)] + [
+        "measurements.csv"
+    ]
+    assert told[-1].endswith("(and 75 more rows)")
+
+
+def test_rows_without_a_measured_value_are_left_out_where_the_study_says_so(small):
+    """Fails if such rows are dropped in silence or unasked, or others, with a missing reading or text, go with them."""
+    rows = small.rows
+    rows.loc[[3, 8], ["x_mm", "y_mm", "z_mm", "sigma_mm"]] = ["", "NaN", "", ""]
+    small.measure(put("y_mm", 5, "")(rows))
+    assert len(small.refused("check")) == 9
+    small.edit("study.toml", ("[split]", 'missing = "skip"\n[split]'))
+    answer = small.calflow("check")
+    assert answer.code == 0
+    assert 'note: missing = "skip": 3 of 80 rows have no measured value and are left out' in answer.out
+    assert "77 rows" in answer.out
+    small.measure(both(put("y_mm", 6, "lost"), put("q1_deg", 3, ""), put("sigma_mm", 7, ""))(rows.copy()))
+    assert [problem.split(":")[1] for problem in small.refused("check")] == ["5", "8", "9"]
+    small.measure(rows.assign(x_mm=""))
+    assert small.refused("check") == [
+        "measurements.csv: is empty: expected a header line and a row per measured point; no row has a measured value"
+    ]
+
+
+def test_the_joints_still_went_where_nothing_was_measured(small):
+    """Fails if the approach of the row after one that was left out is worked out as if the robot had not been there."""
+    small.edit("study.toml", ("[split]", 'in_order = true\nmissing = "skip"\n[split]'))
+    whole = load_study(small.path).measurements().table
+    rows = small.rows
+    rows.loc[[10, 11], "x_mm"] = ""
+    small.measure(rows)
+    left = load_study(small.path).measurements().table
+    columns = [name for name in whole if name.startswith(("approach", "travel"))]
+    pd.testing.assert_frame_equal(left[columns], whole[columns].drop(index=[10, 11]).reset_index(drop=True))
+
+
+@pytest.mark.parametrize("kind", ["pipe", "folder", "device"])
+def test_what_is_no_regular_file_is_never_opened(small, kind):
+    """Fails if a pipe or a device keeps a command waiting, or a folder ends in an error of the machine."""
+    odd = {"pipe": small / "odd", "folder": small.path, "device": Path("/dev/zero")}[kind]
+    if kind == "pipe":
+        os.mkfifo(odd)
+    for name, old, suffix in (("study.toml", '"robot.toml"', ""), ("study.toml", '"quick.toml"', ".toml"),
+                              ("study.toml", '"measurements.csv"', "")):  # fmt: skip
+        before = (small / name).read_text(encoding="utf-8")
+        link = small / f"link{suffix}"
+        link.symlink_to(odd)
+        small.edit(name, (old, f'"{link.name}"'))
+        (told,) = small.refused("check")
+        assert f"not a regular file but a {kind}" in told, old
+        (small / name).write_text(before, encoding="utf-8")
+        link.unlink()
+    if kind != "folder":
+        with pytest.raises(InputError, match=f"not a regular file but a {kind}"):
+            load_study(odd)
+    assert "not a regular file" in small.refused("simulate", odd)[0]
 
 
 def test_everything_that_check_finds_is_told_together(small):

@@ -8,7 +8,7 @@ import pytest
 
 import calflow
 from calflow.files.problems import InputError, Problem, nearest, together
-from calflow.measurements.measurements import Measurements, draw_split
+from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
 from calflow.stages import STAGES
 from calflow.study import find_workflow, load_study, workflow_folder
@@ -74,7 +74,7 @@ def drawn(small, seed=1, holdout=0.3, **columns):
     pose = np.repeat(np.arange(60), 2)
     table = pd.DataFrame({"pose": pose, "payload": np.where(pose < 40, "light", "heavy")} | columns)
     measured = Measurements(Robot.from_toml(small / "robot.toml"), table)
-    return draw_split(measured, holdout, seed).table
+    return measured.split(holdout, seed).table
 
 
 @pytest.mark.parametrize("holdout", [0, 0.3, 0.5])
@@ -108,7 +108,7 @@ def test_the_seed_decides_the_split(small):
     assert first["split"].equals(again["split"])
     assert not first["split"].equals(other["split"])
     backwards = Measurements(Robot.from_toml(small / "robot.toml"), first.drop(columns="split")[::-1])
-    assert draw_split(backwards, 0.3, 1).table.sort_index()["split"].equals(first["split"])
+    assert backwards.split(0.3, 1).table.sort_index()["split"].equals(first["split"])
 
 
 def test_an_explicit_split_stays(small):

@@ -10,11 +10,13 @@ from typing import Any
 
 from pydantic import Field, field_validator
 
+from calflow.estimation.plausibility import plausible
 from calflow.files.problems import InputError, Problem, nearest, refuse, together
 from calflow.files.toml import FileModel, Origin, read_toml, validate
 from calflow.files.units import split_unit
-from calflow.measurements.measurements import Measurements, MeasurementSource, draw_split
+from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import locate, read_measurements
+from calflow.measurements.source import MeasurementSource
 from calflow.robot.robot import Robot
 
 FEWEST_POSES = 3  # fewer do not even say where the robot stands
@@ -178,9 +180,9 @@ class Study:
     @cached_property
     def _measured(self) -> Measurements:
         path = self.measurement_path
-        measured = read_measurements(path, self.robot, self.file.measurements)
+        measured = plausible(read_measurements(path, self.robot, self.file.measurements), path)
         check_columns(self.file.effects, measured, path)
-        measured = draw_split(measured, self.file.split.holdout, self.file.seed)
+        measured = measured.split(self.file.split.holdout, self.file.seed)
         poses = measured.table.loc[measured.train, "pose"].nunique()
         if poses < FEWEST_POSES:
             raise refuse(f"holds {poses} poses to fit and {len(measured) - measured.train.sum()} rows in holdout: nothing can be "

@@ -10,7 +10,7 @@ import pytest
 
 from calflow.deployment.prediction import predict
 from calflow.estimation.calibrated import identified
-from calflow.measurements.reading import read_measurements
+from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
 from calflow.runs.run import read_tables
 
@@ -39,7 +39,7 @@ def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
     predicted = predict(finished / "runs", asked)
     tables = read_tables(finished / "runs", "identify")
     robot = Robot.from_toml(finished / "robot.toml")
-    data = read_measurements(asked, robot, conditions_only=True)
+    data = Measurements.to_predict(asked, robot)
     known = identified(robot, tables, data.given)
     covariance = tables["identify/covariance.csv"].drop(columns="parameter").to_numpy()
     step = 1e-3 * known.model.prior_sd
@@ -53,6 +53,26 @@ def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
     )
     variance = np.einsum("nai,ij,naj->na", jacobian, covariance, jacobian)
     np.testing.assert_allclose(predicted[SD], 1e3 * np.sqrt(variance), rtol=1e-4)
+
+
+def test_time_counts_from_where_the_fit_s_did(small):
+    """Fails if a drift is predicted as if the first row asked for stood at the start of the measurements."""
+    small.measure(small.rows.assign(time_s=[5e8 + 60.0 * i for i in range(80)]))
+    small.edit("study.toml", ('"joint-compliance"', '"frame-drift"'))
+    small.edit("quick.toml", ('"identify", "sample"', '"identify"'))
+    rows = small.rows
+    drift = 1e-3 * np.arange(80)
+    small.measure(rows.assign(x_mm=rows["x_mm"].astype(float) + drift))
+    assert small.calflow("run").code == 0
+    summary = pd.read_csv(small / "runs" / "identify" / "summary.csv").set_index("item")["value"]
+    assert float(summary["time_origin_s"]) == 5e8
+    asked = small.rows[60:].drop(columns=[*X, "sigma_mm"])
+    small.measure(asked, "asked.csv")
+    predicted = predict(small / "runs", small / "asked.csv")
+    residuals = pd.read_csv(small / "runs" / "identify" / "residuals.csv")[60:]
+    expected = small.rows[X].astype(float).to_numpy()[60:] + residuals[["dx_mm", "dy_mm", "dz_mm"]].to_numpy()
+    np.testing.assert_allclose(predicted[X], expected, atol=1e-6)
+    assert list(predicted["time_s"]) == [5e8 + 60.0 * i for i in range(60, 80)]
 
 
 def test_rows_keep_their_order_columns_and_names(finished):

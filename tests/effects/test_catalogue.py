@@ -22,7 +22,8 @@ from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Cause
 from calflow.effects.joint_error_map import AMPLITUDE, LENGTHS
 from calflow.faults import checks
-from calflow.measurements.measurements import Measurements, condition_columns, numbered
+from calflow.measurements.columns import condition_columns, numbered
+from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import read_measurements
 from calflow.model import Model, over_rows
 from calflow.robot.chain import Deflection

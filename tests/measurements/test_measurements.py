@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from calflow.files.problems import InputError
 from calflow.files.units import SUFFIXES
-from calflow.measurements.measurements import MeasurementSource, column_names
+from calflow.measurements.columns import column_names
 from calflow.measurements.reading import locate, read_measurements
+from calflow.measurements.source import MeasurementSource
 from calflow.robot.robot import Robot
 
 Q = ["q1_deg", "q2_deg", "q3_deg"]

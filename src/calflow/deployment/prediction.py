@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from calflow.estimation.calibrated import calibrated
+from calflow.estimation.calibrated import calibrated, time_origin
+from calflow.estimation.plausibility import plausible
 from calflow.files.problems import refuse
-from calflow.measurements.measurements import LABELS, Measurements
-from calflow.measurements.reading import read_measurements
+from calflow.measurements.columns import LABELS
+from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
 from calflow.runs.run import outdated, read_manifest, read_tables
 
@@ -38,7 +39,8 @@ def predict(run_folder: str | Path, rows: str | Path) -> pd.DataFrame:
         tables |= read_tables(folder, "diagnose")
     if path.suffix.lower() == ".mat":
         raise refuse("expected a CSV", path)
-    data = read_measurements(path, robot, conditions_only=True)
+    origin = time_origin(tables["identify/summary.csv"])
+    data = plausible(Measurements.to_predict(path, robot, time_origin=origin), path)
     known = calibrated(robot, tables, data.given)
     position = known.model.point(known.estimate, data.rows)
     jacobian = known.model.point_jacobian(known.estimate, data.rows)

@@ -20,7 +20,8 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.files.problems import InputError
-from calflow.measurements.measurements import Measurements, condition_columns
+from calflow.measurements.columns import condition_columns
+from calflow.measurements.measurements import Measurements
 from calflow.observations import Observation
 
 POSES = 20

@@ -95,6 +95,12 @@ def calibrated(robot: Robot, tables: Tables, given: tuple[str, ...]) -> Identifi
     return _read("diagnose", Model(robot, effects, given, observed), tables)
 
 
+def time_origin(summary: pd.DataFrame) -> float | None:
+    """Return the time_s [s] from which the time of what was fitted counts; None where its time is not known."""
+    found = summary.loc[summary["item"] == "time_origin_s", "value"]
+    return float(found.iloc[0]) if len(found) else None
+
+
 def with_maps_held(known: Identified) -> tuple[Identified, tuple[Cause, ...]]:
     """Return the model with causes of very many parameters held at their estimates, and which these are."""
     effects: list[Effect] = []

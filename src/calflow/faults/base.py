@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
 import pandas as pd
 
 from calflow.faults.reference import Reference
-from calflow.measurements.measurements import Measurements, numbered
-from calflow.measurements.reading import approach_and_travel
+from calflow.measurements.columns import numbered
+from calflow.measurements.measurements import Measurements
+from calflow.measurements.sequence import IN_ORDER, approach_and_travel
 
 Action = Literal["corrected", "left out"]
 POSITION = "position"  # the quantity x, y, z
@@ -109,13 +110,13 @@ def correct(data: Measurements, one: Fault) -> Measurements:
         split = table["split"].to_numpy(copy=True)
         split[[own.row - 1 for own in one.corrections]] = ""
         table["split"] = split
-    return Measurements(data.robot, _followed(table, before, data), data.notes)
+    return replace(data, table=_followed(table, before, data))
 
 
 def _followed(table: pd.DataFrame, before: pd.DataFrame, data: Measurements) -> pd.DataFrame:
     """Renew what was derived from the mended values: approach and travel from the readings, range from the positions."""
     readings, place = numbered("q", data.robot.n_joints), ["x", "y", "z"]
-    if any(note.startswith("in_order") for note in data.notes) and not table[readings].equals(before[readings]):
+    if IN_ORDER in data.notes and not table[readings].equals(before[readings]):
         came, far = approach_and_travel(table, readings)
         table[numbered("approach", data.robot.n_joints)] = came
         table[numbered("travel", data.robot.n_joints)] = far

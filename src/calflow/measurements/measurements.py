@@ -1,83 +1,128 @@
-"""What was measured: one checked table in SI units, and where it comes from."""
+"""What was measured: one checked table in SI units."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
-from typing import Literal
+from html import escape
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydantic import Field, field_validator, model_validator
+from numpy.typing import ArrayLike
 
-from calflow.files.toml import Angle, FileModel, Length, Lengths3
-from calflow.files.units import split_unit
+from calflow.measurements.arrays import rows_of
+from calflow.measurements.columns import ANGLES, POSITION, QUATERNION, blocks_of, condition_columns, numbered
+from calflow.measurements.layout import Layout
+from calflow.measurements.rows import Rows, read_rows
 from calflow.measurements.series import Series
 from calflow.robot.conditions import OPTIONAL, Row
 from calflow.robot.robot import Robot
 
-LABELS = ("pose", "repeat", "marker", "payload", "session", "split")
-BLOCKS = ("payload", "session")  # what poses are held out, and resampled, within
 
-
-class MeasurementSource(FileModel):
-    """Where the measurements are and how to read them: the `[measurements]` table of a study.
-
-    A url is fetched once and kept; its sha256 is then required. The folder that CALFLOW_DATA names is looked in first.
-    columns maps calflow's names to a foreign file's; markers does so for files with several markers side by side.
-    in_order says that the rows stand in the order of measuring, so that each pose's approach is known from the one before.
-    tracker is where the device stands in the measuring frame, if not at its origin.
-    """
-
-    file: str
-    url: str | None = None
-    sha256: str | None = None
-    separator: str = ","
-    decimal: Literal[".", ","] = "."
-    columns: dict[str, str] = {}
-    markers: dict[str, dict[str, str]] = {}
-    sigma: Length | None = Field(default=None, gt=0)
-    sigma_rotation: Angle | None = Field(default=None, gt=0)
-    in_order: bool = False
-    tracker: Lengths3 | None = None
-
-    @model_validator(mode="after")
-    def _fetched_is_checked(self) -> MeasurementSource:
-        if self.url and not self.sha256:
-            raise ValueError("a url needs the file's sha256")
-        if self.separator == self.decimal:
-            raise ValueError(
-                f"separator and decimal are both {self.decimal!r}; columns are usually separated by ';' then"
-            )
-        return self
-
-    @field_validator("separator")
-    @classmethod
-    def _is_one_character(cls, separator: str) -> str:
-        if len(separator) != 1:
-            raise ValueError(f"expected one character, found {separator!r}")
-        return separator
-
-    @field_validator("sha256")
-    @classmethod
-    def _is_a_hash(cls, sha256: str | None) -> str | None:
-        if sha256 and not re.fullmatch("[0-9a-f]{64}", sha256):
-            raise ValueError(f"expected 64 digits 0-9 and a-f, found {len(sha256)} characters: {sha256!r}")
-        return sha256
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Measurements:
     """Checked rows in SI units: columns pose, repeat, marker, payload, split, line, order, q1 …, x, y, z and optional ones.
 
-    split is train, holdout, or "" for rows that are left out of both.
+    split is train, holdout, or "" for rows that are left out of both. The column time counts from time_origin, which is in
+    the file's own time_s [s]; None where no time is known. units are those that the file's column names state.
     """
 
     robot: Robot
     table: pd.DataFrame
     notes: tuple[str, ...] = ()
     series: tuple[Series, ...] = (Series(),)
+    time_origin: float | None = None
+    units: tuple[str, ...] = ()
+
+    @classmethod
+    def from_csv(cls, path: str | Path, robot: Robot, **how: Any) -> Measurements:
+        """Read a CSV, or a MATLAB file whose arrays become columns `name_1`, `name_2`, …
+
+        Args:
+            path: the file.
+            robot: says which joints, payloads and markers there are.
+            how: the fields of `Layout`, where the file is not written as calflow writes it.
+
+        Raises:
+            InputError: with everything that is wrong in the file.
+        """
+        return cls._of(robot, read_rows(Path(path), robot, Layout(**how)))
+
+    @classmethod
+    def to_predict(cls, path: str | Path, robot: Robot, time_origin: float | None = None, **how: Any) -> Measurements:
+        """Read rows without measured values, whose time counts from time_origin [s].
+
+        Raises:
+            InputError: with everything that is wrong in the file.
+        """
+        return cls._of(robot, read_rows(Path(path), robot, Layout(**how), True, time_origin))
+
+    @classmethod
+    def from_arrays(
+        cls,
+        robot: Robot,
+        q: ArrayLike,
+        position: ArrayLike | None,
+        *,
+        in_order: bool = False,
+        tracker: tuple[float, float, float] | None = None,
+        time_origin: float | None = None,
+        **more: ArrayLike,
+    ) -> Measurements:
+        """Build measurements from arrays in SI units.
+
+        Args:
+            robot: says which joints, payloads and markers there are.
+            q: joint readings, shape (n_rows, n_joints) [rad, or m].
+            position: measured positions, shape (n_rows, 3) [m]; None for rows to be predicted.
+            in_order: the rows stand in measuring order, so that approach and travel follow from the row before.
+            tracker: where the device stands in the measuring frame [m], if not at its origin.
+            time_origin: the time [s] from which time counts; the earliest row's where it is None.
+            more: further columns, (n_rows, …) or one value for all: pose, repeat, marker, payload, session, split (names
+                or whole numbers); rotation (3, 3); sigma [m], sigma_rotation [rad]; approach (n_joints) of -1, 0, 1;
+                travel (n_joints) [rad, or m]; wrench (6) [N, Nm]; torque (n_joints) [Nm]; time [s]; temperature [K].
+
+        Raises:
+            InputError: with everything that is wrong in the arrays.
+        """
+        layout = Layout(in_order=in_order, tracker=tracker)
+        return cls._of(robot, rows_of(robot, q, position, layout, time_origin, more))
+
+    @classmethod
+    def _of(cls, robot: Robot, rows: Rows) -> Measurements:
+        return cls(robot, rows.table, rows.notes, time_origin=rows.time_origin, units=rows.units)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Measurements):
+            return NotImplemented
+        mine, others = ((m.robot, m.notes, m.series, m.time_origin) for m in (self, other))
+        return mine == others and self.table.equals(other.table)
+
+    __hash__ = None  # type: ignore[assignment]  # as of everything that holds a table
+
+    def __repr__(self) -> str:
+        return f"Measurements({', '.join(f'{name}: {words}' for name, words in self._words().items())})"
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><th>{escape(name)}</th><td>{escape(words)}</td></tr>" for name, words in self._words().items()
+        )
+        notes = "".join(f"<li>{escape(note)}</li>" for note in self.notes)
+        return f"<table><caption>Measurements</caption>{rows}</table>" + (f"<ul>{notes}</ul>" if notes else "")
+
+    def _words(self) -> dict[str, str]:
+        """What a notebook shows, by its name."""
+        counted = {name: str(self.table[name].nunique()) for name in ("pose",) if name in self.table}
+        words = {"rows": str(len(self)), "poses": counted.get("pose", "unknown")}
+        for name in ("marker", "payload"):
+            if name in self.table:
+                words[f"{name}s"] = ", ".join(str(value) or "none" for value in self.table[name].unique())
+        words["given"] = ", ".join(self.given) or "nothing optional"
+        if "split" in self.table:
+            words["split"] = f"{self.train.sum()} rows to fit, {self.held_out.sum()} held out"
+        return words
 
     def __len__(self) -> int:
         return len(self.table)
@@ -90,7 +135,7 @@ class Measurements:
     @property
     def position(self) -> np.ndarray:
         """Measured positions, shape (n_rows, 3) [m]."""
-        return self.table[["x", "y", "z"]].to_numpy()
+        return self.table[[*POSITION]].to_numpy()
 
     @property
     def rotation(self) -> np.ndarray | None:
@@ -152,22 +197,25 @@ class Measurements:
         """Return the same rows for a robot that differs in its dimensions only (a registered base, say)."""
         return replace(self, robot=robot)
 
+    def split(self, holdout: float = 0.3, seed: int = 1) -> Measurements:
+        """Return the rows with a split drawn by pose, each payload and session in proportion; an explicit split stays.
 
-def draw_split(measured: Measurements, holdout: float, seed: int) -> Measurements:
-    """Return the rows with a split drawn by pose, each payload and session in proportion; an explicit split stays."""
-    if "split" in measured.table:
-        return measured
-    rng = np.random.default_rng(seed)
-    table = measured.table.copy()
-    table["split"] = "train"
-    first, *more = (table[name] for name in blocks_of(table))
-    every = reduce(lambda names, further: names + "\n" + further, more, first)
-    block = every.groupby(table["pose"]).agg(lambda names: "\n".join(sorted(set(names))))
-    for _, group in block.groupby(block, sort=True):
-        poses = np.sort(group.index)
-        held = rng.permutation(poses)[: round(holdout * len(poses))]
-        table.loc[table["pose"].isin(held), "split"] = "holdout"
-    return replace(measured, table=table)
+        Args:
+            holdout: share of the poses that no fit may see.
+            seed: of the draw.
+        """
+        if "split" in self.table:
+            return self
+        rng = np.random.default_rng(seed)
+        table = self.table.assign(split="train")
+        first, *more = (table[name] for name in blocks_of(table))
+        every = reduce(lambda names, further: names + "\n" + further, more, first)
+        block = every.groupby(table["pose"]).agg(lambda names: "\n".join(sorted(set(names))))
+        for _, group in block.groupby(block, sort=True):
+            poses = np.sort(group.index)
+            held = rng.permutation(poses)[: round(holdout * len(poses))]
+            table.loc[table["pose"].isin(held), "split"] = "holdout"
+        return replace(self, table=table)
 
 
 def rotations(table: pd.DataFrame) -> np.ndarray:
@@ -175,47 +223,10 @@ def rotations(table: pd.DataFrame) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
     angles = "rx" in table
-    stated = table[["rx", "ry", "rz"] if angles else ["qx", "qy", "qz", "qw"]].to_numpy(float)
+    stated = table[[*ANGLES] if angles else [*QUATERNION[1:], QUATERNION[0]]].to_numpy(float)
     there = np.isfinite(stated).all(axis=1)
     found = np.full((len(table), 3, 3), np.nan)
     if there.any():
         turned = Rotation.from_euler("XYZ", stated[there]) if angles else Rotation.from_quat(stated[there])
         found[there] = turned.as_matrix()
     return found
-
-
-def blocks_of(table: pd.DataFrame) -> list[str]:
-    """Return the columns that say under which payload and in which session a pose was measured."""
-    return [name for name in BLOCKS if name in table]
-
-
-def condition_columns(condition: str, robot: Robot) -> list[str]:
-    """Return the columns of a table that hold a condition."""
-    stems = {"reading": "q", "approach": "approach", "travel": "travel", "torque": "tau"}
-    if condition == "wrench":
-        return ["fx", "fy", "fz", "mx", "my", "mz"]
-    return numbered(stems[condition], robot.n_joints) if condition in stems else [condition]
-
-
-def column_names(robot: Robot) -> dict[str, str]:
-    """Return every column a measurement file may have, without its unit, and the column's dimension ('' for none)."""
-    n = robot.n_joints
-    names = dict.fromkeys((*LABELS, "qw", "qx", "qy", "qz", *numbered("approach", n)), "")
-    for stem in ("q", "travel"):
-        names |= {f"{stem}{i + 1}": "angle" if j.kind == "revolute" else "length" for i, j in enumerate(robot.joints)}
-    names |= dict.fromkeys(("x", "y", "z", "sigma"), "length")
-    names |= dict.fromkeys(("nominal_x", "nominal_y", "nominal_z"), "length")  # of select/poses.csv, filled in
-    names |= dict.fromkeys(("rx", "ry", "rz", "sigma_rotation"), "angle")
-    names |= dict.fromkeys(("fx", "fy", "fz"), "force") | dict.fromkeys(("mx", "my", "mz"), "moment")
-    names |= dict.fromkeys(numbered("tau", n), "moment")
-    return names | {"time": "time", "temperature": "temperature"}
-
-
-def numbered(stem: str, n: int) -> list[str]:
-    """Return names with the numbers 1 to n."""
-    return [f"{stem}{i + 1}" for i in range(n)]
-
-
-def split_column(spelled: str, robot: Robot) -> tuple[str, str]:
-    """Return a column's name without its unit, and the unit."""
-    return (spelled, "") if column_names(robot).get(spelled) == "" else split_unit(spelled) or (spelled, "")

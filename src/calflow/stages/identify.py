@@ -187,6 +187,7 @@ def _summary(
             f"{1e6 * result.model.equilibrium_error(result.estimate, used.rows[:, :EQUILIBRIUM_ROWS]):.2g}",
         ),
         ("starts_agreeing", f"{agree} of {starts}"),
+        *([] if data.time_origin is None else [("time_origin_s", repr(data.time_origin))]),
         *(("extrapolation", statement) for statement in extrapolation(data)),
     ]
     return pd.DataFrame(rows, columns=["item", "value"])

@@ -16,7 +16,8 @@ from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import Layout
 from calflow.estimation.noise import LackOfFit, Noise
-from calflow.measurements.measurements import Measurements, numbered
+from calflow.measurements.columns import numbered
+from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
 
 ROBOT = robots.industrial()

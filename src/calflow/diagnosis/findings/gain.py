@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calflow.estimation.accuracy import distances
-from calflow.measurements.measurements import Measurements, blocks_of
+from calflow.measurements.columns import blocks_of
+from calflow.measurements.measurements import Measurements
 
 RESAMPLES = 2000
 INTERVAL = (0.025, 0.975)

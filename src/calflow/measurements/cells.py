@@ -1,0 +1,89 @@
+"""The cells of a measurement file: a CSV's as text, a MATLAB file's as numbers, each known by its line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from calflow.files.problems import refuse
+from calflow.files.regular import regular_file
+from calflow.measurements.layout import Layout
+
+EMPTY = "is empty: expected a header line and a row per measured point"
+REMEDY = 'save it as "CSV UTF-8 (comma delimited)", as Excel calls it'
+ARCHIVE, OLE = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"  # how .xlsx and .xls begin
+HEAD = 4096  # bytes that tell what a file is
+
+
+def read_cells(path: Path, layout: Layout) -> pd.DataFrame:
+    """Return the file's cells as text (numbers of a MATLAB file as they are), indexed by line; empty lines are left out.
+
+    Raises:
+        InputError: the file is not a table.
+    """
+    try:
+        regular_file(path)
+        if path.suffix.lower() == ".mat":
+            return _read_mat(path, layout)
+        check_text(path)
+        raw = pd.read_csv(path, sep=layout.separator, dtype=str, keep_default_na=False, skip_blank_lines=False,
+                          encoding="utf-8-sig")  # fmt: skip
+    except pd.errors.EmptyDataError:
+        raise refuse(EMPTY, path) from None
+    except (OSError, ValueError) as error:
+        raise refuse(f"cannot be read: {str(error).strip()}", path) from None
+    other = next((sign for sign in ";\t|," if sign in str(raw.columns[0])), None)
+    if len(raw.columns) == 1 and other:
+        raise refuse(f"has no {layout.separator!r} in its header line, but {other!r}: say separator = {json.dumps(other)} "
+                     "in the study's [measurements] (and decimal = \",\" where numbers have a decimal comma)", path, 1)  # fmt: skip
+    if not isinstance(raw.index, pd.RangeIndex):
+        raise refuse(f"has more values in a row than the {len(raw.columns)} names of the header line", path, 2)
+    raw = raw.fillna("").apply(lambda column: column.str.strip())
+    raw.index = pd.RangeIndex(2, len(raw) + 2)
+    raw = raw[(raw != "").any(axis=1)]
+    if raw.empty:
+        raise refuse(EMPTY, path)
+    return raw
+
+
+def check_text(path: Path) -> None:
+    """Refuse what is not text in UTF-8, with what to do about it.
+
+    Raises:
+        InputError: it is an Excel file, text in another encoding, or no text.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(HEAD)
+        if head.startswith((ARCHIVE, OLE)):
+            raise refuse(f"is an Excel file (or another archive), not a CSV: {REMEDY}", path)
+        even, odd = head[::2], head[1::2]
+        if head.startswith((b"\xff\xfe", b"\xfe\xff")) or (b"\0" in head and not (any(even) and any(odd))):
+            raise refuse(f"is not a text file in UTF-8 but in UTF-16: {REMEDY}", path)
+        if b"\0" in head:
+            raise refuse("is not a text file: expected a CSV", path)
+        stream.seek(0)
+        for line, text in enumerate(stream, start=1):
+            try:
+                text.decode()
+            except UnicodeDecodeError as error:
+                sign = text[error.start : error.start + 1]
+                raise refuse(f"is not in UTF-8: byte {sign[0]:#x} would be {sign.decode('latin-1')!r} in Latin-1; {REMEDY}",
+                             path, line) from None  # fmt: skip
+
+
+def _read_mat(path: Path, layout: Layout) -> pd.DataFrame:
+    """Return the arrays that the layout names (all where it names none), a column for each of their columns."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        arrays = {name: np.asarray(value) for name, value in loadmat(path).items() if not name.startswith("__")}
+    except (MatReadError, NotImplementedError, TypeError, KeyError) as error:
+        raise ValueError(error) from None
+    named = {theirs.rpartition("_")[0] for theirs in layout.named} or set(arrays)
+    wide = {name: array.reshape(len(array), -1) for name, array in arrays.items() if name in named and array.ndim}
+    table = pd.DataFrame({f"{name}_{j + 1}": a[:, j] for name, a in wide.items() for j in range(a.shape[1])})
+    return table.set_axis(pd.RangeIndex(1, len(table) + 1))

@@ -1,0 +1,53 @@
+"""The columns of measurements: their names, dimensions, and the condition that each belongs to."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from calflow.files.units import split_unit
+from calflow.robot.robot import Robot
+
+LABELS = ("pose", "repeat", "marker", "payload", "session", "split")
+BLOCKS = ("payload", "session")  # what poses are held out, and resampled, within
+POSITION = ("x", "y", "z")
+ANGLES, QUATERNION = ("rx", "ry", "rz"), ("qw", "qx", "qy", "qz")
+MEASURED = (*POSITION, *ANGLES, *QUATERNION)
+SIGMAS = ("sigma", "sigma_rotation")
+WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
+STEMS = {"reading": "q", "approach": "approach", "travel": "travel", "torque": "tau"}  # of columns, one a joint
+
+
+def blocks_of(table: pd.DataFrame) -> list[str]:
+    """Return the columns that say under which payload and in which session a pose was measured."""
+    return [name for name in BLOCKS if name in table]
+
+
+def condition_columns(condition: str, robot: Robot) -> list[str]:
+    """Return the columns of a table that hold a condition."""
+    if condition == "wrench":
+        return list(WRENCH)
+    return numbered(STEMS[condition], robot.n_joints) if condition in STEMS else [condition]
+
+
+def column_names(robot: Robot) -> dict[str, str]:
+    """Return every column a measurement file may have, without its unit, and the column's dimension ('' for none)."""
+    n = robot.n_joints
+    names = dict.fromkeys((*LABELS, *QUATERNION, *numbered("approach", n)), "")
+    for stem in ("q", "travel"):
+        names |= {f"{stem}{i + 1}": "angle" if j.kind == "revolute" else "length" for i, j in enumerate(robot.joints)}
+    names |= dict.fromkeys((*POSITION, "sigma"), "length")
+    names |= dict.fromkeys(("nominal_x", "nominal_y", "nominal_z"), "length")  # of select/poses.csv, filled in
+    names |= dict.fromkeys((*ANGLES, "sigma_rotation"), "angle")
+    names |= dict.fromkeys(WRENCH[:3], "force") | dict.fromkeys(WRENCH[3:], "moment")
+    names |= dict.fromkeys(numbered("tau", n), "moment")
+    return names | {"time": "time", "temperature": "temperature"}
+
+
+def numbered(stem: str, n: int) -> list[str]:
+    """Return names with the numbers 1 to n."""
+    return [f"{stem}{i + 1}" for i in range(n)]
+
+
+def split_column(spelled: str, robot: Robot) -> tuple[str, str]:
+    """Return a column's name without its unit, and the unit."""
+    return (spelled, "") if column_names(robot).get(spelled) == "" else split_unit(spelled) or (spelled, "")

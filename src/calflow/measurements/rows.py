@@ -1,0 +1,210 @@
+"""The rows of a measurement file: its cells as one checked table in SI units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from calflow.files.problems import InputError, Problem, shortened
+from calflow.files.units import LARGEST, SUFFIXES, to_si
+from calflow.measurements.cells import EMPTY, read_cells
+from calflow.measurements.checks import at_rows, check_header, check_values
+from calflow.measurements.columns import MEASURED, SIGMAS, column_names
+from calflow.measurements.header import Column, columns_read
+from calflow.measurements.labels import labelled
+from calflow.measurements.layout import Layout
+from calflow.measurements.sequence import ordered, ranged
+from calflow.robot.robot import Robot
+
+NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
+NOTHING = ("", "nan", "-nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none")
+WRONG_UNIT = 1000.0  # times what a robot has: so far a value may lie, and be told as one in a wrong unit
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A table in SI units, what was assumed of it, the time_s [s] from which its time counts, and the units it named."""
+
+    table: pd.DataFrame
+    notes: tuple[str, ...]
+    time_origin: float | None
+    units: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Values:
+    """A column's values by line, nan where there is none, which cells are empty, and what is wrong with the others."""
+
+    values: pd.Series
+    empty: pd.Series
+    problems: list[Problem]
+
+
+def read_rows(
+    path: Path, robot: Robot, layout: Layout, conditions_only: bool = False, time_origin: float | None = None
+) -> Rows:
+    """Read and check a measurement file.
+
+    Args:
+        path: a CSV, or a MATLAB file whose arrays become columns `name_1`, `name_2`, …
+        robot: says which joints, payloads and markers there are.
+        layout: how the file is written.
+        conditions_only: the rows are to be predicted, so x, y and z are not needed.
+        time_origin: the time_s [s] from which time counts; that of the earliest row where it is None.
+
+    Raises:
+        InputError: with everything that is wrong in the file.
+    """
+    cells = read_cells(path, layout)
+    columns = columns_read(list(map(str, cells)), layout, robot, path)
+    problems = [Problem(told, path, 1) for told in check_header(columns, layout, robot, conditions_only)]
+    known = column_names(robot)
+    read = {
+        column: _values(cells[column.theirs], column, layout, path) for column in columns if _is_told(column, known)
+    }
+    gone = _without_measurement(read, layout)
+    wrong = [problem for column, own in read.items() for problem in (*_empty(column, own, gone, path), *own.problems)]
+    if problems:
+        raise InputError(problems + wrong)
+    table, notes = labelled(_assembled(read, gone, layout), robot)
+    problems = wrong + check_values(table, robot, path)
+    if problems:
+        raise InputError(problems)
+    rows = placed_in_time(table, robot, layout, conditions_only, time_origin)
+    kept, left_out = _kept(rows.table, path)
+    return Rows(kept, (*notes, *rows.notes, *left_out), rows.time_origin, tuple(sorted({c.unit for c in read})))
+
+
+def placed_in_time(
+    table: pd.DataFrame, robot: Robot, layout: Layout, conditions_only: bool, time_origin: float | None
+) -> Rows:
+    """Add what follows from when and where a row was measured: time from the origin, order, range, approach and travel."""
+    if "time" in table:
+        time_origin = float(table["time"].min()) if time_origin is None else time_origin
+        table = table.assign(time=table["time"] - time_origin)
+    else:
+        time_origin = None
+    if conditions_only:
+        return Rows(table, (), time_origin)
+    table, notes = ordered(ranged(table, robot, layout.tracker), robot, layout.in_order)
+    return Rows(table, tuple(notes), time_origin)
+
+
+def beyond(values: np.ndarray, dimension: str) -> np.ndarray:
+    """Which values [SI] are larger than anything in a wrong unit could be, shape as values."""
+    return np.abs(values) > WRONG_UNIT * LARGEST[dimension]
+
+
+def beyond_words(dimension: str) -> str:
+    """Say what is the largest value that is read."""
+    si = f" {SUFFIXES[dimension][0]}" if dimension else ""
+    return f"expected at most {WRONG_UNIT * LARGEST[dimension]:g}{si}"
+
+
+def _is_told(column: Column, known: dict[str, str]) -> bool:
+    """Whether a column's values can be read: it has a name that is known and a unit of its dimension."""
+    return column.name in known and column.unit in SUFFIXES.get(known[column.name], ("",))
+
+
+def _values(cells: pd.Series, column: Column, layout: Layout, path: Path) -> _Values:
+    """Return a column's values in SI units."""
+    never = pd.Series(False, cells.index)
+    if column.name in ("marker", "payload", "session", "split"):
+        return _Values(_text(cells), never, [])
+    if column.name in ("pose", "repeat"):
+        labels = _text(cells).str.replace(r"\.0*$", "", regex=True)
+        problems = _at_lines(labels == "", path, f"{column} is empty")
+        whole = labels.str.fullmatch(r"\d{1,18}").all()
+        return _Values(labels.astype(int) if whole else labels, never, problems)
+    return _numbers(cells, column, layout, path)
+
+
+def _numbers(cells: pd.Series, column: Column, layout: Layout, path: Path) -> _Values:
+    if pd.api.types.is_numeric_dtype(cells):
+        numbers, text = cells.astype(float), pd.Series(False, cells.index)
+    else:
+        written = _text(cells)
+        if layout.decimal == ",":
+            written = written.str.replace(".", "?", regex=False).str.replace(",", ".", regex=False)
+        good = written.str.fullmatch(NUMBER)
+        text = ~good & ~written.str.lower().isin(NOTHING)
+        numbers = written.where(good).astype(float)
+    factor, offset = to_si(column.unit) if column.unit else (1.0, 0.0)
+    empty = ~text & ~np.isfinite(numbers)
+    values = factor * numbers + offset
+    dimension = next((name for name, units in SUFFIXES.items() if column.unit in units), "")
+    large = pd.Series(beyond(values.where(~empty, 0.0).to_numpy(), dimension), cells.index)
+    problems = [Problem(_no_number(cells[text], column, layout), path, int(cells.index[text][0]))] if text.any() else []
+    problems += _at_lines(large, path, f"{column}: {beyond_words(dimension)}")
+    return _Values(values.where(~(empty | large)), empty, problems)
+
+
+def _no_number(wrong: pd.Series, column: Column, layout: Layout) -> str:
+    """Say that cells hold no number."""
+    first, more = shortened(str(wrong.iloc[0])), len(wrong) - 1
+    other = "," if layout.decimal == "." else "."
+    hint = f" (written with '{other}'? say decimal = \"{other}\" in the study)" if other in first else ""
+    count = f" (and {more} more rows)" if more else ""
+    return f"{column}: expected a number, found '{first}'{hint}{count}"
+
+
+def _without_measurement(read: dict[Column, _Values], layout: Layout) -> dict[str, pd.Series]:
+    """Return for each marker ('' where markers have no columns of their own) which lines lack a measured value."""
+    gone = {}
+    for marker in dict.fromkeys([column.marker for column in read if column.marker] or [""]):
+        own = [
+            values.empty for column, values in read.items() if column.name in MEASURED and column.marker in ("", marker)
+        ]
+        nowhere = pd.Series(False, own[0].index) if own else pd.Series(dtype=bool)
+        gone[marker] = pd.concat(own, axis=1).any(axis=1) if own and layout.missing == "skip" else nowhere
+    return gone
+
+
+def _empty(column: Column, own: _Values, gone: dict[str, pd.Series], path: Path) -> list[Problem]:
+    """Find empty cells, besides those of the device in rows that are left out."""
+    empty = own.empty
+    if column.name in (*MEASURED, *SIGMAS):
+        left_out = [lines for marker, lines in gone.items() if column.marker in ("", marker)]
+        empty = empty & ~pd.concat(left_out, axis=1).all(axis=1).reindex(empty.index, fill_value=False)
+    return _at_lines(empty, path, f"{column} is empty or not a number; complete the row or leave it out")
+
+
+def _assembled(read: dict[Column, _Values], gone: dict[str, pd.Series], layout: Layout) -> pd.DataFrame:
+    """Return a row for each line, and for each marker where they are measured side by side."""
+    blocks = []
+    for marker, lines in gone.items():
+        own = {column.name: values.values for column, values in read.items() if column.marker in ("", marker)}
+        block = pd.DataFrame({"line": next(iter(own.values())).index, **{k: v.to_numpy() for k, v in own.items()}})
+        if marker:
+            block["marker"] = marker
+        for name, value in (("sigma", layout.sigma), ("sigma_rotation", layout.sigma_rotation)):
+            if value is not None:
+                block[name] = value
+        blocks.append(block.assign(missing=lines.reindex(block["line"], fill_value=False).to_numpy()))
+    return pd.concat(blocks).sort_values("line", kind="stable").reset_index(drop=True)
+
+
+def _kept(table: pd.DataFrame, path: Path) -> tuple[pd.DataFrame, list[str]]:
+    """Leave out the rows without measured values, and say how many they are.
+
+    They count in the order of measuring, since the robot was there.
+    """
+    missing = table["missing"].to_numpy()
+    table = table.drop(columns="missing")
+    if missing.all():
+        raise InputError([Problem(f"{EMPTY}; no row has a measured value", path)])
+    if not missing.any():
+        return table, []
+    said = f'missing = "skip": {missing.sum()} of {len(missing)} rows have no measured value and are left out'
+    return table[~missing].reset_index(drop=True), [said]
+
+
+def _text(cells: pd.Series) -> pd.Series:
+    return cells.where(cells.notna(), "").astype(str)
+
+
+def _at_lines(bad: pd.Series, path: Path, message: str) -> list[Problem]:
+    return at_rows(bad.to_numpy(dtype=bool), pd.DataFrame({"line": bad.index}), path, message)
