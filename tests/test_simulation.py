@@ -135,6 +135,7 @@ MISTAKES = [
     ("a_mm = 0.5", "a = 0.5", ["16: values.joint2.a: unknown parameter or unit, did you mean 'joint2.a_m"]),
     ("a_mm = 0.5", "a_mrad = 0.5", ["16: values.joint2.a_mrad: unknown parameter or unit, did you mean 'joint2.a"]),
     ("a_mm = 0.5", "a_mm = 0.5\na_um = 500.0", ["17: values.joint2.a_um: is given twice, in different units"]),
+    ("a_mm = 0.5", "a_mm = 1e300", ["16: values.joint2.a_mm: expected at most 1e+09, found 1e+300"]),
     ("a_mm = 0.5", 'a_mm = "0.5"', ["16: values.joint2.a_mm: expected a number, found '0.5'"]),
     ("[values.joint2]", "[values.joint4]", ["16: values.joint4.a_mm: unknown parameter", "17: values.joint4.s_rad_per_Nm"]),
 ]  # fmt: skip
@@ -163,7 +164,14 @@ def test_wrong_values_and_payloads_are_told_together(small):
     [
         (None, ["p.csv: cannot be read"]),
         ("q1_deg,q2_deg,q3_deg\n", ["p.csv: holds no poses"]),
-        ("q1_deg,q2_dg,q3_rad\n1,2,3\n", ["p.csv:1: missing column: expected q2_deg, did you mean 'q2_dg'?", "q3_deg"]),
+        (
+            "q1_deg,q2_dg,q3_inch\n1,2,3\n",
+            [
+                "p.csv:1: missing column: expected q2_rad or q2_deg or q2_mrad or q2_urad, did you mean 'q2_dg'?",
+                "q3_deg",
+            ],
+        ),
+        ("q1_deg,q2_deg,q3_deg\n1,2,3\n\n1,,3\n", ["p.csv:4: a joint reading is empty"]),
         (
             "q1_deg,q2_deg,q3_deg\n1,2,3\n1,,3\n1,2,x\n",
             ["p.csv:3: a joint reading is empty", "p.csv:4: a joint reading"],
@@ -195,6 +203,59 @@ def test_compliance_of_massless_links_is_refused(small):
     small.edit("robot.toml", ("mass_kg = 30\ncom_mm = [350", "com_mm = [350"))
     (told,) = small.refused("simulate", small / "truth.toml")
     assert told.startswith("robot.toml:11: joints[2]: missing: effect 'joint-compliance' needs")
+
+
+BOTH = (
+    'effects = ["geometry", "joint-compliance"]',
+    'effects = ["joint-backlash", "torque-backlash"]\napproach = true',
+)
+
+
+def test_a_value_of_two_effects_is_given_by_the_effect(small):
+    """Fails if a name that two effects share goes to one of them in silence, or cannot be given to the other."""
+    small.edit("truth.toml", BOTH, ("a_mm = 0.5\ns_rad_per_Nm = 2e-6", "b_mrad = 0.5"), (DEVICE, ""))
+    (told,) = small.refused("simulate", small / "truth.toml", "--out", small / "other.csv")
+    assert told == (
+        "truth.toml:15: values.joint2.b_mrad: belongs to 2 parameters: expected "
+        "[values.joint2.joint-backlash] b_mrad or [values.joint2.torque-backlash] b_mrad"
+    )
+    moved = {}
+    for effect in ("joint-backlash", "torque-backlash"):
+        before = (small / "truth.toml").read_text(encoding="utf-8")
+        table = simulated(small, ("[values.joint2]", f"[values.joint2.{effect}]"))
+        (small / "truth.toml").write_text(before, encoding="utf-8")
+        moved[effect] = table[X].to_numpy()
+    still = simulated(small, ("b_mrad = 0.5", ""))[X].to_numpy()
+    assert all(np.abs(positions - still).max() > 0.05 for positions in moved.values())
+    assert np.abs(moved["joint-backlash"] - moved["torque-backlash"]).max() > 0.05
+
+
+def test_an_effect_without_its_condition_is_refused(small):
+    """Fails if a backlash is asked for and simulated as none, since no row says which side it came from."""
+    small.edit("truth.toml", BOTH, ("approach = true", ""), ("a_mm = 0.5\ns_rad_per_Nm = 2e-6", ""))
+    assert small.refused("simulate", small / "truth.toml") == [
+        "truth.toml:2: effects: effect 'joint-backlash' needs approach = true"
+    ]
+
+
+def test_an_effect_s_table_names_what_it_has(small):
+    """Fails if a value of an effect that is not there passes, or is told without the nearest name."""
+    small.edit(
+        "truth.toml",
+        BOTH,
+        ("[values.joint2]\na_mm = 0.5\ns_rad_per_Nm = 2e-6", "[values.joint2.joint-backlsh]\nb_mrad = 1"),
+    )
+    (told,) = small.refused("simulate", small / "truth.toml")
+    assert told.startswith(
+        "truth.toml:17: values.joint2.joint-backlsh.b_mrad: unknown parameter or unit, did you mean 'joint2.joint-b"
+    )
+
+
+def test_poses_may_be_stated_in_radians(small):
+    """Fails if a pose file's unit is taken for another."""
+    (small / "p.csv").write_text("q1_deg,q2_rad,q3_mrad\n10,-0.5,250\n", encoding="utf-8")
+    table = simulated(small, ("random = 40", 'poses = "p.csv"'))
+    np.testing.assert_allclose(table[Q].iloc[0], [10.0, np.rad2deg(-0.5), np.rad2deg(0.25)], atol=6e-5)
 
 
 def test_no_run_reads_the_truth(small):

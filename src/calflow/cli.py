@@ -47,24 +47,26 @@ def new(folder: Path) -> None:
 @click.argument("study", type=FILE)
 def check(study: Path) -> None:
     """Check a study with its robot, workflow and measurements, and run nothing."""
-    from calflow.files.problems import together
-    from calflow.model import build
-    from calflow.runs.run import stages_of
+    from calflow.runs.checking import check as check_study
     from calflow.study import load_study
 
     loaded = load_study(study)
-    _, data = together(lambda: stages_of(loaded), lambda: loaded.measurements() if loaded.file.measurements else None)
+    checked = check_study(loaded)
     click.echo(f"study {loaded.name}: {loaded.robot.name}, workflow {loaded.workflow.name} "
                f"({', '.join(loaded.workflow.stages)})")  # fmt: skip
-    if data is None:
+    if checked is None:
         click.echo("no measurements yet: 'calflow run --stage select' proposes poses")
         return
+    data = checked.data
     for note in data.notes:
         click.echo(f"note: {note}")
-    parameters = build(loaded.robot, loaded.file.effects, data.given).parameters
     click.echo(f"{loaded.measurement_path}: {len(data)} rows, {data.table['pose'].nunique()} poses, "
                f"{data.table.loc[data.train, 'pose'].nunique()} of them to fit")  # fmt: skip
-    click.echo(f"{len(parameters)} parameters: {', '.join(loaded.file.effects)}")
+    source = "as the robot file says" if loaded.robot.base.known else "placed by the poses to fit"
+    click.echo(f"the nominal robot's position error, base and tool {source}:")
+    for row in checked.nominal.itertuples():
+        click.echo(f"  {row.split:8} mean {row.mean_mm:.3f} mm, max {row.max_mm:.3f} mm")
+    click.echo(f"{checked.n_parameters} parameters: {', '.join(loaded.file.effects)}")
     click.echo("ok")
 
 

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
 from pydantic import Field, field_validator, model_validator
 
 from calflow.design.candidates import candidates, pack
-from calflow.files.problems import InputError, Problem, nearest, refuse, together
+from calflow.effects import catalogue
+from calflow.effects.needs import unmet
+from calflow.files.problems import InputError, Problem, nearest, refuse, shortened, together
+from calflow.files.regular import regular_file
 from calflow.files.toml import FileModel, Length, Lengths3, Origin, Unit, read_toml
-from calflow.files.units import spellings
+from calflow.files.units import LARGEST, SUFFIXES, spellings, split_unit, to_si
 from calflow.model import Model, build
 from calflow.robot.robot import Robot
 from calflow.study import check_effects, known_effects
@@ -69,7 +74,7 @@ class Truth(FileModel):
     region: Region | None = None
     device: Device = Device()
     sets: tuple[PoseSet, ...] = Field(min_length=1)
-    values: dict[str, dict[str, float]] = {}
+    values: dict[str, dict[str, Any]] = {}
 
     @field_validator("effects")
     @classmethod
@@ -87,8 +92,12 @@ def simulate(path: Path) -> pd.DataFrame:
     robot_path = path.parent / truth.robot
     robot = Robot.from_toml(robot_path)
     check_effects(truth.effects, robot, robot_path)
-    model = build(robot, truth.effects)
-    values, _ = together(lambda: _values(truth, model, path), lambda: _check_payloads(truth, robot, path))
+    model = build(robot, truth.effects, ("approach",) if truth.approach else ())
+    values, _, _ = together(
+        lambda: _values(truth, model, path),
+        lambda: _check_payloads(truth, robot, path),
+        lambda: _check_conditions(truth, model, path),
+    )
     rng = np.random.default_rng(truth.seed)
     payloads = truth.payloads or ("",)
     tables, first = [], 1
@@ -108,39 +117,95 @@ def _check_payloads(truth: Truth, robot: Robot, path: Path) -> None:
         )
 
 
+def _check_conditions(truth: Truth, model: Model, path: Path) -> None:
+    """Refuse effects that would do nothing, since no simulated row has what they need."""
+    origin = Origin.of(path)
+    problems = [
+        origin.problem(f"effect '{effect}' needs {'approach = true' if need == 'approach' else lacking}", "effects")
+        for effect in truth.effects
+        for need in catalogue()[effect].needs
+        for lacking in unmet((need,), model.robot, model.given)
+    ]
+    if problems:
+        raise InputError(problems)
+
+
+@dataclass(frozen=True)
+class _Spelling:
+    """How a truth file may state a parameter: its key in the table of its part, and the key's unit as a factor."""
+
+    index: int
+    effect: str
+    part: str
+    key: str
+    factor: float
+
+    @property
+    def words(self) -> str:
+        """The key with the table of its effect, which is never ambiguous."""
+        return f"[values.{self.part}.{self.effect}] {self.key}"
+
+
 def _values(truth: Truth, model: Model, path: Path) -> np.ndarray:
-    """The true parameter values; a key is the parameter's symbol with a unit, in the table of its part."""
-    known = {
-        (p.part, p.symbol + suffix): (i, factor)
+    """The true parameter values, by `[values.PART] key` or, of an effect of several, by `[values.PART.EFFECT] key`."""
+    known = [
+        _Spelling(i, p.effect, p.part, p.symbol + suffix, factor)
         for i, p in enumerate(model.parameters)
         for suffix, factor in spellings(p.unit).items()
-    }
+    ]
     values = model.nominal.copy()
     told: set[int] = set()
     problems: list[Problem] = []
     origin = Origin.of(path)
-    for part, table in truth.values.items():
-        for key, value in table.items():
-            at, factor = known.get((part, key), (None, 0.0))
-            if at is None:
-                names = [f"{part}.{key}" for part, key in known]
-                message = f"unknown parameter or unit{nearest(f'{part}.{key}', names)}"
-                problems.append(origin.problem(message, "values", part, key))
-            elif at in told:
-                problems.append(origin.problem("is given twice, in different units", "values", part, key))
-            else:
-                told.add(at)
-                values[at] = factor * value
+    for location, value in _stated(truth):
+        meant = [one for one in known if location in ((one.part, one.key), (one.part, one.effect, one.key))]
+        wrong = _wrong_value(location, value, meant, known, told)
+        if wrong:
+            problems.append(origin.problem(wrong, "values", *location))
+        else:
+            told.add(meant[0].index)
+            values[meant[0].index] = meant[0].factor * value
     if problems:
         raise InputError(problems)
     return values
+
+
+def _stated(truth: Truth) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every true value with its place: part, perhaps effect, and key."""
+    for part, table in truth.values.items():
+        for key, value in table.items():
+            if isinstance(value, dict):
+                yield from (((part, key, inner), figure) for inner, figure in value.items())
+            else:
+                yield (part, key), value
+
+
+def _wrong_value(
+    location: tuple[str, ...], value: Any, meant: list[_Spelling], known: list[_Spelling], told: set[int]
+) -> str:
+    """Say what is wrong with a true value; empty where nothing."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return f"expected a number, found {shortened(repr(value))}"
+    if not meant:
+        names = dict.fromkeys(f"{one.part}.{one.key}" for one in known) if len(location) == 2 else {
+            f"{one.part}.{one.effect}.{one.key}": None for one in known
+        }  # fmt: skip
+        return f"unknown parameter or unit{nearest('.'.join(location), names)}"
+    if len({one.index for one in meant}) > 1:
+        ways = " or ".join(dict.fromkeys(one.words for one in meant))
+        return f"belongs to {len(meant)} parameters: expected {ways}"
+    if meant[0].index in told:
+        return "is given twice, in different units"
+    if not abs(meant[0].factor * value) <= LARGEST[""]:
+        return f"expected at most {LARGEST['']:g}, found {value!r}"
+    return ""
 
 
 def _readings(pose_set: PoseSet, truth: Truth, model: Model, path: Path, rng: np.random.Generator) -> np.ndarray:
     """Joint readings of a set, rounded to what a file states, so that the file holds the very pose simulated."""
     units = _reading_units(model.robot)
     if pose_set.poses is not None:
-        stated = _stated_poses(path.parent / pose_set.poses, model)
+        stated = _stated_poses(path.parent / pose_set.poses, model) / units
     else:
         region = np.array([truth.region.min, truth.region.max]) if truth.region else None
         payload = truth.payloads[0] if truth.payloads else ""
@@ -154,29 +219,42 @@ def _readings(pose_set: PoseSet, truth: Truth, model: Model, path: Path, rng: np
 
 
 def _stated_poses(file: Path, model: Model) -> np.ndarray:
-    """Joint readings of a pose file, shape (n_poses, n_joints), in its units."""
-    columns = _reading_columns(model.robot)
+    """Joint readings of a pose file [rad, or m], shape (n_poses, n_joints)."""
     try:
-        table = pd.read_csv(file)
+        table = pd.read_csv(regular_file(file), skip_blank_lines=False).dropna(how="all")
     except (OSError, ValueError) as error:
         raise refuse(f"cannot be read: {error}", file) from None
-    absent = [name for name in columns if name not in table]
-    if absent:
-        raise InputError(
-            Problem(f"missing column: expected {name}{nearest(name, map(str, table))}", file, 1) for name in absent
-        )
+    columns = _joint_columns(list(map(str, table)), model.robot, file)
     if table.empty:
         raise refuse("holds no poses", file)
-    stated = table[columns].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    factors = [to_si((split_unit(name) or ("", ""))[1])[0] for name in columns]
+    stated = factors * table[columns].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
     finite = np.isfinite(stated).all(axis=1)
-    packed = pack(model, np.where(finite[:, None], stated, 0.0) * _reading_units(model.robot), "", "")
+    packed = pack(model, np.where(finite[:, None], stated, 0.0), "", "")
     closed = np.abs(model.closure_cosine(model.nominal, packed)) < 1
-    problems = [Problem("a joint reading is empty or not a number", file, int(i) + 2) for i in np.flatnonzero(~finite)]
-    problems += [Problem("the four-bar loop cannot be closed at these joint readings", file, int(i) + 2)
-                 for i in np.flatnonzero(finite & ~closed)]  # fmt: skip
+    lines = table.index.to_numpy() + 2
+    problems = [Problem("a joint reading is empty or not a number", file, int(line)) for line in lines[~finite]]
+    problems += [Problem("the four-bar loop cannot be closed at these joint readings", file, int(line))
+                 for line in lines[finite & ~closed]]  # fmt: skip
     if problems:
         raise InputError(problems)
-    return stated
+    return np.asarray(stated)
+
+
+def _joint_columns(there: list[str], robot: Robot, file: Path) -> list[str]:
+    """The column of each joint's reading, whatever its unit."""
+    found: list[str] = []
+    problems: list[Problem] = []
+    for i, joint in enumerate(robot.joints):
+        ways = [f"q{i + 1}_{unit}" for unit in SUFFIXES["angle" if joint.kind == "revolute" else "length"]]
+        name = next((way for way in ways if way in there), None)
+        if name is None:
+            problems.append(Problem(f"missing column: expected {' or '.join(ways)}{nearest(ways[1], there)}", file, 1))
+        else:
+            found.append(name)
+    if problems:
+        raise InputError(problems)
+    return found
 
 
 def _measure(
@@ -192,7 +270,10 @@ def _measure(
         position = np.empty((len(readings), 3))
         for payload in payloads:
             own = carried == payload
-            position[own] = model.position(values, pack(model, readings[own], payload, marker))
+            rows = pack(model, readings[own], payload, marker)
+            if truth.approach:
+                rows[-robot.n_joints :] = approach[own].T
+            position[own] = model.position(values, rows)
         sigma = truth.device.sigma(position)
         for repeat in range(1, truth.repeats + 1):
             seen = position + sigma[:, None] * rng.standard_normal(position.shape)

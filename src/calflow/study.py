@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +13,7 @@ from pydantic import Field, field_validator
 
 from calflow.estimation.plausibility import plausible
 from calflow.files.problems import InputError, Problem, nearest, refuse, together
+from calflow.files.regular import regular_file
 from calflow.files.toml import FileModel, Origin, read_toml, validate
 from calflow.files.units import split_unit
 from calflow.measurements.measurements import Measurements
@@ -169,9 +171,17 @@ class Study:
         """The study of the independent series, if there is one.
 
         Raises:
-            InputError: its files are at fault.
+            InputError: its files are at fault, or its robot cannot be the same.
         """
-        return load_study(self.path.parent / self.file.confirm) if self.file.confirm else None
+        if not self.file.confirm:
+            return None
+        other = load_study(self.path.parent / self.file.confirm)
+        n, found = self.robot.n_joints, other.robot.n_joints
+        if n != found:
+            raise InputError(
+                [Origin.of(self.path).problem(f"expected a robot with {n} joints, found {found}", "confirm")]
+            )
+        return other
 
     def measurements(self) -> Measurements:
         """Return the measurements, read once, split into train and holdout."""
@@ -196,6 +206,12 @@ class Study:
         base = self.workflow.settings.get(stage, {})
         return {key: value for key, value in base.items() if _without_unit(key) not in given} | own
 
+    def setting_problem(self, stage: str, message: str, setting: str, *further: str) -> Problem:
+        """Return a problem with a stage's setting, in the file that it stands in."""
+        if setting in map(_without_unit, self.file.stages.get(stage, {})):
+            return Origin.of(self.path, "stages", stage).problem(message, setting, *further)
+        return Origin.of(self.workflow_path, "settings", stage).problem(message, setting, *further)
+
     def validated_settings(self, stage: str, kind: type[FileModel]) -> FileModel:
         """Check a stage's settings; a problem is told in the file that it stands in."""
         there = Origin.of(self.workflow_path, "settings", stage)
@@ -206,15 +222,37 @@ class Study:
         return validate(settings, kind, here, elsewhere)
 
 
+def check_confirm(file: StudyFile, path: Path) -> None:
+    """Check that the study of the independent series is there, and is another one.
+
+    Raises:
+        InputError: it is not.
+    """
+    if not file.confirm:
+        return
+    other = _study_file(path.parent / file.confirm)
+    try:
+        wrong = "is this study itself" if regular_file(other).samefile(path) else ""
+    except FileNotFoundError:
+        wrong = f"there is no file {other}"
+    except InputError as error:
+        wrong = error.problems[0].message
+    if wrong:
+        message = f"{wrong}: expected the study of an independent series of the same robot"
+        raise InputError([Origin.of(path).problem(message, "confirm")])
+
+
+def _study_file(path: Path) -> Path:
+    return path / "study.toml" if os.path.isdir(path) else path  # false, where Path raises, for a name too long
+
+
 def load_study(path: str | Path) -> Study:
     """Read a study file with the robot and workflow it names; measurements are read when a stage asks for them.
 
     Raises:
         InputError: with all problems of the files read.
     """
-    path = Path(path)
-    if path.is_dir():
-        path = path / "study.toml"
+    path = _study_file(Path(path))
     file = read_toml(path, StudyFile)
     robot_path = path.parent / file.robot
 
@@ -227,7 +265,7 @@ def load_study(path: str | Path) -> Study:
         workflow_path = find_workflow(file.workflow, path)
         return workflow_path, read_toml(workflow_path, WorkflowFile)
 
-    robot, (workflow_path, workflow) = together(checked_robot, found_workflow)
+    robot, (workflow_path, workflow), _ = together(checked_robot, found_workflow, lambda: check_confirm(file, path))
     return Study(path, file, robot, robot_path, workflow, workflow_path)
 
 
@@ -246,7 +284,7 @@ def find_workflow(name: str, study: Path) -> Path:
     if name.endswith(".toml"):
         return study.parent / name
     path = workflow_folder() / f"{name}.toml"
-    if not path.is_file():
+    if not os.path.isfile(path):
         known = sorted(file.stem for file in workflow_folder().glob("*.toml"))
         message = f"unknown workflow '{name}'; there are {', '.join(known)}{nearest(name, known)}"
         raise InputError([Origin.of(study).problem(message, "workflow")])

@@ -269,11 +269,11 @@ def _frozen(value: Any) -> Any:
 
 
 def _numbers(value: Any) -> Iterator[float]:
-    """The figures of a value, in lists and tables too."""
+    """The figures of a value, in lists too."""
     if isinstance(value, float):
         yield value
-    elif isinstance(value, dict | tuple | list):
-        for member in value.values() if isinstance(value, dict) else value:
+    elif isinstance(value, tuple):
+        for member in value:
             yield from _numbers(member)
 
 

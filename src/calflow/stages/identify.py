@@ -22,7 +22,7 @@ from calflow.estimation.registration import registered
 from calflow.estimation.repeats import conditions, measured_noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.faults import as_table, search
-from calflow.files.problems import nearest, refuse
+from calflow.files.problems import InputError, Problem, nearest
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
@@ -49,10 +49,8 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     """Fit the nominal robot's errors, effect by effect, and say what the data determine."""
     study, settings = context.study, context.settings
     effects = study.file.effects
-    for effect in settings.count:
-        if effect not in effects:
-            known = nearest(effect, effects)
-            raise refuse(f"unknown effect '{effect}'{known}", study.path, key="stages.identify.count")
+    if wrong := _wrong_count(study, settings):
+        raise InputError(wrong)
     data = study.measurements()
     for note in data.notes:
         context.say(note)
@@ -68,7 +66,8 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     rows = accuracy("nominal", errors(nominal, nominal.nominal, data), data)
     for k in range(1, len(effects) + 1):
         model = build(robot, effects[:k], data.given, observed)
-        _enough_equations(model, train, study)
+        if wrong := _too_few_equations(model, train, study):
+            raise InputError(wrong)
         context.say(f"{' + '.join(effects[:k])}: {len(model.parameters)} parameters, {len(train)} rows")
         starts = draw_starts(model, settings.starts, context.rng("starts"))
         result, reweighted, lack, agree = fit_reweighted(model, train, noise.only(data.train), starts, settings.loss)
@@ -96,14 +95,44 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     return tables
 
 
-def _enough_equations(model: Model, train: Measurements, study: Study) -> None:
+def problems(study: Study, settings: IdentifySettings, data: Measurements | None) -> list[Problem]:
+    """Find counts that cannot be, and measurements that are too few or do not tell the noise asked for."""
+    found = _wrong_count(study, settings)
+    if data is None:
+        return found
+    observed = observations(data)
+    model = build(study.robot, study.file.effects, data.given, observed)
+    try:
+        measured_noise(data, settings.noise, build(study.robot, (), data.given, observed))
+    except InputError as error:
+        found += [study.setting_problem("identify", problem.message, "noise") for problem in error.problems]
+    return found + _too_few_equations(model, data.only(data.train), study)
+
+
+def _wrong_count(study: Study, settings: IdentifySettings) -> list[Problem]:
+    effects = study.file.effects
+    found = []
+    for effect, count in settings.count.items():
+        most = len(build(study.robot, (effect,)).parameters) if effect in effects else 0
+        if effect not in effects:
+            message = f"unknown effect '{effect}'{nearest(effect, effects)}; the study has {', '.join(effects)}"
+        elif not 0 <= count <= most:
+            message = f"expected a count from 0 to {most}, as many parameters as the effect has, found {count}"
+        else:
+            continue
+        found.append(study.setting_problem("identify", message, "count", effect))
+    return found
+
+
+def _too_few_equations(model: Model, train: Measurements, study: Study) -> list[Problem]:
     first = np.unique(conditions(train), return_index=True)[1]
     equations = sum(len(model.observations[k].units) for k in train.series_number[first])
-    if equations < len(model.parameters):
-        poses = train.table["pose"].nunique()
-        wanted = -(-len(model.parameters) * poses // equations)
-        raise refuse(f"{equations} equations ({poses} training poses) for {len(model.parameters)} parameters: measure at least "
-                     f"{wanted} training poses, better twice as many", study.measurement_path)  # fmt: skip
+    if equations >= len(model.parameters):
+        return []
+    poses = train.table["pose"].nunique()
+    wanted = -(-len(model.parameters) * poses // equations)
+    return [Problem(f"{equations} equations ({poses} training poses) for {len(model.parameters)} parameters: measure at least "
+                    f"{wanted} training poses, better twice as many", study.measurement_path)]  # fmt: skip
 
 
 def _of_single_rows(noise: Noise, fitted: Noise) -> np.ndarray:
@@ -213,4 +242,4 @@ def extrapolation(data: Measurements) -> list[str]:
     ]
 
 
-STAGE = Stage("identify", "identify geometry and compliance", IdentifySettings, run)
+STAGE = Stage("identify", "identify geometry and compliance", IdentifySettings, run, problems=problems)

@@ -14,12 +14,14 @@ from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.repeats import averaged
 from calflow.faults import corrected
-from calflow.files.problems import refuse
+from calflow.files.problems import Problem, refuse
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
+from calflow.model import build
 from calflow.sampling.backend import BlockBackend, joined, open_ensembles
 from calflow.sampling.posterior import Laplace, Posterior, moves
 from calflow.stages.stage import Context, Stage
+from calflow.study import Study
 
 ENOUGH_TAU = 50  # autocorrelation times that a chain must be long
 LOW_ACCEPTANCE = 0.1  # below this the independent proposal only wastes evaluations
@@ -78,6 +80,15 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
             table, values, known, laplace, steps, discard, tau, accepted, independent, settings, backends
         ),
     }
+
+
+def problems(study: Study, settings: SampleSettings, data: Measurements | None) -> list[Problem]:
+    """Find fewer walkers than the study's own effects need; causes that are found may need more."""
+    least = 2 * (len(build(study.robot, study.file.effects).parameters) + 1)
+    if settings.walkers is None or settings.walkers >= least:
+        return []
+    message = f"{settings.walkers} walkers are too few for {least // 2} dimensions: expected at least {least}"
+    return [study.setting_problem("sample", message, "walkers")]
 
 
 def posterior_of(known: Identified, data: Measurements) -> tuple[Posterior, Laplace]:
@@ -246,4 +257,5 @@ STAGE = Stage(
     needs=("identify",),
     uses=("diagnose",),
     resumes=("sample/chain.h5",),
+    problems=problems,
 )

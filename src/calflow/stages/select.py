@@ -9,11 +9,12 @@ from pydantic import Field, field_validator, model_validator
 from calflow.design.candidates import candidates
 from calflow.design.optimality import exchange, greedy, indices, log_determinant
 from calflow.estimation.identifiability import NULL
-from calflow.files.problems import nearest, refuse
+from calflow.files.problems import InputError, Problem, nearest
 from calflow.files.toml import FileModel, Length, Lengths3
+from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
 from calflow.stages.stage import Context, Stage
-from calflow.study import known_effects
+from calflow.study import Study, known_effects
 
 TASK_POSES = 400  # candidates over which the tool's expected error is averaged
 
@@ -57,13 +58,9 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     """Choose poses by D-optimal greedy addition and exchange, and tell what every number of them is worth."""
     study, settings = context.study, context.settings
     robot = study.robot
+    if wrong := problems(study, settings, None):
+        raise InputError(wrong)
     marker = settings.marker or next(iter(robot.markers))
-    for name, known in ((marker, robot.markers), (settings.payload, {**robot.payloads, "": None})):
-        if name not in known:
-            there = ", ".join(filter(None, known)) or "none"
-            raise refuse(
-                f"unknown name '{name}'; there are {there}{nearest(name, known)}", study.path, key="stages.select"
-            )
     model = build(robot, tuple(dict.fromkeys((*study.file.effects, *settings.also_effects))))
     region = None if settings.region_min is None else np.array([settings.region_min, settings.region_max])
     readings, rows = candidates(model, settings.candidates, settings.payload, marker, region, context.rng("candidates"))
@@ -86,6 +83,19 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
             whitened, greedy_order(whitened, prior, best), whitened[:TASK_POSES], settings
         ),
     }
+
+
+def problems(study: Study, settings: SelectSettings, data: Measurements | None) -> list[Problem]:
+    """Find names that the robot file lacks."""
+    found = []
+    for key, name, known in (
+        ("marker", settings.marker, study.robot.markers),
+        ("payload", settings.payload, study.robot.payloads),
+    ):
+        if name and name not in known:
+            message = f"unknown {key} '{name}'; there are {', '.join(known) or 'none'}{nearest(name, known)}"
+            found.append(study.setting_problem("select", message, key))
+    return found
 
 
 def greedy_order(whitened: np.ndarray, prior: np.ndarray, chosen: list[int]) -> list[int]:
@@ -152,4 +162,4 @@ def _shortest_tour(readings: np.ndarray) -> np.ndarray:
     return np.array(tour)
 
 
-STAGE = Stage("select", "choose the poses to measure", SelectSettings, run, measured=False)
+STAGE = Stage("select", "choose the poses to measure", SelectSettings, run, measured=False, problems=problems)

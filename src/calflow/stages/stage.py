@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from calflow.files.problems import Problem
 from calflow.files.tables import Tables
 from calflow.files.toml import FileModel
+from calflow.measurements.measurements import Measurements
 from calflow.study import Study
 
 
@@ -37,11 +39,17 @@ class Context:
         return np.random.default_rng([self.study.file.seed, *purpose.encode()])
 
 
+def no_problems(study: Study, settings: Any, data: Measurements | None) -> list[Problem]:
+    """Return none: nothing can be wrong with a stage's settings that their model does not find."""
+    return []
+
+
 @dataclass(frozen=True)
 class Stage:
     """A stage: its settings' model, the stages whose tables it needs, and whether it reads the measurements.
 
-    resumes names files of an earlier run that it goes on from where only its settings changed.
+    problems finds what it would refuse of a study, its settings and (where there are any) the measurements; resumes names
+    files of an earlier run that it goes on from where only its settings changed.
     """
 
     name: str
@@ -52,3 +60,4 @@ class Stage:
     uses: tuple[str, ...] = ()  # earlier stages it takes into account where the workflow has them
     measured: bool = True
     resumes: tuple[str, ...] = ()
+    problems: Callable[[Study, Any, Measurements | None], list[Problem]] = no_problems

@@ -1,0 +1,71 @@
+"""The check of a study: all that a run would refuse, told without running anything."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import pandas as pd
+
+from calflow.estimation.accuracy import accuracy, errors
+from calflow.estimation.registration import registered
+from calflow.files.problems import InputError, Problem, together
+from calflow.measurements.measurements import Measurements
+from calflow.model import build
+from calflow.observations import observations
+from calflow.runs.run import stages_of
+from calflow.stages import STAGES
+from calflow.study import Study
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What a sound study has: its measurements, how many parameters, and the nominal robot's error [mm] a split.
+
+    nominal has the columns of accuracy.csv: the robot as its maker describes it, once base and tool are placed.
+    """
+
+    data: Measurements
+    n_parameters: int
+    nominal: pd.DataFrame
+
+
+def check(study: Study) -> Checked | None:
+    """Check a study with its settings, its measurements and those of the confirming study; None where it has none yet.
+
+    Raises:
+        InputError: with all that a run would refuse.
+    """
+    measured = study.file.measurements is not None
+    _, data, _ = together(
+        partial(stages_of, study), lambda: study.measurements() if measured else None, partial(_confirming, study)
+    )
+    _, checked = together(partial(_settings, study, data), lambda: _checked(study, data) if data else None)
+    return checked
+
+
+def _confirming(study: Study) -> None:
+    other = study.confirming
+    if other:
+        other.measurements()
+
+
+def _settings(study: Study, data: Measurements | None) -> None:
+    """Ask every stage what it would refuse; one that the workflow leaves out is asked for its settings alone."""
+    names = dict.fromkeys((*study.workflow.stages, *study.workflow.settings, *study.file.stages))
+    problems: list[Problem] = []
+    for name in names:
+        stage = STAGES[name]
+        settings = study.validated_settings(name, stage.settings)
+        problems += stage.problems(study, settings, data if name in study.workflow.stages else None)
+    if problems:
+        raise InputError(problems)
+
+
+def _checked(study: Study, data: Measurements) -> Checked:
+    train = data.only(data.train)
+    robot, observed = registered(study.robot, observations(train), train)
+    nominal = build(robot, (), data.given, observed)
+    error = errors(nominal, nominal.nominal, data.on(robot))
+    n_parameters = len(build(study.robot, study.file.effects, data.given).parameters)
+    return Checked(data, n_parameters, pd.DataFrame(accuracy("nominal", error, data)))
