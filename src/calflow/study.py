@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import Field, field_validator
+from pydantic import Discriminator, Field, Tag, field_validator
 
 from calflow.estimation.plausibility import plausible
 from calflow.files.problems import InputError, Problem, nearest, refuse, together
 from calflow.files.regular import regular_file
-from calflow.files.toml import FileModel, Origin, read_toml, validate
+from calflow.files.toml import NONE, ONE, SEVERAL, FileModel, Origin, read_toml, validate
 from calflow.files.units import split_unit
+from calflow.measurements.combined import combined
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.reading import locate, read_measurements
+from calflow.measurements.reading import locate
 from calflow.measurements.source import MeasurementSource
+from calflow.observations import catalogue as observation_kinds
 from calflow.robot.robot import Robot
 
 FEWEST_POSES = 3  # fewer do not even say where the robot stands
@@ -30,6 +32,19 @@ class Split(FileModel):
     holdout: float = Field(default=0.3, ge=0, lt=1)
 
 
+def _how_many(value: object) -> str:
+    """Which form of `[measurements]` a file has."""
+    return SEVERAL if isinstance(value, list | tuple) else NONE if value is None else ONE
+
+
+OneOrSeveral = Annotated[
+    Annotated[MeasurementSource, Tag(ONE)]
+    | Annotated[tuple[MeasurementSource, ...], Tag(SEVERAL)]
+    | Annotated[None, Tag(NONE)],
+    Discriminator(_how_many),
+]
+
+
 class StudyFile(FileModel):
     """A study file as written; confirm names the study of an independent series of the same robot."""
 
@@ -39,10 +54,17 @@ class StudyFile(FileModel):
     workflow: str = "calibrate"
     seed: int = Field(ge=0)
     effects: tuple[str, ...] = ("geometry", "joint-compliance")
-    measurements: MeasurementSource | None = None
+    measurements: OneOrSeveral = None
     confirm: str = ""
     split: Split = Split()
     stages: dict[str, dict[str, Any]] = {}
+
+    @property
+    def sources(self) -> tuple[MeasurementSource, ...]:
+        """The series of measurements, in order; none where nothing was measured yet."""
+        if self.measurements is None:
+            return ()
+        return self.measurements if isinstance(self.measurements, tuple) else (self.measurements,)
 
     @field_validator("name")
     @classmethod
@@ -156,15 +178,24 @@ class Study:
         return self.file.name
 
     @property
+    def measurement_paths(self) -> tuple[Path, ...]:
+        """The measurement files, one a series.
+
+        Raises:
+            InputError: the study names none, or one cannot be found.
+        """
+        if not self.file.sources:
+            raise refuse("has no measurements yet: expected a table [measurements] with file = …", self.path)
+        return tuple(together(*(partial(locate, source, self.path.parent) for source in self.file.sources)))
+
+    @property
     def measurement_path(self) -> Path:
-        """The measurement file.
+        """The first measurement file.
 
         Raises:
             InputError: the study names none, or it cannot be found.
         """
-        if self.file.measurements is None:
-            raise refuse("has no measurements yet: expected a table [measurements] with file = …", self.path)
-        return locate(self.file.measurements, self.path.parent)
+        return self.measurement_paths[0]
 
     @property
     def confirming(self) -> Study | None:
@@ -189,8 +220,10 @@ class Study:
 
     @cached_property
     def _measured(self) -> Measurements:
-        path = self.measurement_path
-        measured = plausible(read_measurements(path, self.robot, self.file.measurements), path)
+        paths = self.measurement_paths
+        path = paths[0]
+        parts = together(*(partial(self._series, k, one) for k, one in enumerate(paths)))
+        measured = combined(parts)
         check_columns(self.file.effects, measured, path)
         measured = measured.split(self.file.split.holdout, self.file.seed)
         poses = measured.table.loc[measured.train, "pose"].nunique()
@@ -198,6 +231,22 @@ class Study:
             raise refuse(f"holds {poses} poses to fit and {len(measured) - measured.train.sum()} rows in holdout: nothing can be "
                          "identified with so few", path)  # fmt: skip
         return measured
+
+    def _series(self, k: int, path: Path) -> Measurements:
+        """Read one series."""
+        source = self.file.sources[k]
+        where = ("measurements",) if not isinstance(self.file.measurements, tuple) else ("measurements", k)
+        origin = Origin.of(self.path)
+        if source.kind not in {"", *observation_kinds()}:
+            message = f"unknown kind '{source.kind}'; there are {', '.join(observation_kinds())}"
+            raise InputError([origin.problem(message + nearest(source.kind, observation_kinds()), *where, "kind")])
+        kind = observation_kinds()[source.kind or "pose"]
+        told = validate(source.settings, kind.settings, replace(origin, table=(*where, "settings")))
+        layout = replace(source.layout, reports=kind.columns)
+        measured = Measurements.from_csv(path, self.robot, **vars(layout))
+        said = {name: value for name, value in told.model_dump().items() if value is not None}
+        series = source.series(kind.columns.labels, said)
+        return plausible(replace(measured, series=(series,)), path)
 
     def settings(self, stage: str) -> dict[str, Any]:
         """Return a stage's settings: the workflow's, overridden by the study's, whatever their units."""

@@ -39,7 +39,9 @@ NEEDS = {
         lambda robot, given: any(marker.relative_sd for marker in robot.markers.values()),
     ),
     "approach": Need("columns approach1 … (or in_order = true in the study's [measurements])", _given("approach")),
-    "travel": Need("columns travel1_deg (or _rad) … (or in_order = true in the study's [measurements])", _given("travel")),
+    "travel": Need(
+        "columns travel1_deg (or _rad) … (or in_order = true in the study's [measurements])", _given("travel")
+    ),
     "wrench": Need("columns fx_N … mz_Nm", _given("wrench")),
     "torque": Need("columns tau1_Nm …", _given("torque")),
     "time": Need("a column time_s", _given("time")),

@@ -62,7 +62,7 @@ def registered(
 def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements) -> Robot:
     """The robot's base by the rigid motion that takes its nominal points to the measured ones (Kabsch 1976), and base and tool
     together by a robust fit started there."""
-    here = _in_measuring_frame(observed, train)
+    here = in_measuring_frame(observed, train)
     if robot.base.known or not here.any():
         return robot
     at_origin = replace(robot, base=Base(known=False))
@@ -99,7 +99,7 @@ def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements)
     )
 
 
-def _in_measuring_frame(observed: tuple[Observation, ...], data: Measurements) -> np.ndarray:
+def in_measuring_frame(observed: tuple[Observation, ...], data: Measurements) -> np.ndarray:
     """Which rows are positions in the measuring frame itself, shape (n_rows,)."""
     here = np.zeros(len(data), dtype=bool)
     for k, observation in enumerate(observed):

@@ -120,7 +120,8 @@ def conditions(data: Measurements) -> np.ndarray:
         "wrench": ["fx", "fy", "fz", "mx", "my", "mz"],
     }
     keys = ["pose", "marker", "payload", *(name for kind in given if kind in data.given for name in given[kind])]
-    keys += [name for name in ("series", "socket", "placement", "plane") if name in data.table]
+    labels = [name for series in data.series for name in series.labels]
+    keys += [name for name in dict.fromkeys(["series", *labels]) if name in data.table]
     return data.table.groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
 
 

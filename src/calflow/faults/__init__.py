@@ -7,9 +7,11 @@ import pkgutil
 from collections.abc import Sequence
 from functools import lru_cache
 
+import numpy as np
 import pandas as pd
 
 from calflow.faults.base import COLUMNS, Check, Correction, Fault, correct
+from calflow.faults.elsewhere import gross_rows, is_position
 from calflow.faults.reference import Models, Reference
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
@@ -31,6 +33,22 @@ def search(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
 
     What has one clear correction is corrected; rows that nothing puts right are left out of fit and judgement.
     """
+    positions = is_position(data)
+    if positions.all():
+        return _of_positions(data)
+    faults: list[Fault] = []
+    if positions.any():
+        found = _of_positions(data.only(positions))[1]
+        faults += [fault.among(np.flatnonzero(positions)) for fault in found]
+    for fault in faults:
+        data = correct(data, fault)
+    for fault in gross_rows(data, ~positions):
+        data = correct(data, fault)
+        faults.append(fault)
+    return data, tuple(faults)
+
+
+def _of_positions(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
     faults: list[Fault] = []
     models = Models.of(data)
     reference = Reference.of(data, models)

@@ -46,6 +46,15 @@ class Fault:
     action: Action
     corrections: tuple[Correction, ...] = ()
 
+    def among(self, rows: np.ndarray) -> Fault:
+        """Return the fault with its rows, found in a part of the data, as those of all; rows (n,) are the part's, from 0."""
+
+        def moved(row: int) -> int:
+            return int(rows[row - 1]) + 1 if row else 0
+
+        corrections = (replace(one, row=moved(one.row), source=moved(one.source)) for one in self.corrections)
+        return replace(self, corrections=tuple(corrections))
+
     def table(self, data: Measurements) -> pd.DataFrame:
         """Return its rows of identify/faults.csv: one a faulty row, or a single one for a whole column."""
         rows = [correction.row for correction in self.corrections]
@@ -120,9 +129,12 @@ def _followed(table: pd.DataFrame, before: pd.DataFrame, data: Measurements) -> 
         came, far = approach_and_travel(table, readings)
         table[numbered("approach", data.robot.n_joints)] = came
         table[numbered("travel", data.robot.n_joints)] = far
-    moved = (table[place] != before[place]).any(axis=1) & (table.get("range") == before.get("range"))
-    if "range" in table and moved.any():  # the device stands where the other rows' ranges meet
-        x, r = before.loc[~moved, place].to_numpy(), before.loc[~moved, "range"].to_numpy()
+    if "range" not in table:
+        return table
+    moved = (table[place].fillna(0) != before[place].fillna(0)).any(axis=1) & (table["range"] == before["range"])
+    if moved.any():  # the device stands where the other rows' ranges meet
+        still = ~moved & before["range"].notna()
+        x, r = before.loc[still, place].to_numpy(), before.loc[still, "range"].to_numpy()
         equations = np.column_stack([2 * x, np.ones(len(x))])
         device = np.linalg.lstsq(equations, (x**2).sum(axis=1) - r**2, rcond=None)[0][:3]
         table.loc[moved, "range"] = np.linalg.norm(table.loc[moved, place] - device, axis=1)

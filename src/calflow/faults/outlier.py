@@ -36,7 +36,7 @@ class Outlier(Check):
         fit = reference.fit
         error = data.position - fit.predicted(data.rows)
         miss, used = reference.miss, data.train | data.held_out
-        limit = limit_of(miss[used], fit)
+        limit = limit_of(miss[used], fit.scale, fit.gross)
         off = used & (miss > limit)
         off &= ~_together(data, error, off)
         if not 0 < off.sum() <= MOST * used.sum() or _of_a_joint(data, fit, error, np.flatnonzero(off)):
@@ -52,11 +52,14 @@ class Outlier(Check):
         return (fault(self, data, 0, [Correction(int(row) + 1) for row in rows], "left out", statement),)
 
 
-def limit_of(miss: np.ndarray, fit: Rough) -> float:
-    """Return the error [m] beyond which a row is an outlier, for the errors (n_rows,) of all rows."""
-    usual = np.quantile(miss[miss < fit.gross], TAIL_QUANTILE) if (miss < fit.gross).any() else fit.scale
+def limit_of(miss: np.ndarray, scale: float, gross: float) -> float:
+    """Return the error [m] beyond which a row is an outlier, for the errors (n_rows,) of all rows.
+
+    scale [m] is their robust standard deviation per axis, gross [m] what is gross.
+    """
+    usual = np.quantile(miss[miss < gross], TAIL_QUANTILE) if (miss < gross).any() else scale
     largest = t.isf(FALSE / (6 * len(miss)), DEGREES)  # of three axes, to both sides
-    return max(fit.gross, float(usual / TAIL_LENGTH * largest))
+    return max(gross, float(usual / TAIL_LENGTH * largest))
 
 
 def _together(data: Measurements, error: np.ndarray, off: np.ndarray) -> np.ndarray:

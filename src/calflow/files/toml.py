@@ -46,6 +46,8 @@ Moment = Annotated[float, Unit("moment")]
 Lengths3 = Annotated[tuple[float, float, float], Unit("length")]
 Angles3 = Annotated[tuple[float, float, float], Unit("angle")]
 
+ONE, SEVERAL, NONE = "<table>", "<tables>", "<nothing>"  # forms of what may be given once or several times
+
 File = TypeVar("File", bound="FileModel")
 
 
@@ -176,7 +178,7 @@ def validate(raw: dict[str, Any], kind: type[File], origin: Origin, others: Mapp
     try:
         return kind.model_validate(raw)
     except ValidationError as error:
-        items = error.errors(include_url=False)
+        items = [item | {"loc": _named(item["loc"])} for item in error.errors(include_url=False)]
         inner = {item["loc"][:end] for item in items for end in range(len(item["loc"]))}
         told = [
             item
@@ -193,6 +195,11 @@ def validate(raw: dict[str, Any], kind: type[File], origin: Origin, others: Mapp
             )
         ]
         raise InputError(sorted(problems, key=lambda problem: (str(problem.file), problem.line or 0))) from None
+
+
+def _named(location: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A location without the names of the forms that a value may have."""
+    return tuple(part for part in location if part not in (ONE, SEVERAL, NONE))
 
 
 def _counted(items: Sequence[Any], tell: Callable[[Any], Problem]) -> list[Problem]:

@@ -8,7 +8,13 @@ import math
 # each dimension is the SI unit that calflow computes in.
 UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "length": {"m": (1.0, 0.0), "mm": (1e-3, 0.0), "um": (1e-6, 0.0)},
-    "angle": {"rad": (1.0, 0.0), "deg": (math.pi / 180, 0.0), "mrad": (1e-3, 0.0), "urad": (1e-6, 0.0)},
+    "angle": {
+        "rad": (1.0, 0.0),
+        "deg": (math.pi / 180, 0.0),
+        "mrad": (1e-3, 0.0),
+        "urad": (1e-6, 0.0),
+        "arcsec": (math.pi / 648_000, 0.0),
+    },
     "mass": {"kg": (1.0, 0.0), "g": (1e-3, 0.0)},
     "force": {"N": (1.0, 0.0), "kN": (1e3, 0.0)},
     "moment": {"Nm": (1.0, 0.0), "kNm": (1e3, 0.0)},
@@ -17,7 +23,7 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "compliance": {"rad_per_Nm": (1.0, 0.0)},
     "compliance of a slide": {"m_per_N": (1.0, 0.0)},
     "acceleration": {"m_per_s2": (1.0, 0.0)},
-    "ratio": {"m_per_m": (1.0, 0.0), "mm_per_m": (1e-3, 0.0)},
+    "ratio": {"m_per_m": (1.0, 0.0), "mm_per_m": (1e-3, 0.0), "um_per_m": (1e-6, 0.0)},
 }
 SUFFIXES: dict[str, tuple[str, ...]] = {dimension: tuple(units) for dimension, units in UNITS.items()}
 # The largest amount of each dimension that anything of a robot has, in its SI unit; "" is a plain number.

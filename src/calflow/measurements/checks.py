@@ -13,8 +13,6 @@ from calflow.files.problems import MOST_TOLD, Problem, nearest
 from calflow.files.units import SUFFIXES
 from calflow.measurements.columns import (
     ANGLES,
-    MEASURED,
-    POSITION,
     QUATERNION,
     SIGMAS,
     STEMS,
@@ -33,7 +31,7 @@ MOVED = 0.02  # rad or m by which two readings of one pose may differ
 
 def check_header(columns: Sequence[Column], layout: Layout, robot: Robot, conditions_only: bool) -> list[str]:
     """Say which columns are unknown, doubled, without their unit, or missing."""
-    unknown = [said for column in columns if (said := _unknown(column, columns, robot, conditions_only))]
+    unknown = [said for column in columns if (said := _unknown(column, columns, layout, robot, conditions_only))]
     if len(unknown) > MOST_TOLD:
         unknown = [*unknown[:MOST_TOLD], f"and {len(unknown) - MOST_TOLD} more columns like these"]
     missing: list[str] = []
@@ -57,9 +55,9 @@ def check_header(columns: Sequence[Column], layout: Layout, robot: Robot, condit
     return list(dict.fromkeys((*unknown, *missing, *told)))
 
 
-def _unknown(column: Column, columns: Sequence[Column], robot: Robot, conditions_only: bool) -> str:
+def _unknown(column: Column, columns: Sequence[Column], layout: Layout, robot: Robot, conditions_only: bool) -> str:
     """Say what is wrong with a column's name; empty where nothing is."""
-    known, name = column_names(robot), column.name
+    known, name = column_names(robot, layout.reports), column.name
     first = next(one for one in columns if one.name == name and one.marker in ("", column.marker))
     if first.ours != column.ours or first.marker != column.marker:
         return f"{column}: '{name}' is there twice, in different units"
@@ -69,7 +67,7 @@ def _unknown(column: Column, columns: Sequence[Column], robot: Robot, conditions
     if known[name] and column.unit not in SUFFIXES[known[name]]:
         wanted = ", ".join(f"{name}_{suffix}" for suffix in SUFFIXES[known[name]])
         return f"{column} needs a unit of {known[name]} in its name: {wanted}"
-    if conditions_only and name in MEASURED:
+    if conditions_only and name in layout.reports.values:
         return f"{column} is what will be predicted: leave it out of the rows"
     return ""
 
@@ -78,8 +76,8 @@ def _missing(
     own: dict[str, Column], marker: str, layout: Layout, robot: Robot, conditions_only: bool
 ) -> list[str]:  # fmt: skip
     """Say which columns the rows of a marker ('' for all) lack."""
-    n, known = robot.n_joints, column_names(robot)
-    required = numbered("q", n) + ([] if conditions_only else [*POSITION])
+    n, known = robot.n_joints, column_names(robot, layout.reports)
+    required = numbered("q", n) + ([] if conditions_only else [*layout.reports.needed])
     if len(robot.markers) > 1 and not marker:
         required.append("marker")
     groups = [*(numbered(STEMS[stem], n) for stem in ("approach", "travel", "torque")), WRENCH, ANGLES, QUATERNION]

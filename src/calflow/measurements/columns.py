@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
 import pandas as pd
 
 from calflow.files.units import split_unit
@@ -11,10 +14,29 @@ LABELS = ("pose", "repeat", "marker", "payload", "session", "split")
 BLOCKS = ("payload", "session")  # what poses are held out, and resampled, within
 POSITION = ("x", "y", "z")
 ANGLES, QUATERNION = ("rx", "ry", "rz"), ("qw", "qx", "qy", "qz")
-MEASURED = (*POSITION, *ANGLES, *QUATERNION)
 SIGMAS = ("sigma", "sigma_rotation")
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 STEMS = {"reading": "q", "approach": "approach", "travel": "travel", "torque": "tau"}  # of columns, one a joint
+
+
+@dataclass(frozen=True)
+class Reported:
+    """The columns that a kind of measurement reports in, with their dimensions ('' for a plain number), and names it is told.
+
+    needed ones must be there, and labels that are needed; of the others any.
+    """
+
+    needed: Mapping[str, str]
+    optional: Mapping[str, str] = field(default_factory=dict)
+    labels: tuple[str, ...] = ()
+
+    @property
+    def values(self) -> tuple[str, ...]:
+        """The columns that hold a measured value."""
+        return (*self.needed, *self.optional)
+
+
+POSES = Reported(dict.fromkeys(POSITION, "length"), dict.fromkeys(ANGLES, "angle") | dict.fromkeys(QUATERNION, ""))
 
 
 def blocks_of(table: pd.DataFrame) -> list[str]:
@@ -29,15 +51,15 @@ def condition_columns(condition: str, robot: Robot) -> list[str]:
     return numbered(STEMS[condition], robot.n_joints) if condition in STEMS else [condition]
 
 
-def column_names(robot: Robot) -> dict[str, str]:
+def column_names(robot: Robot, reported: Reported = POSES) -> dict[str, str]:
     """Return every column a measurement file may have, without its unit, and the column's dimension ('' for none)."""
     n = robot.n_joints
-    names = dict.fromkeys((*LABELS, *QUATERNION, *numbered("approach", n)), "")
+    names = dict.fromkeys((*LABELS, *reported.labels, *numbered("approach", n)), "")
     for stem in ("q", "travel"):
         names |= {f"{stem}{i + 1}": "angle" if j.kind == "revolute" else "length" for i, j in enumerate(robot.joints)}
-    names |= dict.fromkeys((*POSITION, "sigma"), "length")
+    names |= {"sigma": "length", **reported.needed, **reported.optional}
     names |= dict.fromkeys(("nominal_x", "nominal_y", "nominal_z"), "length")  # of select/poses.csv, filled in
-    names |= dict.fromkeys((*ANGLES, "sigma_rotation"), "angle")
+    names |= {"sigma_rotation": "angle"}
     names |= dict.fromkeys(WRENCH[:3], "force") | dict.fromkeys(WRENCH[3:], "moment")
     names |= dict.fromkeys(numbered("tau", n), "moment")
     return names | {"time": "time", "temperature": "temperature"}
@@ -48,6 +70,6 @@ def numbered(stem: str, n: int) -> list[str]:
     return [f"{stem}{i + 1}" for i in range(n)]
 
 
-def split_column(spelled: str, robot: Robot) -> tuple[str, str]:
+def split_column(spelled: str, robot: Robot, reported: Reported = POSES) -> tuple[str, str]:
     """Return a column's name without its unit, and the unit."""
-    return (spelled, "") if column_names(robot).get(spelled) == "" else split_unit(spelled) or (spelled, "")
+    return (spelled, "") if column_names(robot, reported).get(spelled) == "" else split_unit(spelled) or (spelled, "")

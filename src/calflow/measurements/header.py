@@ -42,4 +42,4 @@ def columns_read(there: Sequence[str], layout: Layout, robot: Robot, path: Path)
     pairs += [(marker, ours, theirs) for marker, own in layout.markers.items() for ours, theirs in own.items()]
     if not pairs:
         pairs = [("", name, name) for name in there]
-    return [Column(*split_column(ours, robot), ours, theirs, marker) for marker, ours, theirs in pairs]
+    return [Column(*split_column(ours, robot, layout.reports), ours, theirs, marker) for marker, ours, theirs in pairs]

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from calflow.measurements.columns import POSES, Reported
+
 Missing = Literal["refuse", "skip"]
 
 
@@ -16,7 +18,8 @@ class Layout:
     columns maps calflow's names to a foreign file's; markers does so for files with several markers side by side.
     sigma [m] and sigma_rotation [rad] are one number for all rows. in_order says that the rows stand in the order of
     measuring, so that each pose's approach is known from the one before. tracker [m] is where the device stands in the
-    measuring frame, if not at its origin. missing says what is done with rows without measured values.
+    measuring frame, if not at its origin. missing says what is done with rows without measured values, reports
+    which columns hold them.
 
     Raises:
         ValueError: separator or decimal cannot be.
@@ -31,6 +34,7 @@ class Layout:
     in_order: bool = False
     tracker: tuple[float, float, float] | None = None
     missing: Missing = "refuse"
+    reports: Reported = POSES
 
     def __post_init__(self) -> None:
         if len(self.separator) != 1:

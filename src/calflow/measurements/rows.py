@@ -12,7 +12,7 @@ from calflow.files.problems import InputError, Problem, shortened
 from calflow.files.units import LARGEST, SUFFIXES, to_si
 from calflow.measurements.cells import EMPTY, read_cells
 from calflow.measurements.checks import at_rows, check_header, check_values
-from calflow.measurements.columns import MEASURED, SIGMAS, column_names
+from calflow.measurements.columns import SIGMAS, column_names
 from calflow.measurements.header import Column, columns_read
 from calflow.measurements.labels import labelled
 from calflow.measurements.layout import Layout
@@ -61,12 +61,14 @@ def read_rows(
     cells = read_cells(path, layout)
     columns = columns_read(list(map(str, cells)), layout, robot, path)
     problems = [Problem(told, path, 1) for told in check_header(columns, layout, robot, conditions_only)]
-    known = column_names(robot)
+    known = column_names(robot, layout.reports)
     read = {
         column: _values(cells[column.theirs], column, layout, path) for column in columns if _is_told(column, known)
     }
     gone = _without_measurement(read, layout)
-    wrong = [problem for column, own in read.items() for problem in (*_empty(column, own, gone, path), *own.problems)]
+    wrong = [
+        problem for column, own in read.items() for problem in (*_empty(column, own, gone, layout, path), *own.problems)
+    ]
     if problems:
         raise InputError(problems + wrong)
     table, notes = labelled(_assembled(read, gone, layout), robot)
@@ -112,7 +114,7 @@ def _is_told(column: Column, known: dict[str, str]) -> bool:
 def _values(cells: pd.Series, column: Column, layout: Layout, path: Path) -> _Values:
     """Return a column's values in SI units."""
     never = pd.Series(False, cells.index)
-    if column.name in ("marker", "payload", "session", "split"):
+    if column.name in ("marker", "payload", "session", "split", *layout.reports.labels):
         return _Values(_text(cells), never, [])
     if column.name in ("pose", "repeat"):
         labels = _text(cells).str.replace(r"\.0*$", "", regex=True)
@@ -156,17 +158,19 @@ def _without_measurement(read: dict[Column, _Values], layout: Layout) -> dict[st
     gone = {}
     for marker in dict.fromkeys([column.marker for column in read if column.marker] or [""]):
         own = [
-            values.empty for column, values in read.items() if column.name in MEASURED and column.marker in ("", marker)
+            values.empty
+            for column, values in read.items()
+            if column.name in layout.reports.values and column.marker in ("", marker)
         ]
         nowhere = pd.Series(False, own[0].index) if own else pd.Series(dtype=bool)
         gone[marker] = pd.concat(own, axis=1).any(axis=1) if own and layout.missing == "skip" else nowhere
     return gone
 
 
-def _empty(column: Column, own: _Values, gone: dict[str, pd.Series], path: Path) -> list[Problem]:
+def _empty(column: Column, own: _Values, gone: dict[str, pd.Series], layout: Layout, path: Path) -> list[Problem]:
     """Find empty cells, besides those of the device in rows that are left out."""
     empty = own.empty
-    if column.name in (*MEASURED, *SIGMAS):
+    if column.name in (*layout.reports.values, *SIGMAS):
         left_out = [lines for marker, lines in gone.items() if column.marker in ("", marker)]
         empty = empty & ~pd.concat(left_out, axis=1).all(axis=1).reindex(empty.index, fill_value=False)
     return _at_lines(empty, path, f"{column} is empty or not a number; complete the row or leave it out")

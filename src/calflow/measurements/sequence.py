@@ -29,7 +29,7 @@ def ordered(table: pd.DataFrame, robot: Robot, in_order: bool) -> tuple[pd.DataF
 def ranged(table: pd.DataFrame, robot: Robot, tracker: tuple[float, float, float] | None) -> pd.DataFrame:
     """Return the rows with their range [m], where it is known where the device stands (tracker, in its own frame)."""
     at_origin = robot.base.known and not np.any(robot.base.origin)
-    if tracker is None and at_origin:
+    if "x" not in table or (tracker is None and at_origin):
         return table
     return table.assign(range=np.linalg.norm(table[[*POSITION]] - np.array(tracker or (0.0, 0.0, 0.0)), axis=1))
 

@@ -54,7 +54,8 @@ class BeamNoise:
 class Series:
     """Rows of one kind from one device; settings are what its kind lets a user say of it (SI units).
 
-    kind is an observation's id; empty means position, or pose where orientations were measured.
+    kind is an observation's id; empty means position, or pose where orientations were measured. labels are the columns that
+    name what was touched.
     """
 
     name: str = ""
@@ -62,6 +63,7 @@ class Series:
     station: Station = Station()
     beam: BeamNoise | None = None
     settings: tuple[tuple[str, Setting], ...] = ()
+    labels: tuple[str, ...] = ()
 
     def setting(self, name: str, otherwise: Setting = None) -> Setting:
         """Return what the user said, or what holds otherwise."""

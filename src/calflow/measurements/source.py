@@ -3,23 +3,50 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import fields
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from calflow.files.toml import Angle, FileModel, Length, Lengths3
+from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Unit
 from calflow.measurements.layout import Layout, Missing
+from calflow.measurements.series import BeamNoise, Series, Setting, Station
+
+
+class StationFile(FileModel):
+    """Where a series' device stands: the table `[measurements.station]`."""
+
+    name: str = ""
+    known: bool = False
+    origin: Lengths3 = (0.0, 0.0, 0.0)
+    rotation: Angles3 = (0.0, 0.0, 0.0)
+    by_session: bool = False
+
+
+class BeamFile(FileModel):
+    """A tracker's noise as its maker states it: along the beam floor + growth · range, across it an angle."""
+
+    floor: Length = Field(gt=0)
+    growth: Annotated[float, Unit("ratio")] = Field(default=0.0, ge=0)
+    angle: Angle = Field(gt=0)
 
 
 class MeasurementSource(FileModel):
-    """Where the measurements are and how to read them: the `[measurements]` table of a study.
+    """Where the measurements are and how to read them: a `[measurements]` table of a study.
+
+    kind is an observation's id, settings what that kind lets one say.
 
     A url is fetched once and kept; its sha256 is then required. The folder that CALFLOW_DATA names is looked in first.
     The other keys are a `Layout`'s.
     """
 
     file: str
+    name: str = ""
+    kind: str = ""
+    station: StationFile = StationFile()
+    noise: BeamFile | None = None
+    settings: dict[str, Any] = {}
     url: str | None = None
     sha256: str | None = None
     separator: str = ","
@@ -55,5 +82,13 @@ class MeasurementSource(FileModel):
 
     @property
     def layout(self) -> Layout:
-        """How to read the file."""
-        return Layout(**{field.name: getattr(self, field.name) for field in fields(Layout)})
+        """How to read the file, positions and orientations if it has them."""
+        names = [field.name for field in fields(Layout) if field.name != "reports"]
+        return Layout(**{name: getattr(self, name) for name in names})
+
+    def series(self, labels: tuple[str, ...], settings: Mapping[str, Setting]) -> Series:
+        """Return what is said of the rows; labels and settings are what its kind makes of them."""
+        device = self.tracker or (0.0, 0.0, 0.0)
+        beam = None if self.noise is None else BeamNoise(self.noise.floor, self.noise.growth, self.noise.angle, device)
+        station = Station(**self.station.model_dump())
+        return Series(self.name, self.kind, station, beam, tuple(settings.items()), labels)

@@ -12,6 +12,8 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
+from calflow.files.toml import FileModel
+from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
 from calflow.robot.parameter import Parameter
 
@@ -31,12 +33,8 @@ class Seen:
     device: Callable[[ca.SX], ca.SX]
 
 
-@dataclass(frozen=True)
-class Columns:
-    """The columns that a kind reports in: stems with their dimension ('' for none), needed ones and others."""
-
-    needed: dict[str, str]
-    optional: dict[str, str]
+class NoSettings(FileModel):
+    """Settings of a kind that has none."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,8 @@ class Observation(ABC):
 
     id: ClassVar[str]
     title: ClassVar[str]
-    columns: ClassVar[Columns]
+    columns: ClassVar[Reported]
+    settings: ClassVar[type[FileModel]] = NoSettings  # what a study's [measurements.settings] may say
     units: ClassVar[tuple[str, ...]]  # "m" or "rad", of each residual of a row
     touches: ClassVar[bool] = False  # whether the robot must be brought to something for a row to be measured
     from_outside: ClassVar[bool] = False  # whether it tells where the robot stands in the measuring frame

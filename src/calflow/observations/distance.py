@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 import casadi as ca
 import numpy as np
 import pandas as pd
 from scipy.optimize import least_squares
 
+from calflow.files.toml import FileModel, Length, Lengths3, Unit
+from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Columns, Observation, Placement, Seen
+from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
 from calflow.robot.parameter import Parameter
 
 OFFSET_SD, OFFSET_BOUND = 0.02, 0.5  # m: where a wire's scale begins
 SCALE_SD, SCALE_BOUND = 1e-3, 0.05  # of a drum's circumference
 ROUGH = 5e-3  # m: what a nominal robot may err by, where the anchor is looked for
 NOWHERE = (0.0, 0.0, 0.0)
+
+
+class DistanceSettings(FileModel):
+    """What is known beforehand: the anchor in the measuring frame (roughly, where anchor_known is false), offset and scale."""
+
+    anchor: Lengths3 | None = None
+    anchor_known: bool = True
+    offset: Length | None = None
+    scale: Annotated[float, Unit("ratio")] | None = None
 
 
 @dataclass(frozen=True)
@@ -31,7 +42,8 @@ class Distance(Observation):
 
     id: ClassVar[str] = "distance"
     title: ClassVar[str] = "length of a wire or a bar"
-    columns: ClassVar[Columns] = Columns({"length": "length"}, {"sigma": "length"})
+    columns: ClassVar[Reported] = Reported({"length": "length"})
+    settings: ClassVar[type[FileModel]] = DistanceSettings
     units: ClassVar[tuple[str, ...]] = ("m",)
 
     @classmethod

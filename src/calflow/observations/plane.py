@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Columns, Observation, Placement, Seen
+from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
 from calflow.robot.parameter import Parameter
 from calflow.robot.transforms import placement
 
@@ -30,7 +31,7 @@ class Plane(Observation):
 
     id: ClassVar[str] = "plane"
     title: ClassVar[str] = "points on a plane"
-    columns: ClassVar[Columns] = Columns({}, {"plane": "", "reading": "length", "sigma": "length"})
+    columns: ClassVar[Reported] = Reported({}, {"reading": "length"}, ("plane",))
     units: ClassVar[tuple[str, ...]] = ("m",)
     touches: ClassVar[bool] = True
 

@@ -9,12 +9,10 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
+from calflow.measurements.columns import POSES, Reported
 from calflow.measurements.measurements import rotations
-from calflow.observations.base import Columns, Seen
-from calflow.observations.position import LENGTHS, Position
-
-ANGLES = dict.fromkeys(("rx", "ry", "rz"), "angle")
-QUATERNION = dict.fromkeys(("qw", "qx", "qy", "qz"), "")
+from calflow.observations.base import Seen
+from calflow.observations.position import Position
 
 
 @dataclass(frozen=True)
@@ -23,9 +21,7 @@ class Pose(Position):
 
     id: ClassVar[str] = "pose"
     title: ClassVar[str] = "position of a marker and orientation of the tool"
-    columns: ClassVar[Columns] = Columns(
-        LENGTHS, {**ANGLES, **QUATERNION, "sigma": "length", "sigma_rotation": "angle"}
-    )
+    columns: ClassVar[Reported] = POSES
     units: ClassVar[tuple[str, ...]] = ("m",) * 3 + ("rad",) * 3
 
     @property

@@ -9,13 +9,13 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
+from calflow.measurements.columns import POSITION, Reported
 from calflow.measurements.series import Series, Station
-from calflow.observations.base import Columns, Observation, Placement, Seen
+from calflow.observations.base import Observation, Placement, Seen
 from calflow.observations.frames import Frames
 from calflow.robot.parameter import Parameter
 
 HERE = Frames(Station())  # the measuring frame itself
-LENGTHS = dict.fromkeys(("x", "y", "z"), "length")
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Position(Observation):
 
     id: ClassVar[str] = "position"
     title: ClassVar[str] = "position of a marker"
-    columns: ClassVar[Columns] = Columns(LENGTHS, {"sigma": "length"})
+    columns: ClassVar[Reported] = Reported(dict.fromkeys(POSITION, "length"))
     units: ClassVar[tuple[str, ...]] = ("m",) * 3
     from_outside: ClassVar[bool] = True
 

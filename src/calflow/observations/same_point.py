@@ -8,13 +8,24 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 import pandas as pd
+from pydantic import Field
 
+from calflow.files.toml import FileModel, Length
+from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Columns, Observation, Placement, Seen
+from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
 from calflow.robot.parameter import Parameter
 
 APART_BOUND = 20.0  # standard deviations of a known distance
 SHORTEST = 1e-6  # m
+
+
+class SamePointSettings(FileModel):
+    """distance_mm of a placement's two sockets, and distance_sd_mm, how surely it is known (0: exactly)."""
+
+    distance: Length | None = Field(default=None, gt=0)
+    distance_sd: Length = Field(default=0.0, ge=0)
+
 
 Point = tuple[float, float, float]
 
@@ -44,7 +55,8 @@ class SamePoint(Observation):
 
     id: ClassVar[str] = "same-point"
     title: ClassVar[str] = "the tool in a socket"
-    columns: ClassVar[Columns] = Columns({"socket": ""}, {"placement": "", "sigma": "length"})
+    columns: ClassVar[Reported] = Reported({"socket": ""}, {}, ("socket", "placement"))
+    settings: ClassVar[type[FileModel]] = SamePointSettings
     units: ClassVar[tuple[str, ...]] = ("m",) * 3
     touches: ClassVar[bool] = True
 

@@ -16,13 +16,12 @@ def write(material: Material) -> list[Block]:
     """Tabulate what was asked, what was used and how it ended."""
     study, tables = material.study, material.tables
     summary = tables["identify/summary.csv"]
-    measured = study.file.measurements
     facts: list[tuple[str, str] | str] = [
         "asked",
         ("study", study.name),
         ("robot", f"{study.robot.name}: {study.robot.n_joints} joints, {study.robot.kinematics}"),
         ("effects", ", ".join(effect_words(effect) for effect in study.file.effects)),
-        ("measurements", measured.file if measured else "none"),
+        ("measurements", ", ".join(source.file for source in study.file.sources) or "none"),
         ("workflow", f"{study.workflow.name}: {', '.join(study.workflow.stages)}"),
         ("seed", str(study.file.seed)),
         ("versions", ", ".join(f"{name} {version(name)}" for name in PACKAGES)),

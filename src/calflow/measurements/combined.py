@@ -1,0 +1,68 @@
+"""Series combined: the rows of several devices as one table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from calflow.measurements.columns import condition_columns, numbered
+from calflow.measurements.measurements import Measurements
+from calflow.robot.conditions import OPTIONAL
+
+DERIVED = ("order", "range")  # conditions that a series may lack, or that are worked out anew
+SAME = 0.02  # rad or m by which readings of one pose may differ
+
+
+def combined(parts: Sequence[Measurements]) -> Measurements:
+    """Return the rows of several series of one robot, one after the other, each part one series.
+
+    A pose that several parts name is one where the joint readings agree. Conditions that not all parts state are left out,
+    which a note says.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    first = parts[0]
+    origins = [part.time_origin for part in parts if part.time_origin is not None]
+    origin = min(origins) if len(origins) == len(parts) else None
+    shared = [name for name in OPTIONAL if all(name in part.given for part in parts)]
+    notes = [f"{part.series[0].name or k + 1}: {note}" for k, part in enumerate(parts) for note in part.notes]
+    tables = []
+    for k, part in enumerate(parts):
+        table = part.table.assign(series=k)
+        if origin is not None and part.time_origin is not None:
+            table["time"] += part.time_origin - origin
+        lost = [name for name in part.given if name not in (*shared, *DERIVED)]
+        columns = [column for name in lost for column in condition_columns(name, part.robot)]
+        tables.append(table.drop(columns=columns))
+        if lost:
+            notes.append(f"not all measurements state {', '.join(lost)}: left out")
+    if any("split" in table for table in tables):
+        tables = [table if "split" in table else table.assign(split="train") for table in tables]
+    whole = pd.concat(_named_apart(tables, numbered("q", first.robot.n_joints)), ignore_index=True)
+    for label in [name for part in parts for name in part.series[0].labels]:
+        if label in whole:
+            whole[label] = whole[label].fillna("")
+    whole["order"] = whole["time"].rank(method="dense") if origin is not None else np.arange(1.0, len(whole) + 1)
+    return replace(
+        first, table=whole, notes=tuple(dict.fromkeys(notes)), series=tuple(part.series[0] for part in parts),
+        time_origin=origin, units=tuple(sorted({unit for part in parts for unit in part.units})),
+    )  # fmt: skip
+
+
+def _named_apart(tables: Sequence[pd.DataFrame], readings: list[str]) -> list[pd.DataFrame]:
+    """Give poses of the same name but other readings names of their own."""
+    found: list[pd.DataFrame] = []
+    for k, table in enumerate(tables):
+        for other in found:
+            both = table.drop_duplicates("pose").merge(
+                other.drop_duplicates("pose"), on="pose", suffixes=("", "_other")
+            )
+            apart = np.abs(both[readings].to_numpy() - both[[f"{name}_other" for name in readings]].to_numpy())
+            if (apart > SAME).any():
+                table = table.assign(pose=[f"{k + 1}:{pose}" for pose in table["pose"]])
+                break
+        found.append(table)
+    return found
