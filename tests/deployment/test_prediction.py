@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from calflow.deployment.prediction import predict
+from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.estimation.calibrated import identified
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
@@ -55,14 +56,15 @@ def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
     np.testing.assert_allclose(predicted[SD], 1e3 * np.sqrt(variance), rtol=1e-4)
 
 
-def test_time_counts_from_where_the_fit_s_did(small):
-    """Fails if a drift is predicted as if the first row asked for stood at the start of the measurements."""
+def test_time_counts_from_where_the_fit_s_did(small, monkeypatch):
+    """Fails if a warm-up is predicted as if the first row asked for stood at the start of the measurements."""
+    monkeypatch.setattr(ThermalGrowth.__init__, "__defaults__", (1800.0,))  # by time, not by temperature
     small.measure(small.rows.assign(time_s=[5e8 + 60.0 * i for i in range(80)]))
-    small.edit("study.toml", ('"joint-compliance"', '"frame-drift"'))
+    small.edit("study.toml", ('"joint-compliance"', '"thermal-growth"'))
     small.edit("quick.toml", ('"identify", "sample"', '"identify"'))
     rows = small.rows
-    drift = 1e-3 * np.arange(80)
-    small.measure(rows.assign(x_mm=rows["x_mm"].astype(float) + drift))
+    warm = 1 + 1e-3 * (1 - np.exp(-60.0 * np.arange(80) / 1800.0))
+    small.measure(rows.assign(**{name: rows[name].astype(float) * warm for name in X}))
     assert small.calflow("run").code == 0
     summary = pd.read_csv(small / "runs" / "identify" / "summary.csv").set_index("item")["value"]
     assert float(summary["time_origin_s"]) == 5e8
