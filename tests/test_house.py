@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections import Counter
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -84,3 +85,11 @@ def test_a_file_holds_one_thing():
     """Fails if a file grows beyond what a reader can hold."""
     long = {name: n for name, path in modules().items() if (n := len(path.read_text().splitlines())) > MOST_LINES}
     assert not long
+
+
+def test_no_name_stands_for_three_files():
+    """Fails if a reader who looks for a file by its name finds it three times."""
+    names = Counter(
+        name.rpartition(".")[2] for name, path in modules().items() if path.stem not in ("__init__", "base")
+    )
+    assert not [name for name, number in names.items() if number > 2]

@@ -15,6 +15,8 @@ import click
 if TYPE_CHECKING:
     import pandas as pd
 
+    from calflow.files.results import Results
+    from calflow.files.tables import Tables
     from calflow.stages.stage import Stage
 
 OUT = click.option("--out", type=click.Path(path_type=Path), help="Run folder; runs/<study name> by default.")
@@ -99,7 +101,7 @@ def run(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
     with _listener() as listener:
         result = run_study(load_study(study), out, stage, force, listener)
     _show_accuracy(result.tables)
-    _show_advice(result.tables)
+    _show_advice(result.results)
     report = result.folder / "report.pdf"
     click.echo(f"report: {report}" if report.is_file() else f"results: {result.folder}")
 
@@ -208,7 +210,7 @@ def _write(table: pd.DataFrame, path: Path) -> None:
     write_csv(path, table)
 
 
-def _show_accuracy(tables: dict[str, pd.DataFrame]) -> None:
+def _show_accuracy(tables: Tables) -> None:
     accuracy = tables.get("identify/accuracy.csv")
     if accuracy is None:
         return
@@ -218,11 +220,11 @@ def _show_accuracy(tables: dict[str, pd.DataFrame]) -> None:
         click.echo(f"{row.model:{width}}  {row.split:8} {row.mean_mm:9.3f} {row.max_mm:9.3f}")
 
 
-def _show_advice(tables: dict[str, pd.DataFrame]) -> None:
+def _show_advice(results: Results) -> None:
     """What stands on the report's first page about things that are wrong; what could be better is left to the report."""
     from calflow.report.section import advice, sections
 
-    for item in advice(sections(), tables):
+    for item in advice(sections(), results):
         if item.urgency <= WRONG:
             click.echo(f"! {item.sentence}")
 

@@ -13,7 +13,7 @@ from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.estimation.calibrated import identified
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
-from calflow.runs.run import read_tables
+from calflow.runs.run import read_results
 
 X, SD = ["x_mm", "y_mm", "z_mm"], ["sd_x_mm", "sd_y_mm", "sd_z_mm"]
 
@@ -38,11 +38,11 @@ def test_it_predicts_what_identify_predicts(finished, asked):
 def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
     """Fails if sd is not the root of the diagonal of J C Jᵀ, here with J by central differences."""
     predicted = predict(finished / "runs", asked)
-    tables = read_tables(finished / "runs", "identify")
+    results = read_results(finished / "runs", "identify")
     robot = Robot.from_toml(finished / "robot.toml")
     data = Measurements.to_predict(asked, robot)
-    known = identified(robot, tables, data.given)
-    covariance = tables["identify/covariance.csv"].drop(columns="parameter").to_numpy()
+    known = identified(robot, results, data.given)
+    covariance = results.tables["identify/covariance.csv"].drop(columns="parameter").to_numpy()
     step = 1e-3 * known.model.prior_sd
     jacobian = np.stack(
         [

@@ -9,6 +9,7 @@ import pytest
 from calflow.faults import Correction, Fault, as_table
 from calflow.faults.base import fault
 from calflow.faults.outlier import Outlier
+from calflow.files.results import Results
 from calflow.report.document import write
 from calflow.report.material import Material
 from calflow.report.section import advice, chosen, sections
@@ -29,12 +30,14 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Context:
     residuals = given.tables["identify/residuals.csv"].copy()
     residuals.loc[2, ["split", "dx_mm"]] = ["", 1e6]
     table = as_table((out, turned), data)
-    return replace(given, tables={**given.tables, "identify/faults.csv": table, "identify/residuals.csv": residuals})
+    return replace(
+        given, results=given.results | Results({"identify/faults.csv": table, "identify/residuals.csv": residuals})
+    )
 
 
 def test_left_out_rows_are_in_no_figure(small: Context) -> None:
     """Fails if a row that was left out counts as held out, or its error as one of the model's."""
-    material = Material.of(small.study, small.tables, small.run_folder)
+    material = Material.of(small.study, small.results, small.run_folder)
     residuals = small.tables["identify/residuals.csv"]
     assert len(material.data) == len(material.error) == len(residuals) - 1
     assert material.held.sum() == (residuals["split"] == "holdout").sum()
@@ -47,7 +50,7 @@ def test_the_reader_is_told_to_correct_the_file(small: Context) -> None:
     text = "".join(block.markup for block in section.write(material))
     for words in ("line 4", "left out", "all rows", "corrected", "The position in line 4 is 9 mm off; left out."):
         assert words in text
-    told = [item.sentence for item in advice(sections(), small.tables) if item.sentence.startswith("Correct the meas")]
+    told = [item.sentence for item in advice(sections(), small.results) if item.sentence.startswith("Correct the meas")]
     assert told == [
         "Correct the measurement file: joint 1: all readings have the wrong sign.",
         "Correct the measurement file: the position in line 4 is 9 mm off; left out.",
@@ -56,9 +59,9 @@ def test_the_reader_is_told_to_correct_the_file(small: Context) -> None:
 
 def test_the_section_is_there_where_faults_are(small: Context, tmp_path) -> None:
     """Fails if a report without faults has an empty section, or one with faults cannot be written."""
-    material = Material.of(small.study, small.tables, small.run_folder)
+    material = Material.of(small.study, small.results, small.run_folder)
     assert section.SECTION in chosen(sections(), material)
-    none = {**small.tables, "identify/faults.csv": small.tables["identify/faults.csv"].iloc[:0]}
-    assert section.SECTION not in chosen(sections(), replace(material, tables=none))
+    none = small.results | Results({"identify/faults.csv": small.tables["identify/faults.csv"].iloc[:0]})
+    assert section.SECTION not in chosen(sections(), replace(material, results=none))
     write("title", [("Verdict", []), (section.SECTION.title, section.write(material))], tmp_path)
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -115,8 +116,8 @@ def test_range_noise_is_a_model_of_the_noise(repeats, tmp_path):
     assert list(seen.causes["cause"]) == ["range-noise"]
     row = seen.causes.iloc[0]
     assert abs(row["estimate"] - 2.5e-5) < 3 * row["sd"]
-    summary = pd.read_csv(seen.folder / "diagnose" / "summary.csv", index_col="item")["value"]
-    assert 0.0 < float(summary["sigma_mm"]) < 0.05
+    summary = json.loads((seen.folder / "diagnose" / "summary.json").read_text(encoding="utf-8"))
+    assert 0.0 < summary["sigma_mm"] < 0.05
 
 
 def test_tracker_scale_is_said_to_be_out_of_reach(tmp_path):

@@ -10,14 +10,23 @@ import numpy as np
 import pandas as pd
 
 from calflow.design.candidates import candidates
-from calflow.diagnosis.findings.tables import CANDIDATES, FINDINGS
+from calflow.design.discrimination import NextPose, SeparationRow
+from calflow.diagnosis.findings.curves import CurvePoint
+from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
+from calflow.diagnosis.findings.tables import CandidateRow, FindingRow
 from calflow.diagnosis.findings.verdict import label
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
+from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated import calibrated, effect_table, identified, with_maps_held
+from calflow.estimation.fit_summary import FitSummary
+from calflow.files.documents import to_document
+from calflow.files.results import Results
+from calflow.files.tables import to_frame
 from calflow.model import Model, build
 from calflow.report.material import latest
 from calflow.robot.robot import Robot
+from calflow.sampling.chain_summary import ChainSummary
 from calflow.stages.identify import STAGE as IDENTIFY
 from calflow.stages.stage import Context
 from calflow.study import load_study
@@ -79,9 +88,9 @@ def context(folder: Path, case: Case = Case()) -> Context:
     """Write the study, run identify on it, and return the context that the report is given."""
     study = load_study(_write(folder, case))
     given = Context(
-        study, IDENTIFY.settings(starts=1), {}, folder, folder / "run", lambda line: None, lambda share: None
+        study, IDENTIFY.settings(starts=1), Results(), folder, folder / "run", lambda line: None, lambda share: None
     )
-    return replace(given, tables=IDENTIFY.run(given), settings=None)
+    return replace(given, results=IDENTIFY.run(given), settings=None)
 
 
 def with_select(given: Context) -> Context:
@@ -93,7 +102,9 @@ def with_select(given: Context) -> Context:
     for i, axis in enumerate("xyz"):
         poses[f"nominal_{axis}_mm"] = 1000 * np.cos(np.deg2rad(poses[f"q{i + 1}_deg"]))
     poses["marker"], poses["payload"] = given.study.robot.n_joints, np.nan  # what a CSV without payloads reads as
-    return replace(given, tables={**given.tables, "select/poses.csv": poses, "select/observability.csv": worth})
+    return replace(
+        given, results=given.results | Results({"select/poses.csv": poses, "select/observability.csv": worth})
+    )
 
 
 @dataclass(frozen=True)
@@ -110,8 +121,15 @@ class Found:
     rivals: str = ""
     p: float = 1e-9
     gain: tuple[float, float, float] = (0.04, 0.02, 0.06)
-    rows: str = ""
+    rows: tuple[int, ...] = ()
     statement: str = ""
+    inputs: tuple[str, ...] = ()
+
+    @property
+    def others(self) -> list[tuple[str, int]]:
+        """Its rivals, each an id and a joint."""
+        pairs = [rival.split() for rival in self.rivals.split("; ") if rival]
+        return [(cause, int(joint)) for cause, joint in pairs]
 
 
 BACKLASH = Found("named", "joint-backlash", 2, 1e-4, 4e-6, "rad")
@@ -120,13 +138,14 @@ STEP = Found("named", "frame-step", 0, 3e-4, 9e-6, "m", "after row 12 in measuri
 ORDER_OPEN = Found(
     "one_of", "joint-eccentricity", 2, 3e-4, 1e-5, "rad", "order 1", "periodic-joint-error 2; joint-error-map 2"
 )
-COUPLED = Found("unexplained", statement="depends on q2 and q3; no cause of the catalogue explains it")
+COUPLED = Found("unexplained", statement="it depends on two joints", inputs=("q2", "q3"))
 WAVING = Found(
     "unexplained",
     detail="period 36 s",
-    statement="depends on time (period 36 s); no cause of the catalogue explains it",
+    statement="it depends on time",
+    inputs=("time",),
 )
-OUTLIERS = Found("data_fault", "outlier", rows="12;31", statement="2 rows are far off (lines 12, 31)", p=np.nan)
+OUTLIERS = Found("data_fault", "outlier", rows=(12, 31), statement="2 rows are far off (lines 12, 31)", p=np.nan)
 
 
 CURVE = Found("named", "joint-error-map", 2, 3e-5, 4e-6, "rad", "alike over 0.15 rad")
@@ -137,7 +156,7 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
     """The context with tables as the stage diagnose makes them; poses are proposed to tell the first rival."""
     study, tables = given.study, given.tables
     data = study.measurements()
-    known = identified(study.robot, tables, data.given)
+    known = identified(study.robot, given.results, data.given)
     told = [one for one in found if one.status in ("named", "one_of")]
     robot = known.model.robot
     parts = [f"joint{one.joint}" if one.joint else "device" for one in told]
@@ -151,7 +170,8 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
             {"parameter": parameter.name, "effect": parameter.effect, "variant": parameter.variant, "part": parameter.part,
              "symbol": parameter.symbol, "unit": parameter.unit, "nominal": 0.0,
              "estimate": one.estimate, "sd": one.sd, "lower": parameter.lower, "upper": parameter.upper, "at_bound": False,
-             "prior_share": 0.01, "figure": 0.0, "calibrated": one.estimate, "meaning": parameter.meaning}
+             "joint": parameter.joint or None, "prior_share": 0.01,
+             "figure": 0.0, "calibrated": one.estimate, "meaning": parameter.meaning}
             for one, cause in zip(told, causes, strict=True) for parameter in cause.declared
         ]
     )  # fmt: skip
@@ -159,122 +179,102 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
     names = [parameter.name for parameter in model.parameters]
     covariance = np.diag(np.concatenate([np.zeros(len(known.estimate)), added.get("sd", pd.Series(dtype=float)) ** 2]))
     covariance[: len(known.estimate), : len(known.estimate)] = known.covariance
-    own = pd.DataFrame(covariance, columns=names)
-    own.insert(0, "parameter", names)
+    covariances = pd.DataFrame(covariance, columns=names)
+    covariances.insert(0, "parameter", names)
     residuals = tables["identify/residuals.csv"].drop(columns=["whitened", "flagged"])
     residuals[["dx_mm", "dy_mm", "dz_mm"]] *= 0.5 ** len(told)
-    summary = tables["identify/summary.csv"]
-    more = pd.DataFrame([("causes_tested", "41"), ("tests", "33")], columns=["item", "value"])
+    summary = given.results.document("identify/summary.json", FitSummary)
+    more = DiagnosisSummary(**vars(summary), reduced_chi2_before=None, causes_tested=41, tests=33.0)
     made = {
         "findings": _findings(found),
         "candidates": _candidates(told),
-        "accuracy": _steps(tables["identify/accuracy.csv"], told, parts),
+        "accuracy": _steps(given.results.rows("identify/accuracy.csv", Accuracy), told, parts),
         "next_poses": _poses([one for one in told if one.rivals], poses),
         "separations": _separations(told, poses),
         "parameters": parameters,
-        "covariance": own,
+        "covariance": covariances,
         "effects": effect_table(model.effects),
+        "noise": tables["identify/noise.csv"],
         "residuals": residuals,
         "curves": _curves(told, data.table["pose"], data.table["split"]),
-        "summary": pd.concat([summary, more], ignore_index=True),
     }
-    return replace(given, tables={**tables, **{f"diagnose/{name}.csv": table for name, table in made.items()}})
+    own = Results(
+        {f"diagnose/{name}.csv": table for name, table in made.items()}, {"diagnose/summary.json": to_document(more)}
+    )
+    return replace(given, results=given.results | own)
 
 
 def _findings(found: tuple[Found, ...]) -> pd.DataFrame:
-    rows = [
-        (one.status, one.cause or None, one.joint or np.nan, one.estimate, one.sd, one.unit or np.nan, one.p, 0.97,
-         ";".join(dict.fromkeys(rival.split()[0] for rival in one.rivals.split("; ") if rival)) or np.nan,
-         *(one.gain if one.status != "data_fault" else (np.nan,) * 3), 0.08, one.detail or np.nan,
-         one.rivals or np.nan, one.rows or np.nan, one.statement)
-        for one in found
-    ]  # fmt: skip
-    return pd.DataFrame(rows, columns=FINDINGS)
+    rows = []
+    for one in found:
+        gain, low, high = one.gain if one.status != "data_fault" else (np.nan,) * 3
+        rows.append(
+            FindingRow(
+                status=one.status, cause=one.cause, joint=one.joint or None, estimate=one.estimate, sd=one.sd, unit=one.unit,
+                p_family=one.p, probability=0.97, cannot_tell_from=tuple(dict.fromkeys(cause for cause, _ in one.others)),
+                gain_mean_mm=gain, gain_low_mm=low, gain_high_mm=high, heldout_mean_mm=0.08, detail=one.detail,
+                rivals=tuple(label(*other) for other in one.others), rows=one.rows, statement=one.statement,
+                rival_causes=tuple(cause for cause, _ in one.others), rival_joints=tuple(joint for _, joint in one.others),
+                inputs=one.inputs,
+            )
+        )  # fmt: skip
+    return to_frame(rows, FindingRow)
 
 
 def _candidates(told: list[Found]) -> pd.DataFrame:
     rows = [
-        {"cause": one.cause, "joint": one.joint or np.nan, "p_family": one.p, "delta_bic": -90.0, "detail": one.detail,
-         "part": f"joint{one.joint}" if one.joint else "device"}
+        CandidateRow(cause=one.cause, joint=one.joint or None, p_family=one.p, delta_bic=-90.0, detail=one.detail,
+                     part=f"joint{one.joint}" if one.joint else "device")
         for one in told
     ]  # fmt: skip
     rows += [
-        {"cause": "gear-ratio-error", "joint": k, "p_family": 0.3, "delta_bic": 3.0 + k, "part": f"joint{k}",
-         "unit": "1", "limit": 1.234e-4 * k}
+        CandidateRow(cause="gear-ratio-error", joint=k, p_family=0.3, delta_bic=3.0 + k, part=f"joint{k}", unit="1",
+                     limit=1.234e-4 * k)
         for k in (1, 2, 3)
     ]  # fmt: skip
-    rows += [
-        {"cause": "link-bending", "joint": k, "part": f"link{k}", "note": f"not testable: {why}"}
-        for k, why in ((1, "these data cannot show it, the model's own parameters imitate it"), (2, "… imitate it"))
-    ]
-    rows += [{"cause": "thermal-growth", "note": "not testable: needs a column temperature_degC"},
-             {"cause": "gravity-deflection", "note": "not testable: needs nothing: the masses are known"}]  # fmt: skip
-    return pd.DataFrame(rows, columns=CANDIDATES)
+    rows += [CandidateRow(cause="link-bending", joint=k, part=f"link{k}", note="why", imitated=True) for k in (1, 2)]
+    rows += [CandidateRow(cause="thermal-growth", note="why", lacking="a column temperature_degC"),
+             CandidateRow(cause="gravity-deflection", note="the masses are known")]  # fmt: skip
+    return to_frame(rows, CandidateRow)
 
 
-def _steps(before: pd.DataFrame, told: list[Found], parts: list[str]) -> pd.DataFrame:
-    blocks, last = [before], before[before["model"] == before["model"].iloc[-1]]
+def _steps(before: list[Accuracy], told: list[Found], parts: list[str]) -> pd.DataFrame:
+    rows = list(before)
+    last = [row for row in before if row.step == before[-1].step]
     for one, part in zip(told, parts, strict=True):
-        name = f"{last['model'].iloc[0]} + {one.cause} {part}" + (f" ({one.detail})" if one.detail else "")
-        last = last.assign(model=name, **{column: 0.7 * last[column] for column in ("mean_mm", "rms_mm", "max_mm")})
-        blocks.append(last)
-    return pd.concat(blocks, ignore_index=True)
+        last = [
+            replace(row, model=f"{row.model} + {one.cause} {part}", step=row.step + 1, effect=one.cause, part=part,
+                    joint=one.joint or None, detail=one.detail, mean_mm=0.7 * row.mean_mm, rms_mm=0.7 * row.rms_mm,
+                    max_mm=0.7 * row.max_mm)
+            for row in last
+        ]  # fmt: skip
+        rows += last
+    return to_frame(rows, Accuracy)
 
 
 def _poses(open_: list[Found], number: int) -> pd.DataFrame:
-    blocks = [
-        pd.DataFrame({"q1_deg": np.arange(float(number)), "q2_deg": 1.0, "q3_deg": 2.0, "payload": "",
-                      "tells": label(one.cause, one.joint),
-                      "from": one.rivals.split("; ")[0], "leaves_open": "", "separation_before_sd": 1.2,
-                      "separation_after_sd": 6.5, "chance_after": 0.99})
-        for one in open_
-    ]  # fmt: skip
-    columns = [
-        "q1_deg",
-        "q2_deg",
-        "q3_deg",
-        "payload",
-        "tells",
-        "from",
-        "leaves_open",
-        "separation_before_sd",
-        "separation_after_sd",
-        "chance_after",
-    ]
-    table = pd.concat(blocks, ignore_index=True) if blocks else pd.DataFrame(columns=columns)
-    return table.assign(pose=np.arange(1, len(table) + 1))
+    rows = []
+    for one in open_:
+        cause, joint = one.others[0]
+        rows += [
+            NextPose(pose=k, readings={"q1_deg": float(k), "q2_deg": 1.0, "q3_deg": 2.0}, approach={}, payload="",
+                     tells=label(one.cause, one.joint), rivals=(label(cause, joint),), leaves_open="",
+                     separation_before_sd=1.2, separation_after_sd=6.5, chance_after=0.99, cause=one.cause,
+                     joint=one.joint or None, rival_causes=(cause,), rival_joints=(joint,), open_causes=(), open_joints=(),
+                     open_other_causes=(), open_other_joints=())
+            for k in range(1, number + 1)
+        ]  # fmt: skip
+    return to_frame(rows, NextPose)
 
 
 def _separations(told: list[Found], number: int) -> pd.DataFrame:
-    rows = []
-    for one in told:
-        for rival in filter(None, one.rivals.split("; ")):
-            other, joint = rival.split()
-            words = f"measure the {number} poses of next_poses.csv: they separate by 6.5 sd instead of 1.2"
-            if not number:
-                words = f"no pose tells {one.cause} from {other} in these data: log each joint's travel"
-            rows.append(
-                (
-                    one.cause,
-                    one.joint or np.nan,
-                    other,
-                    int(joint),
-                    1.2,
-                    *((6.5, 0.99) if number else (0.0, 0.0)),
-                    words,
-                )
-            )
-    columns = [
-        "cause",
-        "joint",
-        "rival",
-        "rival_joint",
-        "separation_before_sd",
-        "separation_after_sd",
-        "chance_after",
-        "words",
-    ]
-    return pd.DataFrame(rows, columns=columns)
+    rows = [
+        SeparationRow(cause=one.cause, joint=one.joint or None, rival=other, rival_joint=joint, separation_before_sd=1.2,
+                      separation_after_sd=6.5 if number else 0.0, chance_after=0.99 if number else 0.0, words="what to do",
+                      proposed=number > 0, tested=number > 0, means="" if number else "log each joint's travel")
+        for one in told for other, joint in one.others
+    ]  # fmt: skip
+    return to_frame(rows, SeparationRow)
 
 
 def _curves(told: list[Found], pose: pd.Series, split: pd.Series) -> pd.DataFrame:
@@ -289,14 +289,14 @@ def _curves(told: list[Found], pose: pd.Series, split: pd.Series) -> pd.DataFram
                           "variable_unit": np.nan if side else "deg", "x": x, "before_mm": fitted + noise, "after_mm": noise,
                           "fitted_mm": fitted, "pose": pose, "split": split})
         )  # fmt: skip
-    return pd.concat(blocks, ignore_index=True) if blocks else pd.DataFrame(columns=["finding", "split"])
+    return pd.concat(blocks, ignore_index=True) if blocks else to_frame((), CurvePoint)
 
 
 def with_sample(given: Context, steps: int = 40) -> Context:
     """The context with tables as the stage sample makes them, and a chain of independent draws."""
-    known = calibrated(given.study.robot, given.tables, given.study.measurements().given)
+    known = calibrated(given.study.robot, given.results, given.study.measurements().given)
     sampled = [parameter.name for parameter in with_maps_held(known)[0].model.parameters]
-    parameters = latest(given.tables, "parameters")
+    parameters = latest(given.results, "parameters")
     parameters = parameters[parameters["parameter"].isin(sampled)]
     n = len(parameters) + 1
     path = given.run_folder / "sample" / "chain.h5"
@@ -318,24 +318,21 @@ def with_sample(given: Context, steps: int = 40) -> Context:
     predictive = residuals[["pose", "repeat", "marker", "split"]].assign(
         error_mm=error, expected_mm=0.08, low_mm=0.0, high_mm=1.1 * error.max(), covered=True, heldout_coverage=1.0
     )
-    summary = pd.DataFrame(
-        [
-            ("steps", steps),
-            ("burn_in_steps", int(steps) // 4),
-            ("autocorrelation_steps", "2"),
-            ("ensembles", f"4 of {2 * n} walkers"),
-            ("length", "long enough"),
-        ],
-        columns=["item", "value"],
+    summary = ChainSummary(
+        steps=steps, burn_in_steps=int(steps) // 4, ensembles=4, walkers=2 * n, autocorrelation_steps=2.0,
+        acceptance_independent=0.7, worst_rhat=1.001, smallest_ess=5000.0, sd_over_laplace_least=0.99,
+        sd_over_laplace_most=1.01, missing_steps=0,
+    )  # fmt: skip
+    own = Results(
+        {"sample/posterior.csv": posterior, "sample/predictive.csv": predictive},
+        {"sample/summary.json": to_document(summary)},
     )
-    names = ("posterior", "predictive", "summary")
-    made = {f"sample/{name}.csv": table for name, table in zip(names, (posterior, predictive, summary), strict=True)}
-    return replace(given, tables={**given.tables, **made})
+    return replace(given, results=given.results | own)
 
 
 def changed(given: Context, path: str, **columns: object) -> Context:
     """The context with columns of one table replaced."""
-    return replace(given, tables={**given.tables, path: given.tables[path].assign(**columns)})
+    return replace(given, results=given.results | Results({path: given.tables[path].assign(**columns)}))
 
 
 def _write(folder: Path, case: Case) -> Path:

@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -17,23 +18,24 @@ from matplotlib.text import Text
 
 from calflow.effects import catalogue
 from calflow.report import document
-from calflow.report.figures.diagnosis import evidence, explained, gains, in_space, waterfall
-from calflow.report.figures.parameters import estimates
+from calflow.report.causes.finding import how_sure
+from calflow.report.causes.first_page import lacked, unsure
+from calflow.report.causes.gain import gain_words
+from calflow.report.causes.search import candidates, untestable
+from calflow.report.figures.causes import evidence, explained, gains, in_space, waterfall
+from calflow.report.figures.estimates import estimates
 from calflow.report.findings import (
     amount,
     cause_name,
     chance,
     chance_figure,
     findings,
-    named_ids,
     place_name,
     place_names,
-    step_words,
     sureness,
 )
 from calflow.report.material import Material, ModelAccuracy, gathered, steps
 from calflow.report.section import chosen, sections
-from calflow.report.sections.diagnosis import gain_words, how_sure, lacked, unsure, untestable
 from calflow.report.style import style
 from calflow.stages.stage import Context
 from report.case import (
@@ -62,7 +64,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Context:
 
 def told(given: Context) -> tuple[str, str]:
     """The first page and the section on causes, with everything that string literals hide unescaped."""
-    material = Material.of(given.study, given.tables, given.run_folder)
+    material = Material.of(given.study, given.results, given.run_folder)
     with style():
         parts = {section.title: section.write(material) for section in chosen(sections(), material)}
     source = {
@@ -175,7 +177,7 @@ def test_nothing_found_is_said_and_nothing_else_is_shown(small: Context) -> None
 
 def test_without_the_tables_of_diagnose_the_first_page_does_not_speak_of_causes(small: Context) -> None:
     """Fails if a run without diagnose claims that anything was looked for."""
-    material = Material.of(small.study, small.tables, small.run_folder)
+    material = Material.of(small.study, small.results, small.run_folder)
     with style():
         parts = [(section.title, section.write(material)) for section in chosen(sections(), material)]
     assert "lacked" not in document.source("", parts)
@@ -186,8 +188,8 @@ def test_what_could_not_be_tested_is_listed_by_what_it_needs(small: Context) -> 
     _, section = told(with_diagnosis(small))
     assert "bending of links 1 and 2." in section
     assert "Needs a column temperature_degC:" in section
-    groups = untestable(with_diagnosis(small).tables["diagnose/candidates.csv"])
-    assert list(groups) == ["the model's own parameters imitate", "needs a column temperature_degC"]
+    groups = untestable(candidates(with_diagnosis(small).results))
+    assert list(groups) == ["", "a column temperature_degC"]  # nothing: the model's own parameters imitate it
 
 
 def test_how_small_a_cause_the_data_show_is_told_by_joint(small: Context) -> None:
@@ -222,7 +224,7 @@ def test_the_report_is_set_with_causes_and_a_sampled_extended_model(small: Conte
 def test_a_posterior_without_the_maps_is_told_as_such(small: Context, tmp_path: Path) -> None:
     """Fails if the chain of a model whose curves were held is read as one of the whole model, or nobody says so."""
     given = with_sample(with_diagnosis(small, BACKLASH, CURVE))
-    material = Material.of(given.study, given.tables, given.run_folder)
+    material = Material.of(given.study, given.results, given.run_folder)
     held = sum(parameter.effect == "joint-error-map" for parameter in material.known.model.parameters)
     assert held > 20
     assert len(material.sampled[0].estimate) == len(material.known.estimate) - held
@@ -235,7 +237,7 @@ def test_a_posterior_without_the_maps_is_told_as_such(small: Context, tmp_path: 
 def test_errors_and_accuracy_are_those_of_the_extended_model(small: Context) -> None:
     """Fails if the first page goes on telling what the study's own model reached."""
     given = with_diagnosis(small, BACKLASH)
-    material = Material.of(given.study, given.tables, given.run_folder)
+    material = Material.of(given.study, given.results, given.run_folder)
     np.testing.assert_allclose(material.error, 0.5 * material.error_before)
     assert material.known.model.parameters[-1].effect == "joint-backlash"
     table = given.tables["diagnose/accuracy.csv"]
@@ -256,16 +258,15 @@ def test_causes_are_drawn_together_on_the_first_page() -> None:
 def test_many_causes_are_cut_on_the_first_page(small: Context) -> None:
     """Fails if the list of causes pushes everything else off the first page."""
     many = [Found("named", "gear-ratio-error", k, 1e-4, 1e-6, "1") for k in (1, 2, 3)]
-    tables = with_diagnosis(small, *many, STEP, BACKLASH, ORDER_OPEN).tables
-    said = lacked(tables)
+    said = lacked(with_diagnosis(small, *many, STEP, BACKLASH, ORDER_OPEN).results)
     assert len(said) == 5
     assert said[-1] == ("And 2 more causes:", "backlash of joint 2 and angular transmission error of joint 2.")
 
 
 def test_causes_of_the_same_name_are_told_by_their_detail(small: Context) -> None:
     """Fails if two steps of the device, at different moments, read as one."""
-    tables = with_diagnosis(small, STEP, replace(STEP, detail="after row 20 in measuring order")).tables
-    assert [head for head, _ in lacked(tables)] == [
+    results = with_diagnosis(small, STEP, replace(STEP, detail="after row 20 in measuring order")).results
+    assert [head for head, _ in lacked(results)] == [
         "Step of the measuring device (after row 12 in measuring order):",
         "Step of the measuring device (after row 20 in measuring order):",
     ]
@@ -300,21 +301,21 @@ def test_a_gain_is_told_as_what_its_interval_allows(
     small: Context, gain: tuple[float, float, float], words: str
 ) -> None:
     """Fails if a gain that may be nothing is told as a gain."""
-    (found,) = findings(with_diagnosis(small, replace(BACKLASH, gain=gain)).tables)
+    (found,) = findings(with_diagnosis(small, replace(BACKLASH, gain=gain)).results)
     assert words in gain_words(found, None)
     assert ("noise alone" in gain_words(found, 0.06)) == (gain[0] == gain[0] and not gain[2] < 0)
 
 
 def test_sureness_is_told_for_each_status(small: Context) -> None:
     """Fails if a set of causes is told as a single one."""
-    one = [findings(with_diagnosis(small, found).tables)[0] for found in (BACKLASH, OR_HYSTERESIS, ORDER_OPEN)]
+    one = [findings(with_diagnosis(small, found).results)[0] for found in (BACKLASH, OR_HYSTERESIS, ORDER_OPEN)]
     assert "Nothing else" in how_sure(one[0])
     assert "Its name is less sure" in how_sure(one[1])
     assert "its order, or finer form, is not. Periodic angle error and angle error curve would do" in how_sure(one[2])
-    coarse = findings(with_diagnosis(small, replace(ORDER_OPEN, rivals="")).tables)[0]
+    coarse = findings(with_diagnosis(small, replace(ORDER_OPEN, rivals="")).results)[0]
     assert coarse.name == "angular transmission error of joint 2"
     assert "would do as well" not in how_sure(coarse)
-    assert unsure(with_diagnosis(small, BACKLASH).tables) == []
+    assert unsure(with_diagnosis(small, BACKLASH).results) == []
 
 
 @pytest.mark.parametrize(
@@ -345,8 +346,8 @@ def test_units_survive_a_csv(small: Context) -> None:
     """Fails if the unit 1, which pandas reads as a number, is shown as 1.0."""
     given = with_diagnosis(small, Found("named", "gear-ratio-error", 1, 5e-4, 1e-6, "1"), COUPLED)
     table = given.tables["diagnose/findings.csv"]
-    table["unit"] = table["unit"].astype(float)
-    assert findings(given.tables)[0].amount == "500.0 ± 1.0 µrad/rad"
+    table["unit"] = pd.to_numeric(table["unit"])
+    assert findings(given.results)[0].amount == "500.0 ± 1.0 µrad/rad"
 
 
 def test_chances_are_told_in_words_that_do_not_overstate() -> None:
@@ -364,12 +365,10 @@ def test_causes_have_a_name_with_their_place() -> None:
     """Fails if a reader is shown an id, or a link is called a joint."""
     assert cause_name("joint-backlash", 2) == "backlash of joint 2"
     assert cause_name("link-bending", 4) == "bending of link 4"
-    assert place_name("payload-mass", "half") == "payload mass error (half)"
-    assert place_name("payload-mass", "payloads") == "payload mass error"
-    assert place_names("bearing-compliance", ["joint1", "joint3"]) == "bearing tilt of joints 1 and 3"
-    assert step_words("joint-compliance") == "joint compliance"
-    assert step_words("periodic-joint-error joint2 (order 7.4)") == "periodic angle error of joint 2"
-    assert named_ids("tells joint-backlash from joint-hysteresis") == "tells backlash from friction wind-up"
+    assert place_name("payload-mass", 0, "half") == "payload mass error (half)"
+    assert place_name("payload-mass", 0, "payloads") == "payload mass error"
+    assert place_names("bearing-compliance", [(1, "joint1"), (3, "joint3")]) == "bearing tilt of joints 1 and 3"
+    assert place_name("periodic-joint-error", 2, "joint2") == "periodic angle error of joint 2"
     assert cause_name("something-new", 3) == "something new of joint 3"
 
 

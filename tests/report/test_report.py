@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calflow.files.results import Results
 from calflow.report import document
 from calflow.report.material import Material
 from calflow.report.section import Section, chosen, sections
@@ -37,14 +38,14 @@ def files(whole: Context, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
 
 def source_of(given: Context) -> str:
     """The typst source, with everything that its string literals hide unescaped."""
-    material = Material.of(given.study, given.tables, given.run_folder)
+    material = Material.of(given.study, given.results, given.run_folder)
     with style():
         parts = [(section.title, section.write(material)) for section in chosen(sections(), material)]
     return document.source(material.title, parts).replace('\\"', '"').replace("\\\\", "\\")
 
 
 def built(given: Context, folder: Path) -> dict[str, bytes]:
-    assert STAGE.run(replace(given, folder=folder)) == {}
+    assert STAGE.run(replace(given, folder=folder)) == Results()
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
@@ -93,7 +94,7 @@ def test_text_is_shown_letter_by_letter(name: str) -> None:
 def test_sections_are_left_out_without_their_tables(small: Context, whole: Context) -> None:
     def titles(given: Context) -> list[str]:
         return [
-            section.title for section in chosen(sections(), Material.of(given.study, given.tables, given.run_folder))
+            section.title for section in chosen(sections(), Material.of(given.study, given.results, given.run_folder))
         ]
 
     assert set(titles(whole)) - set(titles(small)) == {
@@ -112,7 +113,7 @@ def test_every_section_has_a_place_of_its_own() -> None:
 def test_the_chain_is_drawn_in_the_parameters_own_units(whole: Context) -> None:
     from calflow.report.chain import Chain
 
-    material = Material.of(whole.study, whole.tables, whole.run_folder)
+    material = Material.of(whole.study, whole.results, whole.run_folder)
     chain = Chain.read(whole.run_folder / "sample" / "chain.h5", material)
     parameters = whole.tables["identify/parameters.csv"]
     k = int(np.flatnonzero(parameters["parameter"] == "joint2.a")[0])
@@ -162,13 +163,13 @@ def test_no_noise_floor_is_claimed_where_only_the_fit_tells_the_noise(tmp_path: 
 
 
 def test_noise_floor_is_the_mean_length_of_the_noise(small: Context) -> None:
-    material = Material.of(small.study, small.tables, small.run_folder)
+    material = Material.of(small.study, small.results, small.run_folder)
     noise = 0.05 * np.random.default_rng(0).standard_normal((200_000, 3))
     assert material.noise_floor == pytest.approx(np.linalg.norm(noise, axis=1).mean(), rel=0.01)
 
 
 def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> None:
-    material = Material.of(small.study, small.tables, small.run_folder)
+    material = Material.of(small.study, small.results, small.run_folder)
     known = material.known
     rng = np.random.default_rng(0)
     draws = rng.multivariate_normal(known.estimate, known.covariance, 400, method="svd")

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from calflow.effects import Parameter
+from calflow.estimation.accuracy import Accuracy
+from calflow.estimation.fit_summary import FitSummary, Solver
+from calflow.files.results import Results
+from calflow.files.tables import to_frame
 from calflow.report.figures.residuals import magnification
-from calflow.report.material import lack_of_fit, steps
+from calflow.report.material import steps
 from calflow.report.sections.parameters import known_from
 from calflow.report.sections.posterior import corner_names
 from calflow.report.words import interval, listed, mm, number, part_words, plural, readable, short_names, with_sd
@@ -118,10 +124,12 @@ def test_arrows_are_magnified_by_a_round_factor_to_a_visible_length(size: float)
 
 
 def test_steps_are_named_by_what_they_add() -> None:
+    named = (("nominal", 0, ""), ("geometry", 1, "geometry"), ("geometry + joint-compliance", 2, "joint-compliance"))
     rows = [
-        (name, "holdout", 3, 1.0, 1.0, 2.0) for name in ("nominal", "geometry", "geometry + joint-compliance", "other")
+        Accuracy(model=model, split="holdout", n=3, mean_mm=1.0, rms_mm=1.0, max_mm=2.0, step=step, effect=effect)
+        for model, step, effect in (*named, ("other", 1, "other"))
     ]
-    table = pd.DataFrame(rows, columns=["model", "split", "n", "mean_mm", "rms_mm", "max_mm"])
+    table = to_frame(rows, Accuracy)
     assert [step.label for step in steps(table, "holdout")] == [
         "nominal robot",
         "geometry",
@@ -132,10 +140,11 @@ def test_steps_are_named_by_what_they_add() -> None:
 
 
 def test_lack_of_fit_is_a_factor_on_the_noise() -> None:
-    rows = [("noise_source", "repeats"), ("reduced_chi2", "20.25")]
-    assert lack_of_fit(pd.DataFrame(rows, columns=["item", "value"])) == pytest.approx(4.5)
-    rows[0] = ("noise_source", "estimated")
-    assert np.isnan(lack_of_fit(pd.DataFrame(rows, columns=["item", "value"])))
+    solver = Solver(status="Solve_Succeeded", iterations=9)
+    known = FitSummary(noise_sources=("repeats",), sigma_mm=0.05, discrepancy_mm=0.0, loss="linear", reduced_chi2=20.25,
+                       lack_of_fit_p=0.0, solver=solver)  # fmt: skip
+    assert known.lack_of_fit == pytest.approx(4.5)
+    assert np.isnan(replace(known, noise_sources=("estimated",)).lack_of_fit)
 
 
 def test_corner_shows_bounds_then_correlated_pairs_then_compliances() -> None:
@@ -149,4 +158,4 @@ def test_corner_shows_bounds_then_correlated_pairs_then_compliances() -> None:
     )
     pairs = pd.DataFrame({"first": ["p5"], "second": ["p1"], "correlation": [-0.99]})
     tables = {"identify/parameters.csv": parameters, "identify/correlations.csv": pairs}
-    assert corner_names(tables) == ["p1", "p3", "p5", "p7", "p8"]
+    assert corner_names(Results(tables)) == ["p1", "p3", "p5", "p7", "p8"]

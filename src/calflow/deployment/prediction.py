@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from calflow.estimation.calibrated import calibrated, time_origin
+from calflow.estimation.calibrated import calibrated
+from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.plausibility import plausible
 from calflow.files.problems import refuse
 from calflow.measurements.columns import LABELS
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
-from calflow.runs.run import outdated, read_manifest, read_tables
+from calflow.runs.run import outdated, read_manifest, read_results
 
 
 def predict(run_folder: str | Path, rows: str | Path) -> pd.DataFrame:
@@ -34,14 +35,14 @@ def predict(run_folder: str | Path, rows: str | Path) -> pd.DataFrame:
     reason = outdated(folder, "identify", robot)
     if reason:
         raise refuse(f"holds no identified robot: {reason}; run the study again", folder)
-    tables = read_tables(folder, "identify")
+    results = read_results(folder, "identify")
     if outdated(folder, "diagnose", robot) is None:
-        tables |= read_tables(folder, "diagnose")
+        results |= read_results(folder, "diagnose")
     if path.suffix.lower() == ".mat":
         raise refuse("expected a CSV", path)
-    origin = time_origin(tables["identify/summary.csv"])
+    origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
     data = plausible(Measurements.to_predict(path, robot, time_origin=origin), path)
-    known = calibrated(robot, tables, data.given)
+    known = calibrated(robot, results, data.given)
     position = known.model.point(known.estimate, data.rows)
     jacobian = known.model.point_jacobian(known.estimate, data.rows)
     variance = np.einsum("nai,ij,naj->na", jacobian, known.covariance, jacobian)
@@ -54,7 +55,7 @@ def predict(run_folder: str | Path, rows: str | Path) -> pd.DataFrame:
         asked[f"{axis}_mm"] = 1e3 * position[:, i]
     for i, axis in enumerate("xyz"):
         asked[f"sd_{axis}_mm"] = 1e3 * np.sqrt(variance[:, i])
-    asked.attrs["notes"] = (*data.notes, *_columns_mended(tables["identify/faults.csv"]), *_beyond_limits(data))
+    asked.attrs["notes"] = (*data.notes, *_columns_mended(results.tables["identify/faults.csv"]), *_beyond_limits(data))
     return asked
 
 

@@ -10,7 +10,9 @@ from calflow.files.problems import refuse
 from calflow.model import Model
 from calflow.observations import Observation
 from calflow.robot.loop import reachable
+from calflow.robot.robot import Robot
 
+READINGS = "q{joint}_{deg|mm}"  # the columns of joint readings
 LARGEST_DRAW = 1 << 15  # poses drawn at once
 MAX_DRAWS = 40  # rounds of drawing before the region counts as out of reach
 
@@ -58,6 +60,21 @@ def candidates(
         f"of {rounds * size} poses within the joint limits only {sum(map(len, kept))} reach the region, {number} are needed: "
         "is the region (in the measuring frame) within the robot's reach?"
     )
+
+
+def reading_columns(robot: Robot) -> list[str]:
+    """Return the columns of joint readings by their names, e.g. q1_deg."""
+    return [f"q{i + 1}_{joint.shown[0]}" for i, joint in enumerate(robot.joints)]
+
+
+def reading_labels(robot: Robot) -> list[str]:
+    """Return the same for people, e.g. q1 [deg]."""
+    return [f"q{i + 1} [{joint.shown[0]}]" for i, joint in enumerate(robot.joints)]
+
+
+def reading_factors(robot: Robot) -> np.ndarray:
+    """Return what makes readings in rad and m those of these columns, shape (n_joints,)."""
+    return np.array([joint.shown[1] for joint in robot.joints])
 
 
 def pack(model: Model, readings: np.ndarray, payload: str, marker: str) -> np.ndarray:

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 
-from calflow.design.candidates import candidates
+from calflow.design.candidates import READINGS, candidates, reading_columns, reading_factors
 from calflow.design.planned import Planned
 from calflow.design.t_optimality import Choices, Explanation, Pair, TCriterion, closest, propose
 from calflow.diagnosis.findings.verdict import Rival, Verdict, label
@@ -20,6 +20,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.files.problems import InputError
+from calflow.files.tables import column, to_frame, typed
 from calflow.measurements.columns import condition_columns
 from calflow.measurements.measurements import Measurements
 from calflow.observations import Observation
@@ -27,9 +28,53 @@ from calflow.observations import Observation
 POSES = 20
 THINNEST = 0.1  # m: a measured region is widened to it, since poses are drawn at random
 CANDIDATES = 600  # poses to choose from, for each payload
-APART = ["separation_before_sd", "separation_after_sd", "chance_after"]
 ANY_MEANS = "another sensor or another load is needed"
+Place = tuple[str, int]  # id and joint (0 for none) of a cause
 ENOUGH = 0.9  # chance of excluding a rival at which poses are worth measuring
+
+
+@dataclass(frozen=True, kw_only=True)
+class NextPose:
+    """A pose that tells a finding from some of its rivals."""
+
+    pose: int = column("its number")
+    readings: Mapping[str, float] = column("reading of each joint", "as named", name=READINGS)
+    approach: Mapping[str, int] = column("side each joint comes from: -1, +1", name="approach{joint}")
+    payload: str = column("the load it is measured under; empty: none")
+    tells: str = column("the finding: id and joint")
+    rivals: tuple[str, ...] = column("what it is told from: id and joint", name="from", separator="; ")
+    leaves_open: str = column("pairs that the poses do not tell apart, in words")
+    separation_before_sd: float = column("least separation of what is told apart, before", "standard deviations")
+    separation_after_sd: float = column("the same after the poses", "standard deviations")
+    chance_after: float = column("least chance that the wrong one of two is excluded then")
+    cause: str = column("id of the finding")
+    joint: int | None = column("its joint or link; empty: none")
+    rival_causes: tuple[str, ...] = column("ids of what it is told from")
+    rival_joints: tuple[int, ...] = column("their joints; 0: none")
+    open_causes: tuple[str, ...] = column("ids of what is left open: one of each pair")
+    open_joints: tuple[int, ...] = column("their joints; 0: none")
+    open_other_causes: tuple[str, ...] = column("ids of the other of each pair")
+    open_other_joints: tuple[int, ...] = column("their joints; 0: none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeparationRow:
+    """How far a finding and a rival are apart, and what to do about it."""
+
+    cause: str = column("id of the finding")
+    joint: int | None = column("its joint or link; empty: none")
+    rival: str = column("id of the rival")
+    rival_joint: int | None = column("its joint or link; empty: none")
+    separation_before_sd: float = column("how far they are apart", "standard deviations")
+    separation_after_sd: float = column("the same after further poses", "standard deviations")
+    chance_after: float = column(
+        "chance that the wrong one is excluded then (each pose counts by the share of poses that is fitted)"
+    )
+    words: str = column("what to measure, or what else to do at the robot, in words")
+    proposed: bool = column("whether the poses of next_poses.csv tell them apart", default=False)
+    tested: bool = column("whether the data could test the rival", default=True)
+    unasked: str = column("why no further poses could be looked for; empty: they could", default="")
+    means: str = column("what to do at the robot where no pose tells them apart", default="")
 
 
 @dataclass(frozen=True)
@@ -48,25 +93,24 @@ class Separation:
     lacking: str = ""
     unasked: str = ""
 
+    def means(self, cause: Cause) -> str:
+        """Say what to do at the robot where no pose tells the cause from the rival; nothing where poses do."""
+        rival = catalogue()[self.rival.id]
+        else_ = ", or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, rival.told_by)))) or ANY_MEANS
+        if self.unasked:
+            return f"measure in a wider region, or {else_}"
+        if self.rival.cause is None:
+            return f"it takes {self.lacking}" if self.lacking else rival.told_by or ANY_MEANS
+        return else_ if self.chance < ENOUGH else ""
+
     def words(self, cause: Cause) -> str:
         """Say what to measure."""
         apart = f"they separate by {self.after:.1f} sd instead of {self.before:.1f}"
         if self.proposed:
             return f"measure the {POSES} poses of next_poses.csv: {apart}"
-        rival = catalogue()[self.rival.id]
-        if self.unasked:
-            means = ", or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, rival.told_by)))) or ANY_MEANS
-            where = f"no further poses could be looked for where it was measured ({self.unasked})"
-            return f"{where}: measure in a wider region, or {means}"
-        if self.rival.cause is None:
-            means = f"it takes {self.lacking}" if self.lacking else rival.told_by or ANY_MEANS
-            return f"no pose tells {cause.id} from {rival.id} in these data: {means}"
-        if self.chance < ENOUGH:
-            said = dict.fromkeys(filter(None, (cause.effect.told_by, rival.told_by)))
-            return (
-                f"no {POSES} poses with any payload known tell {cause.id} from {rival.id} ({self.after:.1f} sd after them): "
-                f"{', or '.join(said) or ANY_MEANS}"
-            )
+        if means := self.means(cause):
+            after = self.after if self.rival.cause else None
+            return f"{no_pose_words(cause.id, self.rival.id, after, self.unasked)}: {means}"
         return f"measure {POSES} further poses, once the other rivals are excluded: {apart}"
 
 
@@ -75,7 +119,7 @@ class Plan:
     """Poses that tell a finding from some rivals and, as far as they can, those from each other.
 
     before and after are the least separations [sd] among what they tell apart, chance the least of excluding one of two;
-    left_open names the pairs that they do not tell apart.
+    left_open has the pairs of causes, each an id and a joint (0 for none), that they do not tell apart.
     """
 
     poses: Choices
@@ -83,7 +127,7 @@ class Plan:
     before: float
     after: float
     chance: float
-    left_open: tuple[str, ...]
+    left_open: tuple[tuple[Place, Place], ...]
 
 
 @dataclass(frozen=True)
@@ -125,9 +169,9 @@ def question(verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Gene
     )
     if not together:
         return Question(finding.cause, separations + untested)
-    names = [label(finding.cause.id, finding.cause.joint), *(label(rival.id, rival.joint) for rival in rivals)]
-    open_ = [f"{names[i]} or {names[k]}" for i, k in after if (i, k) not in together]
-    open_ += [f"{names[0]} or {label(one.rival.id, one.rival.joint)}" for one in untested]
+    places = [(finding.cause.id, finding.cause.joint), *((rival.id, rival.joint) for rival in rivals)]
+    open_ = [(places[i], places[k]) for i, k in after if (i, k) not in together]
+    open_ += [(places[0], (one.rival.id, one.rival.joint)) for one in untested]
     plan = Plan(
         choices.only(chosen), tuple(rivals[k - 1] for i, k in together if i == 0),
         min(before[pair].separation for pair in together), min(criterion.separation for criterion in together.values()),
@@ -154,41 +198,71 @@ def _together(
     return [], {}
 
 
+def no_pose_words(cause: str, rival: str, after: float | None, unasked: str) -> str:
+    """Say that no pose tells two causes apart; after is their separation [sd] then, None if the data could not test the rival.
+
+    unasked says why no further poses could be looked for.
+    """
+    if unasked:
+        return f"no further poses could be looked for where it was measured ({unasked})"
+    if after is None:
+        return f"no pose tells {cause} from {rival} in these data"
+    return f"no {POSES} poses with any payload known tell {cause} from {rival} ({after:.1f} sd after them)"
+
+
 def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
     """Return diagnose/next_poses.csv: the poses that tell each finding from its rivals, as far as poses can."""
     robot = fitted.model.robot
-    readings = [f"q{i + 1}_{joint.shown[0]}" for i, joint in enumerate(robot.joints)]
-    units = np.array([joint.shown[1] for joint in robot.joints])
-    blocks = []
+    names = reading_columns(robot)
+    sides = [f"approach{i + 1}" for i in range(robot.n_joints)] if "approach" in fitted.model.given else []
+    rows: list[NextPose] = []
     for one in questions:
         if one.plan is None:
             continue
-        plan = one.plan
-        block = pd.DataFrame(np.round(plan.poses.readings * units, 4), columns=readings)
-        if "approach" in fitted.model.given:
-            block[[f"approach{i + 1}" for i in range(robot.n_joints)]] = plan.poses.approach.astype(int)
-        block["payload"] = plan.poses.payloads
-        block["tells"] = label(one.cause.id, one.cause.joint)
-        block["from"] = "; ".join(label(rival.id, rival.joint) for rival in plan.rivals)
-        block["leaves_open"] = "; ".join(plan.left_open)
-        block[APART] = plan.before, plan.after, plan.chance
-        blocks.append(block)
-    if not blocks:
-        return pd.DataFrame(columns=["pose", *readings, "payload", "tells", "from", "leaves_open", *APART])
-    table = pd.concat(blocks, ignore_index=True)
-    table.insert(0, "pose", np.arange(1, len(table) + 1))
-    return table
+        plan, own = one.plan, (one.cause.id, one.cause.joint)
+        rivals, first, second = [(r.id, r.joint) for r in plan.rivals], *_unzipped(plan.left_open)
+        readings = np.round(plan.poses.readings * reading_factors(robot), 4)
+        for k, payload in enumerate(plan.poses.payloads):
+            rows.append(
+                NextPose(
+                    pose=len(rows) + 1, readings=dict(zip(names, readings[k], strict=True)),
+                    approach=dict(zip(sides, plan.poses.approach[k].astype(int), strict=False)), payload=payload,
+                    tells=label(*own), rivals=tuple(label(*place) for place in rivals),
+                    leaves_open="; ".join(f"{label(*a)} or {label(*b)}" for a, b in plan.left_open),
+                    separation_before_sd=plan.before, separation_after_sd=plan.after, chance_after=plan.chance,
+                    cause=own[0], joint=own[1] or None, rival_causes=_ids(rivals), rival_joints=_joints(rivals),
+                    open_causes=_ids(first), open_joints=_joints(first), open_other_causes=_ids(second),
+                    open_other_joints=_joints(second),
+                )
+            )  # fmt: skip
+    table = to_frame(rows, NextPose)
+    return table if rows else typed(table.assign(**dict.fromkeys(names, ())), NextPose)
 
 
 def separations_table(questions: Sequence[Question]) -> pd.DataFrame:
     """Return diagnose/separations.csv: for each finding and rival how far apart they are, and what to do."""
     rows = [
-        (asked.cause.id, asked.cause.joint or None, one.rival.id, one.rival.joint or None, one.before, one.after,
-         one.chance, one.words(asked.cause))
+        SeparationRow(
+            cause=asked.cause.id, joint=asked.cause.joint or None, rival=one.rival.id, rival_joint=one.rival.joint or None,
+            separation_before_sd=one.before, separation_after_sd=one.after, chance_after=one.chance,
+            words=one.words(asked.cause), proposed=one.proposed, tested=one.rival.cause is not None,
+            unasked=one.unasked, means=one.means(asked.cause),
+        )
         for asked in questions for one in asked.separations
     ]  # fmt: skip
-    columns = ["cause", "joint", "rival", "rival_joint", *APART, "words"]
-    return pd.DataFrame(rows, columns=columns).astype({"joint": "Int64", "rival_joint": "Int64"})
+    return to_frame(rows, SeparationRow)
+
+
+def _unzipped(pairs: Sequence[tuple[Place, Place]]) -> tuple[list[Place], list[Place]]:
+    return [first for first, _ in pairs], [second for _, second in pairs]
+
+
+def _ids(places: Sequence[Place]) -> tuple[str, ...]:
+    return tuple(cause for cause, _ in places)
+
+
+def _joints(places: Sequence[Place]) -> tuple[int, ...]:
+    return tuple(joint for _, joint in places)
 
 
 def _planned(fitted: Fitted, share: float) -> Planned:

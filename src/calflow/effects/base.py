@@ -127,6 +127,11 @@ class Effect(ABC):
         return ", ".join(unmet(cls.needs, robot, data.given))
 
     @classmethod
+    def superseded(cls, robot: Robot) -> str:
+        """Say why nobody needs it for this robot, since another effect stands for it; empty where that is not so."""
+        return ""
+
+    @classmethod
     def is_noise(cls) -> bool:
         """Whether it widens the noise and shifts nothing, so that it is tested by what the fit leaves."""
         return cls.scatter is not Effect.scatter

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -17,9 +17,6 @@ from calflow.robot.links import to_axis
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State, potential_energy, rated_torques
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 NEAR_SD, FAR_SD, BOUND = (
     2e-3,
@@ -42,9 +39,9 @@ class GravityDeflection(Effect):
     words: ClassVar[Words] = Words("gravity deflection", "the joint sags under the robot's own weight", "size")
 
     @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
+    def superseded(cls, robot: Robot) -> str:
         """Say that it is not needed where torques are known."""
-        return "nothing: the masses are known, so joint-compliance stands for it" if robot.has_masses else ""
+        return "the masses are known, so joint-compliance stands for it" if robot.has_masses else ""
 
     @classmethod
     def springs(cls, robot: Robot) -> bool:

@@ -2,12 +2,50 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Literal
+
 import numpy as np
 import pandas as pd
 
+from calflow.effects import Effect
+from calflow.effects.cause import Cause
 from calflow.estimation.nuisance import completed, observing
+from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accuracy:
+    """How far a model's predicted positions are from the measured ones, on one split."""
+
+    model: str = column("what the model has: `nominal`, or its effects, in order, with ` + ` between them")
+    split: Literal["train", "holdout"] = column("rows that were fitted, or held out")
+    n: int = column("number of rows")
+    mean_mm: float = column("mean distance from predicted to measured position", "mm")
+    rms_mm: float = column("root mean square of that distance", "mm")
+    max_mm: float = column("largest distance", "mm")
+    step: int = column("number of effects and causes in the model, 0: nominal")
+    effect: str = column("what the model has more than that of the step before; empty: nominal", default="")
+    joint: int | None = column("number of its joint or link, where it is a cause of one", default=None)
+    part: str = column("the part of the robot that it is a cause of; empty: all", default="")
+    detail: str = column("its variant, in words", default="")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Residual:
+    """What a model leaves of a measured row."""
+
+    pose: str = column("as in the measurements")
+    repeat: str = column("as in the measurements")
+    marker: str = column("as in the measurements")
+    dx_mm: float = column("predicted minus measured position, along x; empty: no position was measured", "mm")
+    dy_mm: float = column("the same along y", "mm")
+    dz_mm: float = column("the same along z", "mm")
+    error_mm: float = column("size of the error, also of what is no position", "mm")
+    split: str = column("train, holdout; empty: left out as faulty")
+    line: int = column("line of the measurement file")
 
 
 def errors(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
@@ -45,22 +83,25 @@ def distances(error: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(np.nansum(error**2, axis=1)))
 
 
-def residual_table(measured: Measurements, error: np.ndarray) -> pd.DataFrame:
-    """Return the first columns of residuals.csv: which row, and its error (n_rows, 3) along x, y, z (if it has axes) and in all."""
-    table = measured.table[["pose", "repeat", "marker"]].copy()
-    whole = ~np.isnan(error).any(axis=1)
-    for i, axis in enumerate("xyz"):
-        table[f"d{axis}_mm"] = np.where(whole, 1e3 * error[:, i], np.nan)
-    return table.assign(error_mm=1e3 * distances(error))
-
-
-def accuracy(name: str, error: np.ndarray, measured: Measurements) -> list[dict[str, object]]:
-    """Return one row a split of the table accuracy.csv: model, split, n, mean_mm, rms_mm, max_mm."""
+def accuracy(
+    name: str, error: np.ndarray, measured: Measurements, step: int = 0, added: Effect | None = None
+) -> list[Accuracy]:
+    """Return a row a split of a model's errors (n_rows, 3) [m]; added is what the model has more than the one before."""
     distance = 1e3 * distances(error)
+    what = {"effect": added.id, "detail": added.detail} if added else {}
+    where = {"joint": added.joint or None, "part": added.part} if isinstance(added, Cause) else {}
     rows = []
     for split in ("train", "holdout"):
         part = distance[(measured.table["split"] == split).to_numpy()]
         if len(part):
-            rows.append({"model": name, "split": split, "n": len(part), "mean_mm": part.mean(),
-                         "rms_mm": np.sqrt((part**2).mean()), "max_mm": part.max()})  # fmt: skip
+            size = {"mean_mm": part.mean(), "rms_mm": np.sqrt((part**2).mean()), "max_mm": part.max()}
+            rows.append(Accuracy(model=name, split=split, n=len(part), **size, step=step, **what, **where))  # type: ignore[arg-type]
     return rows
+
+
+def residuals(error: np.ndarray, data: Measurements) -> pd.DataFrame:
+    """Return the table of `Residual`s for errors (n_rows, 3) [m]."""
+    whole = ~np.isnan(error).any(axis=1)
+    own = {f"d{axis}_mm": np.where(whole, 1e3 * error[:, i], np.nan) for i, axis in enumerate("xyz")}
+    told = data.table[["pose", "repeat", "marker", "split", "line"]]
+    return typed(told.assign(**own, error_mm=1e3 * distances(error)), Residual)

@@ -13,19 +13,66 @@ from pydantic import TypeAdapter
 
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Carried, Cause
+from calflow.estimation.fit_summary import FitSummary
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import Noise, Source
 from calflow.estimation.repeats import stated_noise
 from calflow.files.problems import refuse
-from calflow.files.tables import Tables
+from calflow.files.results import Results
+from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations import Observation
 from calflow.observations import catalogue as observation_kinds
-from calflow.robot.parts import Base, Vector, vector
+from calflow.robot.parts import Base, vector
 from calflow.robot.robot import Robot
 
 MANY = 20  # parameters of one cause, beyond which sampling them would take days and say nothing new
+ROBOT_FILE, REGISTERED = "robot file", "registered"  # where a place is from
+NOT_TURNED = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelEffect:
+    """An effect of the extended model, in its order."""
+
+    effect: str = column("its id")
+    part: str = column("the part of the robot that it is a cause of; empty: all")
+    variant: str = column("the figures that make its variant, as JSON")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelObservation:
+    """A series of measurements as the model observes it."""
+
+    kind: str = column("id of the observation")
+    series: str = column("name of the series; empty: the only one")
+    observation: str = column("all that makes it, as JSON")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceNoise:
+    """The noise of a series of measurements."""
+
+    series: str = column("its name; empty: the only one")
+    kind: str = column("id of its observation")
+    source: Source = column("where the noise is known from")
+    sigma_mm: float = column("of a single row, per axis; of noise that grows with range, that at no distance", "mm")
+    growth_mm_per_m: float = column("by how much it grows with range", "mm/m")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """Where base, markers, tool and what was observed are that the parameters refer to."""
+
+    what: str = column("base, a marker's name, tool, or what a series observes")
+    x_m: float = column("its place: a marker's in the flange's frame, else in the measuring frame", "m")
+    y_m: float = column("the same along y", "m")
+    z_m: float = column("the same along z", "m")
+    rx_deg: float = column("its turn about x, then y, then z", "deg")
+    ry_deg: float = column("the same about y", "deg")
+    rz_deg: float = column("the same about z", "deg")
+    source: str = column("who says so: the robot file, or registered by the training data")
 
 
 @dataclass(frozen=True)
@@ -76,29 +123,23 @@ class Identified:
         )  # fmt: skip
 
 
-def identified(robot: Robot, tables: Tables, given: tuple[str, ...]) -> Identified:
+def identified(robot: Robot, results: Results, given: tuple[str, ...]) -> Identified:
     """Rebuild the model that identify fitted, for rows with these optional conditions."""
-    robot = placed(robot, tables)
-    names = tuple(dict.fromkeys(tables["identify/parameters.csv"]["effect"]))
-    observed = read_observations(tables["identify/observations.csv"])
+    robot = placed(robot, results)
+    names = tuple(dict.fromkeys(results.tables["identify/parameters.csv"]["effect"]))
+    observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
     known = tuple(_kind(name)(robot) for name in names if name not in observation_kinds())
-    return _read("identify", Model(robot, known, given, observed), tables)
+    return _read("identify", Model(robot, known, given, observed), results)
 
 
-def calibrated(robot: Robot, tables: Tables, given: tuple[str, ...]) -> Identified:
+def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> Identified:
     """Rebuild the best model there is: the one that diagnose extended, else identify's."""
-    if "diagnose/effects.csv" not in tables:
-        return identified(robot, tables, given)
-    robot = placed(robot, tables)
-    observed = read_observations(tables["identify/observations.csv"])
-    effects = read_effects(tables["diagnose/effects.csv"], robot)
-    return _read("diagnose", Model(robot, effects, given, observed), tables)
-
-
-def time_origin(summary: pd.DataFrame) -> float | None:
-    """Return the time_s [s] from which the time of what was fitted counts; None where its time is not known."""
-    found = summary.loc[summary["item"] == "time_origin_s", "value"]
-    return float(found.iloc[0]) if len(found) else None
+    if "diagnose/effects.csv" not in results:
+        return identified(robot, results, given)
+    robot = placed(robot, results)
+    observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
+    effects = read_effects(results.rows("diagnose/effects.csv", ModelEffect), robot)
+    return _read("diagnose", Model(robot, effects, given, observed), results)
 
 
 def with_maps_held(known: Identified) -> tuple[Identified, tuple[Cause, ...]]:
@@ -131,79 +172,99 @@ def with_maps_held(known: Identified) -> tuple[Identified, tuple[Cause, ...]]:
 
 
 def effect_table(effects: Sequence[Effect]) -> pd.DataFrame:
-    """Return a row an effect: its id, its part ("" for all), and the figures that make its variant."""
+    """Return the table of `ModelEffect`s."""
     rows = []
     for effect in effects:
         whole, part = (effect.effect, effect.part) if isinstance(effect, Cause) else (effect, "")
-        rows.append({"effect": whole.id, "part": part, "variant": json.dumps(whole.figures)})
-    return pd.DataFrame(rows, columns=["effect", "part", "variant"])
+        rows.append(ModelEffect(effect=whole.id, part=part, variant=json.dumps(whole.figures)))
+    return to_frame(rows, ModelEffect)
 
 
-def read_effects(table: pd.DataFrame, robot: Robot) -> tuple[Effect, ...]:
-    """Rebuild the effects of a table that `effect_table` wrote."""
+def read_effects(rows: Sequence[ModelEffect], robot: Robot) -> tuple[Effect, ...]:
+    """Rebuild the effects that `effect_table` wrote."""
     found: list[Effect] = []
-    for effect, part, variant in table.fillna("")[["effect", "part", "variant"]].itertuples(index=False):
-        whole = _kind(effect)(robot, **{name: _frozen(value) for name, value in json.loads(variant).items()})
-        found.append(Cause(robot, whole, part) if part else whole)
+    for row in rows:
+        whole = _kind(row.effect)(robot, **{name: _frozen(value) for name, value in json.loads(row.variant).items()})
+        found.append(Cause(robot, whole, row.part) if row.part else whole)
     return tuple(found)
 
 
 def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
-    """Return a row a series: what kind of observation it is, and all that makes it."""
-    rows = [(one.id, one.series.name, json.dumps(asdict(one))) for one in observed]
-    return pd.DataFrame(rows, columns=["kind", "series", "observation"])
+    """Return the table of `ModelObservation`s."""
+    rows = [
+        ModelObservation(kind=one.id, series=one.series.name, observation=json.dumps(asdict(one))) for one in observed
+    ]
+    return to_frame(rows, ModelObservation)
 
 
-def read_observations(table: pd.DataFrame) -> tuple[Observation, ...]:
-    """Rebuild the observations of a table that `observation_table` wrote."""
-    rows = table[["kind", "observation"]].astype(str).itertuples(index=False)
-    return tuple(TypeAdapter(observation_kinds()[kind]).validate_json(text) for kind, text in rows)
+def read_observations(rows: Sequence[ModelObservation]) -> tuple[Observation, ...]:
+    """Rebuild the observations that `observation_table` wrote."""
+    return tuple(TypeAdapter(observation_kinds()[row.kind]).validate_json(row.observation) for row in rows)
 
 
 def noise_table(
     noise: Noise, observed: Sequence[Observation], growth: tuple[float, float] | None = None
 ) -> pd.DataFrame:
-    """Return a row a series: the noise of a single row, and where it is from; growth is its floor [m] and slope [m/m]."""
+    """Return the table of `DeviceNoise`; growth is its floor [m] and slope [m/m]."""
     rows = []
     for k, (source, one) in enumerate(zip(noise.sources, observed, strict=True)):
         sigma, slope = growth or (float(np.sqrt(np.mean(noise.sigma[noise.of_series(k)] ** 2))), 0.0)
-        rows.append((one.series.name, one.id, source, 1e3 * sigma, 1e3 * slope))
-    return pd.DataFrame(rows, columns=["series", "kind", "source", "sigma_mm", "growth_mm_per_m"])
+        rows.append(
+            DeviceNoise(
+                series=one.series.name, kind=one.id, source=source, sigma_mm=1e3 * sigma, growth_mm_per_m=1e3 * slope
+            )
+        )
+    return to_frame(rows, DeviceNoise)
 
 
-def _read_noise(table: pd.DataFrame) -> tuple[SeriesNoise, ...]:
-    columns = (table["sigma_mm"].to_numpy(float), table["source"], table["growth_mm_per_m"].to_numpy(float))
-    return tuple(SeriesNoise(sigma / 1e3, source, growth / 1e3) for sigma, source, growth in zip(*columns, strict=True))
+def _read_noise(rows: Sequence[DeviceNoise]) -> tuple[SeriesNoise, ...]:
+    return tuple(SeriesNoise(row.sigma_mm / 1e3, row.source, row.growth_mm_per_m / 1e3) for row in rows)
 
 
-def placed(robot: Robot, tables: Tables) -> Robot:
+def placement_table(robot: Robot, observed: Sequence[Observation]) -> pd.DataFrame:
+    """Return the table of what is `Placed`: as the robot file says, or registered by the training data."""
+    source = ROBOT_FILE if robot.base.known else REGISTERED
+    known = [("base", robot.base.origin, robot.base.rotation)]
+    known += [(name, marker.point, NOT_TURNED) for name, marker in robot.markers.items()]
+    if robot.tool_rotation is not None:
+        known.append(("tool", (0.0, 0.0, 0.0), robot.tool_rotation))
+    placed = [(*place, source) for place in known]
+    placed += [(one.what, one.origin, one.rotation, REGISTERED) for own in observed for one in own.placements]
+    rows = []
+    for what, (x, y, z), turn, said in placed:
+        rx, ry, rz = (float(angle) for angle in np.rad2deg(turn))
+        rows.append(Placed(what=what, x_m=x, y_m=y, z_m=z, rx_deg=rx, ry_deg=ry, rz_deg=rz, source=said))
+    return to_frame(rows, Placed)
+
+
+def placed(robot: Robot, results: Results) -> Robot:
     """Return the robot with base and markers where identify's errors refer to."""
-    placement = tables["identify/placement.csv"].set_index("what")
-    if (placement["source"] == "robot file").all():
+    rows = results.rows("identify/placement.csv", Placed)
+    if all(row.source == ROBOT_FILE for row in rows):
         return robot
-    points = placement[["x_m", "y_m", "z_m"]].to_numpy(dtype=float)
-    at = {name: vector(point) for name, point in zip(placement.index, points, strict=True)}
-    base = Base(origin=at["base"], rotation=_angles(placement, "base"), known=False)
+    at = {row.what: vector((row.x_m, row.y_m, row.z_m)) for row in rows}
+    turn = {row.what: vector(np.deg2rad((row.rx_deg, row.ry_deg, row.rz_deg))) for row in rows}
+    base = Base(origin=at["base"], rotation=turn["base"], known=False)
     markers = {name: replace(marker, point=at[name]) for name, marker in robot.markers.items()}
-    tool = None if robot.tool_rotation is None else _angles(placement, "tool")
+    tool = None if robot.tool_rotation is None else turn["tool"]
     return replace(robot, base=base, markers=markers, tool_rotation=tool)
 
 
-def _read(stage: str, model: Model, tables: Tables) -> Identified:
-    parameters = tables[f"{stage}/parameters.csv"]
+def _read(stage: str, model: Model, results: Results) -> Identified:
+    parameters = results.tables[f"{stage}/parameters.csv"]
     names = [parameter.name for parameter in model.parameters]
     if names != list(parameters["parameter"]):
         raise refuse(f"{stage}/parameters.csv does not fit the study's robot and effects; run {stage} again")
-    summary = tables[f"{stage}/summary.csv"].set_index("item")["value"]
+    summary = results.document(f"{stage}/summary.json", FitSummary)
     return Identified(
         model,
         parameters["estimate"].to_numpy(dtype=float),
-        tables[f"{stage}/covariance.csv"].iloc[:, 1:].to_numpy(dtype=float),
+        results.tables[f"{stage}/covariance.csv"].iloc[:, 1:].to_numpy(dtype=float),
         parameters["at_bound"].to_numpy(dtype=bool),
-        _read_noise(tables[f"{stage}/noise.csv"]),
-        float(summary["discrepancy_mm"]) / 1e3,
-        float(summary.get("rotation_discrepancy_mrad", 0.0)) / 1e3,
-        summary["loss"],
+        _read_noise(results.rows(f"{stage}/noise.csv", DeviceNoise)),
+        summary.discrepancy_mm / 1e3,
+        (summary.rotation_discrepancy_mrad or 0.0) / 1e3,
+        summary.loss,
     )
 
 
@@ -215,7 +276,3 @@ def _kind(effect: str) -> type[Effect]:
 
 def _frozen(value: Any) -> Any:
     return tuple(map(_frozen, value)) if isinstance(value, list) else value
-
-
-def _angles(placement: pd.DataFrame, what: str) -> Vector:
-    return vector(np.deg2rad(placement.loc[[what], ["rx_deg", "ry_deg", "rz_deg"]].to_numpy(dtype=float)[0]))

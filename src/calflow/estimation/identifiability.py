@@ -1,16 +1,18 @@
-"""Identifiability in words: what the data determine, what trades against what, and what they say nothing about."""
+"""Identifiability: what the data determine, what trades against what, and what they say nothing about."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
 import pandas as pd
 from scipy.linalg import qr
 
 from calflow.estimation.fit import Fit
+from calflow.files.tables import column, to_frame, typed
 
 NULL = 1e-9  # singular values below this share of the largest are zero but for rounding
 KNOWN = 3.0  # a direction is determined where the data know it this many times better than the prior does
@@ -18,14 +20,55 @@ NAMED = 0.02  # share of a direction's largest coefficient from which a paramete
 STRONG_CORRELATION = 0.9
 
 
+@dataclass(frozen=True, kw_only=True)
+class Statement:
+    """Something that the data leave open."""
+
+    kind: Literal["silent", "trade", "bound", "correlated"] = column(
+        "a parameter of which the data say nothing or hardly anything, several of which only a combination is known, one on "
+        "a bound, a strongly correlated pair"
+    )
+    parameters: tuple[str, ...] = column("the names, the first one what the weights refer to")
+    statement: str = column("the same in words")
+    weights: tuple[float, ...] = column(
+        "of a trade: by how many prior sd each makes up for one of the first", default=()
+    )
+    wholly: bool = column(
+        "of silent, trade: the data say nothing at all, not merely less than the prior", default=False
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Correlation:
+    """A strongly correlated pair of parameters, the strongest first."""
+
+    first: str = column("a parameter")
+    second: str = column("another")
+    correlation: float = column("of the estimates, -1 to 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counted:
+    """A parameter of an effect that the study counts, and whether a model of so many parameters would keep it."""
+
+    effect: str = column("id of the effect")
+    parameter: str = column("its name")
+    kept: bool = column("whether it is among those that add most to what the data can tell")
+
+
 @dataclass(frozen=True)
 class Identifiability:
-    """How many directions the data determine, by effect and in all, and statements: kind, parameters, statement."""
+    """How many directions the data determine, by effect and in all, and what they leave open."""
 
     rank: int
     n_parameters: int
     rank_by_effect: Mapping[str, int]
-    statements: pd.DataFrame
+    left_open: tuple[Statement, ...]
+
+    @property
+    def statements(self) -> pd.DataFrame:
+        """What the data leave open, as a table."""
+        return to_frame(self.left_open, Statement)
 
 
 def identifiability(fit: Fit) -> Identifiability:
@@ -41,20 +84,18 @@ def identifiability(fit: Fit) -> Identifiability:
         *_directions(directions[null], names, null=True),
         *_directions(directions[weak], names, null=False),
     ]
-    told = {tuple(sorted(pair)) for row in rows for pair in combinations(row[1].split(";"), 2)}
+    told = {tuple(sorted(pair)) for row in rows for pair in combinations(row.parameters, 2)}
     for name, parameter, bound in zip(names, parameters, fit.at_bound, strict=True):
         if bound:
-            rows.append(("bound", name, f"{name} sits on a bound ({parameter.lower:g} to {parameter.upper:g} {parameter.unit}): "
-                         "its error is one-sided and no standard deviation is given"))  # fmt: skip
-    rows += [
-        (
-            "correlated",
-            f"{first};{second}",
-            f"{first} and {second} are correlated ({value:+.3f}): known better together than apart",
-        )
-        for first, second, value in correlations(fit).itertuples(index=False)
-        if tuple(sorted((first, second))) not in told
-    ]
+            said = (
+                f"{name} sits on a bound ({parameter.lower:g} to {parameter.upper:g} {parameter.unit}): its error is one-sided "
+                "and no standard deviation is given"
+            )
+            rows.append(Statement(kind="bound", parameters=(name,), statement=said))
+    for first, second, value in correlations(fit).itertuples(index=False):
+        if tuple(sorted((first, second))) not in told:
+            said = f"{first} and {second} are correlated ({value:+.3f}): known better together than apart"
+            rows.append(Statement(kind="correlated", parameters=(first, second), statement=said))
     effects = np.array([parameter.effect for parameter in parameters])
     ranks: dict[str, int] = {}
     seen = 0
@@ -62,8 +103,7 @@ def identifiability(fit: Fit) -> Identifiability:
         upto = np.isin(effects, [*ranks, effect])
         now = int((np.linalg.svd(scaled[:, upto], compute_uv=False) >= KNOWN).sum())
         ranks[effect], seen = now - seen, now
-    statements = pd.DataFrame(rows, columns=["kind", "parameters", "statement"])
-    return Identifiability(int((~null & ~weak).sum()), len(names), ranks, statements)
+    return Identifiability(int((~null & ~weak).sum()), len(names), ranks, tuple(rows))
 
 
 def correlations(fit: Fit) -> pd.DataFrame:
@@ -76,11 +116,12 @@ def correlations(fit: Fit) -> pd.DataFrame:
     strong = np.abs(matrix[i, j]) > STRONG_CORRELATION
     names = np.array([parameter.name for parameter in fit.model.parameters], dtype=object)
     table = pd.DataFrame({"first": names[i[strong]], "second": names[j[strong]], "correlation": matrix[i, j][strong]})
-    return table.sort_values("correlation", key=np.abs, ascending=False, kind="stable").reset_index(drop=True)
+    table = table.sort_values("correlation", key=np.abs, ascending=False, kind="stable").reset_index(drop=True)
+    return typed(table, Correlation)
 
 
 def best_subset(fit: Fit, count: Mapping[str, int]) -> pd.DataFrame:
-    """Return which parameters a smaller count a model would keep: effect, parameter, kept.
+    """Return which parameters a smaller count a model would keep.
 
     Effect by effect, the columns that add most to what is already kept come first (QR with column pivoting).
     """
@@ -95,31 +136,41 @@ def best_subset(fit: Fit, count: Mapping[str, int]) -> pd.DataFrame:
             block = block - basis @ (basis.T @ block)
         order = qr(block, mode="economic", pivoting=True)[2]
         kept[own[order[:number]]] = True
-    return pd.DataFrame(
-        {"effect": p.effect, "parameter": p.name, "kept": bool(keep)}
-        for p, keep in zip(fit.model.parameters, kept, strict=True)
-        if p.effect in count
-    )
+    both = zip(fit.model.parameters, kept, strict=True)
+    rows = [Counted(effect=p.effect, parameter=p.name, kept=bool(keep)) for p, keep in both if p.effect in count]
+    return to_frame(rows, Counted)
 
 
 def _scaled(fit: Fit) -> np.ndarray:
     return fit.r_factor * fit.model.prior_sd
 
 
-def _directions(basis: np.ndarray, names: list[str], null: bool) -> list[tuple[str, str, str]]:
-    """Put a subspace into words, each direction with as few parameters as elimination leaves."""
+def _directions(basis: np.ndarray, names: list[str], null: bool) -> list[Statement]:
+    """State a subspace, each direction with as few parameters as elimination leaves."""
     rows = []
     for direction in _echelon(basis):
         named = [(names[k], direction[k]) for k in np.argsort(-np.abs(direction)) if abs(direction[k]) > NAMED]
-        parts = ";".join(name for name, _ in named)
+        own = tuple(name for name, _ in named)
+        weights = tuple(float(value / named[0][1]) for _, value in named)
         if len(named) == 1:
-            say = "nothing" if null else "hardly anything"
-            rows.append(("silent", parts, f"the data say {say} about {named[0][0]}; its value is the prior's"))
+            said = silent_words(own[0], null)
+            rows.append(Statement(kind="silent", parameters=own, statement=said, wholly=null))
         else:
-            others = ", ".join(f"{name} ({value / named[0][1]:+.2g})" for name, value in named[1:])
-            tail = "only their combination is known" if null else "the data hardly tell them apart"
-            rows.append(("trade", parts, f"{named[0][0]} trades against {others}: {tail}"))
+            said = trade_words(own, weights, null)
+            rows.append(Statement(kind="trade", parameters=own, statement=said, weights=weights, wholly=null))
     return rows
+
+
+def silent_words(name: str, wholly: bool) -> str:
+    """Say that the data are silent on a parameter."""
+    return f"the data say {'nothing' if wholly else 'hardly anything'} about {name}; its value is the prior's"
+
+
+def trade_words(names: Sequence[str], weights: Sequence[float], wholly: bool) -> str:
+    """Say which parameters trade against the first, and by how much."""
+    others = ", ".join(f"{name} ({weight:+.2g})" for name, weight in zip(names[1:], weights[1:], strict=True))
+    tail = "only their combination is known" if wholly else "the data hardly tell them apart"
+    return f"{names[0]} trades against {others}: {tail}"
 
 
 def _echelon(basis: np.ndarray) -> np.ndarray:

@@ -2,12 +2,49 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import pandas as pd
 
 from calflow.estimation.fit import Fit
+from calflow.files.tables import column, typed
+
+UNIT = "as `unit` says"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedParameter:
+    """A parameter of a fitted model: what was found, and how far the data say so."""
+
+    parameter: str = column("its name, unique in the model")
+    effect: str = column("id of its effect")
+    variant: str = column("the effect's variant")
+    part: str = column("the part of the robot that it belongs to")
+    symbol: str = column("what it is of that part")
+    joint: int | None = column("number of its joint or link")
+    unit: str = column("of the figures in this row (SI)")
+    nominal: float = column("its value where the effect is absent", UNIT)
+    estimate: float = column("what the fit found", UNIT)
+    sd: float = column("standard deviation of the estimate; empty at a bound", UNIT)
+    lower: float = column("the least that is allowed", UNIT)
+    upper: float = column("the most that is allowed", UNIT)
+    at_bound: bool = column("whether the estimate sits on a bound")
+    prior_share: float = column("share of the estimate's variance that is the prior's; 1: the data say nothing")
+    figure: float = column("the maker's figure that the parameter's value is added to", UNIT)
+    calibrated: float = column("figure + estimate", UNIT)
+    meaning: str = column("what it is, in words")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Covariances:
+    """A row of the estimate's covariance."""
+
+    parameter: str = column("the row's parameter")
+    of: Mapping[str, float] = column(
+        "covariance with the column's parameter", "the units' product (SI)", name="{parameter}"
+    )
 
 
 def parameter_table(result: Fit) -> pd.DataFrame:
@@ -17,13 +54,14 @@ def parameter_table(result: Fit) -> pd.DataFrame:
     alone = np.diag(np.linalg.inv(_scaled_information(result)))  # a parameter at a bound: what it would have off it
     share = np.where(free, variance / result.model.prior_sd**2, alone)
     table = pd.DataFrame(asdict(parameter) for parameter in result.model.parameters)
-    return pd.DataFrame(
+    made = pd.DataFrame(
         {
             "parameter": [parameter.name for parameter in result.model.parameters],
             "effect": table["effect"],
             "variant": table["variant"],
             "part": table["part"],
             "symbol": table["symbol"],
+            "joint": table["joint"].where(table["joint"] > 0).astype("Int64"),
             "unit": table["unit"],
             "nominal": table["nominal"],
             "estimate": result.estimate,
@@ -37,6 +75,7 @@ def parameter_table(result: Fit) -> pd.DataFrame:
             "meaning": table["meaning"],
         }
     )
+    return typed(made, FittedParameter)
 
 
 def _scaled_information(result: Fit) -> np.ndarray:
@@ -48,4 +87,4 @@ def covariance_table(result: Fit) -> pd.DataFrame:
     names = [parameter.name for parameter in result.model.parameters]
     table = pd.DataFrame(result.covariance, columns=names)
     table.insert(0, "parameter", names)
-    return table
+    return typed(table, Covariances)

@@ -10,13 +10,14 @@ from functools import lru_cache
 import numpy as np
 import pandas as pd
 
-from calflow.faults.base import COLUMNS, Check, Correction, Fault, correct
+from calflow.faults.base import Check, Correction, Fault, FaultyRow, correct
 from calflow.faults.elsewhere import gross_rows, is_position
 from calflow.faults.reference import Models, Reference
 from calflow.files.problems import refuse
+from calflow.files.tables import to_frame
 from calflow.measurements.measurements import Measurements
 
-__all__ = ["Check", "Correction", "Fault", "as_table", "checks", "corrected", "search"]
+__all__ = ["Check", "Correction", "Fault", "FaultyRow", "as_table", "checks", "corrected", "search"]
 
 
 @lru_cache
@@ -65,7 +66,7 @@ def _of_positions(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
 def as_table(faults: Sequence[Fault], data: Measurements) -> pd.DataFrame:
     """Return identify/faults.csv: a row a faulty line of the file, or one without a line for a whole column."""
     if not faults:
-        return pd.DataFrame(columns=COLUMNS)
+        return to_frame((), FaultyRow)
     return pd.concat([fault.table(data) for fault in faults], ignore_index=True)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.faults.reference import Reference
+from calflow.files.tables import column, typed
 from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.sequence import IN_ORDER, approach_and_travel
@@ -18,7 +19,23 @@ from calflow.measurements.sequence import IN_ORDER, approach_and_travel
 Action = Literal["corrected", "left out"]
 POSITION = "position"  # the quantity x, y, z
 OF_DEVICE = ("x", "y", "z", "rx", "ry", "rz", "qw", "qx", "qy", "qz", "sigma", "sigma_rotation", "range")
-COLUMNS = ("cause", "joint", "line", "pose", "action", "statement", "row", "quantity", "factor", "offset", "source")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaultyRow:
+    """A line of the measurement file that is at fault, or a whole column, and what was done about it."""
+
+    cause: str = column("id of the fault")
+    joint: int = column("number of the joint; 0: none")
+    line: int | None = column("line of the file; empty: the whole column")
+    pose: str = column("as in the measurements", default="")
+    action: Literal["corrected", "left out"] = column("what was done")
+    statement: str = column("what is wrong, in words")
+    row: int = column("number of the row, from 1; 0: every row")
+    quantity: str = column("what was corrected: position, or a measured quantity; empty: nothing", default="")
+    factor: float = column("what the quantity was multiplied by", default=1.0)
+    offset: float = column("what was then added to it", "SI", default=0.0)
+    source: int = column("the row whose measured values stand there now; 0: its own", default=0)
 
 
 @dataclass(frozen=True)
@@ -60,7 +77,7 @@ class Fault:
         rows = [correction.row for correction in self.corrections]
         there = data.table.iloc[[max(row, 1) - 1 for row in rows]]
         labels = there[["line", "pose"]].astype(object).to_numpy()
-        return pd.DataFrame(
+        made = pd.DataFrame(
             {
                 "cause": self.cause,
                 "joint": self.joint,
@@ -71,9 +88,9 @@ class Fault:
                 "action": self.action,
                 "statement": self.statement,
                 **pd.DataFrame([asdict(correction) for correction in self.corrections]).to_dict("series"),
-            },
-            columns=COLUMNS,
+            }
         )
+        return typed(made, FaultyRow)
 
 
 class Check(ABC):

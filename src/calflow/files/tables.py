@@ -1,9 +1,237 @@
-"""Tables: what a run keeps as CSV, by their path in the run folder."""
+"""Tables: what a run keeps as CSV, each declared once as the dataclass of its row.
+
+    @dataclass(frozen=True, kw_only=True)
+    class Correlation:
+        "A strongly correlated pair of parameters."
+        first: str = column("a parameter")
+        correlation: float = column("of the estimates, -1 to 1")
+
+A field's type is its column's: `str`, `int`, `float`, `bool`, a `Literal` of texts, `T | None` where cells may be empty, a
+`tuple[T, ...]` for a list in a cell. A `Mapping[str, T]` stands for the columns of a pattern, such as `q{joint}_{deg|mm}`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from functools import lru_cache
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import pandas as pd
 
+from calflow.files.problems import refuse
+
 Tables = Mapping[str, pd.DataFrame]
+Row = TypeVar("Row")
+
+FRICTIONLESS = {str: "string", int: "integer", float: "number", bool: "boolean"}  # datapackage.org, Table Schema 2
+PROFILE = "https://datapackage.org/profiles/2.0/tableschema.json"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column, or with braces in its name a pattern of columns: its field, type, unit and meaning.
+
+    many: a cell holds a list, with separator between its items; gaps: a cell may be empty; choices: what a text may be.
+    """
+
+    field: str
+    name: str
+    kind: type
+    meaning: str
+    unit: str
+    many: bool
+    gaps: bool
+    separator: str
+    choices: tuple[str, ...]
+
+    @property
+    def is_pattern(self) -> bool:
+        """Whether it stands for any number of columns."""
+        return "{" in self.name
+
+    def matches(self, name: str) -> bool:
+        """Whether a column of this name is meant: `{a|b}` is a or b, `{word}` any text."""
+        return re.fullmatch(_expression(self.name), name) is not None
+
+    def described(self, name: str) -> dict[str, Any]:
+        """Return a column of this name as a field of a Frictionless Table Schema."""
+        kind = FRICTIONLESS[self.kind]
+        said: dict[str, Any] = {"name": name, "type": "list" if self.many else kind, "description": self.meaning}
+        if self.many:
+            said |= {"delimiter": self.separator, "itemType": kind}
+        if self.unit:
+            said["unit"] = self.unit
+        if self.choices:
+            said["constraints"] = {"enum": list(self.choices)}
+        return said
+
+
+def column(meaning: str, unit: str = "", *, name: str = "", separator: str = ";", default: Any = MISSING) -> Any:
+    """Declare a field of a row as a column.
+
+    Args:
+        meaning: what it holds, in a few words.
+        unit: of its values; none where they have none.
+        name: the column's name, or pattern, where it is not the field's.
+        separator: between the items of a list.
+        default: of rows that are made without it.
+    """
+    told = {"meaning": meaning, "unit": unit, "name": name, "separator": separator}
+    return field(default=default, metadata={"column": told})
+
+
+def columns(row_type: type) -> tuple[Column, ...]:
+    """Return the columns that a row's dataclass declares, in order."""
+    return _columns(row_type)
+
+
+@lru_cache
+def _columns(row_type: Hashable) -> tuple[Column, ...]:
+    assert isinstance(row_type, type)
+    hints = get_type_hints(row_type)
+    found = []
+    for one in fields(row_type):
+        told = one.metadata["column"]
+        kind, many, gaps, choices = _kind(hints[one.name])
+        name = told["name"] or one.name
+        found.append(
+            Column(one.name, name, kind, told["meaning"], told["unit"], many, gaps, told["separator"], choices)
+        )
+    return tuple(found)
+
+
+def to_frame(rows: Iterable[Row], row_type: type[Row]) -> pd.DataFrame:
+    """Return rows as a table: columns in the order declared, with their types; without rows, a header."""
+    rows = list(rows)
+    made: dict[str, list[Any]] = {}
+    for one in columns(row_type):
+        values = [getattr(row, one.field) for row in rows]
+        if one.is_pattern:
+            made |= {name: [value[name] for value in values] for name in dict.fromkeys(n for v in values for n in v)}
+        else:
+            made[one.name] = values
+    return typed(pd.DataFrame(made, dtype=object), row_type)
+
+
+def typed(frame: pd.DataFrame, row_type: type) -> pd.DataFrame:
+    """Return a table that was made by columns as its row's type declares it: order, types, nothing missing or undeclared.
+
+    Raises:
+        TypeError: a declared column is missing, or one is not declared.
+    """
+    found = _found(frame, row_type)
+    missing, extra = _missing(found, row_type), set(frame) - set(found)
+    if missing or extra:
+        raise TypeError(f"{row_type.__name__}: missing {missing}, not declared {sorted(map(str, extra))}")
+    return pd.DataFrame({name: _stored(frame[name], one) for name, one in found.items()}, index=frame.index)
+
+
+def from_frame(frame: pd.DataFrame, row_type: type[Row]) -> list[Row]:
+    """Return a table's rows as values: an empty cell is None where there may be gaps, nan in a number, "" in a text.
+
+    Raises:
+        InputError: a column is missing, or holds what is not of its type.
+    """
+    found = _found(frame, row_type)
+    if missing := _missing(found, row_type):
+        raise refuse(f"a table of calflow lacks columns: {', '.join(missing)}; run the study again")
+    try:
+        cells = {name: [_value(cell, one) for cell in frame[name]] for name, one in found.items()}
+    except (TypeError, ValueError) as error:
+        raise refuse(f"a table of calflow was changed: {error}; run the study again") from None
+    single = {one.field: cells[name] for name, one in found.items() if not one.is_pattern}
+    several = [one for one in columns(row_type) if one.is_pattern]
+    rows = []
+    for k in range(len(frame)):
+        values: dict[str, Any] = {name: own[k] for name, own in single.items()}
+        for pattern in several:
+            values[pattern.field] = {name: cells[name][k] for name, one in found.items() if one is pattern}
+        rows.append(row_type(**values))
+    return rows
+
+
+def schema(frame: pd.DataFrame, row_type: type) -> dict[str, Any]:
+    """Return a table's Frictionless Table Schema: name, type, description and unit of each column."""
+    described = [one.described(name) for name, one in _found(frame, row_type).items()]
+    return {"$schema": PROFILE, "fields": described, "missingValues": [""]}
+
+
+def _found(frame: pd.DataFrame, row_type: type) -> dict[str, Column]:
+    """Return a table's declared columns by name, in the order declared."""
+    declared = columns(row_type)
+    own = {one.name for one in declared}
+    found: dict[str, Column] = {}
+    for one in declared:
+        if one.is_pattern:
+            names = map(str, frame.columns)
+            found |= {name: one for name in names if name not in own | set(found) and one.matches(name)}
+        elif one.name in frame:
+            found[one.name] = one
+    return found
+
+
+def _missing(found: Mapping[str, Column], row_type: type) -> list[str]:
+    return [one.name for one in columns(row_type) if not one.is_pattern and one.name not in found]
+
+
+@lru_cache
+def _expression(pattern: str) -> str:
+    pieces = re.split(r"(\{[^}]*\})", pattern)
+    return "".join(
+        (f"(?:{piece[1:-1]})" if "|" in piece else ".+") if piece.startswith("{") else re.escape(piece)
+        for piece in pieces
+    )
+
+
+def _kind(hint: Any) -> tuple[type, bool, bool, tuple[str, ...]]:
+    """Return an item's type, whether a cell holds many, whether it may be empty, and what a text may be."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        (hint,) = (one for one in inner if one is not NoneType)
+        kind, many, _, choices = _kind(hint)
+        return kind, many, True, choices
+    if origin is tuple:
+        return inner[0], True, False, ()
+    if origin is dict:
+        return dict, False, False, ()
+    if origin is Literal:
+        return str, False, False, inner
+    return (_kind(inner[1])[0] if inner else hint), False, False, ()
+
+
+def _stored(cells: pd.Series, one: Column) -> pd.Series:
+    if one.many:
+        return cells.map(lambda items: one.separator.join(map(_item, items))).astype(object)
+    if one.kind is str:
+        return cells.astype(object).where(cells.notna(), "")
+    if one.kind is float:
+        return cells.astype(float)
+    if one.gaps:
+        return cells.astype("Int64")
+    return cells.astype(one.kind)
+
+
+def _item(value: Any) -> str:
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
+def _value(cell: Any, one: Column) -> Any:
+    empty = bool(pd.isna(cell)) or cell == ""
+    if one.many:
+        items: Sequence[str] = [] if empty else _text(cell).split(one.separator)
+        return tuple(one.kind(item.strip()) for item in items)
+    if empty and one.gaps:
+        return None
+    if one.kind is str:
+        return "" if empty else _text(cell)
+    if one.kind is bool and isinstance(cell, str):
+        return {"True": True, "False": False}[cell]
+    return float("nan") if empty and one.kind is float else one.kind(cell)
+
+
+def _text(cell: Any) -> str:
+    """Return a cell as text: a column of whole numbers and gaps is read as floats."""
+    return f"{cell:.0f}" if isinstance(cell, float) and cell.is_integer() else str(cell)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calflow.report.material import Material
+from calflow.sampling.chain_summary import ChainSummary
 from calflow.sampling.posterior import Posterior
 from calflow.stages.sample import posterior_of
 
@@ -29,8 +30,8 @@ class Chain:
         import h5py
 
         posterior, _ = posterior_of(material.sampled[0], material.data)
-        summary = material.tables["sample/summary.csv"].set_index("item")["value"]
-        steps, discard = int(summary["steps"]), int(summary["burn_in_steps"])
+        summary = material.results.document("sample/summary.json", ChainSummary)
+        steps, discard = summary.steps, summary.burn_in_steps
         stride = -(-steps // SHOWN_STEPS)
         with h5py.File(path, "r") as file:
             names = sorted(file, key=lambda name: (len(name), name))

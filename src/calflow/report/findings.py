@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import pandas as pd
-
+from calflow.diagnosis.findings.tables import FindingRow
 from calflow.effects import catalogue
 from calflow.effects.base import Words
-from calflow.files.tables import Tables
+from calflow.files.results import Results
 from calflow.report.words import effect_words, listed, number, percent, with_sd
 
 TOLD = ("named", "one_of")  # statuses of what is in the extended model, or in its noise
 CERTAIN = 0.99  # probability beyond which only this is said
+PLACE = {"x", "y", "z"}  # inputs that say where the tool is
+OTHER_INPUTS = {*PLACE, "order", "time"}  # than joints
 SMALL = 1e-6  # chance below which only this is said
 
 
@@ -58,7 +58,7 @@ class Found:
     left: float
     rivals: tuple[Alternative, ...]
     alike: tuple[str, ...]
-    statement: str
+    depends_on: tuple[str, ...]
     order: int
 
     @property
@@ -109,44 +109,39 @@ class Found:
     @property
     def inputs(self) -> str:
         """What something unexplained depends on, in words."""
-        stated = self.statement.removeprefix("depends on ").partition(";")[0]
-        names = re.sub(r"\(.*\)", "", stated).replace(" and ", " ").split()
-        joints = [name[1:] for name in names if re.fullmatch(r"q\d+", name)]
-        if names and len(joints) == len(names):
+        joints = [name[1:] for name in self.depends_on if name not in OTHER_INPUTS]
+        if len(joints) == len(self.depends_on):
             return f"the {'angle of joint' if len(joints) == 1 else 'angles of joints'} {listed(joints)}"
-        if {"x", "y", "z"} <= set(names):
+        if set(self.depends_on) >= PLACE:
             return "where the tool is (x, y and z)"
-        if "order" in names:
-            return f"when it was measured ({self.detail})" if self.detail else "when it was measured"
-        return stated if "time" not in names else f"the time{f' ({self.detail})' if self.detail else ''}"
+        detail = f" ({self.detail})" if self.detail else ""
+        return f"when it was measured{detail}" if "order" in self.depends_on else f"the time{detail}"
 
 
-def findings(tables: Tables) -> list[Found]:
+def findings(results: Results) -> list[Found]:
     """Return the rows of findings.csv, none where nothing was diagnosed."""
-    if "diagnose/findings.csv" not in tables:
+    if "diagnose/findings.csv" not in results:
         return []
     found: list[Found] = []
-    for row in tables["diagnose/findings.csv"].to_dict("records"):
-        order = sum(other.told for other in found) + 1 if row["status"] in TOLD else 0
-        rivals = tuple(named(name) for name in _text(row["rivals"]).split("; ") if name)
-        alike = tuple(name for name in _text(row["cannot_tell_from"]).split(";") if name)
-        gain, low, high = (_figure(row[f"gain_{name}_mm"]) for name in ("mean", "low", "high"))
+    for row in results.rows("diagnose/findings.csv", FindingRow):
+        order = sum(other.told for other in found) + 1 if row.status in TOLD else 0
+        rivals = zip(row.rival_causes, row.rival_joints, strict=True)
         found.append(
             Found(
-                status=_text(row["status"]),
-                cause=_text(row["cause"]),
-                joint=_joint(row["joint"]),
-                detail=_text(row["detail"]),
-                estimate=_figure(row["estimate"]),
-                sd=_figure(row["sd"]),
-                unit=_text(row["unit"]),
-                p=_figure(row["p_family"]),
-                probability=_figure(row["probability"]),
-                gain=(gain, low, high),
-                left=_figure(row["heldout_mean_mm"]),
-                rivals=rivals,
-                alike=alike,
-                statement=_text(row["statement"]),
+                status=row.status,
+                cause=row.cause,
+                joint=row.joint or 0,
+                detail=row.detail,
+                estimate=row.estimate,
+                sd=row.sd,
+                unit=row.unit,
+                p=row.p_family,
+                probability=row.probability,
+                gain=(row.gain_mean_mm, row.gain_low_mm, row.gain_high_mm),
+                left=row.heldout_mean_mm,
+                rivals=tuple(Alternative(cause, joint) for cause, joint in rivals),
+                alike=row.cannot_tell_from,
+                depends_on=row.inputs,
                 order=order,
             )
         )
@@ -161,25 +156,17 @@ def cause_name(cause: str, joint: int = 0, part: str = "") -> str:
     return f"{name} ({part})" if part else name
 
 
-def step_words(step: str) -> str:
-    """Return what a step of accuracy.csv adds in words: an effect's id, or a cause's with its part and detail."""
-    cause, _, rest = step.partition(" ")
-    part = rest.partition(" (")[0]
-    return place_name(cause, part) if part else effect_words(step)
-
-
-def place_name(cause: str, part: str) -> str:
-    """Return a cause's name with its place, from the part of the robot that it belongs to."""
-    place = re.fullmatch(r"(joint|link)(\d+)", part)
+def place_name(cause: str, joint: int, part: str) -> str:
+    """Return a cause's name with its place, from its joint or link (0 for none) and the part that it belongs to."""
     kind = catalogue().get(cause)
-    return cause_name(cause, int(place[2]) if place else 0, "" if place or (kind and kind.whole == part) else part)
+    return cause_name(cause, joint, "" if joint or (kind and kind.whole == part) else part)
 
 
-def place_names(cause: str, parts: Sequence[str]) -> str:
-    """Return a cause's name with all its places."""
-    numbered = [place[2] for part in parts if (place := re.fullmatch(r"(joint|link)(\d+)", part))]
-    if len(numbered) < 2 or len(numbered) < len(parts):
-        return listed([place_name(cause, part) for part in parts])
+def place_names(cause: str, places: Sequence[tuple[int, str]]) -> str:
+    """Return a cause's name with all its places, each a joint or link (0 for none) and a part."""
+    numbered = [joint for joint, _ in places if joint]
+    if len(numbered) < 2 or len(numbered) < len(places):
+        return listed([place_name(cause, joint, part) for joint, part in places])
     return f"{cause_words(cause).name} of {_place_word(cause)}s {listed(numbered)}"
 
 
@@ -237,33 +224,6 @@ def sureness(probability: float) -> str:
     return f"> {percent(CERTAIN)}" if probability > CERTAIN else percent(probability)
 
 
-def named_ids(text: str) -> str:
-    """Return a text with the ids of causes replaced by their names."""
-    known: Sequence[str] = sorted(catalogue(), key=len, reverse=True)
-    return re.sub(rf"\b({'|'.join(map(re.escape, known))})\b", lambda match: cause_words(match[1]).name, text)
-
-
 def _family(cause: str) -> str:
     kind = catalogue().get(cause)
     return kind.family if kind else ""
-
-
-def named(text: str) -> Alternative:
-    """Read a cause with its joint, as tables name it."""
-    cause, _, joint = text.partition(" ")
-    return Alternative(cause, int(joint) if joint.isdecimal() else 0)
-
-
-def _text(value: object) -> str:
-    """Return a cell as text; a CSV column of numbers and gaps comes back as floats."""
-    if pd.isna(value):  # type: ignore[call-overload]
-        return ""
-    return f"{value:.0f}" if isinstance(value, float) and value.is_integer() else str(value)
-
-
-def _figure(value: object) -> float:
-    return float("nan") if pd.isna(value) else float(value)  # type: ignore[call-overload, arg-type]
-
-
-def _joint(value: object) -> int:
-    return 0 if pd.isna(value) else int(value)  # type: ignore[call-overload]

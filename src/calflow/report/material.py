@@ -1,4 +1,4 @@
-"""What the sections are written from: the study, its measurements and the tables, with what is derived from them."""
+"""What the sections are written from: the study, its measurements and the results, with what is derived from them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ import numpy as np
 import pandas as pd
 
 from calflow.effects.cause import Cause
-from calflow.estimation.accuracy import distances
+from calflow.estimation.accuracy import Accuracy, distances
 from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
+from calflow.estimation.fit_summary import FitSummary
 from calflow.faults import corrected
-from calflow.files.tables import Tables
+from calflow.files.results import Results
+from calflow.files.tables import Tables, from_frame
 from calflow.measurements.measurements import Measurements
-from calflow.report.findings import step_words
+from calflow.report.findings import place_name
 from calflow.report.words import effect_words
 from calflow.study import Study
 
@@ -24,33 +26,44 @@ MEAN_OF_NOISE = float(np.sqrt(8 / np.pi))  # mean length of a vector of three un
 
 @dataclass(frozen=True)
 class ModelAccuracy:
-    """A model's accuracy on one split [mm]; label says what the model has more than the one before."""
+    """A model's accuracy on one split [mm]; name says what it is, or what it has more than the one before (added)."""
 
     model: str
-    label: str
+    name: str
     n: int
     mean: float
     rms: float
     max: float
+    added: bool = False
+
+    @property
+    def label(self) -> str:
+        """The name, with a plus where it is what was added."""
+        return f"+ {self.name}" if self.added else self.name
 
 
 @dataclass(frozen=True)
 class Material:
-    """Study, measurements without the rows that are left out, the best model that was found, and all tables."""
+    """Study, measurements without the rows that are left out, the best model that was found, and all results."""
 
     study: Study
     data: Measurements
     known: Identified
-    tables: Tables
+    results: Results
     run_folder: Path
 
     @staticmethod
-    def of(study: Study, tables: Tables, run_folder: Path) -> Material:
+    def of(study: Study, results: Results, run_folder: Path) -> Material:
         """Read the measurements and rebuild the fitted model."""
-        data = corrected(study.measurements(), tables["identify/faults.csv"])
-        known = calibrated(study.robot, tables, data.given)
+        data = corrected(study.measurements(), results.tables["identify/faults.csv"])
+        known = calibrated(study.robot, results, data.given)
         used = data.only(data.train | data.held_out)
-        return Material(study, used.on(known.model.robot), known, tables, run_folder)
+        return Material(study, used.on(known.model.robot), known, results, run_folder)
+
+    @property
+    def tables(self) -> Tables:
+        """All tables by their path in the run folder."""
+        return self.results.tables
 
     @cached_property
     def sampled(self) -> tuple[Identified, tuple[Cause, ...]]:
@@ -75,7 +88,7 @@ class Material:
     @cached_property
     def error(self) -> np.ndarray:
         """Predicted minus measured positions, shape (n_rows, 3) [mm]."""
-        return _errors(latest(self.tables, "residuals"))
+        return _errors(latest(self.results, "residuals"))
 
     @property
     def error_before(self) -> np.ndarray:
@@ -112,10 +125,16 @@ def _errors(residuals: pd.DataFrame) -> np.ndarray:
     return residuals.loc[used, ["dx_mm", "dy_mm", "dz_mm"]].to_numpy(dtype=float)
 
 
-def latest(tables: Tables, name: str) -> pd.DataFrame:
+def latest(results: Results, name: str) -> pd.DataFrame:
     """Return a table of the best model there is: diagnose's, which has the causes that were found, else identify's."""
     extended = f"diagnose/{name}.csv"
-    return tables[extended] if extended in tables else tables[f"identify/{name}.csv"]
+    return results.tables[extended] if extended in results else results.tables[f"identify/{name}.csv"]
+
+
+def latest_summary(results: Results) -> FitSummary:
+    """Return the summary of the best model there is."""
+    extended = "diagnose/summary.json"
+    return results.document(extended if extended in results else "identify/summary.json", FitSummary)
 
 
 def split_judged(accuracy: pd.DataFrame) -> str:
@@ -125,36 +144,19 @@ def split_judged(accuracy: pd.DataFrame) -> str:
 
 def steps(accuracy: pd.DataFrame, split: str) -> list[ModelAccuracy]:
     """Return the models of accuracy.csv in their order."""
-    rows = accuracy[accuracy["split"] == split]
-    found: list[ModelAccuracy] = []
-    for row in rows.to_dict("records"):
-        label = _label(row["model"], found[-1].model if found else "")
-        found.append(ModelAccuracy(row["model"], label, row["n"], row["mean_mm"], row["rms_mm"], row["max_mm"]))
-    return found
+    rows = [row for row in from_frame(accuracy, Accuracy) if row.split == split]
+    return [
+        ModelAccuracy(row.model, _name(row), row.n, row.mean_mm, row.rms_mm, row.max_mm, row.step > 1) for row in rows
+    ]
 
 
 def gathered(found: list[ModelAccuracy], own: int) -> list[ModelAccuracy]:
     """Return steps of which the first are the study's own and the others, if there are several, are drawn together."""
     added = len(found) - own
-    return found if added < 2 else [*found[:own], replace(found[-1], label=f"+ {added} causes")]
+    return found if added < 2 else [*found[:own], replace(found[-1], name=f"{added} causes", added=True)]
 
 
-def item(summary: pd.DataFrame, name: str) -> str:
-    """Return an item of a summary table as text, or '' where it is not there."""
-    found = summary.loc[summary["item"] == name, "value"]
-    return str(found.iloc[0]) if len(found) else ""
-
-
-def lack_of_fit(summary: pd.DataFrame) -> float:
-    """Return how many times the noise the model leaves; nan where the noise was estimated from the fit itself."""
-    if item(summary, "noise_source") == "estimated":
-        return float("nan")
-    return float(np.sqrt(float(item(summary, "reduced_chi2"))))
-
-
-def _label(model: str, before: str) -> str:
-    if model == "nominal":
+def _name(row: Accuracy) -> str:
+    if not row.effect:
         return "nominal robot"
-    if before and model.startswith(f"{before} + "):
-        return f"+ {step_words(model[len(before) + 3 :])}"
-    return effect_words(model)
+    return place_name(row.effect, row.joint or 0, row.part) if row.part else effect_words(row.effect)

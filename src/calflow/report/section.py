@@ -7,7 +7,7 @@ import pkgutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from calflow.files.tables import Tables
+from calflow.files.results import Results
 from calflow.report.document import Block
 from calflow.report.material import Material
 
@@ -23,14 +23,14 @@ class Advice:
     sentence: str
 
 
-Rule = Callable[[Tables], list[Advice]]
+Rule = Callable[[Results], list[Advice]]
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report: where it stands, the tables it cannot do without, how it is written, what it advises.
+    """A part of the report: where it stands, the tables and documents it cannot do without, how it is written, what it advises.
 
-    rules turn tables into advice for the first page; they apply where the section's tables are there. worth_telling says
+    rules turn them into advice for the first page; they apply where they are there. worth_telling says
     whether the section has anything to say.
     """
 
@@ -39,7 +39,7 @@ class Section:
     needs: tuple[str, ...]
     write: Callable[[Material], list[Block]]
     rules: tuple[Rule, ...] = ()
-    worth_telling: Callable[[Tables], bool] = lambda tables: True
+    worth_telling: Callable[[Results], bool] = lambda results: True
 
 
 def sections() -> list[Section]:
@@ -54,17 +54,15 @@ def sections() -> list[Section]:
 
 def chosen(every: Sequence[Section], material: Material) -> list[Section]:
     """Return the sections whose tables are there and hold something to tell."""
-    tables = material.tables
-    return [section for section in every if set(section.needs) <= set(tables) and section.worth_telling(tables)]
+    results = material.results
+    return [section for section in every if _served(section, results) and section.worth_telling(results)]
 
 
-def advice(every: Sequence[Section], tables: Tables) -> list[Advice]:
+def advice(every: Sequence[Section], results: Results) -> list[Advice]:
     """Return what all sections advise, the most urgent first."""
-    found = [
-        item
-        for section in every
-        if set(section.needs) <= set(tables)
-        for rule in section.rules
-        for item in rule(tables)
-    ]
+    found = [item for section in every if _served(section, results) for rule in section.rules for item in rule(results)]
     return sorted(found, key=lambda item: item.urgency)
+
+
+def _served(section: Section, results: Results) -> bool:
+    return all(path in results for path in section.needs)

@@ -81,6 +81,11 @@ def plural(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def first_up(text: str) -> str:
+    """Return a text with its first letter as a sentence begins."""
+    return text[:1].upper() + text[1:]
+
+
 def effect_words(effect: str) -> str:
     """Return an effect's or a model's id as words."""
     return effect.replace("-", " ")

@@ -18,8 +18,11 @@ from typing import Any, Protocol
 
 import pandas as pd
 
+from calflow.files.documents import Documents
 from calflow.files.plugins import packages
 from calflow.files.problems import InputError, nearest, refuse, together
+from calflow.files.results import Results
+from calflow.files.tables import Tables, schema
 from calflow.files.toml import Origin
 from calflow.measurements.reading import sha256
 from calflow.robot.robot import Robot
@@ -86,10 +89,20 @@ class PlannedStage:
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run: its folder, and every table by its path in it."""
+    """A finished run: its folder, and every table and document by its path in it."""
 
     folder: Path
-    tables: dict[str, pd.DataFrame] = field(repr=False)
+    results: Results = field(repr=False)
+
+    @property
+    def tables(self) -> Tables:
+        """Every table by its path."""
+        return self.results.tables
+
+    @property
+    def documents(self) -> Documents:
+        """Every document (JSON) by its path."""
+        return self.results.documents
 
 
 def stages_of(study: Study) -> list[Stage]:
@@ -187,7 +200,7 @@ def run(
     folder.mkdir(parents=True, exist_ok=True)
     with _locked(folder):
         _keep_inputs(study, folder)
-        tables: dict[str, pd.DataFrame] = {}
+        results = Results()
         for step in steps:
             if step.reuse:
                 listener.reuse(step.stage, step.reason)
@@ -195,10 +208,10 @@ def run(
             else:
                 listener.start(step.stage, step.reason)
                 started = time.monotonic()
-                _execute(study, folder, step, settings[step.stage.name], tables, listener)
+                _execute(study, folder, step, settings[step.stage.name], results, listener)
                 listener.finish(step.stage, time.monotonic() - started)
-            tables |= read_tables(folder, step.stage.name)
-    return Run(folder, tables)
+            results |= read_results(folder, step.stage.name)
+    return Run(folder, results)
 
 
 def default_folder(study: Study) -> Path:
@@ -227,11 +240,13 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return dict(manifest)
 
 
-def read_tables(folder: Path, stage: str) -> dict[str, pd.DataFrame]:
-    """Return a stage's tables by their path in the run folder."""
+def read_results(folder: Path, stage: str) -> Results:
+    """Return a stage's tables and documents by their path in the run folder."""
     outputs = read_manifest(folder).get("stages", {}).get(stage, {}).get("outputs", {})
-    names = [name for name in outputs if name.endswith(".csv")]
-    return {name: pd.read_csv(folder / name, **EXACT) for name in names}
+    tables = {name: pd.read_csv(folder / name, **EXACT) for name in outputs if name.endswith(".csv")}
+    names = [name for name in outputs if name in STAGES[stage].documents]
+    documents = {name: json.loads((folder / name).read_text(encoding="utf-8")) for name in names}
+    return Results(tables, documents)
 
 
 def outdated(folder: Path, stage: str, robot: Robot) -> str | None:
@@ -247,14 +262,13 @@ def outdated(folder: Path, stage: str, robot: Robot) -> str | None:
 
 
 def _execute(
-    study: Study, folder: Path, step: PlannedStage, settings: Any, tables: dict[str, pd.DataFrame], listener: Listener
+    study: Study, folder: Path, step: PlannedStage, settings: Any, results: Results, listener: Listener
 ) -> None:
     """Run one stage in a folder of its own and move its files into place when all are whole."""
     stage = step.stage
     work = _work_folder(folder, step)
     _record(study, folder, step, {"status": "running", "reason": step.reason})
-    wanted = {*stage.needs, *stage.uses}
-    upstream = {name: table for name, table in tables.items() if name.split("/")[0] in wanted}
+    upstream = results.of({*stage.needs, *stage.uses})
     started = time.monotonic()
     context = Context(study, settings, upstream, work, folder, listener.say, listener.advance)
     try:
@@ -263,8 +277,7 @@ def _execute(
         status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
         _record(study, folder, step, {"status": status, "reason": step.reason})
         raise
-    for name, table in made.items():
-        write_csv(work / name, table)
+    _write_results(work, stage, made)
     files = [path for path in work.rglob("*") if path.is_file() and path.suffix != ".part"]
     outputs = sorted(path.relative_to(work).as_posix() for path in files if path != work / "key.json")
     _forget(folder, read_manifest(folder).get("stages", {}).get(stage.name, {}).get("outputs", {}), outputs)
@@ -277,6 +290,18 @@ def _execute(
         (folder / PARTIAL).rmdir()
     seconds = round(time.monotonic() - started, 3)
     _record(study, folder, step, {"status": "done", "reason": step.reason, "seconds": seconds, "outputs": hashes})
+
+
+def _write_results(folder: Path, stage: Stage, made: Results) -> None:
+    """Write a stage's tables, each with its schema beside it, and its documents."""
+    for name, table in made.tables.items():
+        write_csv(folder / name, table)
+        described = schema(table, stage.tables[name])
+        _write_whole(
+            (folder / name).with_suffix(".schema.json"), json.dumps(described, indent=2, ensure_ascii=False) + "\n"
+        )
+    for name, document in made.documents.items():
+        _write_whole(folder / name, json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def _work_folder(folder: Path, step: PlannedStage) -> Path:

@@ -8,11 +8,12 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, field_validator
 
-from calflow.design.discrimination import poses_table, question, separations_table
-from calflow.diagnosis.findings.curves import curves
+from calflow.design.discrimination import NextPose, SeparationRow, poses_table, question, separations_table
+from calflow.diagnosis.findings.curves import CurvePoint, curves
+from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.diagnosis.findings.remainder import remainder
-from calflow.diagnosis.findings.replication import confirm
-from calflow.diagnosis.findings.tables import Diagnosis, candidates_table, findings_table
+from calflow.diagnosis.findings.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint, confirm
+from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, FindingRow, candidates_table, findings_table
 from calflow.diagnosis.findings.verdict import verdict
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.acceptance import Acceptance
@@ -20,11 +21,15 @@ from calflow.diagnosis.search.extension import extend, weighed_against
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.narrowing import narrowed
 from calflow.diagnosis.search.noise_growth import growth
-from calflow.estimation.accuracy import accuracy, errors, residual_table
-from calflow.estimation.calibrated import Identified, effect_table, identified, noise_table
-from calflow.estimation.parameters import covariance_table, parameter_table
+from calflow.estimation.accuracy import Accuracy, Residual, accuracy, errors, residuals
+from calflow.estimation.calibrated import DeviceNoise, Identified, ModelEffect, effect_table, identified, noise_table
+from calflow.estimation.fit_summary import Solver
+from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
 from calflow.estimation.repeats import averaged
 from calflow.faults import corrected
+from calflow.files.documents import to_document
+from calflow.files.results import Results
+from calflow.files.tables import to_frame
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.stages.stage import Context, Stage
@@ -47,11 +52,11 @@ class DiagnoseSettings(FileModel):
         return known_effects(effects) if effects else effects
 
 
-def run(context: Context) -> dict[str, pd.DataFrame]:
+def run(context: Context) -> Results:
     """Find what the model lacks, extend it, and tell the gain on held-out rows."""
     study = context.study
     data = study.measurements()
-    known = identified(study.robot, context.tables, data.given)
+    known = identified(study.robot, context.results, data.given)
     data = corrected(data.on(known.model.robot), context.tables["identify/faults.csv"])
     found = diagnose(known, data, context)
     final = found.extended.fitted
@@ -63,22 +68,21 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     tables = {
         "diagnose/findings.csv": findings_table(found, data, faults, context.rng("resamples")),
         "diagnose/candidates.csv": candidates_table(found),
-        "diagnose/accuracy.csv": _accuracy(found, data, context.tables["identify/accuracy.csv"]),
+        "diagnose/accuracy.csv": _accuracy(found, data, context.results.rows("identify/accuracy.csv", Accuracy)),
         "diagnose/next_poses.csv": poses_table(questions, final),
         "diagnose/separations.csv": separations_table(questions),
         "diagnose/parameters.csv": parameter_table(final.fit),
         "diagnose/covariance.csv": covariance_table(final.fit),
         "diagnose/effects.csv": effect_table(final.model.effects),
         "diagnose/noise.csv": _noise_table(found, known, data),
-        "diagnose/residuals.csv": _residuals(final, data),
+        "diagnose/residuals.csv": residuals(errors(final.model, final.fit.estimate, data), data),
         "diagnose/curves.csv": curves(final, found.causes, data),
-        "diagnose/summary.csv": _summary(found, known),
     }
     if other and confirmed:
         context.say(f"{other.name}: " + "; ".join(confirmed.table["words"].unique()))
         tables |= {"diagnose/confirmation.csv": confirmed.table, "diagnose/confirmation_curves.csv": confirmed.curves,
                    "diagnose/confirmation_accuracy.csv": confirmed.accuracy}  # fmt: skip
-    return tables
+    return Results(tables, {"diagnose/summary.json": to_document(_summary(found, known))})
 
 
 def diagnose(known: Identified, data: Measurements, context: Context) -> Diagnosis:
@@ -111,22 +115,17 @@ def diagnose(known: Identified, data: Measurements, context: Context) -> Diagnos
     if again := growth(last.weighed(plain) if grown else last, alarm):
         context.say(f"the noise grows with range: {1e6 * again.slope:.3g} um/m, p = {again.p:.2g}")
     verdicts = tuple(verdict(finding) for finding in extended.findings)
-    return Diagnosis(start, extended, verdicts, tuple(left), again, catalogue.lacking, acceptance.false_alarm)
+    return Diagnosis(start, extended, verdicts, tuple(left), again, catalogue.lacking, catalogue.superseded,
+                     acceptance.false_alarm)  # fmt: skip
 
 
-def _accuracy(found: Diagnosis, data: Measurements, before: pd.DataFrame) -> pd.DataFrame:
+def _accuracy(found: Diagnosis, data: Measurements, before: list[Accuracy]) -> pd.DataFrame:
     """The rows of identify/accuracy.csv, and one step for each cause."""
-    name = str(before["model"].iloc[-1])
-    steps = [before]
-    for cause, fitted in zip(found.causes, found.extended.path, strict=True):
+    name, step, rows = before[-1].model, before[-1].step, list(before)
+    for k, (cause, fitted) in enumerate(zip(found.causes, found.extended.path, strict=True), start=step + 1):
         name += f" + {cause.id} {cause.part}"
-        steps.append(pd.DataFrame(accuracy(name, errors(fitted.model, fitted.fit.estimate, data), data)))
-    return pd.concat(steps, ignore_index=True)
-
-
-def _residuals(final: Fitted, data: Measurements) -> pd.DataFrame:
-    error = errors(final.model, final.fit.estimate, data)
-    return residual_table(data, error).assign(split=data.table["split"], line=data.table["line"])
+        rows += accuracy(name, errors(fitted.model, fitted.fit.estimate, data), data, k, cause)
+    return to_frame(rows, Accuracy)
 
 
 def _noise_table(found: Diagnosis, known: Identified, data: Measurements) -> pd.DataFrame:
@@ -141,30 +140,48 @@ def _noise_table(found: Diagnosis, known: Identified, data: Measurements) -> pd.
     return noise_table(replace(noise, sigma=sigma), final.model.observations, growth)
 
 
-def _summary(found: Diagnosis, known: Identified) -> pd.DataFrame:
+def _summary(found: Diagnosis, known: Identified) -> DiagnosisSummary:
     final, first = found.extended.fitted, found.start
     sigma = found.growth.floor if found.growth else known.sigma
     if final.noise.sources[0] == "estimated" and not found.growth:
         sigma = float(np.median(final.noise.sigma[final.noise.of_series(0)]))
-    rows = [
-        ("sigma_mm", f"{1e3 * sigma:.6g}"),
-        ("noise_source", final.noise.source),
-        ("noise_growth_mm_per_m", f"{1e3 * found.growth.slope if found.growth else 0:.6g}"),
-        ("discrepancy_mm", f"{1e3 * final.noise.discrepancy:.6g}"),
-        *(
-            []
-            if final.noise.rotation is None
-            else [("rotation_discrepancy_mrad", f"{1e3 * final.noise.rotation_discrepancy:.6g}")]
-        ),
-        ("loss", final.loss),
-        ("reduced_chi2_before", f"{first.lack.reduced_chi2:.6g}" if first.noise.known else "cannot tell"),
-        ("reduced_chi2", f"{final.lack.reduced_chi2:.6g}" if final.noise.known else "cannot tell"),
-        ("lack_of_fit_p", f"{final.lack.p:.3g}" if final.noise.known else "cannot tell"),
-        ("causes_tested", str(len({score.cause.place for score in found.extended.first.scores}))),
-        ("tests", f"{found.extended.first.family.places:.4g}"),
-        ("solver", f"IPOPT: {final.fit.status}, {final.fit.iterations} iterations"),
-    ]
-    return pd.DataFrame(rows, columns=["item", "value"])
+    return DiagnosisSummary(
+        noise_sources=final.noise.sources,
+        sigma_mm=1e3 * sigma,
+        noise_growth_mm_per_m=1e3 * found.growth.slope if found.growth else 0.0,
+        discrepancy_mm=1e3 * final.noise.discrepancy,
+        rotation_discrepancy_mrad=None if final.noise.rotation is None else 1e3 * final.noise.rotation_discrepancy,
+        loss=final.loss,
+        reduced_chi2=final.lack.reduced_chi2 if final.noise.known else None,
+        lack_of_fit_p=final.lack.p if final.noise.known else None,
+        solver=Solver(status=final.fit.status, iterations=final.fit.iterations),
+        reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
+        causes_tested=len({score.cause.place for score in found.extended.first.scores}),
+        tests=found.extended.first.family.places,
+    )
 
 
-STAGE = Stage("diagnose", "name what the model lacks", DiagnoseSettings, run, needs=("identify",))
+STAGE = Stage(
+    "diagnose",
+    "name what the model lacks",
+    DiagnoseSettings,
+    run,
+    needs=("identify",),
+    tables={
+        "diagnose/findings.csv": FindingRow,
+        "diagnose/candidates.csv": CandidateRow,
+        "diagnose/accuracy.csv": Accuracy,
+        "diagnose/next_poses.csv": NextPose,
+        "diagnose/separations.csv": SeparationRow,
+        "diagnose/parameters.csv": FittedParameter,
+        "diagnose/covariance.csv": Covariances,
+        "diagnose/effects.csv": ModelEffect,
+        "diagnose/noise.csv": DeviceNoise,
+        "diagnose/residuals.csv": Residual,
+        "diagnose/curves.csv": CurvePoint,
+        "diagnose/confirmation.csv": ConfirmedCause,
+        "diagnose/confirmation_curves.csv": ConfirmedPoint,
+        "diagnose/confirmation_accuracy.csv": CarriedAccuracy,
+    },
+    documents={"diagnose/summary.json": DiagnosisSummary},
+)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -10,30 +10,56 @@ import pandas as pd
 from pydantic import Field
 from scipy.stats import chi2
 
-from calflow.estimation.accuracy import accuracy, errors, residual_table
-from calflow.estimation.calibrated import noise_table, observation_table
+from calflow.estimation.accuracy import Accuracy, Residual, accuracy, errors, residuals
+from calflow.estimation.calibrated import (
+    DeviceNoise,
+    ModelObservation,
+    Placed,
+    noise_table,
+    observation_table,
+    placement_table,
+)
 from calflow.estimation.fit import Fit, draw_starts
-from calflow.estimation.identifiability import Identifiability, best_subset, correlations, identifiability
+from calflow.estimation.fit_summary import Extrapolation, IdentifySummary, Solver
+from calflow.estimation.identifiability import (
+    Correlation,
+    Counted,
+    Identifiability,
+    Statement,
+    best_subset,
+    correlations,
+    identifiability,
+)
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.noise import LackOfFit, Noise
 from calflow.estimation.nuisance import completed
-from calflow.estimation.parameters import covariance_table, parameter_table
+from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
 from calflow.estimation.registration import registered
 from calflow.estimation.repeats import conditions, measured_noise
 from calflow.estimation.reweighting import fit_reweighted
-from calflow.faults import as_table, search
+from calflow.faults import FaultyRow, as_table, search
+from calflow.files.documents import to_document
 from calflow.files.problems import InputError, Problem, nearest
+from calflow.files.results import Results
+from calflow.files.tables import column, to_frame, typed
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
-from calflow.observations import Observation, observations
-from calflow.robot.robot import Robot
+from calflow.observations import observations
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
 FALSE_FLAGS = 0.01  # chance that any good row of a whole data set is flagged
 BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted ones
 EQUILIBRIUM_ROWS = 2000  # rows at which the equilibrium is checked
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgedResidual(Residual):
+    """What the identified model leaves of a measured row, and whether that is too much."""
+
+    whitened: float = column("root mean square of the error's parts in standard deviations of noise and discrepancy")
+    flagged: bool = column("whether it is too large for noise and for the spread of the rest")
 
 
 class IdentifySettings(FileModel):
@@ -45,7 +71,7 @@ class IdentifySettings(FileModel):
     count: dict[str, int] = {}
 
 
-def run(context: Context) -> dict[str, pd.DataFrame]:
+def run(context: Context) -> Results:
     """Fit the nominal robot's errors, effect by effect, and say what the data determine."""
     study, settings = context.study, context.settings
     effects = study.file.effects
@@ -71,7 +97,8 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
         context.say(f"{' + '.join(effects[:k])}: {len(model.parameters)} parameters, {len(train)} rows")
         starts = draw_starts(model, settings.starts, context.rng("starts"))
         result, reweighted, lack, agree = fit_reweighted(model, train, noise.only(data.train), starts, settings.loss)
-        rows += accuracy(" + ".join(effects[:k]), errors(model, result.estimate, data), data)
+        error = errors(model, result.estimate, data)
+        rows += accuracy(" + ".join(effects[:k]), error, data, k, model.effects[-1])
         context.advance(k / len(effects))
 
     found = identifiability(result)
@@ -80,19 +107,19 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     tables = {
         "identify/faults.csv": as_table(faults, data),
         "identify/parameters.csv": parameter_table(result),
-        "identify/accuracy.csv": pd.DataFrame(rows),
+        "identify/accuracy.csv": to_frame(rows, Accuracy),
         "identify/residuals.csv": _residuals(result, data, noise),
         "identify/identifiability.csv": found.statements,
         "identify/correlations.csv": correlations(result),
         "identify/covariance.csv": covariance_table(result),
         "identify/observations.csv": observation_table(observed),
         "identify/noise.csv": noise_table(noise, observed),
-        "identify/placement.csv": _placement(robot, observed),
-        "identify/summary.csv": _summary(result, found, noise, lack, agree, settings.starts, settings.loss, data),
+        "identify/placement.csv": placement_table(robot, observed),
     }
     if settings.count:
         tables["identify/count.csv"] = best_subset(result, settings.count)
-    return tables
+    summary = _summary(result, found, noise, lack, agree, settings, data)
+    return Results(tables, {"identify/summary.json": to_document(summary)})
 
 
 def problems(study: Study, settings: IdentifySettings, data: Measurements | None) -> list[Problem]:
@@ -160,66 +187,39 @@ def _residuals(result: Fit, data: Measurements, noise: Noise) -> pd.DataFrame:
         squared[rows] = np.einsum("ni,nij,nj->n", residual, inverse, residual)
         whitened[rows] = np.sqrt((residual**2).mean(axis=1))
         limit[rows] = chi2.isf(FALSE_FLAGS / len(data), residual.shape[1])
-    return residual_table(data, errors(result.model, result.estimate, data)).assign(
-        whitened=whitened,
-        flagged=(squared > limit) & (data.train | data.held_out),
-        split=data.table["split"],
-        line=data.table["line"],
-    )
-
-
-def _placement(robot: Robot, observed: tuple[Observation, ...]) -> pd.DataFrame:
-    """What geometry errors and nuisance parameters refer to: the robot file's figures, or those registered by training data."""
-    source = "robot file" if robot.base.known else "registered"
-    rows = [("base", *robot.base.origin, *np.rad2deg(robot.base.rotation), source)]
-    rows += [(name, *marker.point, 0.0, 0.0, 0.0, source) for name, marker in robot.markers.items()]
-    if robot.tool_rotation is not None:
-        rows.append(("tool", 0.0, 0.0, 0.0, *np.rad2deg(robot.tool_rotation), source))
-    rows += [
-        (one.what, *one.origin, *np.rad2deg(one.rotation), "registered")
-        for observation in observed
-        for one in observation.placements
-    ]
-    return pd.DataFrame(rows, columns=["what", "x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg", "source"])
+    flagged = (squared > limit) & (data.train | data.held_out)
+    table = residuals(errors(result.model, result.estimate, data), data)
+    return typed(table.assign(whitened=whitened, flagged=flagged), JudgedResidual)
 
 
 def _summary(
-    result: Fit,
-    found: Identifiability,
-    noise: Noise,
-    lack: LackOfFit,
-    agree: int,
-    starts: int,
-    loss: Loss,
+    result: Fit, found: Identifiability, noise: Noise, lack: LackOfFit, agree: int, settings: IdentifySettings,
     data: Measurements,
-) -> pd.DataFrame:
+) -> IdentifySummary:  # fmt: skip
     used = data.only(data.train | data.held_out)
-    rows = [
-        ("noise", noise.words),
-        ("noise_source", noise.source),
-        ("sigma_mm", f"{1e3 * np.sqrt(np.mean(noise.sigma**2)):.6g}"),
-        ("reduced_chi2", f"{lack.reduced_chi2 if noise.known else 1.0:.6g}"),
-        ("lack_of_fit_p", f"{lack.p:.3g}" if noise.known else "cannot tell"),
-        ("discrepancy_mm", f"{1e3 * noise.discrepancy:.6g}"),
-        *([] if noise.rotation is None else [("rotation_discrepancy_mrad", f"{1e3 * noise.rotation_discrepancy:.6g}")]),
-        ("spread_mm", f"{1e3 * _spread(result.model, result.estimate, used):.6g}"),
-        ("rank", f"{found.rank} of {found.n_parameters} parameters"),
-        *((f"rank_{effect}", str(rank)) for effect, rank in found.rank_by_effect.items()),
-        ("effective_parameters", f"{result.effective_parameters:.4g}"),
-        ("loss", loss),
-        ("training_poses", str(data.table.loc[data.train, "pose"].nunique())),
-        ("heldout_poses", str(data.table.loc[data.held_out, "pose"].nunique())),
-        ("solver", f"IPOPT: {result.status}, {result.iterations} iterations"),
-        ("converged", str(result.converged)),
-        (
-            "equilibrium_error_um",
-            f"{1e6 * result.model.equilibrium_error(result.estimate, used.rows[:, :EQUILIBRIUM_ROWS]):.2g}",
-        ),
-        ("starts_agreeing", f"{agree} of {starts}"),
-        *([] if data.time_origin is None else [("time_origin_s", repr(data.time_origin))]),
-        *(("extrapolation", statement) for statement in extrapolation(data)),
-    ]
-    return pd.DataFrame(rows, columns=["item", "value"])
+    return IdentifySummary(
+        noise_sources=noise.sources,
+        sigma_mm=1e3 * float(np.sqrt(np.mean(noise.sigma**2))),
+        discrepancy_mm=1e3 * noise.discrepancy,
+        rotation_discrepancy_mrad=None if noise.rotation is None else 1e3 * noise.rotation_discrepancy,
+        loss=settings.loss,
+        reduced_chi2=lack.reduced_chi2 if noise.known else None,
+        lack_of_fit_p=lack.p if noise.known else None,
+        solver=Solver(status=result.status, iterations=result.iterations),
+        spread_mm=1e3 * _spread(result.model, result.estimate, used),
+        rank=found.rank,
+        parameters=found.n_parameters,
+        rank_by_effect=dict(found.rank_by_effect),
+        effective_parameters=result.effective_parameters,
+        training_poses=data.table.loc[data.train, "pose"].nunique(),
+        heldout_poses=data.table.loc[data.held_out, "pose"].nunique(),
+        converged=result.converged,
+        equilibrium_error_um=1e6 * result.model.equilibrium_error(result.estimate, used.rows[:, :EQUILIBRIUM_ROWS]),
+        starts=settings.starts,
+        starts_agreeing=agree,
+        extrapolation=extrapolation(data),
+        time_origin_s=data.time_origin,
+    )
 
 
 def _spread(model: Model, estimate: np.ndarray, data: Measurements) -> float:
@@ -228,18 +228,37 @@ def _spread(model: Model, estimate: np.ndarray, data: Measurements) -> float:
     return float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
 
 
-def extrapolation(data: Measurements) -> list[str]:
-    """Name the joints whose held-out readings lie beyond what was fitted: their accuracy is a guess, good or bad."""
+def extrapolation(data: Measurements) -> tuple[Extrapolation, ...]:
+    """Return the joints whose held-out readings lie beyond what was fitted: their accuracy is a guess, good or bad."""
     train, heldout = data.joints[data.train], data.joints[data.held_out]
     if not len(heldout):
-        return []
+        return ()
     low, high = train.min(axis=0), train.max(axis=0)
     margin = BEYOND * np.maximum(high - low, np.ptp(data.joints[data.train | data.held_out], axis=0))
     beyond = (heldout < low - margin) | (heldout > high + margin)
-    return [
-        f"joint {i + 1}: {int(beyond[:, i].sum())} held-out rows lie beyond the readings that were fitted"
-        for i in np.flatnonzero(beyond.any(axis=0))
-    ]
+    return tuple(
+        Extrapolation(joint=int(i) + 1, rows=int(beyond[:, i].sum())) for i in np.flatnonzero(beyond.any(axis=0))
+    )
 
 
-STAGE = Stage("identify", "identify geometry and compliance", IdentifySettings, run, problems=problems)
+STAGE = Stage(
+    "identify",
+    "identify geometry and compliance",
+    IdentifySettings,
+    run,
+    tables={
+        "identify/parameters.csv": FittedParameter,
+        "identify/accuracy.csv": Accuracy,
+        "identify/residuals.csv": JudgedResidual,
+        "identify/faults.csv": FaultyRow,
+        "identify/identifiability.csv": Statement,
+        "identify/correlations.csv": Correlation,
+        "identify/covariance.csv": Covariances,
+        "identify/observations.csv": ModelObservation,
+        "identify/noise.csv": DeviceNoise,
+        "identify/placement.csv": Placed,
+        "identify/count.csv": Counted,
+    },
+    documents={"identify/summary.json": IdentifySummary},
+    problems=problems,
+)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import pandas as pd
-
+from calflow.files.results import Results
 from calflow.files.toml import FileModel
 from calflow.stages.stage import Context, Stage
 
@@ -12,7 +11,7 @@ class ReportSettings(FileModel):
     """Settings of report: there are none."""
 
 
-def run(context: Context) -> dict[str, pd.DataFrame]:
+def run(context: Context) -> Results:
     """Write report.pdf and figures/*.svg into the stage's folder; the report has no tables of its own."""
     from calflow.report.document import (
         write,
@@ -21,7 +20,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     from calflow.report.section import chosen, sections
     from calflow.report.style import style
 
-    material = Material.of(context.study, context.tables, context.run_folder)
+    material = Material.of(context.study, context.results, context.run_folder)
     with style():
         parts = []
         there = chosen(sections(), material)
@@ -30,7 +29,7 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
             context.advance(0.7 * (k + 1) / len(there))
         n_figures = write(material.title, parts, context.folder)
     context.say(f"report.pdf: {n_figures} figures, {len(parts)} sections")
-    return {}
+    return Results()
 
 
 STAGE = Stage(

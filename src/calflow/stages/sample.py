@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 
 import emcee
 import numpy as np
@@ -12,13 +13,18 @@ from pydantic import Field
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
 from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.parameters import UNIT
 from calflow.estimation.repeats import averaged
 from calflow.faults import corrected
+from calflow.files.documents import to_document
 from calflow.files.problems import Problem, refuse
+from calflow.files.results import Results
+from calflow.files.tables import column, typed
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.sampling.backend import BlockBackend, joined, open_ensembles
+from calflow.sampling.chain_summary import ChainSummary, Cut
 from calflow.sampling.posterior import Laplace, Posterior, moves
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
@@ -27,6 +33,37 @@ ENOUGH_TAU = 50  # autocorrelation times that a chain must be long
 LOW_ACCEPTANCE = 0.1  # below this the independent proposal only wastes evaluations
 NEAR_BOUND, CUT = 0.1, 0.01  # a posterior is cut where 1 % of it lies within a tenth of its sd from a bound
 DRAWS = 500  # for predictions
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosteriorRow:
+    """The sampled posterior of a parameter; `noise.factor` is the noise over that which the fit used."""
+
+    parameter: str = column("its name")
+    unit: str = column("of the figures in this row (SI)")
+    mean: float = column("of all draws", UNIT)
+    sd: float = column("their standard deviation", UNIT)
+    q025: float = column("their 2.5 % quantile", UNIT)
+    q500: float = column("their median", UNIT)
+    q975: float = column("their 97.5 % quantile", UNIT)
+    rhat: float = column("whether the ensembles agree: near 1")
+    ess: float = column("effective number of independent draws")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictedError:
+    """A measured row's error, and the interval in which the posterior and the noise say it should be."""
+
+    pose: str = column("as in the measurements")
+    repeat: str = column("as in the measurements")
+    marker: str = column("as in the measurements")
+    split: str = column("train, holdout")
+    error_mm: float = column("distance from the posterior's mean prediction to the measured position", "mm")
+    expected_mm: float = column("median of what was expected", "mm")
+    low_mm: float = column("lower end of its 95 % interval", "mm")
+    high_mm: float = column("upper end of it", "mm")
+    covered: bool = column("whether the error lies inside")
+    heldout_coverage: float = column("share of the held-out rows whose error lies inside; empty: none held out")
 
 
 class SampleSettings(FileModel):
@@ -40,11 +77,11 @@ class SampleSettings(FileModel):
     independent: float = Field(default=0.8, ge=0, le=1)
 
 
-def run(context: Context) -> dict[str, pd.DataFrame]:
+def run(context: Context) -> Results:
     """Sample the posterior with independent ensembles until it is long enough, and say so if it is not."""
     study, settings = context.study, context.settings
     data = corrected(study.measurements(), context.tables["identify/faults.csv"])
-    known, held = with_maps_held(calibrated(study.robot, context.tables, data.given))
+    known, held = with_maps_held(calibrated(study.robot, context.results, data.given))
     if held:
         context.say(f"held at their estimates, too many to sample: {', '.join(f'{c.id} {c.part}' for c in held)}")
     data = data.on(known.model.robot)
@@ -73,13 +110,12 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
     chain = joined(backends, discard, steps)
     values = posterior.parameters(chain)
     table = _posterior(values, chain, known)
-    return {
+    tables = {
         "sample/posterior.csv": table,
         "sample/predictive.csv": _predictive(values, known, data, context.rng("predictive")),
-        "sample/summary.csv": _summary(
-            table, values, known, laplace, steps, discard, tau, accepted, independent, settings, backends
-        ),
     }
+    summary = _summary(table, values, known, laplace, steps, discard, tau, accepted if independent else None, settings)
+    return Results(tables, {"sample/summary.json": to_document(summary)})
 
 
 def problems(study: Study, settings: SampleSettings, data: Measurements | None) -> list[Problem]:
@@ -176,7 +212,7 @@ def _posterior(values: np.ndarray, chain: np.ndarray, known: Identified) -> pd.D
     by_walker = values.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, n)
     quantiles = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
     parameters = known.model.parameters
-    return pd.DataFrame(
+    made = pd.DataFrame(
         {
             "parameter": [*(p.name for p in parameters), "noise.factor"],
             "unit": [*(p.unit for p in parameters), "1"],
@@ -189,6 +225,7 @@ def _posterior(values: np.ndarray, chain: np.ndarray, known: Identified) -> pd.D
             "ess": [float(array_stats.ess(by_walker[:, :, k])) for k in range(n)],
         }
     )
+    return typed(made, PosteriorRow)
 
 
 def _predictive(values: np.ndarray, known: Identified, data: Measurements, rng: np.random.Generator) -> pd.DataFrame:
@@ -208,45 +245,43 @@ def _predictive(values: np.ndarray, known: Identified, data: Measurements, rng: 
         error_mm=error, expected_mm=middle, low_mm=low, high_mm=high, covered=(error >= low) & (error <= high)
     )
     heldout = table[table["split"] == "holdout"]
-    return table.assign(heldout_coverage=heldout["covered"].mean() if len(heldout) else np.nan)
+    coverage = heldout["covered"].mean() if len(heldout) else np.nan
+    return typed(table.assign(heldout_coverage=coverage), PredictedError)
 
 
 def _summary(
     table: pd.DataFrame, values: np.ndarray, known: Identified, laplace: Laplace, steps: int, discard: int, tau: float,
-    accepted: float, independent: float, settings: SampleSettings, backends: list[BlockBackend],
-) -> pd.DataFrame:  # fmt: skip
+    accepted: float | None, settings: SampleSettings,
+) -> ChainSummary:  # fmt: skip
     ratio = (table["sd"].to_numpy()[:-1] / np.sqrt(np.diag(laplace.covariance)))[~known.at_bound]
-    missing = int(np.ceil(min(ENOUGH_TAU * tau, 1e9))) - steps
-    short = missing > 0 or table["ess"].min() < settings.ess
-    rows = [
-        ("steps", str(steps)),
-        ("burn_in_steps", str(discard)),
-        ("ensembles", f"{len(backends)} of {values.shape[2]} walkers"),
-        ("autocorrelation_steps", f"{tau:.3g}"),
-        ("acceptance_independent", f"{accepted:.3f}" if independent else "not used"),
-        ("worst_rhat", f"{table['rhat'].max():.4f}"),
-        ("smallest_ess", f"{table['ess'].min():.0f}"),
-        (
-            "sd_over_laplace",
-            f"{ratio.min():.3f} to {ratio.max():.3f}" if len(ratio) else "every parameter is at a bound",
-        ),
-        ("length", _length(short, missing, steps, table["ess"].min(), settings)),
-    ]
+    cut = []
     for i, parameter in enumerate(known.model.parameters):
         sample = values[..., i].ravel()
         near = NEAR_BOUND * sample.std()
         if ((sample - parameter.lower < near) | (parameter.upper - sample < near)).mean() > CUT:
-            rows.append(("cut", f"the bounds {parameter.lower:.3g} to {parameter.upper:.3g} {parameter.unit} cut the posterior of "
-                         f"{parameter.name}: read its quantiles, not its mean and sd"))  # fmt: skip
-    return pd.DataFrame(rows, columns=["item", "value"])
+            cut.append(Cut(parameter=parameter.name, unit=parameter.unit, lower=parameter.lower, upper=parameter.upper))
+    return ChainSummary(
+        steps=steps,
+        burn_in_steps=discard,
+        ensembles=values.shape[0],
+        walkers=values.shape[2],
+        autocorrelation_steps=tau,
+        acceptance_independent=accepted,
+        worst_rhat=table["rhat"].max(),
+        smallest_ess=table["ess"].min(),
+        sd_over_laplace_least=ratio.min() if len(ratio) else None,
+        sd_over_laplace_most=ratio.max() if len(ratio) else None,
+        missing_steps=_missing_steps(steps, tau, table["ess"].min(), settings),
+        cut=tuple(cut),
+    )
 
 
-def _length(short: bool, missing: int, steps: int, ess: float, settings: SampleSettings) -> str:
-    if not short:
-        return "long enough"
-    wanted = max(missing, int(np.ceil(steps * (settings.ess / ess - 1))))
-    return (f"too short: about {wanted} more steps are needed; set stages.sample.max_steps = {steps + wanted} "
-            "and run again, it resumes where it is")  # fmt: skip
+def _missing_steps(steps: int, tau: float, ess: float, settings: SampleSettings) -> int:
+    """About how many more steps are needed for enough autocorrelation times and samples; 0 where there are enough."""
+    missing = int(np.ceil(min(ENOUGH_TAU * tau, 1e9))) - steps
+    if missing <= 0 and ess >= settings.ess:
+        return 0
+    return max(missing, int(np.ceil(steps * (settings.ess / ess - 1))))
 
 
 STAGE = Stage(
@@ -257,5 +292,7 @@ STAGE = Stage(
     needs=("identify",),
     uses=("diagnose",),
     resumes=("sample/chain.h5",),
+    tables={"sample/posterior.csv": PosteriorRow, "sample/predictive.csv": PredictedError},
+    documents={"sample/summary.json": ChainSummary},
     problems=problems,
 )

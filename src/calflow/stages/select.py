@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+
 import numpy as np
 import pandas as pd
 from pydantic import Field, field_validator, model_validator
 
-from calflow.design.candidates import candidates
+from calflow.design.candidates import READINGS, candidates, reading_columns, reading_factors
 from calflow.design.optimality import exchange, greedy, indices, log_determinant
 from calflow.estimation.identifiability import NULL
 from calflow.files.problems import InputError, Problem, nearest
+from calflow.files.results import Results
+from calflow.files.tables import column, to_frame, typed
 from calflow.files.toml import FileModel, Length, Lengths3
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
@@ -17,6 +22,36 @@ from calflow.stages.stage import Context, Stage
 from calflow.study import Study, known_effects
 
 TASK_POSES = 400  # candidates over which the tool's expected error is averaged
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannedPose:
+    """A chosen pose, in measuring order: joints, the side each comes from, and where the tool will be."""
+
+    pose: int = column("its number in measuring order")
+    readings: Mapping[str, float] = column("reading of each joint", "as named", name=READINGS)
+    approach: Mapping[str, int] = column(
+        "side each joint comes from: -1, +1; 0 at the first pose, which is reached from anywhere",
+        name="approach{joint}",
+    )
+    nominal_x_mm: float = column("where the nominal robot's marker will be, in the measuring frame", "mm")
+    nominal_y_mm: float = column("the same along y", "mm")
+    nominal_z_mm: float = column("the same along z", "mm")
+    marker: str = column("its name")
+    payload: str = column("the load; empty: none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observability:
+    """What a number of poses, the most telling first, is worth."""
+
+    n_poses: int = column("number of poses")
+    indices: Mapping[str, float] = column(
+        "observability indices O1 to O5, parameters scaled by their priors", name="O{1|2|3|4|5}"
+    )
+    expected_sd_mm: float = column(
+        "root mean square over the workspace of the predicted position's standard deviation", "mm"
+    )
 
 
 class SelectSettings(FileModel):
@@ -54,7 +89,7 @@ class SelectSettings(FileModel):
         return self
 
 
-def run(context: Context) -> dict[str, pd.DataFrame]:
+def run(context: Context) -> Results:
     """Choose poses by D-optimal greedy addition and exchange, and tell what every number of them is worth."""
     study, settings = context.study, context.settings
     robot = study.robot
@@ -77,12 +112,13 @@ def run(context: Context) -> dict[str, pd.DataFrame]:
 
     travel = _shortest_tour(readings[best])
     chosen = np.array(best)[travel]
-    return {
-        "select/poses.csv": _poses(model, readings[chosen], rows[:, chosen], settings.payload, marker),
-        "select/observability.csv": _observability(
-            whitened, greedy_order(whitened, prior, best), whitened[:TASK_POSES], settings
-        ),
-    }
+    worth = _observability(whitened, greedy_order(whitened, prior, best), whitened[:TASK_POSES], settings)
+    return Results(
+        {
+            "select/poses.csv": _poses(model, readings[chosen], rows[:, chosen], settings.payload, marker),
+            "select/observability.csv": worth,
+        }
+    )
 
 
 def problems(study: Study, settings: SelectSettings, data: Measurements | None) -> list[Problem]:
@@ -119,8 +155,10 @@ def _observability(whitened: np.ndarray, order: list[int], task: np.ndarray, set
         covariance = np.linalg.inv(np.eye(n_parameters) + np.einsum("cai,caj->ij", part, part))
         variance = np.einsum("cai,ij,caj->c", task, covariance, task)
         expected = 1e3 * settings.sigma * np.sqrt(variance.mean())
-        rows.append((n, *indices(part.reshape(-1, n_parameters), rank), expected))
-    return pd.DataFrame(rows, columns=["n_poses", "O1", "O2", "O3", "O4", "O5", "expected_sd_mm"])
+        own = indices(part.reshape(-1, n_parameters), rank)
+        named = {f"O{k}": value for k, value in enumerate(own, start=1)}
+        rows.append(Observability(n_poses=n, indices=named, expected_sd_mm=expected))
+    return to_frame(rows, Observability)
 
 
 def _poses(model: Model, readings: np.ndarray, rows: np.ndarray, payload: str, marker: str) -> pd.DataFrame:
@@ -130,15 +168,13 @@ def _poses(model: Model, readings: np.ndarray, rows: np.ndarray, payload: str, m
     """
     robot = model.robot
     table: dict[str, object] = {"pose": np.arange(1, len(readings) + 1)}
-    for i, joint in enumerate(robot.joints):
-        unit, factor = joint.shown
-        table[f"q{i + 1}_{unit}"] = np.round(readings[:, i] * factor, 4)
+    table |= dict(zip(reading_columns(robot), np.round(readings * reading_factors(robot), 4).T, strict=True))
     came = np.sign(np.diff(readings, axis=0, prepend=readings[:1])).astype(int)
     for i in range(robot.n_joints):
         table[f"approach{i + 1}"] = came[:, i]
     position = 1e3 * model.position(model.nominal, rows)
     table |= {f"nominal_{axis}_mm": np.round(position[:, i], 1) for i, axis in enumerate("xyz")}
-    return pd.DataFrame({**table, "marker": marker, "payload": payload})
+    return typed(pd.DataFrame({**table, "marker": marker, "payload": payload}), PlannedPose)
 
 
 def _shortest_tour(readings: np.ndarray) -> np.ndarray:
@@ -162,4 +198,12 @@ def _shortest_tour(readings: np.ndarray) -> np.ndarray:
     return np.array(tour)
 
 
-STAGE = Stage("select", "choose the poses to measure", SelectSettings, run, measured=False, problems=problems)
+STAGE = Stage(
+    "select",
+    "choose the poses to measure",
+    SelectSettings,
+    run,
+    measured=False,
+    tables={"select/poses.csv": PlannedPose, "select/observability.csv": Observability},
+    problems=problems,
+)

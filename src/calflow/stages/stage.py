@@ -1,16 +1,16 @@
-"""What every stage is: a function from a study and earlier tables to tables."""
+"""What every stage is: a function from a study and earlier results to results."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from calflow.files.problems import Problem
+from calflow.files.results import Results
 from calflow.files.tables import Tables
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
@@ -21,18 +21,23 @@ from calflow.study import Study
 class Context:
     """What a stage is given.
 
-    tables holds the tables of the stages it needs, by their path in the run folder. folder is where the stage may write
-    files of its own, laid out as the run folder, into which they move when the stage is done; what lies there survives an
-    interruption. run_folder holds the finished files of earlier stages. say tells a line, advance the share of work done.
+    results holds the tables and documents of the stages it needs. folder is where the stage may write files of its own, laid
+    out as the run folder, into which they move when the stage is done; what lies there survives an interruption. run_folder
+    holds the finished files of earlier stages. say tells a line, advance the share of work done.
     """
 
     study: Study
     settings: Any
-    tables: Tables
+    results: Results
     folder: Path
     run_folder: Path
     say: Callable[[str], None]
     advance: Callable[[float], None]
+
+    @property
+    def tables(self) -> Tables:
+        """The tables of the stages it needs."""
+        return self.results.tables
 
     def rng(self, purpose: str) -> np.random.Generator:
         """Return a random generator of this purpose's own, from the study's seed."""
@@ -46,18 +51,21 @@ def no_problems(study: Study, settings: Any, data: Measurements | None) -> list[
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage: its settings' model, the stages whose tables it needs, and whether it reads the measurements.
+    """A stage: its settings' model, the stages whose results it needs, and whether it reads the measurements.
 
-    problems finds what it would refuse of a study, its settings and (where there are any) the measurements; resumes names
-    files of an earlier run that it goes on from where only its settings changed.
+    tables and documents say by path in the run folder what it may make: of which rows, or of which dataclass. problems finds
+    what it would refuse of a study, its settings and (where there are any) the measurements; resumes names files of an
+    earlier run that it goes on from where only its settings changed.
     """
 
     name: str
     title: str
     settings: type[FileModel]
-    run: Callable[[Context], dict[str, pd.DataFrame]]
+    run: Callable[[Context], Results]
     needs: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()  # earlier stages it takes into account where the workflow has them
     measured: bool = True
     resumes: tuple[str, ...] = ()
+    tables: Mapping[str, type] = field(default_factory=dict, hash=False)
+    documents: Mapping[str, type] = field(default_factory=dict, hash=False)
     problems: Callable[[Study, Any, Measurements | None], list[Problem]] = no_problems

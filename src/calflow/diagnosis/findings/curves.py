@@ -16,6 +16,7 @@ from calflow.effects.cause import Cause
 from calflow.effects.joint_error import JointError, Term
 from calflow.estimation.accuracy import error_jacobian, errors
 from calflow.estimation.nuisance import completed
+from calflow.files.tables import column, to_frame, typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.robot.chain import Deflection
@@ -24,19 +25,23 @@ from calflow.robot.dimensions import nominal_dimensions, nominal_loads
 from calflow.robot.statics import State, state
 
 PARALLEL = 0.02  # share of an effect off its joint's lever below which it counts as that joint's
-COLUMNS = [
-    "finding",
-    "cause",
-    "joint",
-    "variable",
-    "variable_unit",
-    "x",
-    "before_mm",
-    "after_mm",
-    "fitted_mm",
-    "pose",
-    "split",
-]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurvePoint:
+    """A measured row's error along the direction in which a cause acts, with the variable that explains it."""
+
+    finding: int = column("number of the cause among those in the extended model, from 1")
+    cause: str = column("its id")
+    joint: int | None = column("number of its joint or link; empty: none")
+    variable: str = column("what explains it, in words")
+    variable_unit: str = column("of the variable; empty: none")
+    x: float = column("the variable", "as `variable_unit` says")
+    before_mm: float = column("measured minus predicted, without this cause's own part", "mm")
+    after_mm: float = column("the same with the whole extended model", "mm")
+    fitted_mm: float = column("the cause's own part", "mm")
+    pose: str = column("as in the measurements")
+    split: str = column("train, holdout; empty: left out as faulty")
 
 
 def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.DataFrame:
@@ -68,8 +73,8 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
             "before_mm": 1e3 * (after + fitted), "after_mm": 1e3 * after, "fitted_mm": 1e3 * fitted,
             "pose": data.table["pose"], "split": data.table["split"],
         }  # fmt: skip
-        blocks.append(pd.DataFrame(block)[COLUMNS])
-    return pd.concat(blocks, ignore_index=True) if blocks else pd.DataFrame(columns=COLUMNS)
+        blocks.append(typed(pd.DataFrame(block), CurvePoint))
+    return pd.concat(blocks, ignore_index=True) if blocks else to_frame((), CurvePoint)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from calflow.estimation.fit import Fit
 from calflow.estimation.registration import registered
 from calflow.estimation.repeats import measured_noise
 from calflow.estimation.reweighting import fit_reweighted
+from calflow.files.tables import column, to_frame, typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations import observations
@@ -25,16 +26,58 @@ from calflow.robot.conditions import Row
 from calflow.robot.statics import State
 
 GRID = 400  # angles at which two curves are compared
+NAN = float("nan")
+CURVES = ("angle_deg", "here_urad", "there_urad", "position_mm", "here_um", "there_um")
 AGREE, AGREE_MAINLY = 0.95, 0.7  # correlations from which two curves count as the same, or as nearly so
 WIDE = 0.3  # share of a joint's travel that two series must have in common for a comparison to mean much
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConfirmedCause:
+    """How a joint error agrees with that of the other series."""
+
+    cause: str = column("its id")
+    joint: int = column("its joint")
+    correlation: float = column("of both curves over the common travel, beyond their first order", default=NAN)
+    correlation_with_first_order: float = column("of the whole curves", default=NAN)
+    rms_here_urad: float = column("size of this series' curve beyond its first order", "urad", default=NAN)
+    rms_there_urad: float = column("the same of the other series", "urad", default=NAN)
+    common_deg: float = column("travel that both series cover", "deg", default=NAN)
+    rms_here_um: float = column("of a slide: as rms_here_urad", "um", default=NAN)
+    rms_there_um: float = column("of a slide: as rms_there_urad", "um", default=NAN)
+    common_mm: float = column("of a slide: travel that both series cover", "mm", default=NAN)
+    share_of_travel: float = column("the common travel as a share of this series' travel")
+    words: str = column("what that means")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConfirmedPoint:
+    """A point of a joint error as found on either series, beyond its first order."""
+
+    cause: str = column("its id")
+    joint: int = column("its joint")
+    angle_deg: float = column("of the joint", "deg")
+    here_urad: float = column("as found here", "urad")
+    there_urad: float = column("as found on the other series", "urad")
+    position_mm: float = column("of a slide", "mm")
+    here_um: float = column("of a slide: as found here", "um")
+    there_um: float = column("of a slide: as found on the other series", "um")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CarriedAccuracy:
+    """The other series' held-out error with one of three models."""
+
+    model: str = column("without the causes, with its own fit of them, or with this series' carried over")
+    n: int = column("held-out rows within the travel covered here")
+    heldout_mean_mm: float = column("mean error at these rows", "mm")
 
 
 @dataclass(frozen=True)
 class Confirmation:
     """The other series fitted on its own, and the first one's joint errors carried over to it.
 
-    curves has cause, joint, angle_deg, here_urad, there_urad (a slide's are position_mm, here_um, there_um); table a row a
-    cause; accuracy the held-out errors there.
+    curves holds `ConfirmedPoint`s, table a `ConfirmedCause` each, accuracy the `CarriedAccuracy`.
     """
 
     curves: pd.DataFrame
@@ -68,21 +111,7 @@ def confirm(found: Fitted, other: Measurements) -> Confirmation:
         row, curve = _compared(cause, found, matched, alone, train)
         rows.append(row)
         curves += [curve] if curve is not None else []
-    columns = [
-        "cause",
-        "joint",
-        "correlation",
-        "correlation_with_first_order",
-        "rms_here_urad",
-        "rms_there_urad",
-        "common_deg",
-        "rms_here_um",
-        "rms_there_um",
-        "common_mm",
-        "share_of_travel",
-        "words",
-    ]
-    table = pd.DataFrame(rows, columns=columns).astype({"joint": "Int64"})
+    table = to_frame(rows, ConfirmedCause)
     values = [tuple(map(float, found.fit.estimate[found.model.columns(cause)])) for cause in causes]
     carried = fitted((*plain, *(Carried(robot, cause, v) for cause, v in zip(causes, values, strict=True))))
     heldout = other.only(other.held_out & _covered(found, causes, other))
@@ -91,13 +120,9 @@ def confirm(found: Fitted, other: Measurements) -> Confirmation:
         ("its own fit of the causes", alone),
         ("the causes carried over", carried),
     ]
-    accuracy = pd.DataFrame(
-        {"model": name, "n": len(heldout), "heldout_mean_mm": _mean(fit, heldout)} for name, fit in steps
-    )
-    together = pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(
-        columns=["cause", "joint", "angle_deg", "here_urad", "there_urad"]
-    )  # fmt: skip
-    return Confirmation(together, table, accuracy)
+    accuracy = [CarriedAccuracy(model=name, n=len(heldout), heldout_mean_mm=_mean(fit, heldout)) for name, fit in steps]
+    together = pd.concat(curves, ignore_index=True) if curves else to_frame((), ConfirmedPoint)
+    return Confirmation(together, table, to_frame(accuracy, CarriedAccuracy))
 
 
 def curve(cause: Cause, values: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -137,19 +162,24 @@ def _matched(cause: Cause, data: Measurements) -> Cause | None:
 
 def _compared(
     cause: Cause, found: Fitted, matched: Cause | None, alone: Fit, data: Measurements
-) -> tuple[dict[str, object], pd.DataFrame | None]:
+) -> tuple[ConfirmedCause, pd.DataFrame | None]:
     i = cause.joint - 1
     here, there = ((m.joints @ m.robot.reading_matrix.T)[:, i] for m in (found.data, data))
     unit, factor = data.robot.joints[i].shown
     error = "urad" if unit == "deg" else "um"
     low, high = max(here.min(), there.min()), min(here.max(), there.max())
     travel = max(np.ptp(here), 1e-9)
-    told: dict[str, object] = {"cause": cause.id, "joint": cause.joint, f"common_{unit}": factor * float(max(high - low, 0.0)),
-                               "share_of_travel": float(max(high - low, 0.0) / travel)}  # fmt: skip
+    common = max(high - low, 0.0)
+
+    def told(words: str, **figures: float) -> ConfirmedCause:
+        shown = {f"common_{unit}": factor * float(common), **figures}
+        share = float(common / travel)
+        return ConfirmedCause(cause=cause.id, joint=cause.joint, share_of_travel=share, words=words, **shown)
+
     if matched is None or high <= low:
         few = f"does not cover joint {cause.joint} densely enough to see it"
         none = f"has no reading of joint {cause.joint} within the travel that was seen here"
-        return told | {"words": f"the other series {none if high <= low else few}"}, None
+        return told(f"the other series {none if high <= low else few}"), None
     angle = np.linspace(low, high, GRID)
     own = found.fit.estimate[found.model.columns(cause)]
     other = alone.estimate[alone.model.columns(matched)]
@@ -165,17 +195,13 @@ def _compared(
         words = "the two series agree in the main: a part of at least one curve belongs to something else"
     else:
         words = "the two series do not agree: at least one curve holds what belongs to something else"
-    told |= {
-        "correlation": correlation,
-        "correlation_with_first_order": float(np.corrcoef(whole[0], whole[1])[0, 1]),
-        f"rms_here_{error}": 1e6 * first.std(),
-        f"rms_there_{error}": 1e6 * second.std(),
-        "words": words,
-    }
     along = "angle_deg" if unit == "deg" else "position_mm"
-    drawn = pd.DataFrame({"cause": cause.id, "joint": cause.joint, along: factor * angle,
-                          f"here_{error}": 1e6 * first, f"there_{error}": 1e6 * second})  # fmt: skip
-    return told, drawn
+    shown = {along: factor * angle, f"here_{error}": 1e6 * first, f"there_{error}": 1e6 * second}
+    drawn = pd.DataFrame({"cause": cause.id, "joint": cause.joint, **dict.fromkeys(CURVES, NAN), **shown})
+    with_first_order = float(np.corrcoef(whole[0], whole[1])[0, 1])
+    figures = {f"rms_here_{error}": 1e6 * float(first.std()), f"rms_there_{error}": 1e6 * float(second.std())}
+    row = told(words, correlation=correlation, correlation_with_first_order=with_first_order, **figures)
+    return row, typed(drawn, ConfirmedPoint)
 
 
 def _beyond_first_order(values: np.ndarray, angle: np.ndarray) -> np.ndarray:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -21,27 +22,79 @@ from calflow.diagnosis.search.noise_growth import RANGE, Growth
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import distances, errors
+from calflow.estimation.parameters import UNIT
+from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
 
-FINDINGS = [
-    "status", "cause", "joint", "estimate", "sd", "unit", "p_family", "probability", "cannot_tell_from", "gain_mean_mm",
-    "gain_low_mm", "gain_high_mm", "heldout_mean_mm", "detail", "rivals", "rows", "statement",
-]  # fmt: skip
-CANDIDATES = [
-    "cause", "joint", "statistic", "p_family", "delta_bic", "probability", "visible_share", "estimate", "sd", "unit",
-    "limit", "tests", "part", "detail", "note",
-]  # fmt: skip
-
+NAN = float("nan")
 UNEXPLAINED = "unexplained"  # what a cause is not told from where something without a name depends on the same input
 IN_TIME = {"time", "order"}  # the inputs that causes of the measuring device depend on
+
+
+@dataclass(frozen=True, kw_only=True)
+class FindingRow:
+    """A verdict: a fault of the data, a cause, or what no cause explains. No row: nothing was found that the model lacks."""
+
+    status: Literal["named", "one_of", "unexplained", "data_fault"] = column(
+        "a cause; one of several; structure without a cause (its gain is that of a Gaussian process of its inputs, which is not "
+        "physical and in no model); a mistake in the file"
+    )
+    cause: str = column("id of the effect, or of the fault; empty: unexplained", default="")
+    joint: int | None = column("number of its joint or link; empty: none", default=None)
+    estimate: float = column("its size", UNIT, default=NAN)
+    sd: float = column("standard deviation of the size, whichever form of the cause is true", UNIT, default=NAN)
+    unit: str = column("of the size (SI)", default="")
+    p_family: float = column("chance that noise alone makes any of all tests look like this", default=NAN)
+    probability: float = column("that it is this cause rather than a rival", default=NAN)
+    cannot_tell_from: tuple[str, ...] = column(
+        "ids of what it may be instead; `unexplained` where what nobody can name depends on the same input", default=()
+    )
+    gain_mean_mm: float = column("what it takes off the mean error at held-out poses", "mm", default=NAN)
+    gain_low_mm: float = column("lower end of the gain's 95 % interval", "mm", default=NAN)
+    gain_high_mm: float = column("upper end of it", "mm", default=NAN)
+    heldout_mean_mm: float = column("mean error at held-out poses with it", "mm", default=NAN)
+    detail: str = column("the variant, in words", default="")
+    rivals: tuple[str, ...] = column("what else could explain the data: id and joint", separator="; ", default=())
+    rows: tuple[int, ...] = column("lines of the file, of a data fault", default=())
+    statement: str = column("the verdict in words")
+    rival_causes: tuple[str, ...] = column("ids of the rivals, in their order", default=())
+    rival_joints: tuple[int, ...] = column("their joints; 0: none", default=())
+    inputs: tuple[str, ...] = column(
+        "what something unexplained depends on: q1 … (joints), x, y, z, order, time", default=()
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CandidateRow:
+    """A place of an effect in its best variant, as first tested, or why it was not tested."""
+
+    cause: str = column("id of the effect")
+    joint: int | None = column("number of its joint or link; empty: none", default=None)
+    statistic: float = column("fall of chi²", default=NAN)
+    p_family: float = column("chance that noise alone makes any of all tests look like this", default=NAN)
+    delta_bic: float = column("change of BIC: below 0 it explains more than its parameters cost", default=NAN)
+    probability: float = column("that it is this place rather than another, or nothing", default=NAN)
+    visible_share: float = column("what the model's own parameters cannot imitate", default=NAN)
+    estimate: float = column("its size", UNIT, default=NAN)
+    sd: float = column("standard deviation of the size", UNIT, default=NAN)
+    unit: str = column("of the size (SI)", default="")
+    limit: float = column(
+        "the least size that these data show 95 times in 100; empty where no size would", UNIT, default=NAN
+    )
+    tests: float = column("tests that it pays for", default=NAN)
+    part: str = column("the part of the robot", default="")
+    detail: str = column("the variant, in words", default="")
+    note: str = column("why it was not tested, or how, in words", default="")
+    lacking: str = column("what a test would need; empty: nothing", default="")
+    imitated: bool = column("not testable: the model's own parameters imitate it", default=False)
 
 
 @dataclass(frozen=True)
 class Diagnosis:
     """All that was found: the model to start from, its extension, a verdict a finding, and what is left.
 
-    growth is the noise's with range where there is one; lacking says by id why an effect was not tested; false_alarm is what
-    causes were allowed.
+    growth is the noise's with range where there is one; lacking and superseded say by id why an effect was not tested;
+    false_alarm is what causes were allowed.
     """
 
     start: Fitted
@@ -50,6 +103,7 @@ class Diagnosis:
     left: tuple[Remainder, ...]
     growth: Growth | None
     lacking: Mapping[str, str]
+    superseded: Mapping[str, str]
     false_alarm: float
 
     @property
@@ -63,27 +117,30 @@ def findings_table(
 ) -> pd.DataFrame:
     """Return diagnose/findings.csv: data faults, causes, the noise's growth and what nobody can name."""
     heldout, final = data.only(data.held_out), found.extended.fitted
-    rows = [_fault(cause, joint, group) for (cause, joint), group in faults.groupby(["cause", "joint"], sort=False)]
+    rows = [_fault(group) for _, group in faults.groupby(["cause", "joint"], sort=False)]
     before = errors(found.start.model, found.start.fit.estimate, heldout)
     for verdict, fitted in zip(found.verdicts, found.extended.path, strict=True):
         after = errors(fitted.model, fitted.fit.estimate, heldout)
-        rows.append(_cause(verdict, final, _overlapping(verdict, found.left)) | _gained(before, after, heldout, rng))
+        row = _cause(verdict, final, _overlapping(verdict, found.left))
+        rows.append(_gained(row, before, after, heldout, rng))
         before = after
     if found.growth:
         rows.append(_growth(found.growth))
     for remainder in found.left:
         after = before + predicted(final, remainder.score.cause, heldout)
-        rows.append(_left(remainder) | _gained(before, after, heldout, rng))
-    return pd.DataFrame(rows, columns=FINDINGS)
+        rows.append(_gained(_left(remainder), before, after, heldout, rng))
+    return to_frame(rows, FindingRow)
 
 
 def _gained(
-    before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator
-) -> dict[str, object]:
+    row: FindingRow, before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator
+) -> FindingRow:
     gained = gain(before, after, heldout, rng)
-    mean = float(distances(after).mean()) if len(after) else np.nan
-    return {"gain_mean_mm": 1e3 * gained.mean, "gain_low_mm": 1e3 * gained.low, "gain_high_mm": 1e3 * gained.high,
-            "heldout_mean_mm": 1e3 * mean}  # fmt: skip
+    mean = float(distances(after).mean()) if len(after) else NAN
+    return replace(
+        row, gain_mean_mm=1e3 * gained.mean, gain_low_mm=1e3 * gained.low, gain_high_mm=1e3 * gained.high,
+        heldout_mean_mm=1e3 * mean,
+    )  # fmt: skip
 
 
 def candidates_table(found: Diagnosis) -> pd.DataFrame:
@@ -95,47 +152,51 @@ def candidates_table(found: Diagnosis) -> pd.DataFrame:
     total = sum(weights.values()) + np.exp(least / 2)  # nothing at all is a candidate too
     rows = []
     for place, (bic, score) in sorted(places.items(), key=lambda item: item[1][0]):
+        tested = _score(score)
         rows.append(
-            _score(score)
-            | {
-                "p_family": first.family.p(score),
-                "delta_bic": bic,
-                "probability": weights[place] / total,
-                "limit": detection_limit(score, first.family, found.false_alarm),
-                "tests": first.family.tests(score),
-            }
+            replace(
+                tested,
+                p_family=first.family.p(score),
+                delta_bic=bic,
+                probability=weights[place] / total,
+                limit=detection_limit(score, first.family, found.false_alarm),
+                tests=first.family.tests(score),
+            )
         )
+    imitated = "not testable: these data cannot show it, the model's own parameters imitate it"
     for cause in first.hidden:
-        rows.append({"cause": cause.id, "joint": cause.joint or None, "part": cause.part,
-                     "note": "not testable: these data cannot show it, the model's own parameters imitate it"})  # fmt: skip
+        rows.append(
+            CandidateRow(cause=cause.id, joint=cause.joint or None, part=cause.part, note=imitated, imitated=True)
+        )
+    untested = {**found.lacking, **found.superseded}
     rows += [
-        _noise(kind, found.growth)
-        for name, kind in catalogue().items()
-        if kind.is_noise() and name not in found.lacking
+        _noise(kind, found.growth) for name, kind in catalogue().items() if kind.is_noise() and name not in untested
     ]
-    rows += [{"cause": name, "note": f"not testable: needs {what}"} for name, what in found.lacking.items()]
-    return pd.DataFrame(rows, columns=CANDIDATES).astype({"joint": "Int64"})
+    for name in (name for name in catalogue() if name in untested):
+        lacking, why = found.lacking.get(name, ""), found.superseded.get(name)
+        said = f"not tested: {why}" if why else f"not testable: needs {lacking}"
+        rows.append(CandidateRow(cause=name, note=said, lacking=lacking))
+    return to_frame(rows, CandidateRow)
 
 
-def _noise(kind: type[Effect], grown: Growth | None) -> dict[str, object]:
+def _noise(kind: type[Effect], grown: Growth | None) -> CandidateRow:
     """One model of the noise: growth with range is what is tested."""
     if kind.grows_with != RANGE:
-        return {"cause": kind.id, "note": f"not testable: only noise that grows with {RANGE} is looked for"}
+        return CandidateRow(cause=kind.id, note=f"not testable: only noise that grows with {RANGE} is looked for")
     if grown is None:
-        return {"cause": kind.id, "note": f"tested on the size of what is left: it does not grow with {RANGE}"}
-    return {"cause": kind.id, "p_family": grown.p, "estimate": grown.slope, "sd": grown.sd, "unit": "m/m"}
+        return CandidateRow(cause=kind.id, note=f"tested on the size of what is left: it does not grow with {RANGE}")
+    return CandidateRow(cause=kind.id, p_family=grown.p, estimate=grown.slope, sd=grown.sd, unit="m/m")
 
 
-def _score(score: Score) -> dict[str, object]:
+def _score(score: Score) -> CandidateRow:
     estimate, sd = amplitude(score.cause, score.estimate, score.covariance)
-    return {
-        "cause": score.cause.id, "joint": score.cause.joint or None, "statistic": score.drop,
-        "visible_share": score.visible_share, "estimate": estimate, "sd": sd, "unit": score.cause.declared[0].unit,
-        "part": score.cause.part, "detail": score.cause.detail, "note": "",
-    }  # fmt: skip
+    return CandidateRow(
+        cause=score.cause.id, joint=score.cause.joint or None, statistic=score.drop, visible_share=score.visible_share,
+        estimate=estimate, sd=sd, unit=score.cause.declared[0].unit, part=score.cause.part, detail=score.cause.detail,
+    )  # fmt: skip
 
 
-def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None) -> dict[str, object]:
+def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None) -> FindingRow:
     """One finding's row; left is what nobody can name along the same input, which makes a certain name uncertain."""
     cause = verdict.finding.cause
     estimate, sd = found_amplitude(verdict.finding, fitted)
@@ -144,14 +205,14 @@ def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None) -> dict[str
     )
     if left:
         others += [name for name in _relatives(cause) or [UNEXPLAINED] if name not in others]
-    status = "one_of" if others else verdict.status
-    return {
-        "status": status, "cause": cause.id, "joint": cause.joint or None, "estimate": estimate,
-        "sd": sd if sd > 0 else np.nan, "unit": cause.declared[0].unit, "p_family": verdict.finding.p,
-        "probability": verdict.probability, "cannot_tell_from": ";".join(others), "detail": cause.detail,
-        "rivals": "; ".join(label(rival.id, rival.joint) for rival in verdict.rivals), "rows": "",
-        "statement": _statement(verdict, left),
-    }  # fmt: skip
+    return FindingRow(
+        status="one_of" if others else verdict.status, cause=cause.id, joint=cause.joint or None, estimate=estimate,
+        sd=sd if sd > 0 else NAN, unit=cause.declared[0].unit, p_family=verdict.finding.p, probability=verdict.probability,
+        cannot_tell_from=tuple(others), detail=cause.detail,
+        rivals=tuple(label(rival.id, rival.joint) for rival in verdict.rivals),
+        rival_causes=tuple(rival.id for rival in verdict.rivals),
+        rival_joints=tuple(rival.joint for rival in verdict.rivals), statement=_statement(verdict, left),
+    )  # fmt: skip
 
 
 def _statement(verdict: Verdict, left: Remainder | None) -> str:
@@ -190,28 +251,28 @@ def _relatives(cause: Cause) -> list[str]:
     return [name for name, kind in catalogue().items() if family and kind.family == family and name != cause.id]
 
 
-def _growth(grown: Growth) -> dict[str, object]:
+def _growth(grown: Growth) -> FindingRow:
     kind = next(kind for kind in catalogue().values() if kind.grows_with == RANGE)
-    return {
-        "status": "named", "cause": kind.id, "estimate": grown.slope, "sd": grown.sd, "unit": "m/m",
-        "p_family": grown.p, "probability": 1 - grown.p, "cannot_tell_from": "", "rivals": "", "rows": "",
-        "statement": f"{kind.title}: {1e6 * grown.floor:.3g} um and {1e6 * grown.slope:.3g} um/m",
-    }  # fmt: skip
+    return FindingRow(
+        status="named", cause=kind.id, estimate=grown.slope, sd=grown.sd, unit="m/m", p_family=grown.p,
+        probability=1 - grown.p, statement=f"{kind.title}: {1e6 * grown.floor:.3g} um and {1e6 * grown.slope:.3g} um/m",
+    )  # fmt: skip
 
 
-def _left(remainder: Remainder) -> dict[str, object]:
-    inputs = " and ".join(remainder.inputs)
-    detail = remainder.score.cause.detail
-    return {
-        "status": "unexplained", "cause": "", "p_family": remainder.p, "cannot_tell_from": "", "detail": detail,
-        "rivals": "", "rows": "",
-        "statement": f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it",
-    }  # fmt: skip
+def _left(remainder: Remainder) -> FindingRow:
+    inputs, detail = " and ".join(remainder.inputs), remainder.score.cause.detail
+    said = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it"
+    return FindingRow(
+        status="unexplained", p_family=remainder.p, detail=detail, statement=said, inputs=remainder.inputs
+    )
 
 
-def _fault(cause: object, joint: object, group: pd.DataFrame) -> dict[str, object]:
-    lines = group["line"].dropna().astype(int)
-    return {
-        "status": "data_fault", "cause": cause, "joint": joint or None, "cannot_tell_from": "", "rivals": "", "detail": "",
-        "rows": ";".join(map(str, lines)), "statement": group["statement"].iloc[0],
-    }  # fmt: skip
+def _fault(group: pd.DataFrame) -> FindingRow:
+    first, lines = group.iloc[0], tuple(group["line"].dropna().astype(int))
+    return FindingRow(
+        status="data_fault",
+        cause=first["cause"],
+        joint=first["joint"] or None,
+        rows=lines,
+        statement=first["statement"],
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from calflow.effects import Effect, catalogue
@@ -14,10 +14,14 @@ from calflow.measurements.measurements import Measurements
 
 @dataclass(frozen=True)
 class Catalogue:
-    """The effects to look for in some data, every variant, and why others cannot be tested (id -> what is lacking)."""
+    """The effects to look for in some data, every variant, and why others are not tested.
+
+    lacking says by id what the data lack, superseded why an effect is not needed for this robot.
+    """
 
     effects: tuple[Effect, ...]
     lacking: dict[str, str]
+    superseded: dict[str, str] = field(default_factory=dict)
 
     @cached_property
     def variants(self) -> dict[tuple[str, str], int]:
@@ -28,13 +32,14 @@ class Catalogue:
     def of(data: Measurements, have: Sequence[str], only: Sequence[str] = (), without: Sequence[str] = ()) -> Catalogue:
         """Collect what can be tested on these training data: all, or only some, but what the model has already."""
         effects: list[Effect] = []
-        lacking = {}
+        lacking, superseded = {}, {}
         for name, kind in catalogue().items():
             if name in have or name in without or (only and name not in only):
                 continue
-            reason = kind.lacking(data.robot, data)
-            if reason:
+            if reason := kind.superseded(data.robot):
+                superseded[name] = reason
+            elif reason := kind.lacking(data.robot, data):
                 lacking[name] = reason
             elif not kind.is_noise():
                 effects += kind.variants(data.robot, data)
-        return Catalogue(tuple(effects), lacking)
+        return Catalogue(tuple(effects), lacking, superseded)

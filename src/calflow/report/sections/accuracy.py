@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.repeats import MIN_REPEATS
-from calflow.files.tables import Tables
+from calflow.files.results import Results
 from calflow.report.document import Block, paragraph, plot, table
-from calflow.report.figures.accuracy import budget, distribution
-from calflow.report.figures.diagnosis import waterfall
+from calflow.report.figures.causes import waterfall
+from calflow.report.figures.error_budget import budget, distribution
 from calflow.report.findings import findings
-from calflow.report.material import Material, item, lack_of_fit, latest, split_judged, steps
+from calflow.report.material import Material, latest, latest_summary, split_judged, steps
 from calflow.report.section import Advice, Section
 from calflow.report.words import effect_words, listed, mm, ratio
 
@@ -26,7 +27,7 @@ WORSE = 1.5  # held-out over training mean error from which the model does not c
 
 def write(material: Material) -> list[Block]:
     """Say how accurate each model is, where the error went, and how the errors that are left are spread."""
-    accuracy = latest(material.tables, "accuracy")
+    accuracy = latest(material.results, "accuracy")
     own = len(material.tables["identify/accuracy.csv"])
     words = {"train": "used for the fit", "holdout": "held out"}
     label = {step.model: step.label for split in words for step in steps(accuracy, split)}
@@ -57,37 +58,37 @@ def write(material: Material) -> list[Block]:
     ]
 
 
-def not_converged(tables: Tables) -> list[Advice]:
+def not_converged(results: Results) -> list[Advice]:
     """A fit that stopped before its optimum is not to be used."""
-    summary = tables["identify/summary.csv"]
-    if item(summary, "converged") != "False":
+    summary = _identified(results)
+    if summary.converged:
         return []
     sentence = (
-        f"Do not use these parameters: the fit did not converge ({item(summary, 'solver')}). Check the robot file's "
+        f"Do not use these parameters: the fit did not converge ({summary.solver.words}). Check the robot file's "
         "dimensions and units and the flagged rows, then run again."
     )
     return [Advice(1, sentence)]
 
 
-def starts_disagree(tables: Tables) -> list[Advice]:
+def starts_disagree(results: Results) -> list[Advice]:
     """Fits from different starts should find the same optimum."""
-    agreeing, of, starts = item(tables["identify/summary.csv"], "starts_agreeing").partition(" of ")
-    if not of or int(agreeing) >= int(starts):
+    summary = _identified(results)
+    if summary.starts_agreeing >= summary.starts:
         return []
     sentence = (
-        f"Only {agreeing} of {starts} fits from different starting points came to the same result; the best is "
-        "reported. Raise stages.identify.starts and compare, and check the nominal dimensions."
+        f"Only {summary.starts_agreeing} of {summary.starts} fits from different starting points came to the same result; the "
+        "best is reported. Raise stages.identify.starts and compare, and check the nominal dimensions."
     )
     return [Advice(2, sentence)]
 
 
-def model_lacks(tables: Tables) -> list[Advice]:
+def model_lacks(results: Results) -> list[Advice]:
     """A model that leaves more than the noise lacks something."""
-    summary = latest(tables, "summary")
-    times = lack_of_fit(summary)
-    if not times > LACKS or any(found.status == "unexplained" for found in findings(tables)):
+    summary = latest_summary(results)
+    times = summary.lack_of_fit
+    if not times > LACKS or any(found.status == "unexplained" for found in findings(results)):
         return []  # what is known of the structure is told where it was found
-    stated = item(summary, "noise_source") == "file"
+    stated = "file" in summary.noise_sources
     doubt = "the noise is larger than stated" if stated else "poses repeat worse than repeats in a row show"
     sentence = (
         f"The model leaves {ratio(times)} times the noise: something is missing in the model, or {doubt}. See the "
@@ -96,9 +97,9 @@ def model_lacks(tables: Tables) -> list[Advice]:
     return [Advice(2, sentence)]
 
 
-def noise_doubtful(tables: Tables) -> list[Advice]:
+def noise_doubtful(results: Results) -> list[Advice]:
     """A fit cannot leave much less than the noise."""
-    times = lack_of_fit(latest(tables, "summary"))
+    times = latest_summary(results).lack_of_fit
     if not times < TOO_GOOD:
         return []
     sentence = (
@@ -108,9 +109,9 @@ def noise_doubtful(tables: Tables) -> list[Advice]:
     return [Advice(3, sentence)]
 
 
-def noise_unknown(tables: Tables) -> list[Advice]:
+def noise_unknown(results: Results) -> list[Advice]:
     """Without a noise level known apart from the fit nothing tells whether the model is complete."""
-    if item(tables["identify/summary.csv"], "noise_source") != "estimated":
+    if _identified(results).noise_known:
         return []
     sentence = (
         "Measure some poses several times, coming back to each from elsewhere: the noise is not known, so an incomplete "
@@ -120,12 +121,11 @@ def noise_unknown(tables: Tables) -> list[Advice]:
     return [Advice(2, sentence)]
 
 
-def nominal_far_off(tables: Tables) -> list[Advice]:
+def nominal_far_off(results: Results) -> list[Advice]:
     """A nominal robot that misses by a tenth of the measured space was described or read wrongly."""
-    accuracy = tables["identify/accuracy.csv"]
-    spread = float(item(tables["identify/summary.csv"], "spread_mm") or "inf")
+    accuracy = results.tables["identify/accuracy.csv"]
     off = float(accuracy["mean_mm"].iloc[0])
-    if off < FAR_OFF * spread:
+    if off < FAR_OFF * _identified(results).spread_mm:
         return []
     sentence = (
         f"Do not use this result: the nominal robot misses by {mm(off)} mm, which no robot does. Check for swapped axes, a "
@@ -134,9 +134,9 @@ def nominal_far_off(tables: Tables) -> list[Advice]:
     return [Advice(1, sentence)]
 
 
-def nothing_held_out(tables: Tables) -> list[Advice]:
+def nothing_held_out(results: Results) -> list[Advice]:
     """Accuracy on the poses of the fit flatters."""
-    if split_judged(tables["identify/accuracy.csv"]) == "holdout":
+    if split_judged(results.tables["identify/accuracy.csv"]) == "holdout":
         return []
     sentence = (
         "Hold out some poses (split.holdout = 0.3 in the study): the accuracy given here is that of the poses that were "
@@ -145,9 +145,9 @@ def nothing_held_out(tables: Tables) -> list[Advice]:
     return [Advice(2, sentence)]
 
 
-def does_not_carry_over(tables: Tables) -> list[Advice]:
+def does_not_carry_over(results: Results) -> list[Advice]:
     """A model much worse at held-out poses was fitted to too few or too similar poses."""
-    accuracy = latest(tables, "accuracy")
+    accuracy = latest(results, "accuracy")
     if split_judged(accuracy) == "train" or not (accuracy["split"] == "train").any():
         return []
     train, held = steps(accuracy, "train")[-1], steps(accuracy, "holdout")[-1]
@@ -160,10 +160,9 @@ def does_not_carry_over(tables: Tables) -> list[Advice]:
     return [Advice(2, sentence)]
 
 
-def reaches_beyond(tables: Tables) -> list[Advice]:
+def reaches_beyond(results: Results) -> list[Advice]:
     """Held-out poses beyond the readings that were fitted ask more of the model than it was taught."""
-    summary = tables["identify/summary.csv"]
-    said = summary.loc[summary["item"] == "extrapolation", "value"].astype(str).tolist()
+    said = [joint.words for joint in _identified(results).extrapolation]
     if not said:
         return []
     sentence = (
@@ -173,10 +172,14 @@ def reaches_beyond(tables: Tables) -> list[Advice]:
     return [Advice(3, sentence)]
 
 
+def _identified(results: Results) -> IdentifySummary:
+    return results.document("identify/summary.json", IdentifySummary)
+
+
 SECTION = Section(
     10,
     "Accuracy",
-    ("identify/accuracy.csv", "identify/residuals.csv", "identify/summary.csv"),
+    ("identify/accuracy.csv", "identify/residuals.csv", "identify/summary.json"),
     write,
     (
         nominal_far_off,

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from importlib.metadata import version
 
+from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
+from calflow.estimation.calibrated import DeviceNoise
+from calflow.estimation.fit_summary import IdentifySummary
 from calflow.report.document import Block, paragraph, table
 from calflow.report.material import Material
 from calflow.report.section import Section
+from calflow.report.summaries import diagnosed, identified
 from calflow.report.words import effect_words
 
 PACKAGES = ("calflow", "casadi", "emcee", "numpy", "scipy", "pandas")
@@ -14,8 +18,8 @@ PACKAGES = ("calflow", "casadi", "emcee", "numpy", "scipy", "pandas")
 
 def write(material: Material) -> list[Block]:
     """Tabulate what was asked, what was used and how it ended."""
-    study, tables = material.study, material.tables
-    summary = tables["identify/summary.csv"]
+    study, results = material.study, material.results
+    noises = results.rows("identify/noise.csv", DeviceNoise)
     facts: list[tuple[str, str] | str] = [
         "asked",
         ("study", study.name),
@@ -31,7 +35,7 @@ def write(material: Material) -> list[Block]:
             if study.settings(stage)
         ),
         "found by identify",
-        *((str(row.item).replace("_", " "), str(row.value)) for row in summary.itertuples(index=False)),
+        *identified(results.document("identify/summary.json", IdentifySummary), noises),
         *(_placement(material)),
         *_diagnosed(material),
     ]
@@ -43,10 +47,10 @@ def write(material: Material) -> list[Block]:
 
 
 def _diagnosed(material: Material) -> list[tuple[str, str] | str]:
-    if "diagnose/summary.csv" not in material.tables:
+    path = "diagnose/summary.json"
+    if path not in material.results:
         return []
-    rows = material.tables["diagnose/summary.csv"].itertuples(index=False)
-    return ["found by diagnose", *((str(row.item).replace("_", " "), str(row.value)) for row in rows)]
+    return ["found by diagnose", *diagnosed(material.results.document(path, DiagnosisSummary))]
 
 
 def _settings(settings: dict[str, object]) -> str:
@@ -72,4 +76,6 @@ def _placement(material: Material) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-SECTION = Section(90, "Appendix: the run", ("identify/summary.csv", "identify/placement.csv"), write)
+SECTION = Section(
+    90, "Appendix: the run", ("identify/summary.json", "identify/noise.csv", "identify/placement.csv"), write
+)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from calflow.faults.base import lines_in_words
-from calflow.files.tables import Tables
+from calflow.files.results import Results
 from calflow.report.document import Block, paragraph, table
 from calflow.report.material import Material
 from calflow.report.section import Advice, Section
@@ -35,9 +35,9 @@ def write(material: Material) -> list[Block]:
     ]
 
 
-def correct_the_file(tables: Tables) -> list[Advice]:
+def correct_the_file(results: Results) -> list[Advice]:
     """What is wrong in the file is to be corrected there, once and for all."""
-    faults = _faults(tables[FAULTS])
+    faults = _faults(results.tables[FAULTS])
     said = [Advice(2, f"Correct the measurement file: {own['statement'].iloc[0]}.") for own in faults[:TOLD]]
     if len(faults) > TOLD:
         said.append(Advice(2, f"Correct the measurement file: {plural(len(faults) - TOLD, 'further fault')}, see the section on "
@@ -62,5 +62,10 @@ def _sentence(own: pd.DataFrame) -> str:
 
 
 SECTION = Section(
-    5, "Data faults", (FAULTS,), write, (correct_the_file,), worth_telling=lambda tables: len(tables[FAULTS]) > 0
+    5,
+    "Data faults",
+    (FAULTS,),
+    write,
+    (correct_the_file,),
+    worth_telling=lambda results: len(results.tables[FAULTS]) > 0,
 )

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from typing import Any
 
-from calflow.files.tables import Tables
+from calflow.estimation.fit_summary import IdentifySummary
+from calflow.estimation.identifiability import Statement, silent_words, trade_words
+from calflow.files.results import Results
 from calflow.report.document import Block, bullets, heading, paragraph, table
-from calflow.report.material import Material, item
+from calflow.report.material import Material
 from calflow.report.section import Advice, Section
 from calflow.report.sections.parameters import prior_names
-from calflow.report.words import effect_words, interval, listed, number, part_words, readable
+from calflow.report.words import effect_words, first_up, interval, listed, number, part_words, readable
 
 SHOWN = 15  # correlations in the table
 NAMED = 3  # parameters that a trade on the first page names
@@ -28,34 +30,27 @@ LOAD_DRIVEN = ("rad/Nm", "m/N")  # units of what only a load shows
 
 def write(material: Material) -> list[Block]:
     """Say what the data determine, what they say nothing about and what they know only together."""
-    summary = material.tables["identify/summary.csv"]
-    ranks = [
-        f"{effect_words(row['item'].removeprefix('rank_'))}: {row['value']}"
-        for row in summary.to_dict("records")
-        if row["item"].startswith("rank_")
-    ]
+    summary = material.results.document("identify/summary.json", IdentifySummary)
+    ranks = [f"{effect_words(effect)}: {rank}" for effect, rank in summary.rank_by_effect.items()]
     by_effect = f" ({'; '.join(ranks)})" if len(ranks) > 1 else ""
+    determined = f"{summary.rank} of {summary.parameters} parameters"
     return [
-        paragraph(f"The data determine {item(summary, 'rank')}{by_effect}. {HARMLESS}"),
-        *_statements(material.tables),
-        *_correlations(material.tables),
-        *_count(material.tables),
+        paragraph(f"The data determine {determined}{by_effect}. {HARMLESS}"),
+        *_statements(material.results),
+        *_correlations(material.results),
+        *_count(material.results),
     ]
 
 
-def _statements(tables: Tables) -> list[Block]:
-    statements = tables["identify/identifiability.csv"]
-    said = [
-        _sentence(text)
-        for text in statements.loc[statements["kind"].isin(["silent", "trade"]), "statement"].astype(str)
-    ]
-    said += [_bound(row) for row in tables["identify/parameters.csv"].to_dict("records") if row["at_bound"]]
+def _statements(results: Results) -> list[Block]:
+    said = [_words(one) for one in left_open(results) if one.kind in ("silent", "trade")]
+    said += [_bound(row) for row in results.tables["identify/parameters.csv"].to_dict("records") if row["at_bound"]]
     if not said:
         return [paragraph("Nothing is left open: the data determine every parameter.")]
     return [
         heading("What the data leave open"),
         bullets(said),
-        *([paragraph(BRACKETS, 9)] if (statements["kind"] == "trade").any() else []),
+        *([paragraph(BRACKETS, 9)] if _of_kind(results, "trade") else []),
     ]
 
 
@@ -68,10 +63,10 @@ def _bound(row: dict[Hashable, Any]) -> str:
     )
 
 
-def _correlations(tables: Tables) -> list[Block]:
-    if "identify/correlations.csv" not in tables or tables["identify/correlations.csv"].empty:
+def _correlations(results: Results) -> list[Block]:
+    if "identify/correlations.csv" not in results or results.tables["identify/correlations.csv"].empty:
         return []
-    pairs = tables["identify/correlations.csv"]
+    pairs = results.tables["identify/correlations.csv"]
     rows = [
         (row["first"], row["second"], number(row["correlation"], "+.4f"))
         for row in pairs.head(SHOWN).to_dict("records")
@@ -88,11 +83,11 @@ def _correlations(tables: Tables) -> list[Block]:
     ]
 
 
-def _count(tables: Tables) -> list[Block]:
-    if "identify/count.csv" not in tables:
+def _count(results: Results) -> list[Block]:
+    if "identify/count.csv" not in results:
         return []
     items = []
-    for effect, rows in tables["identify/count.csv"].groupby("effect", sort=False):
+    for effect, rows in results.tables["identify/count.csv"].groupby("effect", sort=False):
         kept = rows["kept"].astype(bool)
         inside, outside = (listed(rows.loc[mask, "parameter"].tolist(), 40) for mask in (kept, ~kept))
         lead = f"{effect_words(str(effect))}, {kept.sum()} of {len(rows)} parameters."
@@ -108,18 +103,18 @@ def _count(tables: Tables) -> list[Block]:
     ]
 
 
-def second_marker(tables: Tables) -> list[Advice]:
+def second_marker(results: Results) -> list[Advice]:
     """A trade between the last link and the only marker ends with a second marker."""
-    markers = [str(name) for name in tables["identify/placement.csv"]["what"] if name != "base"]
+    markers = [str(name) for name in results.tables["identify/placement.csv"]["what"] if name != "base"]
     if len(markers) != 1:
         return []
     marker = markers[0]
-    parameters = tables["identify/parameters.csv"]
-    of_marker = set(parameters.loc[parameters["part"] == marker, "parameter"])
+    parameters = results.tables["identify/parameters.csv"]
+    places = set(parameters.loc[parameters["part"] == marker, "parameter"])
     links: set[str] = set()
-    for names in _of_kind(tables, "trade"):
-        own = of_marker & set(names.split(";"))
-        links |= set(names.split(";")) - own if own else set()
+    for trade in _of_kind(results, "trade"):
+        own = places & set(trade.parameters)
+        links |= set(trade.parameters) - own if own else set()
     if not links:
         return []
     sentence = (
@@ -129,11 +124,11 @@ def second_marker(tables: Tables) -> list[Advice]:
     return [Advice(3, sentence)]
 
 
-def unseen_compliance(tables: Tables) -> list[Advice]:
+def unseen_compliance(results: Results) -> list[Advice]:
     """A joint that no load turned keeps an unknown compliance."""
-    parameters = tables["identify/parameters.csv"]
+    parameters = results.tables["identify/parameters.csv"]
     compliant = parameters[parameters["unit"].isin(LOAD_DRIVEN)].set_index("parameter")["part"]
-    unseen = [name for name in _of_kind(tables, "silent") if name in compliant]
+    unseen = [name for one in _of_kind(results, "silent") for name in one.parameters if name in compliant]
     if not unseen:
         return []
     joints = listed([part_words(compliant[name]) for name in unseen], 8)
@@ -144,59 +139,64 @@ def unseen_compliance(tables: Tables) -> list[Advice]:
     return [Advice(3, sentence)]
 
 
-def _of_kind(tables: Tables, kind: str) -> list[str]:
-    statements = tables["identify/identifiability.csv"]
-    return statements.loc[statements["kind"] == kind, "parameters"].astype(str).tolist()
+def left_open(results: Results) -> list[Statement]:
+    """Return what the data leave open."""
+    return results.rows("identify/identifiability.csv", Statement)
 
 
-def open_questions(tables: Tables) -> list[str]:
+def _of_kind(results: Results, kind: str) -> list[Statement]:
+    return [one for one in left_open(results) if one.kind == kind]
+
+
+def open_questions(results: Results) -> list[str]:
     """Say for the first page what the data cannot tell, in a few sentences."""
-    silent, trades, pairs = (_of_kind(tables, kind) for kind in ("silent", "trade", "correlated"))
-    bound = [name for name in _of_kind(tables, "bound") if name not in silent]
-    told = {name for names in [*silent, *trades, *bound] for name in names.split(";")}
-    prior = [name for name in prior_names(tables) if name not in told]
+    trades, pairs = _of_kind(results, "trade"), _of_kind(results, "correlated")
+    silent = [name for one in _of_kind(results, "silent") for name in one.parameters]
+    bound = [name for one in _of_kind(results, "bound") for name in one.parameters if name not in silent]
+    told = {*silent, *bound, *(name for one in trades for name in one.parameters)}
+    prior = [name for name in prior_names(results) if name not in told]
     said = []
     if silent:
         it = "it" if len(silent) == 1 else "them"
-        said.append(f"Anything about {_spoken(silent, tables)}: the value given for {it} is prior knowledge.")
+        said.append(f"Anything about {_spoken(silent, results)}: the value given for {it} is prior knowledge.")
     if trades:
         more = f" and {len(trades) - 4} more combinations" if len(trades) > 4 else ""
-        apart = "; ".join(_trade(names, tables) for names in trades[:4])
+        apart = "; ".join(_trade(one.parameters, results) for one in trades[:4])
         said.append(f"Apart from each other: {apart}{more}. Only what they do together is known.")
     if bound:
         said.append(
-            f"The size of {_spoken(bound, tables)}: at the end of the allowed range, so no standard deviation is given."
+            f"The size of {_spoken(bound, results)}: at the end of the allowed range, so no standard deviation is given."
         )
     if prior:
-        said.append(f"More about {_spoken(prior, tables)} than was known before.")
+        said.append(f"More about {_spoken(prior, results)} than was known before.")
     if pairs:
         further = "further pair of parameters is" if len(pairs) == 1 else "further pairs of parameters are"
         said.append(f"{len(pairs)} {further} known better together than apart.")
     return said
 
 
-def _spoken(names: list[str], tables: Tables) -> str:
+def _spoken(names: list[str], results: Results) -> str:
     """Names with what they mean: joint1.s (compliance of joint 1)."""
-    meaning = tables["identify/parameters.csv"].set_index("parameter")["meaning"].fillna("")
+    meaning = results.tables["identify/parameters.csv"].set_index("parameter")["meaning"].fillna("")
     return listed([f"{name} ({meaning[name]})" if meaning.get(name) else name for name in names], 8)
 
 
-def _trade(names: str, tables: Tables) -> str:
-    first, *rest = names.split(";")
-    others = _spoken(rest, tables) if len(rest) <= NAMED else f"{len(rest)} other parameters"
-    return f"{_spoken([first], tables)} with {others}"
+def _trade(names: Sequence[str], results: Results) -> str:
+    first, *rest = names
+    others = _spoken(rest, results) if len(rest) <= NAMED else f"{len(rest)} other parameters"
+    return f"{_spoken([first], results)} with {others}"
 
 
-def _sentence(statement: str) -> str:
-    """Close a statement with a full stop; its first word may be a name, which keeps its case."""
-    start = statement[0].upper() + statement[1:] if statement.startswith("the ") else statement
-    return start if start.endswith(".") else f"{start}."
+def _words(one: Statement) -> str:
+    if one.kind == "trade":
+        return f"{trade_words(one.parameters, one.weights, one.wholly)}."
+    return f"{first_up(silent_words(one.parameters[0], one.wholly))}."
 
 
 SECTION = Section(
     40,
     "What the data can tell, and what not",
-    tuple(f"identify/{name}.csv" for name in ("identifiability", "parameters", "summary", "placement")),
+    ("identify/identifiability.csv", "identify/parameters.csv", "identify/placement.csv", "identify/summary.json"),
     write,
     (second_marker, unseen_compliance),
 )

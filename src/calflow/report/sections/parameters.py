@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calflow.files.tables import Tables
+from calflow.estimation.identifiability import Statement
+from calflow.files.results import Results
 from calflow.report.document import Block, paragraph, plot, table
-from calflow.report.figures.parameters import estimates
+from calflow.report.figures.estimates import estimates
 from calflow.report.material import Material, latest
 from calflow.report.section import Advice, Section
 from calflow.report.words import effect_words, interval, listed, readable, with_sd
@@ -37,10 +38,10 @@ CAPTION = (
 
 def write(material: Material) -> list[Block]:
     """Tabulate and draw the parameters."""
-    parameters = latest(material.tables, "parameters")
+    parameters = latest(material.results, "parameters")
     model = material.known.model
     added = len(parameters) > len(material.tables["identify/parameters.csv"])
-    lines, shaded = _lines(parameters, _known_together(material.tables))
+    lines, shaded = _lines(parameters, _known_together(material.results))
     nominal, estimate, sd, share = parameters[["nominal", "estimate", "sd", "prior_share"]].to_numpy(dtype=float).T
     drawn = estimates(
         _places(parameters),
@@ -105,18 +106,18 @@ def known_from(prior_share: float, at_bound: bool, together: bool = False) -> st
     return "prior alone"
 
 
-def _known_together(tables: Tables) -> set[str]:
+def _known_together(results: Results) -> set[str]:
     """Return the parameters of which the data know little more than a combination with one or two others."""
-    if "identify/identifiability.csv" not in tables:
+    if "identify/identifiability.csv" not in results:
         return set()
-    statements = tables["identify/identifiability.csv"]
-    groups = [names.split(";") for names in statements.loc[statements["kind"] == "trade", "parameters"].astype(str)]
+    statements = results.rows("identify/identifiability.csv", Statement)
+    groups = [one.parameters for one in statements if one.kind == "trade"]
     return {name for group in groups if len(group) <= FEW for name in group}
 
 
-def at_bound(tables: Tables) -> list[Advice]:
+def at_bound(results: Results) -> list[Advice]:
     """A parameter that the data push against a bound means that something else is wrong."""
-    parameters = latest(tables, "parameters")
+    parameters = latest(results, "parameters")
     pushed = parameters[parameters["at_bound"].astype(bool) & (parameters["prior_share"] <= BY_PRIOR)]
     zero = (pushed["lower"] == 0) & (pushed["estimate"] < NEAR_ZERO * pushed["upper"])
     found = []
@@ -144,9 +145,9 @@ def _ranges(rows: pd.DataFrame) -> str:
     return listed(list(dict.fromkeys(said)), 4)
 
 
-def prior_names(tables: Tables) -> list[str]:
+def prior_names(results: Results) -> list[str]:
     """Return the parameters that the data leave to the prior."""
-    parameters = tables["identify/parameters.csv"]
+    parameters = results.tables["identify/parameters.csv"]
     share = np.asarray(parameters["prior_share"], dtype=float)
     return parameters.loc[share > BY_PRIOR, "parameter"].astype(str).tolist()
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import pandas as pd
 
+from calflow.design.candidates import reading_columns, reading_labels
 from calflow.report.document import Block, heading, paragraph, plot, table
 from calflow.report.figures.poses import observability
 from calflow.report.figures.residuals import map_of_poses
 from calflow.report.material import Material
 from calflow.report.section import Section
 from calflow.report.words import mm, number
+from calflow.robot.robot import Robot
 
 SHOWN = 10  # poses in the table
 WORTH = (
@@ -36,14 +38,14 @@ def write(material: Material) -> list[Block]:
             map_of_poses(position),
             "The tool at the chosen poses, in measuring order; the square is the first.",
         ),
-        *_first(poses),
+        *_first(poses, material.study.robot),
     ]
 
 
-def _first(poses: pd.DataFrame) -> list[Block]:
-    joints = [name for name in poses.columns if name[0] == "q" and name[1:].split("_")[0].isdigit()]
+def _first(poses: pd.DataFrame, robot: Robot) -> list[Block]:
+    joints = reading_columns(robot)
     columns = ["pose", *joints, *(f"nominal_{axis}_mm" for axis in "xyz")]
-    head = ["pose", *(_header(name) for name in joints), *(f"{axis} [mm]" for axis in "xyz")]
+    head = ["pose", *reading_labels(robot), *(f"{axis} [mm]" for axis in "xyz")]
     rows = [
         [str(row["pose"]), *(number(row[name], ".2f") for name in joints),
          *(number(row[name], ".0f") for name in columns[-3:])]
@@ -54,11 +56,6 @@ def _first(poses: pd.DataFrame) -> list[Block]:
         paragraph("All poses, with the side from which each joint is to arrive, are in select/poses.csv.", keep=True),
         table(head, rows, "r" * len(head), size=7.6 if len(joints) > 6 else 8.4),
     ]
-
-
-def _header(column: str) -> str:
-    name, unit = column.split("_")
-    return f"{name} [{unit}]"
 
 
 SECTION = Section(50, "Planned poses", ("select/poses.csv", "select/observability.csv"), write)

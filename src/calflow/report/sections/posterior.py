@@ -8,15 +8,16 @@ import numpy as np
 import pandas as pd
 
 from calflow.effects.cause import Cause
-from calflow.files.tables import Tables
+from calflow.files.results import Results
 from calflow.report.chain import Chain
 from calflow.report.document import Block, bullets, heading, paragraph, plot, table
-from calflow.report.figures.posterior import against_laplace, corner, traces
+from calflow.report.figures.chains import against_laplace, corner, traces
 from calflow.report.findings import cause_name
-from calflow.report.material import Material, item, latest
+from calflow.report.material import Material, latest
 from calflow.report.section import Advice, Section
 from calflow.report.style import WIDTH
 from calflow.report.words import listed, readable, short_names, with_sd
+from calflow.sampling.chain_summary import ChainSummary
 
 SAME = 1.01  # R-hat up to which ensembles agree
 TRACED, PAIRED = 3, 6  # parameters in the figures
@@ -40,7 +41,7 @@ CORNER = (
 
 def write(material: Material) -> list[Block]:
     """Show mixing, the comparison with Laplace's approximation and the pairs that are not simply normal."""
-    posterior, summary = material.tables["sample/posterior.csv"], material.tables["sample/summary.csv"]
+    posterior, summary = material.tables["sample/posterior.csv"], _summary(material.results)
     model, held = material.sampled
     free = ~model.at_bound
     ratio = posterior["sd"].to_numpy(dtype=float)[: len(free)][free] / np.sqrt(np.diag(model.covariance))[free]
@@ -56,20 +57,43 @@ def write(material: Material) -> list[Block]:
     ]
 
 
-def _checks(posterior: pd.DataFrame, summary: pd.DataFrame) -> list[tuple[str, str, str]]:
+def _checks(posterior: pd.DataFrame, summary: ChainSummary) -> list[tuple[str, str, str]]:
     worst, least = posterior.sort_values("rhat").iloc[-1], posterior.sort_values("ess").iloc[0]
     return [
         ("ensembles agree (largest R-hat)", f"{worst['rhat']:.4f} ({worst['parameter']})", f"below {SAME:g}"),
         ("independent samples (smallest)", f"{least['ess']:,.0f} ({least['parameter']})", "some thousand"),
-        ("length", f"{item(summary, 'steps')} steps, {item(summary, 'ensembles')}", item(summary, "length")),
-        ("steps until a walker forgets", item(summary, "autocorrelation_steps"), "at most a fiftieth of the steps"),
-        ("sampled sd over approximation", item(summary, "sd_over_laplace"), "near 1"),
+        ("length", f"{summary.steps} steps, {summary.ensembles} of {summary.walkers} walkers", _length(summary)),
+        ("steps until a walker forgets", _forgets(summary.autocorrelation_steps), "at most a fiftieth of the steps"),
+        ("sampled sd over approximation", _over_laplace(summary), "near 1"),
     ]
 
 
-def _cuts(summary: pd.DataFrame) -> list[Block]:
-    cuts = summary.loc[summary["item"] == "cut", "value"].astype(str).tolist()
-    return [bullets(text[0].upper() + text[1:] + "." for text in cuts)] if cuts else []
+def _length(summary: ChainSummary) -> str:
+    """Say whether the chain is long enough, and how to lengthen it."""
+    if not summary.missing_steps:
+        return "long enough"
+    return (
+        f"too short: about {summary.missing_steps} more steps are needed; set stages.sample.max_steps = "
+        f"{summary.steps + summary.missing_steps} and run again, it resumes where it is"
+    )
+
+
+def _forgets(steps: float | None) -> str:
+    return "not known: some never moved" if steps is None else f"{steps:.3g}"
+
+
+def _over_laplace(summary: ChainSummary) -> str:
+    least, most = summary.sd_over_laplace_least, summary.sd_over_laplace_most
+    return "every parameter is at a bound" if least is None or most is None else f"{least:.3f} to {most:.3f}"
+
+
+def _cuts(summary: ChainSummary) -> list[Block]:
+    said = [
+        f"The bounds {one.lower:.3g} to {one.upper:.3g} {one.unit} cut the posterior of {one.parameter}: read its quantiles, "
+        "not its mean and sd."
+        for one in summary.cut
+    ]
+    return [bullets(said)] if said else []
 
 
 def _held(held: Sequence[Cause]) -> list[Block]:
@@ -111,7 +135,7 @@ def _chain(material: Material) -> list[Block]:
     slow = np.argsort(posterior["ess"].to_numpy(dtype=float), kind="stable")[:TRACED].tolist()
     traced = traces(chain.steps, chain.values(np.array(slow)) * factors(slow), labels(slow), chain.discard)
     blocks = [plot("traces", traced, TRACES)]
-    pairs = [names.index(name) for name in corner_names(material.tables)]
+    pairs = [names.index(name) for name in corner_names(material.results)]
     if len(pairs) > 1:
         drawn = corner(chain.draws(np.array(pairs), CORNER_DRAWS) * factors(pairs), labels(pairs))
         width = round(100 * drawn.get_figwidth() / WIDTH)
@@ -124,15 +148,17 @@ def _chain(material: Material) -> list[Block]:
     return blocks
 
 
-def corner_names(tables: Tables) -> list[str]:
+def corner_names(results: Results) -> list[str]:
     """Return the parameters worth a look in pairs: at a bound, then the most correlated, then the last effect's; six at most."""
-    parameters = latest(tables, "parameters")
+    parameters = latest(results, "parameters")
     names = parameters.loc[parameters["at_bound"].astype(bool), "parameter"].astype(str).tolist()[:2]
-    if "identify/correlations.csv" in tables:
-        names += tables["identify/correlations.csv"][["first", "second"]].to_numpy().ravel().tolist()
+    if "identify/correlations.csv" in results:
+        names += results.tables["identify/correlations.csv"][["first", "second"]].to_numpy().ravel().tolist()
     last = parameters["effect"].iloc[-1]
     names += parameters.loc[parameters["effect"] == last, "parameter"].astype(str).tolist()
-    sampled = set(tables["sample/posterior.csv"]["parameter"]) if "sample/posterior.csv" in tables else set(names)
+    sampled = (
+        set(results.tables["sample/posterior.csv"]["parameter"]) if "sample/posterior.csv" in results else set(names)
+    )
     chosen = [name for name in dict.fromkeys(names) if name in sampled][:PAIRED]
     return [name for name in parameters["parameter"] if name in chosen]
 
@@ -144,15 +170,15 @@ def _row(row: pd.Series) -> tuple[str, ...]:
     return (str(row["parameter"]), unit, said[0], with_sd(0.0, sd)[1], *said[1:])
 
 
-def too_short(tables: Tables) -> list[Advice]:
+def too_short(results: Results) -> list[Advice]:
     """A chain that is too short is to be lengthened."""
-    length = item(tables["sample/summary.csv"], "length")
-    return [Advice(2, f"The sampling is {length}.")] if length.startswith("too short") else []
+    summary = _summary(results)
+    return [Advice(2, f"The sampling is {_length(summary)}.")] if summary.missing_steps else []
 
 
-def ensembles_disagree(tables: Tables) -> list[Advice]:
+def ensembles_disagree(results: Results) -> list[Advice]:
     """Ensembles that disagree have not found all of the posterior."""
-    worst = tables["sample/posterior.csv"].sort_values("rhat").iloc[-1]
+    worst = results.tables["sample/posterior.csv"].sort_values("rhat").iloc[-1]
     if not worst["rhat"] > SAME:
         return []
     sentence = (
@@ -162,10 +188,14 @@ def ensembles_disagree(tables: Tables) -> list[Advice]:
     return [Advice(2, sentence)]
 
 
+def _summary(results: Results) -> ChainSummary:
+    return results.document("sample/summary.json", ChainSummary)
+
+
 SECTION = Section(
     60,
     "How sure: the sampled posterior",
-    ("sample/posterior.csv", "sample/summary.csv", "identify/parameters.csv"),
+    ("sample/posterior.csv", "sample/summary.json", "identify/parameters.csv"),
     write,
     (too_short, ensembles_disagree),
 )

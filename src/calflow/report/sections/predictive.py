@@ -5,9 +5,9 @@ from __future__ import annotations
 import pandas as pd
 from scipy.stats import binom
 
-from calflow.files.tables import Tables
+from calflow.files.results import Results
 from calflow.report.document import Block, paragraph, plot
-from calflow.report.figures.posterior import predictions
+from calflow.report.figures.chains import predictions
 from calflow.report.material import Material
 from calflow.report.section import Advice, Section
 from calflow.report.words import percent
@@ -19,31 +19,31 @@ SURPRISE = 0.01  # probability below which a coverage is not chance
 
 def write(material: Material) -> list[Block]:
     """Draw held-out errors with their intervals and count how many lie inside."""
-    rows, words = _judged(material.tables)
+    rows, words = _judged(material.results)
     error, low, high = rows[["error_mm", "low_mm", "high_mm"]].to_numpy(dtype=float).T
     drawn = predictions(error, low, high, rows["covered"].to_numpy(dtype=bool))
     return [
-        paragraph(f"The model predicts how large each error should be. {coverage_words(material.tables)}", keep=True),
+        paragraph(f"The model predicts how large each error should be. {coverage_words(material.results)}", keep=True),
         plot("predictions", drawn, f"Errors of {words} against the interval in which each was expected (95 %)."),
     ]
 
 
-def coverage_words(tables: Tables) -> str:
+def coverage_words(results: Results) -> str:
     """Say how many errors lie inside their interval."""
-    rows, words = _judged(tables)
+    rows, words = _judged(results)
     inside = int(rows["covered"].astype(bool).sum())
     return f"{inside} of {len(rows)} errors of {words} ({percent(inside / len(rows))}) lie inside their 95 % interval."
 
 
-def _judged(tables: Tables) -> tuple[pd.DataFrame, str]:
-    rows = tables["sample/predictive.csv"]
+def _judged(results: Results) -> tuple[pd.DataFrame, str]:
+    rows = results.tables["sample/predictive.csv"]
     held = rows[rows["split"] == "holdout"]
     return (held, HELD_OUT) if len(held) else (rows[rows["split"] == "train"], "rows used for the fit")
 
 
-def too_narrow(tables: Tables) -> list[Advice]:
+def too_narrow(results: Results) -> list[Advice]:
     """Intervals that miss more held-out errors than chance allows promise too much."""
-    rows, words = _judged(tables)
+    rows, words = _judged(results)
     inside = int(rows["covered"].astype(bool).sum())
     if words != HELD_OUT or binom.cdf(inside, len(rows), LEVEL) > SURPRISE:
         return []

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from calflow.files.tables import Tables
+from calflow.design.candidates import reading_factors, reading_labels
+from calflow.files.results import Results
 from calflow.report.document import Block, heading, paragraph, plot, table
 from calflow.report.figures.residuals import against_joints, against_place, in_workspace, magnification
 from calflow.report.material import Material, latest
@@ -31,9 +32,7 @@ JOINTS = (
 def write(material: Material) -> list[Block]:
     """Show the errors of the calibrated model in space, against joints and place, and the rows that stand out."""
     robot, position, error = material.data.robot, 1e3 * material.data.position, material.error
-    turns = np.array([joint.kind == "revolute" for joint in robot.joints])
-    reading = material.data.joints * np.where(turns, np.rad2deg(1.0), 1e3)
-    labels = [f"q{i + 1} [{'deg' if turn else 'mm'}]" for i, turn in enumerate(turns)]
+    reading, labels = material.data.joints * reading_factors(robot), reading_labels(robot)
     reach = np.linalg.norm(position[:, :2] / 1e3 - np.array(robot.base.origin[:2]), axis=1)
     factor = magnification(position, error)
     shown = np.unique(np.linspace(0, len(position) - 1, DRAWN).astype(int))
@@ -52,7 +51,7 @@ def write(material: Material) -> list[Block]:
 
 
 def _flagged(material: Material) -> list[Block]:
-    rows = _flags(material.tables)
+    rows = _flags(material.results)
     rows = rows.assign(distance=np.linalg.norm(rows[["dx_mm", "dy_mm", "dz_mm"]], axis=1))
     flagged = rows[rows["flagged"].astype(bool)].sort_values("distance", ascending=False)
     if flagged.empty:
@@ -71,15 +70,15 @@ def _flagged(material: Material) -> list[Block]:
     ]
 
 
-def _flags(tables: Tables) -> pd.DataFrame:
+def _flags(results: Results) -> pd.DataFrame:
     """Return the residuals of the last model whose rows were judged one by one."""
-    rows = latest(tables, "residuals")
-    return rows if "flagged" in rows else tables["identify/residuals.csv"]
+    rows = latest(results, "residuals")
+    return rows if "flagged" in rows else results.tables["identify/residuals.csv"]
 
 
-def flagged_rows(tables: Tables) -> list[Advice]:
+def flagged_rows(results: Results) -> list[Advice]:
     """Rows that do not fit are to be looked at."""
-    rows = _flags(tables)
+    rows = _flags(results)
     lines = rows.loc[rows["flagged"].astype(bool), "line"].tolist()
     if not lines:
         return []

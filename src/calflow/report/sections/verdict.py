@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 
+from calflow.estimation.fit_summary import IdentifySummary
+from calflow.report.causes.first_page import lacked, structure, unsure
 from calflow.report.document import Block, bullets, card, gap, heading, paragraph, picture, side_by_side
-from calflow.report.figures.accuracy import before_after
+from calflow.report.figures.error_budget import before_after
 from calflow.report.findings import findings
-from calflow.report.material import Material, ModelAccuracy, gathered, item, lack_of_fit, latest, split_judged, steps
+from calflow.report.material import Material, ModelAccuracy, gathered, latest, latest_summary, split_judged, steps
 from calflow.report.section import Section, advice, sections
 from calflow.report.sections.accuracy import LACKS
-from calflow.report.sections.diagnosis import lacked, structure, unsure
 from calflow.report.sections.identifiability import open_questions
 from calflow.report.sections.predictive import coverage_words
 from calflow.report.words import listed, mm, plural, ratio
@@ -26,7 +27,7 @@ FINE = "Nothing needs attention: the parameters can be used for the tools, loads
 
 def write(material: Material) -> list[Block]:
     """Put the verdict on one page."""
-    accuracy = latest(material.tables, "accuracy")
+    accuracy = latest(material.results, "accuracy")
     split = split_judged(accuracy)
     found = gathered(steps(accuracy, split), len(steps(material.tables["identify/accuracy.csv"], split)))
     shown = [found[0], *found[1:][-(CARDS - 1) :]]
@@ -35,12 +36,12 @@ def write(material: Material) -> list[Block]:
         for step in shown
     ]
     lists: list[tuple[str, list[str | tuple[str, str]]]] = [
-        ("What the data cannot tell", [*unsure(material.tables), *open_questions(material.tables)] or [TOLD]),
+        ("What the data cannot tell", [*unsure(material.results), *open_questions(material.results)] or [TOLD]),
         ("What to do next", [*next_steps(material)] or [FINE]),
     ]
     size = TEXT
-    if "diagnose/findings.csv" in material.tables:
-        lists.insert(0, ("What the study's model lacked", lacked(material.tables)))
+    if "diagnose/findings.csv" in material.results:
+        lists.insert(0, ("What the study's model lacked", lacked(material.results)))
         size = fitting([" ".join(line) if isinstance(line, tuple) else line for _, lines in lists for line in lines])
     return [
         paragraph("Calibration report", 10),
@@ -65,11 +66,11 @@ def write(material: Material) -> list[Block]:
 def judgement(material: Material, found: list[ModelAccuracy]) -> str:
     """Say in a few words whether to use the model."""
     first, last = found[0], found[-1]
-    urgent = any(found.urgency == 1 for found in advice(sections(), material.tables))
+    urgent = any(found.urgency == 1 for found in advice(sections(), material.results))
     if urgent or last.mean > USELESS * first.mean:
         return "Do not use this model: see what to do next."
-    times = lack_of_fit(latest(material.tables, "summary"))
-    if any(found.status == "unexplained" for found in findings(material.tables)):
+    times = latest_summary(material.results).lack_of_fit
+    if any(found.status == "unexplained" for found in findings(material.results)):
         return "Usable where it was measured, but something unexplained is left."
     if math.isnan(times):
         return "Usable where it was measured; how much better it could be is not known."
@@ -95,16 +96,15 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     """Say what the numbers are worth: noise, lack of fit, the model's own uncertainty, coverage."""
     alone = material.noise_floor
     floor = f" Noise alone would give a mean error of {mm(alone)} mm." if alone else ""
-    summary = latest(material.tables, "summary")
-    own = float(item(summary, "discrepancy_mm") or 0)
+    summary = latest_summary(material.results)
     sure = f"where it was tested, its predicted positions are certain to {mm(material.model_sd)} mm (1 sd)."
     said = [
         ("Noise:", f"{material.known.noise(material.data).words}.{floor}"),
-        ("Left over:", leftover(lack_of_fit(summary), own, structure(material.tables))),
+        ("Left over:", leftover(summary.lack_of_fit, summary.discrepancy_mm, structure(material.results))),
         ("Calibrated model:", sure),
     ]
-    if "sample/predictive.csv" in material.tables:
-        said.append(("Tested:", coverage_words(material.tables)))
+    if "sample/predictive.csv" in material.results:
+        said.append(("Tested:", coverage_words(material.results)))
     return said
 
 
@@ -130,7 +130,7 @@ def leftover(times: float, discrepancy: float = 0.0, structure: str = "") -> str
 
 def next_steps(material: Material) -> list[str]:
     """Return what all sections advise, the most urgent first."""
-    return [step.sentence for step in advice(sections(), material.tables)]
+    return [step.sentence for step in advice(sections(), material.results)]
 
 
 def fitting(lines: list[str]) -> float:
@@ -140,12 +140,13 @@ def fitting(lines: list[str]) -> float:
 
 
 def _measured(material: Material) -> str:
-    summary, robot, data = material.tables["identify/summary.csv"], material.study.robot, material.data.table
+    summary = material.results.document("identify/summary.json", IdentifySummary)
+    robot, data = material.study.robot, material.data.table
     loads = [name for name in dict.fromkeys(data["payload"].astype(str)) if name]
     markers = list(dict.fromkeys(data["marker"].astype(str)))
     parts = [
         f"Robot: {robot.name}",
-        f"{plural(int(item(summary, 'training_poses')), 'pose')} used for the fit, {item(summary, 'heldout_poses')} held out",
+        f"{plural(summary.training_poses, 'pose')} used for the fit, {summary.heldout_poses} held out",
         f"{plural(len(data), 'measured point')}",
         f"{'marker' if len(markers) == 1 else 'markers'} {listed(markers, 5)}",
         *([f"{'payload' if len(loads) == 1 else 'payloads'} {listed(loads, 5)}"] if loads else []),
@@ -154,5 +155,5 @@ def _measured(material: Material) -> str:
 
 
 SECTION = Section(
-    0, "Verdict", ("identify/accuracy.csv", "identify/summary.csv", "identify/identifiability.csv"), write
+    0, "Verdict", ("identify/accuracy.csv", "identify/summary.json", "identify/identifiability.csv"), write
 )

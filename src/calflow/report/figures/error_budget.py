@@ -39,7 +39,7 @@ def before_after(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
             _said(axes, x, value, mm(value), fontsize=6.5)
     _floor(axes, floor)
     _log_mm(axes, base, max(step.max for step in steps))
-    axes.set_xticks(at, [_wrapped(step.label) for step in steps])
+    axes.set_xticks(at, [_wrapped(step) for step in steps])
     axes.set_xlim(-0.55, len(steps) - 0.45)
     axes.grid(axis="x", visible=False)
     axes.set_ylabel("tool-position error [mm]")
@@ -62,7 +62,7 @@ def budget(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
         axes.bar(k, high - low, 0.6, bottom=low, color=DARK if better else ACCENT, hatch="" if better else "xx")
         _level(axes, k, before.mean)
         _said(axes, k, high, f"{'−' if better else '+'}{mm(high - low)} mm")
-        labels.append(f"{'explained' if better else 'added'} by\n{after.label.removeprefix('+ ')}")
+        labels.append(f"{'explained' if better else 'added'} by\n{after.name}")
     look: dict[str, Any] = {"facecolor": LIGHT, "edgecolor": MIDDLE, "hatch": "////", "linewidth": 0.6}
     axes.bar(last, final.mean - base, 0.6, bottom=base, **look)
     _level(axes, last, final.mean)
@@ -132,11 +132,11 @@ def _said(axes: Axes, x: float, y: float, text: str, **look: Any) -> None:
     axes.annotate(text, (x, y), (0, 2.5), textcoords="offset points", ha="center", bbox=box, **look)
 
 
-def _wrapped(label: str) -> str:
+def _wrapped(step: ModelAccuracy) -> str:
     """Break a long label after its first word, and where it is too long for its bar."""
-    first, _, rest = label.removeprefix("+ ").partition(" ")
-    plus = "+ " if label.startswith("+ ") else ""
-    return "\n".join([f"{plus}{first}", *wrap(rest, LONGEST)])
+    first, *rest = step.name.split()
+    plus = "+ " if step.added else ""
+    return "\n".join([f"{plus}{first}", *wrap(" ".join(rest), LONGEST)])
 
 
 def _log_mm(axes: Axes, low: float, high: float) -> None:

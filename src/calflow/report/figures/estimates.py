@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from calflow.report.style import ACCENT, DARK, LIGHT, figure
 
+AT_BOUND = "at a bound, no sd"
 CHARACTER = 0.55  # of a parameter's place that a letter takes
 
 
@@ -46,7 +47,7 @@ def estimates(
         if mask.any():
             axes.errorbar(at[mask], scaled[mask], 2 * sd[mask], elinewidth=1.0, capsize=1.8, label=name, **look)  # type: ignore[arg-type]
     if bound.any():
-        axes.plot(at[bound], scaled[bound], "x", color=ACCENT, markersize=5, label="at a bound, no sd")
+        axes.plot(at[bound], scaled[bound], "x", color=ACCENT, markersize=5, label=AT_BOUND)
     for title, left, right in zip(titles, edges[:-1], edges[1:], strict=True):
         axes.annotate(title, ((left + right) / 2, 1.0), (0, 2), xycoords=("data", "axes fraction"),
                       textcoords="offset points", ha="center")  # fmt: skip
@@ -72,5 +73,5 @@ def _longest(title: str) -> int:
 
 def _errorbars_first(axes: Axes) -> tuple[list[Artist], list[str]]:
     handles, labels = axes.get_legend_handles_labels()
-    order = sorted(range(len(labels)), key=lambda k: labels[k].startswith("at a bound"))
+    order = sorted(range(len(labels)), key=lambda k: labels[k] == AT_BOUND)
     return [handles[k] for k in order], [labels[k] for k in order]

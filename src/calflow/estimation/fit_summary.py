@@ -1,0 +1,88 @@
+"""The summaries of identify and of diagnose: noise, lack of fit and the solver, as values that later stages read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calflow.estimation.least_squares import Loss
+from calflow.estimation.noise import Source
+from calflow.files.tables import column
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solver:
+    """How the solver ended."""
+
+    name: str = column("which it was", default="IPOPT")
+    status: str = column("what it says of its end")
+    iterations: int = column("how many it made")
+
+    @property
+    def words(self) -> str:
+        """The same in words."""
+        return f"{self.name}: {self.status}, {self.iterations} iterations"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitSummary:
+    """What is known of a fit's noise, and what the model leaves beyond it."""
+
+    noise_sources: tuple[Source, ...] = column("where the noise of each series is known from: repeats, file, estimated")
+    sigma_mm: float = column("the noise of a row, per axis; of noise that grows with range, that at no distance", "mm")
+    noise_growth_mm_per_m: float = column("by how much the noise grows with range", "mm/m", default=0.0)
+    discrepancy_mm: float = column("what the model leaves beyond the noise, per axis", "mm")
+    rotation_discrepancy_mrad: float | None = column(
+        "the same of orientations; null: not measured", "mrad", default=None
+    )
+    loss: Loss = column("of the fit")
+    reduced_chi2: float | None = column("chi² per degree of freedom; null: cannot be told, the noise came from the fit")
+    lack_of_fit_p: float | None = column("chance of so much where the model is right; null: cannot be told")
+    solver: Solver = column("name, status, iterations")
+
+    @property
+    def noise_known(self) -> bool:
+        """Whether any of it is known apart from the fit."""
+        return any(source != "estimated" for source in self.noise_sources)
+
+    @property
+    def lack_of_fit(self) -> float:
+        """How many times the noise the model leaves; nan where the noise was estimated from the fit itself."""
+        if not self.noise_known or self.reduced_chi2 is None:
+            return float("nan")
+        return float(np.sqrt(self.reduced_chi2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extrapolation:
+    """A joint whose held-out readings lie beyond what was fitted: accuracy there is a guess, good or bad."""
+
+    joint: int = column("its number")
+    rows: int = column("held-out rows beyond the fitted readings")
+
+    @property
+    def words(self) -> str:
+        """The same in words."""
+        return f"joint {self.joint}: {self.rows} held-out rows lie beyond the readings that were fitted"
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifySummary(FitSummary):
+    """How identify ended: noise, lack of fit, what the data determine, and the solver."""
+
+    spread_mm: float = column("mean distance of the measured points from their middle", "mm")
+    rank: int = column("number of directions that the data determine")
+    parameters: int = column("number of parameters")
+    rank_by_effect: dict[str, int] = column("directions that each effect adds, by its id")
+    effective_parameters: float = column("parameters that the data determine rather than the prior")
+    training_poses: int = column("poses that were fitted")
+    heldout_poses: int = column("poses that were held out")
+    converged: bool = column("whether the solver reached its optimum")
+    equilibrium_error_um: float = column("how far a fourth turn of the equilibrium would move any pose", "um")
+    starts: int = column("fits from different starting points")
+    starts_agreeing: int = column("of which came to the same result")
+    extrapolation: tuple[Extrapolation, ...] = column("joints held out beyond what was fitted: joint, rows", default=())
+    time_origin_s: float | None = column(
+        "reading of the clock that times count from; null: no times", "s", default=None
+    )

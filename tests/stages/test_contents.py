@@ -1,0 +1,48 @@
+"""Every table of a run is declared, and told in the documents."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from pathlib import Path
+
+import pandas as pd
+
+from calflow.files.tables import columns, from_frame, schema, to_frame
+from calflow.stages import STAGES
+from calflow.stages.contents import renewed
+
+FILES = Path(__file__).parents[2] / "docs" / "files.md"
+KNOWN = {path: row_type for stage in STAGES.values() for path, row_type in (stage.tables | stage.documents).items()}
+
+
+def test_the_documents_tell_what_the_code_declares():
+    """Fails if docs/files.md was not renewed: python -m calflow.stages.contents docs/files.md."""
+    text = FILES.read_text(encoding="utf-8")
+    assert renewed(text) == text
+
+
+def test_every_column_has_a_meaning_and_the_unit_of_its_name():
+    """Fails if a column cannot be understood from the document."""
+    for path, row_type in KNOWN.items():
+        assert row_type.__doc__, path
+        assert len(columns(row_type)) == len(fields(row_type))
+        for column in columns(row_type):
+            assert column.meaning, (path, column.name)
+            for unit in ("mm", "mrad", "um", "urad", "deg", "m"):
+                assert not column.name.endswith(f"_{unit}") or column.unit.startswith(unit), (path, column.name)
+
+
+def test_a_run_keeps_what_is_declared_with_its_schema(finished):
+    """Fails if a table of a run lacks its schema or holds what is not declared, or a summary is no JSON."""
+    run = finished / "runs"
+    made = {path.relative_to(run).as_posix() for path in run.rglob("*") if path.suffix in (".csv", ".json")}
+    for name in (name for name in made if name.endswith(".csv")):
+        table = pd.read_csv(run / name)
+        assert list(to_frame(from_frame(table, KNOWN[name]), KNOWN[name])) == list(table), name
+        described = json.loads((run / name).with_suffix(".schema.json").read_text(encoding="utf-8"))
+        assert described == schema(table, KNOWN[name])
+    assert {"identify/summary.json", "sample/summary.json"} <= made
+    summary = json.loads((run / "identify" / "summary.json").read_text(encoding="utf-8"))
+    assert summary["converged"] is True
+    assert isinstance(summary["sigma_mm"], float)
