@@ -46,7 +46,7 @@ def test_left_out_rows_are_in_no_figure(small: Context) -> None:
 
 def test_the_reader_is_told_to_correct_the_file(small: Context) -> None:
     """Fails if a fault is not told on page one, a whole column after single rows, or without its lines."""
-    material = Material.of(small.study, small.tables, small.run_folder)
+    material = Material.of(small.study, small.results, small.run_folder)
     text = "".join(block.markup for block in section.write(material))
     for words in ("line 4", "left out", "all rows", "corrected", "The position in line 4 is 9 mm off; left out."):
         assert words in text

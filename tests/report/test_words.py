@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.effects import Parameter
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.fit_summary import FitSummary, Solver
 from calflow.files.results import Results
@@ -18,6 +17,7 @@ from calflow.report.material import steps
 from calflow.report.sections.parameters import known_from
 from calflow.report.sections.posterior import corner_names
 from calflow.report.words import interval, listed, mm, number, part_words, plural, readable, short_names, with_sd
+from calflow.robot.parameter import Parameter
 
 
 @pytest.mark.parametrize(
