@@ -120,7 +120,8 @@ def test_a_study_may_have_a_found_effect_from_the_start(shop):
 
 
 TOY = """\
-from calflow.effects import Effect, Parameter
+from calflow.effects import Effect
+from calflow.robot.parameter import Parameter
 
 
 class Toy(Effect):
