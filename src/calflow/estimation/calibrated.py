@@ -239,6 +239,9 @@ def placement_table(robot: Robot, observed: Sequence[Observation]) -> pd.DataFra
 
 def placed(robot: Robot, results: Results) -> Robot:
     """Return the robot with base and markers where identify's errors refer to."""
+    observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
+    if not any(one.from_outside for one in observed):
+        return replace(robot, base=Base(fixed=True))
     rows = results.rows("identify/placement.csv", Placed)
     if all(row.source == ROBOT_FILE for row in rows):
         return robot
