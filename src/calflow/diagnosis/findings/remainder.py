@@ -19,7 +19,6 @@ from calflow.diagnosis.screening.screening import Family, Score, Screening
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import Effect
 from calflow.effects.joint_error import JointError, Term
-from calflow.measurements.measurements import Measurements
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
@@ -191,7 +190,7 @@ class Remainder:
 
 def remainder(fitted: Fitted, level: float, rng: np.random.Generator, say: Callable[[str], None]) -> list[Remainder]:
     """Return what the fitted model leaves that depends on inputs, the strongest first."""
-    screening = Screening(Regressors.of(fitted.fit, fitted.problem, decoys(fitted.data), fitted.poses))
+    screening = Screening(Regressors.of(fitted.fit, fitted.problem, decoys(fitted), fitted.poses))
     family = screening.family(rng)
     found: list[Remainder] = []
     for score in sorted(screening.scores, key=family.p):
@@ -205,14 +204,14 @@ def remainder(fitted: Fitted, level: float, rng: np.random.Generator, say: Calla
     return found
 
 
-def decoys(data: Measurements) -> list[Decoy]:
-    """Return the functions to try on these rows."""
-    robot = data.robot
+def decoys(fitted: Fitted) -> list[Decoy]:
+    """Return the functions to try on a fitted model's rows."""
+    data, robot = fitted.data, fitted.data.robot
     turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
     chosen: list[Decoy] = [JointField(robot, (i,)) for i in turning]
     chosen += [Shift(robot, (i,)) for i in turning]
     chosen += [kind(robot, pair) for pair in combinations(turning, 2) for kind in (JointField, Shift)]
-    place = data.position
+    place = fitted.model.point(fitted.fit.estimate, data.rows)
     centre = place.mean(axis=0)
     chosen.append(InPlace(robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0))
     if "order" in data.given:
