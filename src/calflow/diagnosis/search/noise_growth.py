@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import spearmanr
@@ -68,12 +69,15 @@ def _fitted(error: np.ndarray, distance: np.ndarray, p: float) -> Growth:
     """Maximum likelihood of floor and slope, in logarithms; error is that of single measurements."""
     squared = (error**2).sum(axis=1)
     middle = float(np.sqrt(np.median(squared) / 2.366))  # the median of chi² with 3 degrees of freedom
-
-    def cost(x: np.ndarray) -> float:
-        variance = (np.exp(x[0]) + np.exp(x[1]) * distance) ** 2
-        return float((0.5 * squared / variance + 1.5 * np.log(variance)).sum())
-
+    x = ca.SX.sym("x", 2)
+    variance = (ca.exp(x[0]) + ca.exp(x[1]) * ca.DM(distance)) ** 2
+    cost = ca.sum1(0.5 * ca.DM(squared) / variance + 1.5 * ca.log(variance))
+    curvature, slope = ca.hessian(cost, x)
+    function = ca.Function("likelihood", [x], [cost, slope, curvature])
     start = np.log([middle / 2, middle / 2 / np.mean(distance)])
-    found = minimize(cost, start, method="BFGS")
-    sd = float(np.sqrt(max(found.hess_inv[1, 1], 0.0)) * np.exp(found.x[1]))
-    return Growth(float(np.exp(found.x[0])), float(np.exp(found.x[1])), sd, p)
+    found = minimize(
+        lambda at: float(function(at)[0]), start, jac=lambda at: np.array(function(at)[1]).ravel(), method="BFGS"
+    ).x
+    spread = np.linalg.pinv(np.array(function(found)[2]), hermitian=True)
+    sd = float(np.sqrt(max(spread[1, 1], 0.0)) * np.exp(found[1]))
+    return Growth(float(np.exp(found[0])), float(np.exp(found[1])), sd, p)
