@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import casadi as ca
@@ -20,6 +23,15 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("CC", raising=False)
     return cache_folder()
+
+
+@pytest.fixture
+def told(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is said of functions that stay uncompiled, as it comes."""
+    module._tell.cache_clear()
+    said: list[str] = []
+    monkeypatch.setattr(logging.getLogger("calflow"), "warning", lambda text, *values: said.append(text % values))
+    return said
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +105,92 @@ def test_builds_once(monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
         assert is_compiled(compiled(function(), evaluations))
     assert list(cache.glob("*")) == [library]
     assert (library.stat().st_mtime_ns, library.stat().st_ino) == (before.st_mtime_ns, before.st_ino)
+
+
+def scribbled(library: Path) -> None:
+    """Half a file, as a machine that lost its power leaves it."""
+    library.write_bytes(library.read_bytes()[: library.stat().st_size // 2])
+
+
+def flipped(library: Path) -> None:
+    """One bit turned, which the system's loader may not see."""
+    content = bytearray(library.read_bytes())
+    content[len(content) // 2] ^= 1
+    library.write_bytes(content)
+
+
+@pytest.mark.parametrize("damage", [scribbled, flipped])
+def test_a_damaged_library_is_built_anew(cache: Path, damage: Callable[[Path], None]) -> None:
+    """Fails if a library that is not whole is loaded (half a file is a bus error), or never replaced."""
+    compiled(function("damaged"), WORTH_EVALUATIONS)
+    (library,) = cache.glob("*")
+    damage(library)
+    assert not is_compiled(compiled(function("damaged"), 1))
+    assert is_compiled(compiled(function("damaged"), WORTH_EVALUATIONS))
+    assert is_compiled(compiled(function("damaged"), 1))
+    assert list(cache.glob("*")) == [library]
+
+
+def own_mode(cache: Path, library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    library.chmod(0o722)
+
+
+def folder_mode(cache: Path, library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache.chmod(0o777)
+
+
+def owner(cache: Path, library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = os.geteuid()
+    monkeypatch.setattr(module.os, "geteuid", lambda: real + 1)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="owners and modes of POSIX")
+@pytest.mark.parametrize("put", [own_mode, folder_mode, owner])
+def test_a_library_that_others_could_have_put_there_is_not_loaded(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, told: list[str], put: Callable[..., None]
+) -> None:
+    """Fails if machine code of another user runs in this user's name, or that it does not run is not said."""
+    compiled(function(), WORTH_EVALUATIONS)
+    (library,) = cache.glob("*")
+    put(cache, library, monkeypatch)
+    assert not is_compiled(compiled(function(), WORTH_EVALUATIONS))
+    assert len(told) == 1
+    assert str(cache) in told[0]
+
+
+def test_a_link_is_not_loaded(cache: Path, tmp_path: Path) -> None:
+    """Fails if the check of the owner can be passed by a link to a file that changes later."""
+    compiled(function(), WORTH_EVALUATIONS)
+    (library,) = cache.glob("*")
+    (tmp_path / "elsewhere.so").write_bytes(library.read_bytes())
+    library.unlink()
+    library.symlink_to(tmp_path / "elsewhere.so")
+    assert not is_compiled(compiled(function(), 1))
+
+
+NOWHERE = {
+    "a CC that is no command": ({"CC": '"'}, 'CC=" is no command'),
+    "no compiler": ({"CC": "no-such-compiler"}, "no C compiler 'no-such-compiler'"),
+    "a compiler that fails": ({"CC": "false"}, "the C compiler 'false' failed"),
+    "a compiler that makes nothing": ({"CC": "true"}, "the C compiler 'true' made nothing"),
+    "a closed cache": ({"XDG_CACHE_HOME": "/proc"}, "the folder of machine code cannot be used"),
+    "a missing home": ({"XDG_CACHE_HOME": "", "HOME": "/nonexistent"}, "there is no home folder /nonexistent"),
+}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="folders of POSIX")
+@pytest.mark.parametrize(("environment", "expected"), NOWHERE.values(), ids=NOWHERE)
+def test_what_keeps_it_from_compiling_is_said_once(
+    monkeypatch: pytest.MonkeyPatch, told: list[str], environment: dict[str, str], expected: str
+) -> None:
+    """Fails if a machine without compiler or cache ends the run, is slow without a word, or says so for every function."""
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    for factor in (3.0, 4.0):
+        assert not is_compiled(compiled(function(factor=factor), WORTH_EVALUATIONS))
+    (said,) = told
+    assert said.startswith("slower, without machine code: ")
+    assert expected in said
 
 
 def test_few_rows_are_not_worth_a_compilation(cache: Path) -> None:
