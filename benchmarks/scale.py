@@ -10,12 +10,13 @@ from pathlib import Path
 STUDY = Path(__file__).parents[1] / "studies" / "hh800"
 RUN = """
 import resource, sys
-from calflow.runs.run import read_manifest, run
+from calflow.runs.manifest import read_manifest
+from calflow.runs.run import run
 from calflow.study import load_study
 study = load_study(sys.argv[1])
 for _ in range(int(sys.argv[3])):  # the first time compiles and imports
     folder = run(study, sys.argv[2], "identify", True).folder
-print(read_manifest(folder)["stages"]["identify"]["seconds"], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6)
+print(read_manifest(folder).stages["identify"].seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6)
 """
 
 

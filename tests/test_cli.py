@@ -177,10 +177,14 @@ def test_a_run_ends_with_what_it_reached(finished):
     """Fails if the accuracy is not the table's, or the folder of the results is not told."""
     lines = finished.calflow("run").out.splitlines()
     table = pd.read_csv(finished / "runs" / "identify" / "accuracy.csv")
-    shown = [line.rsplit(None, 3) for line in lines[4:-1] if not line.startswith("! ")]
+    shown = [line.rsplit(None, 3) for line in lines[4 : 4 + len(table)]]
     assert [(row[0].strip(), row[1], float(row[2]), float(row[3])) for row in shown] == [
         (row.model, row.split, round(row.mean_mm, 3), round(row.max_mm, 3)) for row in table.itertuples()
     ]
+    judged, gained = lines[4 + len(table) :][:2]
+    assert judged == "Usable where it was measured; how much better it could be is not known."
+    assert gained.startswith("At poses that no fit has seen, calibration reduces the tool-position error from ")
+    assert all(line.startswith("! ") for line in lines[6 + len(table) : -1])
     assert lines[-1] == f"results: {finished / 'runs'}"
 
 

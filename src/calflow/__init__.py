@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calflow.deployment.prediction import predict
     from calflow.files.problems import InputError
+    from calflow.runs.predict import predict
     from calflow.runs.run import Run, run
     from calflow.simulation import simulate
     from calflow.study import Study, load_study
@@ -19,7 +19,7 @@ __all__ = ["InputError", "Run", "Study", "load_study", "predict", "run", "simula
 
 _HOMES = {
     "InputError": "calflow.files.problems", "Run": "calflow.runs.run", "run": "calflow.runs.run", "Study": "calflow.study",
-    "load_study": "calflow.study", "predict": "calflow.deployment.prediction", "simulate": "calflow.simulation",
+    "load_study": "calflow.study", "predict": "calflow.runs.predict", "simulate": "calflow.simulation",
 }  # fmt: skip
 
 

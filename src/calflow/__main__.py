@@ -1,5 +1,5 @@
 """`python -m calflow`."""
 
-from calflow.cli import main
+from calflow.cli import program
 
-main()
+program()

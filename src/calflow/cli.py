@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import signal
 import sys
@@ -15,15 +16,14 @@ import click
 if TYPE_CHECKING:
     import pandas as pd
 
-    from calflow.files.results import Results
-    from calflow.files.tables import Tables
     from calflow.stages.stage import Stage
 
 OUT = click.option("--out", type=click.Path(path_type=Path), help="Run folder; runs/<study name> by default.")
 STAGE = click.option("--stage", help="This stage alone, with what it needs.")
 FORCE = click.option("--force", is_flag=True, help="Do not reuse earlier results.")
 FILE = click.Path(path_type=Path)
-WRONG = 2  # urgency of advice that the command line repeats
+TROUBLE = 1  # exit code of trouble of the machine
+AGAIN = 0.1  # s after which an interruption that was swallowed comes again
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -79,8 +79,8 @@ def check(study: Path) -> None:
 @FORCE
 def plan(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
     """Show which stages would run, which would be reused, and why."""
-    from calflow.runs.run import default_folder
-    from calflow.runs.run import plan as make_plan
+    from calflow.runs.folder import default_folder
+    from calflow.runs.planning import plan as make_plan
     from calflow.study import load_study
 
     loaded = load_study(study)
@@ -95,13 +95,14 @@ def plan(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
 @FORCE
 def run(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
     """Run a study: what did not change is reused, what was interrupted is resumed."""
+    from calflow.report.last_lines import last_lines
     from calflow.runs.run import run as run_study
     from calflow.study import load_study
 
     with _listener() as listener:
         result = run_study(load_study(study), out, stage, force, listener)
-    _show_accuracy(result.tables)
-    _show_advice(result.results)
+    for line in last_lines(result.results):
+        click.echo(line)
     report = result.folder / "report.pdf"
     click.echo(f"report: {report}" if report.is_file() else f"results: {result.folder}")
 
@@ -111,31 +112,31 @@ def run(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
 def status(study_or_run: Path) -> None:
     """Show how far a run has come: give its folder, or its study."""
     from calflow.files.problems import refuse
-    from calflow.runs.run import default_folder, read_manifest
-    from calflow.study import load_study
+    from calflow.runs.folder import run_folder
+    from calflow.runs.manifest import read_manifest
 
-    folder = study_or_run
-    if not (folder / "manifest.json").is_file():
-        folder = default_folder(load_study(study_or_run))
+    folder = run_folder(study_or_run)
     manifest = read_manifest(folder)
-    if not manifest:
+    if manifest is None:
         raise refuse("nothing was run here yet", folder)
-    click.echo(f"{folder}: study {manifest['study']}, workflow {manifest['workflow']}, calflow {manifest['calflow']}")
-    for name, entry in manifest["stages"].items():
-        seconds = f"{entry['seconds']:.1f} s" if "seconds" in entry else ""
-        click.echo(f"{name:10} {entry['status']:12} {seconds:>8}  ran because: {entry['reason']}")
+    click.echo(f"{folder}: study {manifest.study}, workflow {manifest.workflow}, calflow {manifest.calflow}")
+    for name, entry in manifest.stages.items():
+        seconds = "" if entry.seconds is None else f"{entry.seconds:.1f} s"
+        reused = f"; reused since: {entry.reused}" if entry.reused else ""
+        click.echo(f"{name:10} {entry.status:12} {seconds:>8}  ran because: {entry.reason}{reused}")
 
 
 @cli.command()
-@click.argument("study", type=FILE)
+@click.argument("study_or_run", type=FILE)
 @OUT
-def report(study: Path, out: Path | None) -> None:
-    """Write the report of a study's results anew."""
+def report(study_or_run: Path, out: Path | None) -> None:
+    """Write the report of a run's results anew: give its folder, or its study."""
+    from calflow.runs.folder import study_and_folder
     from calflow.runs.run import run as run_study
-    from calflow.study import load_study
 
+    study, folder = study_and_folder(study_or_run, out)
     with _listener() as listener:
-        result = run_study(load_study(study), out, "report", True, listener)
+        result = run_study(study, folder, "report", True, listener)
     click.echo(f"report: {result.folder / 'report.pdf'}")
 
 
@@ -145,8 +146,8 @@ def report(study: Path, out: Path | None) -> None:
 @click.option("--force", is_flag=True, help="Write over a file that holds something else.")
 def simulate(truth: Path, out: Path | None, force: bool) -> None:
     """Write the measurements that a truth file describes."""
+    from calflow.files.csv import csv_text
     from calflow.files.problems import refuse
-    from calflow.runs.run import csv_text
     from calflow.simulation import simulate as simulate_truth
 
     path = out or truth.parent / "measurements.csv"
@@ -158,15 +159,18 @@ def simulate(truth: Path, out: Path | None, force: bool) -> None:
 
 
 @cli.command()
-@click.argument("run_folder", metavar="RUN", type=FILE)
+@click.argument("study_or_run", type=FILE)
 @click.argument("rows", metavar="ROWS.csv", type=FILE)
 @click.option("--out", type=FILE, help="CSV to write; printed by default.")
-def predict(run_folder: Path, rows: Path, out: Path | None) -> None:
-    """Predict where the calibrated robot's markers will be at the joints and conditions of ROWS.csv."""
-    from calflow.deployment.prediction import predict as predict_rows
-    from calflow.runs.run import csv_text
+def predict(study_or_run: Path, rows: Path, out: Path | None) -> None:
+    """Predict where the calibrated robot's markers will be at the joints and conditions of ROWS.csv.
 
-    table = predict_rows(run_folder, rows)
+    Give the run's folder, or its study.
+    """
+    from calflow.files.csv import csv_text
+    from calflow.runs.predict import predict as predict_rows
+
+    table = predict_rows(study_or_run, rows)
     for note in table.attrs["notes"]:
         click.echo(f"note: {note}", err=True)
     if out is None:
@@ -191,10 +195,7 @@ def main() -> None:
             f"error: {error}. Finished stages are kept; when this is mended the same command goes on.",
             err=True,
         )
-        if "h5py" in sys.modules:  # HDF5 crashes on the way out where a file could not be written
-            sys.stdout.flush()
-            os._exit(1)
-        sys.exit(1)
+        sys.exit(TROUBLE)
     except Exception as error:
         from calflow.files.problems import InputError
 
@@ -204,29 +205,24 @@ def main() -> None:
         sys.exit(2)
 
 
+def program() -> None:
+    """Run the command line as the program, which ends with it."""
+    try:
+        main()
+    except SystemExit as leaving:
+        if (
+            leaving.code == TROUBLE and "h5py" in sys.modules
+        ):  # HDF5 crashes on the way out where a file could not be written
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(TROUBLE)
+        raise
+
+
 def _write(table: pd.DataFrame, path: Path) -> None:
-    from calflow.runs.run import write_csv
+    from calflow.files.csv import write_csv
 
     write_csv(path, table)
-
-
-def _show_accuracy(tables: Tables) -> None:
-    accuracy = tables.get("identify/accuracy.csv")
-    if accuracy is None:
-        return
-    width = max(map(len, accuracy["model"]))
-    click.echo(f"{'position error':{width}}  split      mean mm    max mm")
-    for row in accuracy.itertuples():
-        click.echo(f"{row.model:{width}}  {row.split:8} {row.mean_mm:9.3f} {row.max_mm:9.3f}")
-
-
-def _show_advice(results: Results) -> None:
-    """What stands on the report's first page about things that are wrong; what could be better is left to the report."""
-    from calflow.report.section import advice, sections
-
-    for item in advice(sections(), results):
-        if item.urgency <= WRONG:
-            click.echo(f"! {item.sentence}")
 
 
 def _listener() -> _Lines | _Bar:
@@ -236,13 +232,14 @@ def _listener() -> _Lines | _Bar:
 class _Lines:
     """Progress as plain lines, for a log.
 
-    CasADi's conversions clear a KeyboardInterrupt that comes while they run, so it is remembered and raised again at the
-    next progress.
+    Compiled code may swallow a KeyboardInterrupt that comes while it runs (CasADi's conversions do), so it comes again until
+    the stage stops, and is raised at the next progress.
     """
 
     def __init__(self) -> None:
         self._told = 0.0
         self._interrupted = False
+        self._again: threading.Timer | None = None
 
     def __enter__(self) -> _Lines:
         if threading.current_thread() is threading.main_thread():
@@ -250,16 +247,21 @@ class _Lines:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._heeded()
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def _interrupt(self, *_: object) -> None:
         self._interrupted = True
+        self._heeded()
+        self._again = threading.Timer(AGAIN, _thread.interrupt_main)
+        self._again.daemon = True
+        self._again.start()
         raise KeyboardInterrupt
 
-    def _heed(self) -> None:
-        if self._interrupted:
-            raise KeyboardInterrupt
+    def _heeded(self) -> None:
+        if self._again:
+            self._again.cancel()
 
     def start(self, stage: Stage, reason: str) -> None:
         self._told = time.monotonic()
@@ -272,10 +274,17 @@ class _Lines:
         click.echo(f"  {line}")
 
     def advance(self, share: float) -> None:
-        self._heed()
+        if self._interrupted:
+            raise KeyboardInterrupt
+        self._show(share)
+
+    def _show(self, share: float) -> None:
         if time.monotonic() - self._told > 10:
             self._told = time.monotonic()
             click.echo(f"  {share:.0%}")
+
+    def stop(self, stage: Stage) -> None:
+        self._heeded()
 
     def finish(self, stage: Stage, seconds: float) -> None:
         click.echo(f"  done in {seconds:.1f} s")
@@ -314,8 +323,7 @@ class _Bar(_Lines):
     def say(self, line: str) -> None:
         self._progress.print(line, markup=False)
 
-    def advance(self, share: float) -> None:
-        self._heed()
+    def _show(self, share: float) -> None:
         self._progress.update(self._task, completed=share)
 
     def finish(self, stage: Stage, seconds: float) -> None:

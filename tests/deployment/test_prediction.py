@@ -9,12 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.deployment.prediction import predict
 from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.estimation.calibrated import identified
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
-from calflow.runs.run import read_results
+from calflow.runs.folder import read_results
+from calflow.runs.manifest import read_manifest
+from calflow.runs.predict import predict
 
 X, SD = ["x_mm", "y_mm", "z_mm"], ["sd_x_mm", "sd_y_mm", "sd_z_mm"]
 
@@ -39,7 +40,7 @@ def test_it_predicts_what_identify_predicts(finished, asked):
 def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
     """Fails if sd is not the root of the diagonal of J C Jᵀ, here with J by central differences."""
     predicted = predict(finished / "runs", asked)
-    results = read_results(finished / "runs", "identify")
+    results = read_results(read_manifest(finished / "runs"), finished / "runs", "identify")
     robot = Robot.from_toml(finished / "robot.toml")
     data = Measurements.to_predict(asked, robot)
     known = identified(robot, results, data.given)

@@ -20,9 +20,9 @@ from calflow.faults.base import correct, lines_in_words
 from calflow.faults.outlier import limit_of
 from calflow.faults.reference import NORMAL_LENGTH, Models, Reference
 from calflow.faults.segments import states
+from calflow.files.csv import EXACT, csv_text
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
-from calflow.runs.run import EXACT, csv_text
 from calflow.study import load_study
 from conftest import in_process
 from hidden.case import Case, write_case

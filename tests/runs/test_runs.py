@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import hashlib
 import json
 import resource
@@ -13,10 +12,12 @@ from importlib import metadata
 
 import pandas as pd
 import pytest
+from filelock import FileLock
 
 import calflow
-from calflow import runs
 from calflow.files.toml import FileModel
+from calflow.runs import cache_key, execution, planning
+from calflow.runs.folder import default_folder
 from calflow.sampling.backend import BlockBackend
 from calflow.stages.stage import Stage
 
@@ -132,7 +133,7 @@ def test_changed_measurements_rerun_what_reads_them(finished):
 @pytest.mark.parametrize(("name", "told"), [("code_digest", "code changed"), ("versions", "versions changed")])
 def test_other_code_reruns_everything(finished, monkeypatch, name, told):
     """Fails if results of another version of calflow or numpy pass for this one's."""
-    monkeypatch.setattr(runs, name, lambda: {"numpy": "0"} if name == "versions" else "0")
+    monkeypatch.setattr(cache_key, name, lambda: {"numpy": "0"} if name == "versions" else "0")
     assert reasons(finished) == {"select": told, "identify": told, "sample": AGAIN}
 
 
@@ -172,8 +173,7 @@ def test_a_stage_takes_others_into_account_only_where_they_hold(finished, monkey
         ("identify",),
         ("select", "sample"),
     )
-    known = runs.STAGES | {"last": last}
-    monkeypatch.setattr(runs, "all_stages", lambda: known)
+    monkeypatch.setattr(planning, "STAGES", {**planning.STAGES, "last": last})
     assert reasons(finished, "--stage", "last") == dict.fromkeys(STAGES) | {"last": "was never run"}
     assert finished.calflow("run", "--stage", "last").code == 0
     assert {name.split("/")[0] for name in seen[-1]} == set(STAGES)
@@ -207,7 +207,7 @@ def test_a_run_is_a_library_call(finished):
     }
     accuracy = result.tables["identify/accuracy.csv"]
     pd.testing.assert_frame_equal(accuracy, pd.read_csv(finished / "runs" / "identify" / "accuracy.csv"))
-    assert runs.default_folder(study).parts == ("runs", "small")
+    assert default_folder(study).parts == ("runs", "small")
 
 
 def test_the_package_offers_functions_not_modules():
@@ -253,7 +253,9 @@ def test_a_renamed_measurement_file_replaces_the_old_one(finished):
 
 KILL = """
 import os, signal, sys
-from calflow import cli, runs
+from calflow import cli
+from calflow.files import tables, writing
+from calflow.runs import execution, manifest, run
 from calflow.sampling.backend import BlockBackend
 
 how, what, *arguments = sys.argv[1:]
@@ -262,11 +264,11 @@ calls = []
 def die():
     os.kill(os.getpid(), signal.SIGKILL)
 
-def write(path, text, real=runs._write_whole):
+def write(path, content, real=writing.write_whole):
     if how == "write" and str(path).endswith(what):
-        path.with_name(path.name + ".part").write_text(text[: len(text) // 2])
+        path.with_name(path.name + ".part").write_bytes(content[: len(content) // 2])
         die()
-    real(path, text)
+    real(path, content)
 
 def replace(source, target, real=os.replace):
     if how == "move" and str(target).endswith(what) and ".partial" not in str(target):
@@ -279,7 +281,9 @@ def append(self, block, state, real=BlockBackend.append):
         die()
     real(self, block, state)
 
-runs._write_whole, os.replace, BlockBackend.append = write, replace, append
+for module in (tables, writing, execution, manifest, run):
+    module.write_whole = write
+os.replace, BlockBackend.append = replace, append
 sys.argv = ["calflow", *arguments]
 cli.main()
 """
@@ -437,14 +441,14 @@ def test_a_full_disk_is_told_and_the_same_command_goes_on(small, finished, size,
 def test_a_write_that_fails_leaves_the_old_results(finished, monkeypatch):
     """Fails if a stage's files are replaced before all new ones are written."""
 
-    def full(path, text, real=runs._write_whole):
+    def full(path, table, real=execution.write_csv):
         if path.name == "residuals.csv":
             raise OSError(errno.ENOSPC, "No space left on device")
-        real(path, text)
+        real(path, table)
 
     before = {name: content for name, content in finished.results().items() if "inputs" not in name}
     with monkeypatch.context() as patch:
-        patch.setattr(runs, "_write_whole", full)
+        patch.setattr(execution, "write_csv", full)
         with pytest.raises(OSError, match="No space left"):
             calflow.run(calflow.load_study(finished.path), finished / "runs", "identify", force=True)
     after = finished.results()
@@ -455,8 +459,7 @@ def test_a_write_that_fails_leaves_the_old_results(finished, monkeypatch):
 
 def test_two_runs_at_once_are_refused(finished):
     """Fails if two runs write into one folder, or the lock of a run that is over counts."""
-    with (finished / "runs" / ".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with FileLock(finished / "runs" / ".lock"):
         (told,) = finished.refused("run")
         assert told.startswith("runs: another run is at work in this folder")
     assert finished.calflow("run").code == 0

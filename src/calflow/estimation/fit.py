@@ -17,6 +17,7 @@ AT_BOUND = 0.05  # posterior standard deviations from a bound: closer than that,
 # IPOPT forgives ten round-offs of the objective. Residuals are differences of metres that count in micrometres, whose round-off
 # is larger: with this added to the scaled objective, IPOPT forgives it too, and does not search lines for what cannot be seen.
 ROUND_OFF = 1e4
+INTERRUPTED = "NonIpopt_Exception_Thrown"  # IPOPT's status where CasADi saw Ctrl-C, which it keeps to itself
 SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two starts found the same
 
 
@@ -91,6 +92,8 @@ def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "l
     for start in starts:
         inside = np.clip(start / model.prior_sd, lower + 1e-3 * (upper - lower), upper - 1e-3 * (upper - lower))
         found = solver(x0=inside, lbx=lower, ubx=upper)
+        if solver.stats()["return_status"] == INTERRUPTED:
+            raise KeyboardInterrupt
         at = np.array(found["x"]).ravel()
         solutions.append((expanded(at.tobytes()).value, at, solver.stats()))
     objective, x, stats = min(solutions, key=lambda solution: solution[0])

@@ -9,8 +9,7 @@ import numpy as np
 
 from calflow.report.material import Material
 from calflow.sampling.chain_summary import ChainSummary
-from calflow.sampling.posterior import Posterior
-from calflow.stages.sample import posterior_of
+from calflow.sampling.posterior import Posterior, posterior_of
 
 SHOWN_STEPS = 600
 

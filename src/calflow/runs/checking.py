@@ -13,7 +13,7 @@ from calflow.files.problems import InputError, Problem, together
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.observations import observations
-from calflow.runs.run import stages_of
+from calflow.runs.planning import stages_of
 from calflow.stages import STAGES
 from calflow.study import Study
 

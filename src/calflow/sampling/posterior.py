@@ -12,7 +12,10 @@ import numpy as np
 from scipy.special import gammaln
 
 from calflow.compiled import compiled
+from calflow.estimation.calibrated import Identified
 from calflow.estimation.least_squares import Block, LeastSquares
+from calflow.estimation.repeats import averaged
+from calflow.measurements.measurements import Measurements
 
 LOG_NOISE_SD = 1.0  # prior on the log of the noise level: a factor e either way
 LEVEL_PASSES = 3  # the noise level and the number of parameters it leaves undetermined depend on each other, weakly
@@ -188,3 +191,11 @@ def _squares_of(block: Block) -> Callable[[np.ndarray], np.ndarray]:
         return np.asarray(mapped[n_walkers](values, *data)).reshape(n_walkers, n_rows).sum(axis=1)
 
     return squares
+
+
+def posterior_of(known: Identified, data: Measurements) -> tuple[Posterior, Laplace]:
+    """Return the posterior of what was identified, given the training rows, and its approximation."""
+    means = averaged(data.only(data.train), known.noise(data).only(data.train))
+    problem = LeastSquares.of(known.model, *means).reweighted(known.estimate, known.loss)
+    laplace = Laplace.of(problem, known.estimate, known.at_bound)
+    return Posterior.about(problem, laplace), laplace

@@ -16,7 +16,7 @@ from calflow.diagnosis.findings.replication import CarriedAccuracy, ConfirmedCau
 from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, FindingRow, candidates_table, findings_table
 from calflow.diagnosis.findings.verdict import verdict
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.search.acceptance import Acceptance
+from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES, Acceptance
 from calflow.diagnosis.search.extension import extend, weighed_against
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.narrowing import narrowed
@@ -35,13 +35,13 @@ from calflow.measurements.measurements import Measurements
 from calflow.stages.stage import Context, Stage
 from calflow.study import known_effects
 
-SHARES = {"causes": 0.7, "remainder": 0.2, "noise": 0.1}  # of the false alarms that are allowed
+BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
 
 
 class DiagnoseSettings(FileModel):
     """Settings of diagnose: the chance of a false alarm, the most causes to add, and which effects to look for (all)."""
 
-    false_alarm: float = Field(default=0.01, gt=0, lt=0.5)
+    false_alarm: float = Field(default=FALSE_ALARM, gt=0, lt=0.5)
     causes: int = Field(default=10, ge=1)
     catalogue: tuple[str, ...] = ()
     leave_out: tuple[str, ...] = ()
@@ -96,10 +96,13 @@ def diagnose(known: Identified, data: Measurements, context: Context) -> Diagnos
         start = start.weighed(grown.sigma(train, start.device))
     have = [effect.id for effect in known.model.effects]
     catalogue = Catalogue.of(train, have, settings.catalogue, settings.leave_out)
-    context.advance(0.1)
+    context.advance(BEGUN)
     acceptance = Acceptance(SHARES["causes"] * settings.false_alarm, settings.causes)
-    extended = extend(start, catalogue, acceptance, context.rng("bootstrap"), context.say)
-    context.advance(0.7)
+    extended = extend(
+        start, catalogue, acceptance, context.rng("bootstrap"), context.say,
+        lambda share: context.advance(BEGUN + share * (SEARCHED - BEGUN)),
+    )  # fmt: skip
+    context.advance(SEARCHED)
     significance = SHARES["remainder"] * settings.false_alarm
     left = remainder(extended.fitted, significance, context.rng("decoys"), context.say)
     if left and extended.findings:

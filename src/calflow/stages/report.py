@@ -33,5 +33,11 @@ def run(context: Context) -> Results:
 
 
 STAGE = Stage(
-    "report", "write the report", ReportSettings, run, needs=("identify",), uses=("select", "diagnose", "sample")
+    "report",
+    "write the report",
+    ReportSettings,
+    run,
+    needs=("identify",),
+    uses=("select", "diagnose", "sample"),
+    titled=True,
 )

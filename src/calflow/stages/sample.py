@@ -12,9 +12,7 @@ from pydantic import Field
 
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
-from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.parameters import UNIT
-from calflow.estimation.repeats import averaged
 from calflow.faults import corrected
 from calflow.files.documents import to_document
 from calflow.files.problems import Problem, refuse
@@ -25,7 +23,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.sampling.backend import BlockBackend, joined, open_ensembles
 from calflow.sampling.chain_summary import ChainSummary, Cut
-from calflow.sampling.posterior import Laplace, Posterior, moves
+from calflow.sampling.posterior import Laplace, Posterior, moves, posterior_of
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
@@ -125,14 +123,6 @@ def problems(study: Study, settings: SampleSettings, data: Measurements | None) 
         return []
     message = f"{settings.walkers} walkers are too few for {least // 2} dimensions: expected at least {least}"
     return [study.setting_problem("sample", message, "walkers")]
-
-
-def posterior_of(known: Identified, data: Measurements) -> tuple[Posterior, Laplace]:
-    """Return the posterior of what was identified, given the training rows, and its approximation."""
-    means = averaged(data.only(data.train), known.noise(data).only(data.train))
-    problem = LeastSquares.of(known.model, *means).reweighted(known.estimate, known.loss)
-    laplace = Laplace.of(problem, known.estimate, known.at_bound)
-    return Posterior.about(problem, laplace), laplace
 
 
 def _acceptance(posterior: Posterior, walkers: np.ndarray, rng: np.random.Generator) -> float:

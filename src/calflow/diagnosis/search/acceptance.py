@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from calflow.diagnosis.screening.screening import MATERIAL, Family, Score
 from calflow.diagnosis.search.linearisation import Finding
 
+FALSE_ALARM = 0.01  # the chance that anything is found where nothing is hidden, unless a study says otherwise
+SHARES = {"causes": 0.7, "remainder": 0.2, "noise": 0.1}  # of the false alarms that are allowed
+
 
 @dataclass(frozen=True)
 class Acceptance:

@@ -21,6 +21,7 @@ from calflow.diagnosis.search.verification import doubted, verified
 from calflow.effects.cause import Cause
 
 CLEAR = 1e-3  # share of the acceptance below which the cost of the tests need not be worked out anew
+STEP = 0.2  # share of what is left of the search that a step counts as: how many there will be, nobody knows
 ENTANGLED = 3  # causes, the last found, that are exchanged by two
 
 
@@ -53,6 +54,7 @@ class _Search:
     first: Screened
     rng: np.random.Generator
     say: Callable[[str], None]
+    advance: Callable[[float], None]
 
     def settled(self, tried: list[Trial]) -> Trial:
         """Add causes while one passes, drop or swap those that prove mistaken; return the best model whose causes all stand.
@@ -63,6 +65,7 @@ class _Search:
         while step := next((step for step in self._steps(tried[-1]) if is_new(step.causes, tried)), None):
             self.say(step.words)
             tried.append(self.trial(tried[-1], step))
+            self.advance(1 - (1 - STEP) ** len(tried))
         best_first = sorted([tried[0], *tried[begin:]], key=lambda trial: trial.bic)
         return next(trial for trial in best_first if self._stand(trial))
 
@@ -116,10 +119,18 @@ class _Search:
 
 
 def extend(
-    start: Fitted, catalogue: Catalogue, acceptance: Acceptance, rng: np.random.Generator, say: Callable[[str], None]
+    start: Fitted,
+    catalogue: Catalogue,
+    acceptance: Acceptance,
+    rng: np.random.Generator,
+    say: Callable[[str], None],
+    advance: Callable[[float], None] = lambda share: None,
 ) -> Extended:
-    """Add causes while one passes the gate, and drop, swap and exchange those that prove mistaken, until nothing changes."""
-    search = _Search(catalogue, acceptance, Linearisation.at(start, catalogue).screened(rng), rng, say)
+    """Add causes while one passes the gate, and drop, swap and exchange those that prove mistaken, until nothing changes.
+
+    say is told each step in words, advance the share of the search that is done, which never falls.
+    """
+    search = _Search(catalogue, acceptance, Linearisation.at(start, catalogue).screened(rng), rng, say, advance)
     tried = [Trial(start, catalogue, search.first.family)]
     best = search.settled(tried)
     while better := search.improved(best, tried):

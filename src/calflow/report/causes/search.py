@@ -8,6 +8,7 @@ import numpy as np
 
 from calflow.diagnosis.findings.tables import CandidateRow
 from calflow.diagnosis.findings.verdict import WITHIN
+from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES
 from calflow.files.results import Results
 from calflow.report.causes.unexplained import unexplained
 from calflow.report.document import Block, bullets, heading, paragraph, plot, table
@@ -16,7 +17,6 @@ from calflow.report.findings import Found, cause_words, chance, place_name, plac
 from calflow.report.material import Material
 from calflow.report.section import Advice
 from calflow.report.words import first_up, listed, two_digits
-from calflow.stages.diagnose import SHARES, DiagnoseSettings
 
 SHOWN = 10  # candidates in the figure
 LONGEST = 46  # letters of a name with its detail, beyond which the detail is left out
@@ -120,9 +120,7 @@ def strongest(rows: Sequence[CandidateRow]) -> str:
 
 def gate(material: Material) -> float:
     """Chance of a false alarm below which a cause passes."""
-    settings = material.study.validated_settings("diagnose", DiagnoseSettings)
-    assert isinstance(settings, DiagnoseSettings)
-    return float(SHARES["causes"] * settings.false_alarm)
+    return SHARES["causes"] * float(material.study.settings("diagnose").get("false_alarm", FALSE_ALARM))
 
 
 def _why(lacking: str) -> str:

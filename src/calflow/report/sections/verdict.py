@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from calflow.estimation.fit_summary import IdentifySummary
+from calflow.files.results import Results
 from calflow.report.causes.first_page import lacked, structure, unsure
 from calflow.report.document import Block, bullets, card, gap, heading, paragraph, picture, side_by_side
 from calflow.report.figures.error_budget import before_after
@@ -48,7 +49,7 @@ def write(material: Material) -> list[Block]:
         paragraph(material.title, 21, bold=True),
         paragraph(_measured(material), 10),
         gap(20),
-        paragraph(judgement(material, found), 14, bold=True),
+        paragraph(judgement(material.results, found), 14, bold=True),
         gap(6),
         paragraph(headline(found, split), 12),
         gap(16),
@@ -63,14 +64,14 @@ def write(material: Material) -> list[Block]:
     ]  # fmt: skip
 
 
-def judgement(material: Material, found: list[ModelAccuracy]) -> str:
+def judgement(results: Results, found: list[ModelAccuracy]) -> str:
     """Say in a few words whether to use the model."""
     first, last = found[0], found[-1]
-    urgent = any(found.urgency == 1 for found in advice(sections(), material.results))
+    urgent = any(found.urgency == 1 for found in advice(sections(), results))
     if urgent or last.mean > USELESS * first.mean:
         return "Do not use this model: see what to do next."
-    times = latest_summary(material.results).lack_of_fit
-    if any(found.status == "unexplained" for found in findings(material.results)):
+    times = latest_summary(results).lack_of_fit
+    if any(found.status == "unexplained" for found in findings(results)):
         return "Usable where it was measured, but something unexplained is left."
     if math.isnan(times):
         return "Usable where it was measured; how much better it could be is not known."

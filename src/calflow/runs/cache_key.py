@@ -1,0 +1,104 @@
+"""The cache key: what a stage's results depend on, by name, so that a miss can be explained."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+
+from calflow.files.plugins import packages
+from calflow.measurements.reading import sha256
+from calflow.robot.robot import Robot
+from calflow.stages.stage import Stage
+from calflow.study import Study
+
+NUMERICAL = ("arviz-stats", "casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "scipy", "typst")
+ELSEWHERE = {"stages", "workflow", "title"}  # of a study: its settings' own entries, and what the report alone says
+
+
+def common_key(study: Study) -> dict[str, str]:
+    """Return what the results of all stages of a study depend on."""
+    return {
+        "code": code_digest(),
+        "versions": digest(json.dumps(versions(), sort_keys=True)),
+        **{f"package {name}": said for name, said in packages().items()},
+        **{f"study's {name}": value for name, value in _asked(study, ELSEWHERE).items()},
+        f"file {study.robot_path.name}": robot_digest(study.robot),
+    }
+
+
+def stage_key(
+    study: Study, stage: Stage, common: Mapping[str, str], upstream: Mapping[str, Mapping[str, str]]
+) -> dict[str, str]:
+    """Return what a stage's results depend on; upstream holds the keys of the stages before it."""
+    key = dict(common)
+    if stage.titled:
+        key["study's title"] = json.dumps(study.file.title, ensure_ascii=False)
+    if stage.measured:
+        key |= {f"file {name}": said for name, said in _measurement_hashes(study).items()}
+        key |= _confirming_key(study)
+    settings = study.validated_settings(stage.name, stage.settings).model_dump(mode="json")
+    key |= {f"setting {name}": json.dumps(value) for name, value in settings.items()}
+    for name in (*stage.needs, *stage.uses):
+        if name in upstream:
+            key[f"after {name}"] = digest(json.dumps(upstream[name], sort_keys=True))
+    return key
+
+
+def _confirming_key(study: Study) -> dict[str, str]:
+    """Return what the series that confirms a study consists of: its own study, robot and measurements."""
+    other = study.confirming
+    if other is None:
+        return {}
+    asked = _asked(other, ELSEWHERE | {"confirm"})
+    return {
+        f"confirming {other.path.name}": digest(json.dumps(asked, sort_keys=True)),
+        f"confirming {other.robot_path.name}": robot_digest(other.robot),
+        **{f"confirming {name}": said for name, said in _measurement_hashes(other).items()},
+    }
+
+
+def _measurement_hashes(study: Study) -> dict[str, str]:
+    """Return the SHA-256 of every series' file by its name, which is a path where several have the same."""
+    paths = study.measurement_paths
+    names = [path.name for path in paths]
+    return {path.name if names.count(path.name) == 1 else str(path): sha256(path) for path in paths}
+
+
+def _asked(study: Study, without: set[str]) -> dict[str, str]:
+    file = study.file.model_dump(mode="json", exclude=without)
+    return {name: json.dumps(value, ensure_ascii=False) for name, value in file.items()}
+
+
+def robot_digest(robot: Robot) -> str:
+    """Return a hash of what a robot file says, however it is written."""
+    return digest(robot.canonical())
+
+
+@lru_cache
+def code_digest() -> str:
+    """Return a hash of all that calflow is made of: its code, and what it writes reports with."""
+    root = Path(__file__).parents[1]
+    found = hashlib.sha256()
+    for path in sorted(path for path in root.rglob("*") if path.is_file() and "__pycache__" not in path.parts):
+        found.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+@lru_cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    return (("python", platform.python_version()), *((name, metadata.version(name)) for name in NUMERICAL))
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that results depend on."""
+    return dict(_versions())
+
+
+def digest(text: str) -> str:
+    """Return a short hash of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

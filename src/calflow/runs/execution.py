@@ -1,0 +1,145 @@
+"""Execution: one stage in a folder of its own, whose files move into place when all are whole."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from calflow.files.csv import write_csv
+from calflow.files.plugins import packages
+from calflow.files.results import Results
+from calflow.files.tables import schema
+from calflow.files.writing import write_whole
+from calflow.measurements.reading import sha256
+from calflow.runs.cache_key import versions
+from calflow.runs.containment import inside
+from calflow.runs.listener import Listener, onward
+from calflow.runs.manifest import Manifest, StageEntry, read_manifest, write_manifest
+from calflow.runs.planning import PlannedStage
+from calflow.runs.reasons import FORCED
+from calflow.stages.stage import Context, Stage
+from calflow.study import Study
+
+PARTIAL = ".partial"
+KEY = "key.json"  # in a work folder: what its content was made of
+
+
+def execute(
+    study: Study, folder: Path, step: PlannedStage, settings: Any, results: Results, listener: Listener
+) -> None:
+    """Run one stage, move its files into place and record it; an interruption leaves its work folder to go on from."""
+    stage = step.stage
+    before = _entry(folder, stage)
+    work = _work_folder(folder, step, before)
+    running = StageEntry(
+        status="running",
+        reason=step.reason,
+        key=before.key if before else {},
+        outputs=before.outputs if before else None,
+    )
+    record(study, folder, stage, running)
+    upstream = results.of({*stage.needs, *stage.uses})
+    started = time.monotonic()
+    context = Context(study, settings, upstream, work, folder, listener.say, onward(listener.advance))
+    try:
+        made = stage.run(context)
+    except BaseException as error:
+        listener.stop(stage)
+        status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+        record(study, folder, stage, running.model_copy(update={"status": status}))
+        raise
+    _write_results(work, stage, made)
+    files = [path for path in work.rglob("*") if path.is_file() and path.suffix != ".part"]
+    outputs = sorted(path.relative_to(work).as_posix() for path in files if path != work / KEY)
+    for name in set(running.outputs or {}) - set(outputs):
+        inside(folder, name).unlink(missing_ok=True)
+    hashes = {name: sha256(work / name) for name in outputs}
+    for name in sorted(outputs, key=lambda name: name in stage.resumes):  # what is dear to make last: see _work_folder
+        target = inside(folder, name)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(work / name, target)
+    shutil.rmtree(work)
+    if not any((folder / PARTIAL).iterdir()):
+        (folder / PARTIAL).rmdir()
+    seconds = round(time.monotonic() - started, 3)
+    done = StageEntry(status="done", reason=step.reason, key=step.key, seconds=seconds, outputs=hashes)
+    record(study, folder, stage, done)
+
+
+def _write_results(folder: Path, stage: Stage, made: Results) -> None:
+    """Write a stage's tables, each with its schema beside it, and its documents."""
+    for name, table in made.tables.items():
+        write_csv(folder / name, table)
+        described = json.dumps(schema(table, stage.tables[name]), indent=2, ensure_ascii=False)
+        write_whole((folder / name).with_suffix(".schema.json"), f"{described}\n".encode())
+    for name, document in made.documents.items():
+        said = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+        write_whole(folder / name, f"{said}\n".encode())
+
+
+def record_reuse(study: Study, folder: Path, step: PlannedStage) -> None:
+    """Record that a stage's results were reused, and why; why it last ran stays."""
+    entry = _entry(folder, step.stage)
+    assert entry is not None
+    record(study, folder, step.stage, entry.model_copy(update={"reused": step.reason, "key": step.key}))
+
+
+def record(study: Study, folder: Path, stage: Stage, entry: StageEntry) -> None:
+    """Write a stage's entry into the manifest; those of other stages stay."""
+    before = read_manifest(folder)
+    manifest = Manifest(
+        calflow=metadata.version("calflow"),
+        versions=versions(),
+        packages=packages(),
+        study=study.name,
+        study_file=str(study.path.resolve()),
+        folder=str(folder.resolve()),
+        workflow=study.workflow.name,
+        seed=study.file.seed,
+        inputs=_input_hashes(study, stage, before.inputs if before else {}),
+        stages={**(before.stages if before else {}), stage.name: entry},
+    )
+    write_manifest(folder, manifest)
+
+
+def _entry(folder: Path, stage: Stage) -> StageEntry | None:
+    manifest = read_manifest(folder)
+    return manifest.stages.get(stage.name) if manifest else None
+
+
+def _input_hashes(study: Study, stage: Stage, before: dict[str, str]) -> dict[str, str]:
+    """SHA-256 of every input; a stage that does not read the measurements leaves their entry as it is."""
+    hashes = {str(path): sha256(path) for path in (study.path, study.robot_path, study.workflow_path)}
+    if stage.measured:
+        return hashes | {str(path): sha256(path) for path in study.measurement_paths}
+    return hashes | {path: digest for path, digest in before.items() if not path.endswith(".toml")}
+
+
+def _work_folder(folder: Path, step: PlannedStage, before: StageEntry | None) -> Path:
+    """Return the stage's work folder: the one an interruption left where only settings differ, else a fresh one."""
+    work = inside(folder, f"{PARTIAL}/{step.stage.name}")
+    key = {name: value for name, value in step.key.items() if not name.startswith("setting ")}
+    forced = step.reason == FORCED
+    if forced or not _holds(work / KEY, key):
+        shutil.rmtree(work, ignore_errors=True)
+        work.mkdir(parents=True)
+        write_whole(work / KEY, json.dumps(key).encode())
+    if before and not forced and all(before.key.get(name) == value for name, value in key.items()):
+        for name in step.stage.resumes:
+            here, digest = inside(folder, name), (before.outputs or {}).get(name)
+            if here.is_file() and not (work / name).exists() and sha256(here) == digest:
+                (work / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(here, work / name)
+    return work
+
+
+def _holds(path: Path, key: dict[str, str]) -> bool:
+    try:
+        return bool(json.loads(path.read_text(encoding="utf-8")) == key)
+    except (OSError, ValueError, RecursionError):
+        return False

@@ -1,0 +1,29 @@
+"""The lock: one run at a time in a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from calflow.files.problems import refuse
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep a second run out of the folder; the system releases the lock of a process that is gone.
+
+    Raises:
+        InputError: another run is at work there.
+    """
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(folder / ".lock", timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise refuse("another run is at work in this folder; wait for it, or give another with --out", folder) from None
+    try:
+        yield
+    finally:
+        lock.release()

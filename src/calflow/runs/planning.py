@@ -1,0 +1,103 @@
+"""Planning: which stages would run, which are reused, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from calflow.files.problems import InputError, nearest, refuse, together
+from calflow.files.toml import Origin
+from calflow.runs.cache_key import common_key, stage_key
+from calflow.runs.identity import check_same_study
+from calflow.runs.manifest import read_manifest
+from calflow.runs.reasons import FORCED, UNCHANGED, reason
+from calflow.stages import STAGES
+from calflow.stages.stage import Stage
+from calflow.study import Study
+
+
+@dataclass(frozen=True)
+class PlannedStage:
+    """What would be done with a stage, and why; key holds what its results depend on, by name."""
+
+    stage: Stage
+    reuse: bool
+    reason: str
+    key: dict[str, str]
+
+
+def stages_of(study: Study) -> list[Stage]:
+    """Return the stages of a study's workflow, in order.
+
+    Raises:
+        InputError: the workflow or the study names a stage that does not exist or lacks what it needs, or has wrong settings.
+    """
+    known, names = STAGES, study.workflow.stages
+    workflow, own = Origin.of(study.workflow_path), Origin.of(study.path)
+    problems = []
+    for name in names:
+        if name not in known:
+            problems.append(workflow.problem(f"unknown stage '{name}'{nearest(name, known)}", "stages"))
+    for origin, key, tables in ((workflow, "settings", study.workflow.settings), (own, "stages", study.file.stages)):
+        for name in tables:
+            if name not in known:
+                problems.append(origin.problem(f"unknown stage{nearest(name, known)}", key, name))
+    if all(name in known for name in names):
+        for i, name in enumerate(names):
+            late = [need for need in (*known[name].needs, *known[name].uses) if need in names[i:]]
+            absent = [need for need in known[name].needs if need not in names]
+            problems += [
+                workflow.problem(f"stage '{name}' comes before '{need}', which it needs", "stages") for need in late
+            ]
+            problems += [
+                workflow.problem(f"stage '{name}' needs '{need}', which is not there", "stages") for need in absent
+            ]
+    if problems:
+        raise InputError(problems)
+    set_ = dict.fromkeys((*names, *study.workflow.settings, *study.file.stages))
+    together(*(partial(study.validated_settings, name, known[name].settings) for name in set_))
+    return [known[name] for name in names]
+
+
+def plan(study: Study, folder: Path, only: str | None = None, force: bool = False) -> list[PlannedStage]:
+    """Return what a run would do, stage by stage; only names a single stage (with what it needs).
+
+    Raises:
+        InputError: there is no such stage, or the folder is not this study's.
+    """
+    stages, known = stages_of(study), STAGES
+    wanted = [stage.name for stage in stages]
+    if only is not None:
+        if only not in known:
+            raise refuse(f"unknown stage '{only}'; there are {', '.join(known)}{nearest(only, known)}")
+        wanted = _with_needs(only)
+        early = [known[name] for name in wanted if known[name] not in stages and name != only]
+        stages = list(dict.fromkeys((*early, *stages, known[only])))
+    if folder.exists() and not folder.is_dir():
+        raise refuse("is a file; expected a run folder, which may not exist yet", folder)
+    manifest = read_manifest(folder)
+    if manifest:
+        check_same_study(study, folder, manifest)
+    before = manifest.stages if manifest else {}
+    common = common_key(study)
+    steps: list[PlannedStage] = []
+    for stage in stages:
+        used = only is not None and stage.name in known[only].uses and stage.name in before
+        if stage.name not in wanted and not used:
+            continue
+        key = stage_key(study, stage, common, {step.stage.name: step.key for step in steps})
+        forced = force and (only is None or stage.name == only)
+        run_again = [step.stage.name for step in steps if not step.reuse]
+        why = FORCED if forced else reason(before.get(stage.name), key, folder, run_again)
+        if used and why and stage.name not in wanted:
+            continue  # it takes its results into account where they are there; it does not ask for them
+        steps.append(PlannedStage(stage, why is None, why or UNCHANGED, key))
+    return steps
+
+
+def _with_needs(stage: str) -> list[str]:
+    names: list[str] = []
+    for need in STAGES[stage].needs:
+        names += _with_needs(need)
+    return list(dict.fromkeys([*names, stage]))
