@@ -182,7 +182,7 @@ def test_a_run_ends_with_what_it_reached(finished):
         (row.model, row.split, round(row.mean_mm, 3), round(row.max_mm, 3)) for row in table.itertuples()
     ]
     judged, gained = lines[4 + len(table) :][:2]
-    assert judged == "Usable where it was measured; how much better it could be is not known."
+    assert judged == "Calibrated: as good as the measuring device can tell."
     assert gained.startswith("At poses that no fit has seen, calibration reduces the tool-position error from ")
     assert all(line.startswith("! ") for line in lines[6 + len(table) : -1])
     assert lines[-1] == f"results: {finished / 'runs'}"

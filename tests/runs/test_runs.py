@@ -10,6 +10,8 @@ import shutil
 import signal
 from importlib import metadata
 
+import h5py
+import numpy as np
 import pandas as pd
 import pytest
 from filelock import FileLock
@@ -409,6 +411,48 @@ def test_a_damaged_chain_is_sampled_anew(finished, interrupt, where, damage):
     assert ("chain.h5 cannot be read" if ".partial" in where else "sample/chain.h5 was changed by hand") in answer.out
     assert finished.results() == before
     assert whole(finished)
+
+
+def step_turned(chain):
+    with h5py.File(chain, "a") as file:
+        file["ensemble2/chain"][3, 0, 0] += 1e-9
+
+
+def state_turned(chain):
+    with h5py.File(chain, "a") as file:
+        file["ensemble1"].attrs["random_state_2"] = 1
+
+
+def fewer_steps(chain):
+    with h5py.File(chain, "a") as file:
+        file["ensemble3"].attrs["iteration"] = 19
+
+
+def bits_turned(seed):
+    def turn(chain):
+        content = bytearray(chain.read_bytes())
+        for at in np.random.default_rng(seed).integers(len(content), size=200):
+            content[at] ^= 4
+        chain.write_bytes(content)
+
+    return turn
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [step_turned, state_turned, fewer_steps, bits_turned(1), bits_turned(2)],
+    ids=lambda damage: damage.__name__,
+)
+def test_a_chain_with_turned_bits_is_not_sampled_on(finished, interrupt, damage):
+    """Fails if sampling goes on from steps or a random state that were never drawn, or ends in a traceback."""
+    before = finished.results()
+    interrupt(7)
+    assert finished.calflow("run", "--stage", "sample", "--force").code == 130
+    damage(finished / "runs" / ".partial" / "sample" / "sample" / "chain.h5")
+    answer = finished.calflow("run")
+    assert ran(answer) == ["sample"]
+    assert "sampling starts anew" in answer.out
+    assert finished.results() == before
 
 
 # --- Trouble of the machine ------------------------------------------------------------------------

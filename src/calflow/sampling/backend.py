@@ -1,8 +1,10 @@
-"""The chain on disk: emcee's HDF backend, written a block of steps at a time."""
+"""The chain on disk: emcee's HDF backend, written a block of steps at a time and sealed with a checksum."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import hashlib
+import os
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -10,23 +12,64 @@ import emcee
 import h5py
 import numpy as np
 
+PADDED = 2  # times its content that a chunked table takes at most, nearly
+OVERHEAD = 1 << 16  # bytes of a block that are not its steps
+STEPS, SEAL = "steps_sha256", "seal_sha256"  # attributes of an ensemble's group
+
 
 class BlockBackend(emcee.backends.HDFBackend):
-    """emcee's HDF format, but whole blocks are appended: one write a block instead of one a step."""
+    """emcee's HDF format, but whole blocks are appended: one write a block instead of one a step.
+
+    Each group has the SHA-256 of its steps, each hashed with what came before, and a seal over that and the state to go on
+    from: a chain in which a bit was turned is not sampled on.
+    """
 
     def append(self, block: emcee.backends.Backend, random_state: tuple[Any, ...]) -> None:
         """Append an in-memory backend's steps and the random state that follows them."""
         chain, log_probability = block.get_chain(), block.get_log_prob()
+        done, accepted = self.iteration, self.accepted + block.accepted
+        steps = _hashed(self._steps if done else "", chain, log_probability)
+        self._reserve(len(chain))
         self.grow(len(chain), None)
         with self.open("a") as file:
             group = file[self.name]
-            done = group.attrs["iteration"]
             group["chain"][done : done + len(chain)] = chain
             group["log_prob"][done : done + len(chain)] = log_probability
-            group["accepted"][:] += block.accepted.astype(group["accepted"].dtype)
+            group["accepted"][:] = accepted
             for i, value in enumerate(random_state):
                 group.attrs[f"random_state_{i}"] = value
+            group.attrs[STEPS], group.attrs[SEAL] = steps, _sealed(steps, accepted, random_state)
             group.attrs["iteration"] = done + len(chain)
+
+    def _reserve(self, n_steps: int) -> None:
+        """Ask for room on the disk for more steps, before HDF5 does, which crashes where there is none.
+
+        Raises:
+            OSError: there is no room.
+        """
+        with self.open() as file:
+            tables = [file[self.name][name] for name in ("chain", "log_prob")]
+            needed = [(n_steps + table.chunks[0]) * np.prod(table.shape[1:]) * table.dtype.itemsize for table in tables]
+        if hasattr(os, "posix_fallocate"):
+            path = Path(self.filename)
+            with path.open("r+b") as raw:
+                os.posix_fallocate(raw.fileno(), path.stat().st_size, PADDED * int(sum(needed)) + OVERHEAD)
+
+    @property
+    def _steps(self) -> str:
+        """The hash of the steps so far."""
+        with self.open() as file:
+            return str(file[self.name].attrs[STEPS])
+
+    @property
+    def whole(self) -> bool:
+        """Whether what is read is what was written."""
+        if not self.iteration:
+            return True
+        with self.open() as file:
+            seal = file[self.name].attrs[SEAL]
+        steps = _hashed("", self.get_chain(), self.get_log_prob())
+        return bool(seal == _sealed(steps, self.accepted, self.random_state))
 
 
 def open_ensembles(
@@ -39,9 +82,11 @@ def open_ensembles(
     backends = [BlockBackend(str(path), name=f"ensemble{i + 1}") for i in range(number)]
     try:
         if path.exists() and _sampled_alike(path, backends, shape, independent):
+            if not all(backend.whole for backend in backends):
+                raise ValueError("its checksum is wrong")
             say(f"resuming after {min(backend.iteration for backend in backends)} steps")
             return backends
-    except (OSError, KeyError, RuntimeError, ValueError) as error:  # h5py has no error of its own
+    except Exception as error:  # h5py has no error of its own: what it raises depends on the bit that is wrong
         say(f"chain.h5 cannot be read ({error}): sampling starts anew")
     path.unlink(missing_ok=True)
     for backend in backends:
@@ -56,6 +101,21 @@ def _sampled_alike(path: Path, backends: list[BlockBackend], shape: tuple[int, i
         if file.attrs["independent"] != independent or len(file) != len(backends):
             return False
     return all(backend.initialized and backend.shape == shape for backend in backends)
+
+
+def _hashed(before: str, chain: np.ndarray, log_probability: np.ndarray) -> str:
+    """Return the hash of all steps, from that of those before; how they were parted into blocks makes no difference."""
+    for step, probability in zip(chain, log_probability, strict=True):
+        before = hashlib.sha256(before.encode() + step.tobytes() + probability.tobytes()).hexdigest()
+    return before
+
+
+def _sealed(steps: str, accepted: np.ndarray, random_state: Iterable[Any]) -> str:
+    """Return the hash of the steps' hash, what was accepted and the random state."""
+    seal = hashlib.sha256(steps.encode() + accepted.astype(np.int64).tobytes())
+    for value in random_state:
+        seal.update(value.tobytes() if isinstance(value, np.ndarray) else str(value).encode())
+    return seal.hexdigest()
 
 
 def joined(backends: list[BlockBackend], discard: int, steps: int) -> np.ndarray:
