@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from importlib import metadata
 
 import pandas as pd
@@ -87,6 +88,58 @@ def test_ctrl_c_ends_with_130_and_goes_on(small):
     assert running.returncode == 130, err
     assert err.strip() == "interrupted: the same command resumes where it stopped"
     assert "sample     run    did not finish last time (interrupted)" in small.calflow("plan").out
+
+
+def test_ctrl_c_is_heeded_inside_a_fit(small):
+    """Fails if an interruption waits for hours of fits to end, because IPOPT keeps it to itself."""
+    small.edit("quick.toml", ("starts = 1", "starts = 20000"))
+    command = [sys.executable, "-m", "calflow", "run", small.path, "--out", small / "runs"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        for line in running.stdout:
+            if line.startswith("identify: "):
+                break
+        time.sleep(3)  # well inside the fit
+        running.send_signal(signal.SIGINT)
+        err = running.communicate(timeout=60)[1]
+    assert running.returncode == 130, err
+    assert err.splitlines()[-1] == "interrupted: the same command resumes where it stopped"
+    assert "identify   run    did not finish last time (interrupted)" in small.calflow("plan").out
+    small.edit("quick.toml", ("starts = 20000", "starts = 1"))
+    answer = small.calflow("run")
+    assert answer.code == 0
+    assert "select: reused" in answer.out
+
+
+def test_an_interruption_that_nobody_asks_for_comes_again():
+    """Fails if Ctrl-C, cleared by compiled code, is forgotten where no progress is told; or comes after the stage stopped."""
+    with cli._Lines() as listener:
+        with contextlib.suppress(KeyboardInterrupt):  # as a library's clean-up does
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):  # noqa: PT012
+            for _ in range(200):
+                time.sleep(0.05)
+        listener.stop(None)
+        time.sleep(3 * cli.AGAIN)
+
+
+def test_trouble_of_the_machine_leaves_the_caller_alone(small, monkeypatch):
+    """Fails if the command line, called from Python, ends the process that calls it."""
+    import h5py  # noqa: F401  (the reason why the program itself leaves in haste)
+
+    def full(*_):
+        raise OSError("No space left on device")
+
+    def killed(code):
+        raise AssertionError("the process would be gone")
+
+    monkeypatch.setattr(cli.os, "_exit", killed)
+    monkeypatch.setattr("calflow.runs.run.execute", full)
+    answer = small.calflow("run")
+    assert answer.code == 1
+    assert answer.err.startswith("error: No space left on device. Finished stages are kept")
+    monkeypatch.setattr(sys, "argv", ["calflow", "run", str(small.path), "--out", str(small / "runs")])
+    with pytest.raises(AssertionError, match="would be gone"):
+        cli.program()
 
 
 @pytest.fixture
@@ -171,6 +224,41 @@ def test_status_tells_each_stage(finished, tmp_path, monkeypatch):
     assert told.startswith("runs/small: nothing was run here yet")
     shutil.copytree(finished / "runs", tmp_path / "runs" / "small")
     assert finished.calflow("status", finished.path).out.splitlines()[1:] == lines[1:]
+    assert finished.calflow("run", "--stage", "identify").code == 0
+    reused = finished.calflow("status", finished / "runs").out.splitlines()
+    assert reused[2] == f"{lines[2]}; reused since: inputs, settings, upstream results and code are unchanged"
+
+
+@pytest.fixture
+def at_home(finished, tmp_path, monkeypatch):
+    """The finished run where its study's name puts it."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(finished / "runs", tmp_path / "runs" / "small")
+    return finished
+
+
+def test_predict_and_report_take_a_run_or_its_study(at_home, tmp_path):
+    """Fails if a user must know where a run folder is, or which study it is of."""
+    at_home.measure(at_home.rows.drop(columns=["x_mm", "y_mm", "z_mm", "sigma_mm"]), "asked.csv")
+    ways = (at_home / "runs", at_home.path, at_home / "study.toml", tmp_path / "runs" / "small")
+    predicted = [in_process("predict", way, at_home / "asked.csv") for way in ways]
+    assert {answer.code for answer in predicted} == {0}
+    assert len({answer.out for answer in predicted}) == 1
+    for way in (at_home / "runs", at_home.path, at_home / "study.toml"):
+        answer = in_process("report", way)
+        assert answer.code == 0, answer
+    assert (at_home / "runs" / "report.pdf").exists()
+    assert (tmp_path / "runs" / "small" / "report.pdf").exists()
+
+
+def test_a_report_of_a_run_whose_study_is_gone_is_refused(finished, tmp_path):
+    """Fails if it ends in a traceback, or the user is not told what to give instead."""
+    assert finished.calflow("run").code == 0
+    shutil.copytree(finished / "runs", tmp_path / "sent")
+    shutil.rmtree(finished.path)
+    answer = in_process("report", tmp_path / "sent")
+    assert answer.code == 2
+    assert "is not there any more; give the study file, and this folder with --out" in answer.err
 
 
 def test_a_run_ends_with_what_it_reached(finished):

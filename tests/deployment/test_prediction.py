@@ -108,6 +108,22 @@ def test_the_command_prints_or_writes_the_same_table(finished, asked):
     assert printed.out == (finished / "new" / "p.csv").read_text(encoding="utf-8")
 
 
+def test_rows_are_read_as_the_studys_data_are(finished, asked):
+    """Fails if a table of the study's own spreadsheet, with ';' and decimal commas, cannot be predicted, or is misread."""
+    plain = predict(finished / "runs", asked)
+    rows = finished.rows
+    rows.to_csv(finished / "measurements.csv", sep=";", index=False)
+    text = (finished / "measurements.csv").read_text(encoding="utf-8").replace(".", ",")
+    (finished / "measurements.csv").write_text(text, encoding="utf-8")
+    finished.edit(
+        "study.toml", ('file = "measurements.csv"', 'file = "measurements.csv"\nseparator = ";"\ndecimal = ","')
+    )
+    assert finished.calflow("run", "--stage", "identify").code == 0
+    pd.read_csv(asked, dtype=str, keep_default_na=False).to_csv(asked, sep=";", index=False)
+    asked.write_text(asked.read_text(encoding="utf-8").replace(".", ","), encoding="utf-8")
+    pd.testing.assert_frame_equal(predict(finished / "runs", asked), plain)
+
+
 ROWS = {
     "no such file": (None, ["asked.csv: cannot be read"]),
     "a column short": ("q1_deg,q2_deg\n1,2\n", ["asked.csv:1: missing column: expected q3_rad or q3_deg"]),

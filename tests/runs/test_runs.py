@@ -501,12 +501,27 @@ def test_a_write_that_fails_leaves_the_old_results(finished, monkeypatch):
     assert whole(finished)
 
 
+def test_the_lock_of_a_dead_run_does_not_count(finished):
+    """Fails if a run that was killed keeps all later ones out."""
+    hold = "import os, sys; from filelock import FileLock; FileLock(sys.argv[1]).acquire(); os.kill(os.getpid(), 9)"
+    assert finished.apart("-c", hold, finished / "runs" / ".lock").returncode == -signal.SIGKILL
+    assert finished.calflow("run").code == 0
+
+
 def test_two_runs_at_once_are_refused(finished):
     """Fails if two runs write into one folder, or the lock of a run that is over counts."""
     with FileLock(finished / "runs" / ".lock"):
         (told,) = finished.refused("run")
         assert told.startswith("runs: another run is at work in this folder")
     assert finished.calflow("run").code == 0
+
+
+def test_a_run_needs_no_fcntl(small):
+    """Fails if a run is a traceback where the system has no such locks, as Windows."""
+    without = "import sys; sys.modules['fcntl'] = None; from calflow.cli import main; sys.argv[0] = 'calflow'; main()"
+    done = small.apart("-c", without, "run", small.path, "--out", small / "runs", "--stage", "select")
+    assert done.returncode == 0, done.stderr
+    assert "select: choose the poses" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -25,9 +25,18 @@ def data():
 
 def test_both_causes_are_added_and_nothing_else(data):
     """Breaks if the extension stops early, goes on with noise, or its models on the way are not those of its findings."""
+    shares = []
     extended = extend(
-        start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
+        start(data),
+        Catalogue.of(data, ("geometry",), TESTED),
+        GATE,
+        np.random.default_rng(1),
+        lambda _: None,
+        shares.append,
     )
+    assert len(shares) >= 2  # a step a cause
+    assert shares == sorted(set(shares))
+    assert 0 < shares[0] < shares[-1] < 1
     assert [finding.cause.place for finding in extended.findings] == [
         ("joint-compliance", "joint2"), ("joint-eccentricity", "joint1"),
     ]  # fmt: skip
