@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from functools import lru_cache
 
 from calflow.effects.base import Effect
@@ -21,16 +19,7 @@ def catalogue() -> dict[str, type[Effect]]:
     Raises:
         InputError: another package brings what cannot be used.
     """
-    for module in pkgutil.iter_modules(__path__):
-        importlib.import_module(f"{__name__}.{module.name}")
-    here = [
-        effect
-        for effect in _kinds(Effect)  # type: ignore[type-abstract]
-        if effect.__module__.startswith(f"{__name__}.") and isinstance(getattr(effect, "id", None), str)
-    ]
-    own = {effect.id: effect for effect in here}
-    others = plugins.found(plugins.EFFECTS, Effect, own, _flaw)  # type: ignore[type-abstract]
-    return dict(sorted((own | others).items()))
+    return plugins.catalogue(__name__, plugins.EFFECTS, Effect, _flaw)  # type: ignore[type-abstract]
 
 
 def _flaw(effect: type[Effect]) -> str:
@@ -39,7 +28,3 @@ def _flaw(effect: type[Effect]) -> str:
         return "its tag lacks {id}, so that its parameters' names are not its own"
     unknown = [f"'{need}'{nearest(need, NEEDS)}" for need in effect.needs if need not in NEEDS]
     return f"it needs {' and '.join(unknown)}; expected some of {', '.join(NEEDS)}" if unknown else ""
-
-
-def _kinds(of: type[Effect]) -> list[type[Effect]]:
-    return [kind for direct in of.__subclasses__() for kind in (direct, *_kinds(direct))]

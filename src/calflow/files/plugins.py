@@ -6,9 +6,11 @@ import hashlib
 import inspect
 from collections.abc import Callable, Collection
 from functools import lru_cache
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import TypeVar
 
 from calflow.files.problems import InputError, Problem
@@ -51,6 +53,31 @@ def found(
     if problems:
         raise InputError(problems)
     return kinds
+
+
+def catalogue(
+    package: str, group: str, base: type[Part], flaw: Callable[[type[Part]], str] = lambda kind: ""
+) -> dict[str, type[Part]]:
+    """Return every class with an id that a package of calflow's holds, a file each, and what other packages bring, by id.
+
+    Args:
+        package: the dotted name of the package whose files are looked through.
+        group: of entry points (see `found`).
+        base: what each class must be.
+        flaw: says what else is wrong with a class of another package.
+
+    Raises:
+        InputError: another package brings what cannot be used.
+    """
+    for module in iter_modules(import_module(package).__path__):
+        import_module(f"{package}.{module.name}")
+    here = [kind for kind in _kinds(base) if kind.__module__.startswith(f"{package}.")]
+    own = {known: kind for kind in here if isinstance(known := getattr(kind, "id", None), str)}
+    return dict(sorted((own | found(group, base, own, flaw)).items()))
+
+
+def _kinds(of: type[Part]) -> list[type[Part]]:
+    return [kind for direct in of.__subclasses__() for kind in (direct, *_kinds(direct))]
 
 
 @lru_cache

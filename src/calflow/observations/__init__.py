@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from functools import lru_cache
 
 from calflow.files import plugins
@@ -21,16 +19,7 @@ def catalogue() -> dict[str, type[Observation]]:
     Raises:
         InputError: another package brings what cannot be used.
     """
-    for module in pkgutil.iter_modules(__path__):
-        importlib.import_module(f"{__name__}.{module.name}")
-    here = [
-        kind
-        for kind in _kinds(Observation)  # type: ignore[type-abstract]
-        if kind.__module__.startswith(f"{__name__}.") and isinstance(getattr(kind, "id", None), str)
-    ]
-    own = {kind.id: kind for kind in here}
-    others = plugins.found(plugins.OBSERVATIONS, Observation, own)  # type: ignore[type-abstract]
-    return dict(sorted((own | others).items()))
+    return plugins.catalogue(__name__, plugins.OBSERVATIONS, Observation)  # type: ignore[type-abstract]
 
 
 def observations(data: Measurements) -> tuple[Observation, ...]:
@@ -49,7 +38,3 @@ def observations(data: Measurements) -> tuple[Observation, ...]:
         else:
             found.append(kind.of(series, table))
     return tuple(found)
-
-
-def _kinds(of: type[Observation]) -> list[type[Observation]]:
-    return [kind for direct in of.__subclasses__() for kind in (direct, *_kinds(direct))]
