@@ -54,6 +54,30 @@ class Cause(Effect):
         """What stays the same in all its variants."""
         return self.effect.id, self.part
 
+    @property
+    def n_parameters(self) -> int:
+        """How many parameters it has."""
+        return len(self.declared)
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Least and largest values of its parameters, from nominal, shape (2, n_parameters)."""
+        return np.array([(p.lower - p.nominal, p.upper - p.nominal) for p in self.declared]).T
+
+    @property
+    def family(self) -> str:  # type: ignore[override]
+        """The effect's family."""
+        return self.effect.family
+
+    @property
+    def alike(self) -> tuple[str, ...]:  # type: ignore[override]
+        """What the effect cannot be told from by any pose."""
+        return self.effect.alike
+
+    def same_form(self, other: Cause) -> bool:
+        """Whether another is this cause, in this variant or one that cannot act beside it."""
+        return self.place == other.place and self.effect.same_as(other.effect)
+
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the part's parameters."""
         return self.declared

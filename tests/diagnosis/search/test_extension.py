@@ -7,8 +7,9 @@ import pytest
 
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.acceptance import Acceptance
-from calflow.diagnosis.search.extension import extend, second_thoughts
+from calflow.diagnosis.search.extension import extend
 from calflow.diagnosis.search.linearisation import Linearisation
+from calflow.diagnosis.search.stepwise import second_thoughts
 from calflow.model import Model
 from diagnosis.found import cause, hidden, start
 

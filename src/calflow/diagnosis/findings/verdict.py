@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Generic, Literal
 
 import numpy as np
 
+from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.screening import Score, by_place
 from calflow.diagnosis.search.linearisation import Finding
-from calflow.effects.cause import Cause
 
 WITHIN = 10.0  # of the best BIC: closer rivals cannot be told apart (Kass and Raftery 1995: "very strong" beyond)
 
@@ -17,7 +17,7 @@ Status = Literal["named", "one_of"]
 
 
 @dataclass(frozen=True)
-class Rival:
+class Rival(Generic[H]):
     """What else could explain the data: an effect's id and its joint (0 for none); bic is relative to the finding's.
 
     score is of its best variant in the finding's place, None where the data could not test it.
@@ -26,36 +26,36 @@ class Rival:
     id: str
     joint: int
     bic: float
-    score: Score | None
+    score: Score[H] | None
 
     @property
-    def cause(self) -> Cause | None:
+    def cause(self) -> H | None:
         """The best variant, if it could be tested."""
         return self.score.cause if self.score else None
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Verdict(Generic[H]):
     """A finding with its status, probability and rivals, the nearest first."""
 
-    finding: Finding
+    finding: Finding[H]
     status: Status
     probability: float
-    rivals: tuple[Rival, ...]
+    rivals: tuple[Rival[H], ...]
 
     @property
     def family(self) -> str:
         """The family to name it by where all that it could be are of one family, at one joint; empty otherwise."""
         cause = self.finding.cause
-        own = cause.effect.family
+        own = cause.family
         same = all(
-            rival.cause is not None and rival.cause.effect.family == own and rival.joint == cause.joint
+            rival.cause is not None and rival.cause.family == own and rival.joint == cause.joint
             for rival in self.rivals
         )
         return own if own and self.rivals and same else ""
 
 
-def verdict(finding: Finding) -> Verdict:
+def verdict(finding: Finding[H]) -> Verdict[H]:
     """Weigh a finding against all rivals in its place by their BIC, the variants of each taken together."""
     evidence = by_place(finding.scores)
     cause = finding.cause
@@ -66,9 +66,7 @@ def verdict(finding: Finding) -> Verdict:
         if place != cause.place and bic - own < WITHIN
     ]
     tested = {(score.cause.id, score.cause.joint) for score in finding.scores}
-    rivals += [
-        Rival(other, cause.joint, 0.0, None) for other in cause.effect.alike if (other, cause.joint) not in tested
-    ]
+    rivals += [Rival(other, cause.joint, 0.0, None) for other in cause.alike if (other, cause.joint) not in tested]
     weights = [np.exp(-(bic - own) / 2) for place, (bic, _) in evidence.items() if place != cause.place]
     weights += [1.0 for rival in rivals if rival.cause is None]
     probability = 1 / (1 + float(np.sum(weights)))

@@ -8,6 +8,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import ncf
 
 from calflow.diagnosis.screening.screening import Family, Score
+from calflow.effects.cause import Cause
 
 POWER = 0.95
 MOST = 1e5  # squared sigmas
@@ -26,7 +27,7 @@ def noncentrality(false_alarm: float, tests: float, degrees_of_freedom: int, lef
     return float(brentq(lambda shown: ncf.sf(threshold, degrees_of_freedom, left, shown) - POWER, 1e-3, MOST))
 
 
-def detection_limit(score: Score, family: Family, false_alarm: float) -> float:
+def detection_limit(score: Score[Cause], family: Family, false_alarm: float) -> float:
     """Return the least size of a cause, in the unit of its first parameter, that is found 95 times in 100.
 
     Several parameters are taken in proportion to their priors, in directions that the data show on average.

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Generic
 
 import numpy as np
 from scipy.stats import f as f_distribution
 
+from calflow.diagnosis.screening.hypothesis import H
 from calflow.effects import Effect
 from calflow.effects.cause import Cause, parts
 from calflow.estimation.fit import Fit
@@ -18,16 +20,11 @@ SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Candidate(Generic[H]):
     """One variant of a cause: its regressors are these columns."""
 
-    cause: Cause
+    cause: H
     columns: np.ndarray
-
-    @property
-    def bounds(self) -> np.ndarray:
-        """Least and largest values of its parameters, from nominal, shape (2, n_columns)."""
-        return np.array([(p.lower - p.nominal, p.upper - p.nominal) for p in self.cause.declared]).T
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ class Products:
 
 
 @dataclass(frozen=True)
-class Regressors:
+class Regressors(Generic[H]):
     """All candidates' whitened regressors side by side, with the model's own Jacobian.
 
     residual (n,) and jacobian (n, n_free) are the fit's, pull (n_free,) the priors' part of the gradient; matrix is
@@ -72,13 +69,15 @@ class Regressors:
     prior_rss: float
     matrix: np.ndarray
     prior_sd: np.ndarray
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[Candidate[H], ...]
     products: Products
     determined: float = 0.0
     scale: float = 1.0
 
     @staticmethod
-    def of(fit: Fit, problem: LeastSquares, effects: Sequence[Effect], poses: np.ndarray | None = None) -> Regressors:
+    def of(
+        fit: Fit, problem: LeastSquares, effects: Sequence[Effect], poses: np.ndarray | None = None
+    ) -> Regressors[Cause]:
         """Linearise the fitted model with all these effects at zero, which costs one Jacobian.
 
         poses (n_rows,) numbers the rows by pose: what the rows of a pose have in common counts once (see `shared_error`).
@@ -90,9 +89,7 @@ class Regressors:
         point = np.concatenate([fit.estimate, large.nominal[n:]])
         left, matrix = problem.on(large).screened(point)
         if poses is not None:
-            group = shared_by(problem.layout, poses)
-            if (shared := shared_error(left, group, fit.effective_parameters)) < 1:
-                left, matrix = (array - (1 - shared) * _group_means(array, group) for array in (left, matrix))
+            left, matrix = counted_once(left, matrix, shared_by(problem.layout, poses), fit.effective_parameters)
         free = np.flatnonzero(~fit.at_bound)
         offset = fit.estimate - model.nominal
         precision = model.prior_sd**-2.0
@@ -112,7 +109,7 @@ class Regressors:
             scale,
         )
 
-    def without(self, columns: np.ndarray, effect: np.ndarray, pull: np.ndarray) -> Regressors:
+    def without(self, columns: np.ndarray, effect: np.ndarray, pull: np.ndarray) -> Regressors[H]:
         """Return the regressors of the model without some free parameters, whose effect (n,) is taken off the residual."""
         keep = np.setdiff1d(np.arange(self.jacobian.shape[1]), columns)
         return replace(
@@ -124,6 +121,20 @@ class Regressors:
             prior_rss=self.prior_rss - float(pull @ pull),
             products=self.products.only(keep),
         )
+
+
+def counted_once(
+    residual: np.ndarray, matrix: np.ndarray, group: np.ndarray, determined: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return residuals (n,) and regressors (n, n_columns) in which what a group has in common counts once.
+
+    group and determined are as for `shared_error`.
+    """
+    shared = shared_error(residual, group, determined)
+    if shared >= 1:
+        return residual, matrix
+    first, second = (array - (1 - shared) * _group_means(array, group) for array in (residual, matrix))
+    return first, second
 
 
 def shared_by(layout: Layout, poses: np.ndarray) -> np.ndarray:
@@ -162,7 +173,7 @@ def _group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     return np.asarray((total.T / np.maximum(count, 1)).T[group])
 
 
-def _candidates(effects: Sequence[Effect]) -> tuple[Candidate, ...]:
+def _candidates(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:
     found, start = [], 0
     for effect in effects:
         if isinstance(effect, Cause):

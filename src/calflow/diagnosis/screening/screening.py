@@ -11,13 +11,14 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Generic
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.stats import f as f_distribution
 
+from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.regressors import Candidate, Regressors
-from calflow.effects.cause import Cause
 
 MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
 INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
@@ -29,7 +30,7 @@ BOOTSTRAP_SIGNIFICANCE = (
 
 
 @dataclass(frozen=True)
-class Score:
+class Score(Generic[H]):
     """What one candidate would gain, without a refit.
 
     drop is that of chi² and share its part of all, degrees_of_freedom those that it costs, p the p-value of this test
@@ -38,7 +39,7 @@ class Score:
     what delta_bic would lose if priors were taken for what they say (see `prior_cost`).
     """
 
-    candidate: Candidate
+    candidate: Candidate[H]
     drop: float
     share: float
     degrees_of_freedom: float
@@ -60,7 +61,7 @@ class Score:
         return float(np.clip(fallen * self.share / max(self.drop, 1e-12), 0.0, 1 - 1e-6))
 
     @property
-    def cause(self) -> Cause:
+    def cause(self) -> H:
         """The cause."""
         return self.candidate.cause
 
@@ -103,10 +104,10 @@ class _Block:
 
 
 @dataclass(frozen=True)
-class Screening:
+class Screening(Generic[H]):
     """The test of all candidates against what a model leaves."""
 
-    regressors: Regressors
+    regressors: Regressors[H]
 
     @cached_property
     def _factor(self) -> np.ndarray:
@@ -175,7 +176,7 @@ class Screening:
         return [block for block in blocks if block.members]
 
     @cached_property
-    def scores(self) -> list[Score]:
+    def scores(self) -> list[Score[H]]:
         """Every visible candidate's score, best first."""
         n = len(self.regressors.residual)
         found = []
@@ -186,9 +187,8 @@ class Screening:
             precision = self.regressors.prior_sd[block.columns] ** -2.0
             covariance = np.linalg.inv(block.information + np.eye(own.shape[1]) * precision[:, None, :])
             estimate = -np.einsum("mij,mj->mi", covariance, own)
-            least, most = np.array([self.regressors.candidates[member].bounds for member in block.members]).swapaxes(
-                0, 1
-            )
+            bounds = np.array([self.regressors.candidates[member].cause.bounds for member in block.members])
+            least, most = bounds.swapaxes(0, 1)
             inside = np.clip(estimate, least, most)
             beyond = estimate - inside
             lost = np.einsum("mi,mij,mj->m", beyond, block.information, beyond) + (precision * beyond**2).sum(axis=1)
@@ -265,9 +265,9 @@ def prior_cost(pulled: np.ndarray, number: int) -> np.ndarray:
     return np.where(pulled <= usual, pulled, usual * (1 + np.log(np.maximum(pulled, usual) / usual)))
 
 
-def by_place(scores: Sequence[Score]) -> dict[tuple[str, str], tuple[float, Score]]:
+def by_place(scores: Sequence[Score[H]]) -> dict[tuple[str, str], tuple[float, Score[H]]]:
     """Return each place's BIC, averaged over its variants as evidence is, and its best score."""
-    groups: dict[tuple[str, str], list[Score]] = {}
+    groups: dict[tuple[str, str], list[Score[H]]] = {}
     for score in scores:
         groups.setdefault(score.cause.place, []).append(score)
     found = {}

@@ -10,12 +10,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Generic
 
 import numpy as np
 from scipy.stats import f as f_distribution
 
+from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.screening import INVISIBLE, MATERIAL, Family, Score, Screening
-from calflow.effects.cause import Cause
 
 COLUMNS = 4  # of a candidate at most: error maps have rivals of their own
 VARIANTS = 8  # of one place, the best
@@ -23,32 +24,32 @@ SPLIT = 10.0  # of BIC: by how much two must explain the data better than one (K
 
 
 @dataclass(frozen=True)
-class Pair:
+class Pair(Generic[H]):
     """Two candidates together; p is the larger of their family-wise p-values, each beside the other."""
 
-    first: Score
-    second: Score
+    first: Score[H]
+    second: Score[H]
     delta_bic: float
     p: float
 
 
 @dataclass(frozen=True)
-class Exchange:
+class Exchange(Generic[H]):
     """All pairs of candidates in the place of one cause or two, small ones only.
 
     information (m, m, COLUMNS, COLUMNS) is S between candidates in units of the priors and score (m, COLUMNS) their u, filled
     up with zeros, which explain nothing and cost nothing.
     """
 
-    screening: Screening
+    screening: Screening[H]
     family: Family
-    gone: Sequence[Cause]
-    scores: tuple[Score, ...]
+    gone: Sequence[H]
+    scores: tuple[Score[H], ...]
     information: np.ndarray
     score: np.ndarray
 
     @staticmethod
-    def of(screening: Screening, family: Family, gone: Sequence[Cause]) -> Exchange:
+    def of(screening: Screening[H], family: Family, gone: Sequence[H]) -> Exchange[H]:
         """Take the best variants of every place, and the causes that are gone."""
         seen: Counter[tuple[str, str]] = Counter()
         few = []
@@ -70,7 +71,7 @@ class Exchange:
             screening.score[columns] * sd,
         )  # fmt: skip
 
-    def alone(self) -> Score | None:
+    def alone(self) -> Score[H] | None:
         """Return the best candidate that explains the data better than the two that are gone do together."""
         at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
         best = min(self.scores, key=lambda score: score.delta_bic, default=None)
@@ -78,7 +79,7 @@ class Exchange:
             return None
         return best
 
-    def better(self) -> Iterator[Pair]:
+    def better(self) -> Iterator[Pair[H]]:
         """Yield the pairs of different places that explain the data better than what they replace, best first."""
         at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
         if len(at) < len(self.gone):

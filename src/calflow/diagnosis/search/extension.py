@@ -1,28 +1,21 @@
-"""The extension of a model by the causes that explain what it leaves: forward with a gate, then backward."""
+"""The extension of a robot's model by the causes that explain what it leaves."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import combinations
+from typing import cast
 
 import numpy as np
 
-from calflow.diagnosis.findings.verdict import WITHIN
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.screening import by_place
 from calflow.diagnosis.search.acceptance import Acceptance
-from calflow.diagnosis.search.exchange import COLUMNS, Exchange
 from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.fitted_trial import FittedTrial, among
 from calflow.diagnosis.search.linearisation import Finding, Linearisation, Screened
-from calflow.diagnosis.search.refinement import finest, refined
-from calflow.diagnosis.search.trial import Trial, among, is_new, swapped
-from calflow.diagnosis.search.verification import doubted, verified
+from calflow.diagnosis.search.stepwise import Stepwise
+from calflow.diagnosis.search.verification import verified
 from calflow.effects.cause import Cause
-
-CLEAR = 1e-3  # share of the acceptance below which the cost of the tests need not be worked out anew
-STEP = 0.2  # share of what is left of the search that a step counts as: how many there will be, nobody knows
-ENTANGLED = 3  # causes, the last found, that are exchanged by two
 
 
 @dataclass(frozen=True)
@@ -30,92 +23,9 @@ class Extended:
     """The extended model, its findings, the models on the way (one a finding), and the first screening."""
 
     fitted: Fitted
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding[Cause], ...]
     path: tuple[Fitted, ...]
-    first: Screened
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """What to try next, and why in words; where its fit starts and the share of chi² that is to go, if that is known."""
-
-    causes: list[Cause]
-    words: str
-    start: np.ndarray | None = None
-    share: float = 0.0
-
-
-@dataclass(frozen=True)
-class _Search:
-    """What every step of the search needs."""
-
-    catalogue: Catalogue
-    acceptance: Acceptance
-    first: Screened
-    rng: np.random.Generator
-    say: Callable[[str], None]
-    advance: Callable[[float], None]
-
-    def settled(self, tried: list[Trial]) -> Trial:
-        """Add causes while one passes, drop or swap those that prove mistaken; return the best model whose causes all stand.
-
-        tried grows by the models on the way.
-        """
-        begin = len(tried) - 1
-        while step := next((step for step in self._steps(tried[-1]) if is_new(step.causes, tried)), None):
-            self.say(step.words)
-            tried.append(self.trial(tried[-1], step))
-            self.advance(1 - (1 - STEP) ** len(tried))
-        best_first = sorted([tried[0], *tried[begin:]], key=lambda trial: trial.bic)
-        return next(trial for trial in best_first if self._stand(trial))
-
-    def trial(self, before: Trial, step: Proposal) -> Trial:
-        """Fit what a step asks for."""
-        fitted = before.fitted.with_causes(step.causes, step.start, step.share)
-        return Trial(fitted, self.catalogue, self.first.family)
-
-    def improved(self, best: Trial, tried: list[Trial]) -> Trial | None:
-        """Return a better model that an exchange leads to, or a rival in the place of a large cause, if there is one."""
-        others = (_replaced(best, causes) for causes in doubted(best))
-        return self._led_to(best, tried, self.exchanges(best), lambda _: False) or self._led_to(
-            best, tried, others, lambda trial: trial.bic < best.bic + WITHIN and not self._stand(trial)
-        )
-
-    def _led_to(
-        self, best: Trial, tried: list[Trial], steps: Iterable[Proposal], promising: Callable[[Trial], bool]
-    ) -> Trial | None:
-        """Return the first better model that one of the steps leads to; what is promising need not be better at once."""
-        for step in steps:
-            if not is_new(step.causes, tried):
-                continue
-            tried.append(self.trial(best, step))
-            if tried[-1].bic < best.bic or promising(tried[-1]):
-                self.say(step.words)
-                if (other := self.settled(tried)).bic < best.bic:
-                    return other
-                self.say("that is no better")
-        return None
-
-    def _stand(self, trial: Trial) -> bool:
-        return all(map(self.acceptance.keeps, trial.findings))
-
-    def exchanges(self, trial: Trial) -> Iterator[Proposal]:
-        """Yield the causes with one or two in the place of two, or two in that of one, where that explains the data better."""
-        small = [cause for cause in trial.causes if len(cause.declared) <= COLUMNS][-ENTANGLED:]
-        for gone in (*combinations(small, 2), *combinations(small, 1)):
-            exchange = Exchange.of(trial.linearisation.apart(gone), trial.family, gone)
-            stay = [cause for cause in trial.causes if cause not in gone]
-            if (one := exchange.alone()) and self.acceptance.accepts(one, trial.family):
-                yield _replaced(trial, [*stay, one.cause])
-            pairs = exchange.better()
-            if pair := next((pair for pair in pairs if pair.p < self.acceptance.false_alarm), None):
-                yield _replaced(trial, [*stay, pair.first.cause, pair.second.cause])
-
-    def _steps(self, trial: Trial) -> Iterator[Proposal]:
-        yield from (_replaced(trial, causes) for causes in refined(trial))
-        if len(trial.causes) < self.acceptance.most:
-            yield from _added(trial, self.first, self.acceptance, self.rng)
-        yield _replaced(trial, second_thoughts(trial.findings, self.acceptance))
+    first: Screened[Cause]
 
 
 def extend(
@@ -130,70 +40,16 @@ def extend(
 
     say is told each step in words, advance the share of the search that is done, which never falls.
     """
-    search = _Search(catalogue, acceptance, Linearisation.at(start, catalogue).screened(rng), rng, say, advance)
-    tried = [Trial(start, catalogue, search.first.family)]
-    best = search.settled(tried)
-    while better := search.improved(best, tried):
-        best = better
+    first = Linearisation.at(start, catalogue).screened(rng)
+    found = Stepwise(acceptance, first, rng, say, advance).best(FittedTrial(first.family, start, catalogue))
+    best, tried = cast(tuple[FittedTrial, list[FittedTrial]], found)  # trials lead to trials of their own kind
     trail = [trial.fitted for trial in tried]
     path = tuple(among(trail, best.causes[: k + 1]) for k in range(len(best.causes)))
-    return Extended(best.fitted, verified(best, tried), path, search.first)
-
-
-def _added(trial: Trial, first: Screened, acceptance: Acceptance, rng: np.random.Generator) -> Iterator[Proposal]:
-    """The causes with the best one that passes the gate."""
-    now = trial.linearisation.screened(rng, first.family) if trial.causes else first
-    passed = [score for score in now.scores if acceptance.accepts(score, now.family)]
-    if trial.causes and not (passed and now.family.p(passed[0]) < CLEAR * acceptance.false_alarm):
-        now = trial.linearisation.screened(rng)  # what the tests cost depends on what is left, where it matters
-        passed = [score for score in now.scores if acceptance.accepts(score, now.family)]
-    if not passed:
-        return
-    best = finest(min(passed, key=lambda score: score.delta_bic + score.unusual), trial.fitted)  # usual sizes first
-    said = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
-    start = np.concatenate([trial.fitted.fit.estimate, best.estimate])
-    yield Proposal([*trial.causes, best.cause], said, start, best.explained)
-
-
-def _replaced(trial: Trial, causes: list[Cause]) -> Proposal:
-    return Proposal(causes, _difference(trial.causes, causes))
-
-
-def _difference(before: Sequence[Cause], after: Sequence[Cause]) -> str:
-    gone, come = ([c for c in these if c not in those] for these, those in ((before, after), (after, before)))
-    if not gone:
-        return f"{' and '.join(map(words, come))} besides"
-    give = "give" if len(gone) > 1 else "gives"
-    return f"{' and '.join(map(words, gone))} {give} way to {' and '.join(map(words, come)) or 'nothing'}"
+    return Extended(best.fitted, verified(best, tried), path, first)
 
 
 def weighed_against(extended: Extended, catalogue: Catalogue) -> Extended:
     """Score a wider catalogue's candidates in each cause's place: what was left out of the search can still be the truth."""
     if not extended.findings:
         return extended
-    return replace(extended, findings=Trial(extended.fitted, catalogue, extended.first.family).findings)
-
-
-def words(cause: Cause) -> str:
-    """Name a cause for a log line."""
-    return " ".join(filter(None, (cause.id, cause.part, f"({cause.detail})" if cause.detail else "")))
-
-
-def second_thoughts(findings: Sequence[Finding], acceptance: Acceptance) -> list[Cause]:
-    """Return the causes that stay, a more probable rival in the place of one; one change at a time."""
-    causes = [finding.cause for finding in findings]
-    weakest = sorted(findings, key=lambda finding: -_own_bic(finding))
-    for finding in weakest:
-        if not acceptance.keeps(finding):
-            return [cause for cause in causes if cause != finding.cause]
-    for finding in weakest:
-        places = by_place(finding.scores)
-        usual = {place: evidence + score.unusual for place, (evidence, score) in places.items()}
-        best = places[min(usual, key=lambda place: usual[place])][1]
-        if usual[best.cause.place] < usual[finding.cause.place] and acceptance.accepts(best, finding.family):
-            return swapped(causes, finding.cause, best.cause)
-    return causes
-
-
-def _own_bic(finding: Finding) -> float:
-    return next((score.delta_bic for score in finding.scores if score.cause == finding.cause), 0.0)
+    return replace(extended, findings=FittedTrial(extended.first.family, extended.fitted, catalogue).findings)

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.acceptance import Acceptance
-from calflow.diagnosis.search.extension import Extended, second_thoughts
+from calflow.diagnosis.search.extension import Extended
 from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.fitted_trial import FittedTrial, among
 from calflow.diagnosis.search.linearisation import Linearisation
-from calflow.diagnosis.search.trial import Trial, among, is_new
+from calflow.diagnosis.search.stepwise import second_thoughts
+from calflow.diagnosis.search.trial import is_new
 from calflow.effects.cause import Cause
 
 
@@ -24,12 +26,12 @@ def narrowed(
     if kept == list(now.causes):
         return extended
     alone = now.with_causes([*kept, *decoys])
-    if Trial(now, catalogue, family).bic < Trial(alone, catalogue, family).bic:
+    if FittedTrial(family, now, catalogue).bic < FittedTrial(family, alone, catalogue).bic:
         return extended  # what cannot be named explains them no better than they explain themselves
     trail = [start, *extended.path]
-    tried = [Trial(among(trail, kept), catalogue, family)]
+    tried = [FittedTrial(family, among(trail, kept), catalogue)]
     while is_new(better := second_thoughts(tried[-1].findings, acceptance), tried):
-        tried.append(Trial(among([tried[-1].fitted], better), catalogue, family))
+        tried.append(FittedTrial(family, among([tried[-1].fitted], better), catalogue))
     last = tried[-1]
     trail += [trial.fitted for trial in tried]
     path = tuple(among(trail, last.causes[: k + 1]) for k in range(len(last.causes)))

@@ -13,13 +13,13 @@ from calflow.diagnosis.screening.regressors import Regressors
 from calflow.diagnosis.screening.screening import Score, Screening
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Linearisation
-from calflow.diagnosis.search.trial import Trial, swapped
+from calflow.diagnosis.search.trial import swapped
 from calflow.effects.cause import Cause
 
 CLEARLY_FINER = 2.0  # of BIC: by how much a variant must be better than its neighbour for another fit
 
 
-def finest(score: Score, now: Fitted) -> Score:
+def finest(score: Score[Cause], now: Fitted) -> Score[Cause]:
     """Return the best variant of a cause that is not in the model yet."""
     finer = _finer(score.cause, now)
     if not finer:
@@ -29,17 +29,17 @@ def finest(score: Score, now: Fitted) -> Score:
     return best if best.drop > score.drop else score
 
 
-def refined(trial: Trial) -> Iterator[list[Cause]]:
+def refined(now: Fitted) -> Iterator[list[Cause]]:
     """Yield a model's causes with one in a variant that is clearly better, now that the others are in the model."""
-    finer = [_finer(cause, trial.fitted) for cause in trial.causes]
+    finer = [_finer(cause, now) for cause in now.causes]
     if not any(finer):
         return
-    linearisation = Linearisation.at(trial.fitted, Catalogue(tuple(chain.from_iterable(finer)), {}))
-    for cause in (cause for cause, found in zip(trial.causes, finer, strict=True) if found):
+    linearisation = Linearisation.at(now, Catalogue(tuple(chain.from_iterable(finer)), {}))
+    for cause in (cause for cause, found in zip(now.causes, finer, strict=True) if found):
         near = [score for score in linearisation.apart([cause]).scores if score.cause.place == cause.place]
         own = next((score.delta_bic for score in near if score.cause == cause), np.inf)
         if near and near[0].delta_bic < own - CLEARLY_FINER:
-            yield swapped(trial.causes, cause, near[0].cause)
+            yield swapped(now.causes, cause, near[0].cause)
 
 
 def _finer(cause: Cause, now: Fitted) -> list[Cause]:

@@ -2,87 +2,84 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Generic, Self
 
 import numpy as np
 
-from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.screening import Family, prior_cost
-from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.screening.hypothesis import H
+from calflow.diagnosis.screening.screening import Family, Score, prior_cost
 from calflow.diagnosis.search.linearisation import Finding, Linearisation
-from calflow.effects.cause import Cause
 
 
 @dataclass(frozen=True)
-class Trial:
-    """A model that was tried, and how to look at it: the catalogue, and the first screening's cost of the tests."""
+class Trial(ABC, Generic[H]):
+    """A model that was tried; family is the first screening's cost of the tests."""
 
-    fitted: Fitted
-    catalogue: Catalogue
     family: Family
 
     @property
-    def causes(self) -> tuple[Cause, ...]:
+    @abstractmethod
+    def causes(self) -> tuple[H, ...]:
         """Its causes."""
-        return self.fitted.causes
+
+    @property
+    @abstractmethod
+    def n_residuals(self) -> int:
+        """How many residuals it was fitted to."""
+
+    @property
+    @abstractmethod
+    def bic(self) -> float:
+        """What it costs, to be compared with other trials: see `bic`."""
 
     @cached_property
-    def linearisation(self) -> Linearisation:
+    @abstractmethod
+    def linearisation(self) -> Linearisation[H]:
         """The linearised model."""
-        return Linearisation.at(self.fitted, self.catalogue)
+
+    @abstractmethod
+    def with_causes(self, causes: Sequence[H], added: Score[H] | None = None) -> Self:
+        """Fit the model with these causes instead; added is the score of the last one, where it is new and so expected."""
+
+    def finest(self, score: Score[H]) -> Score[H]:
+        """Return the best form of a cause that is not in the model yet: a scan may have steps between its variants."""
+        return score
+
+    def refined(self) -> Iterator[list[H]]:
+        """Yield the causes with one in a form that is clearly better, now that the others are in the model."""
+        yield from ()
 
     @cached_property
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[Finding[H], ...]:
         """Its causes, each weighed against all candidates in its place."""
         return tuple(self.linearisation.findings(self.family)) if self.causes else ()
 
-    @cached_property
-    def bic(self) -> float:
-        """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
-        fitted = self.fitted
-        n = fitted.fit.residual.size
-        scale = float(np.median(np.hypot(fitted.noise.sigma / fitted.far, fitted.noise.discrepancy)))
-        scans = sum(np.log(self.catalogue.variants.get(cause.place, 1)) for cause in self.causes)
-        misfit = (fitted.misfit - sum(map(self._relief, self.causes))) * scale**2
-        parameters = fitted.fit.effective_parameters + sum(map(self._at_bound, self.causes))
-        return float(n * np.log(misfit) + parameters * np.log(n) + 2 * scans)
 
-    def _at_bound(self, cause: Cause) -> int:
-        """How many of a cause's parameters have no effect: they were there to be fitted, and count like the others."""
-        return int(self.fitted.fit.at_bound[self.fitted.model.columns(cause)].sum())
-
-    def _relief(self, cause: Cause) -> float:
-        """By how much a cause's parameters pull at their priors beyond what that costs."""
-        model = self.fitted.model
-        own = model.columns(cause)
-        offset = self.fitted.fit.estimate[own] - model.nominal[own]
-        pulled = float(((offset / model.prior_sd[own]) ** 2).sum())
-        return pulled - float(prior_cost(np.array(pulled), len(own)))
+def bic(misfit: float, n: int, parameters: float, variants: Sequence[int]) -> float:
+    """Return BIC of a model whose misfit may be compared with others': parameters, and the variants that were tried of causes."""
+    return float(n * np.log(misfit) + parameters * np.log(n) + 2 * sum(np.log(number) for number in variants))
 
 
-def same(causes: Sequence[Cause], others: Sequence[Cause]) -> bool:
+def relief(offset: np.ndarray, prior_sd: np.ndarray) -> float:
+    """Return by how much a cause's parameters (n,) pull at their priors beyond what that costs."""
+    pulled = float(((offset / prior_sd) ** 2).sum())
+    return pulled - float(prior_cost(np.array(pulled), len(offset)))
+
+
+def same(causes: Sequence[H], others: Sequence[H]) -> bool:
     """Whether these are the same causes, in any order."""
     return len(causes) == len(others) and all(cause in others for cause in causes)
 
 
-def is_new(causes: Sequence[Cause], tried: Sequence[Trial]) -> bool:
+def is_new(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
     """Whether no trial had these causes."""
     return not any(same(causes, trial.causes) for trial in tried)
 
 
-def swapped(causes: Sequence[Cause], gone: Cause, come: Cause) -> list[Cause]:
+def swapped(causes: Sequence[H], gone: H, come: H) -> list[H]:
     """Return the causes with one in the place of another."""
     return [come if cause == gone else cause for cause in causes]
-
-
-def among(trail: Sequence[Fitted], causes: Sequence[Cause]) -> Fitted:
-    """Return the model with these causes from the models fitted on the way, or fit it from the one most like it."""
-
-    def differing(fitted: Fitted) -> int:
-        missing = sum(cause not in fitted.causes for cause in causes)
-        return missing + sum(cause not in causes for cause in fitted.causes)
-
-    near = min(reversed(trail), key=differing)
-    return near if list(near.causes) == list(causes) else near.with_causes(causes)

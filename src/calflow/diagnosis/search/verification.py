@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from calflow.diagnosis.findings.verdict import WITHIN
+from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.screening import Score, by_place
 from calflow.diagnosis.search.exchange import COLUMNS
 from calflow.diagnosis.search.linearisation import Finding
 from calflow.diagnosis.search.trial import Trial, same, swapped
-from calflow.effects.cause import Cause
 
 DOUBT = 0.05  # share of a cause's evidence by which the linear comparison with a rival may err
 WORTH = WITHIN  # of BIC: smaller doubts do not decide anything
@@ -20,7 +20,7 @@ WORTH = WITHIN  # of BIC: smaller doubts do not decide anything
 Place = tuple[str, str]
 
 
-def doubtful(finding: Finding) -> list[Score]:
+def doubtful(finding: Finding[H]) -> list[Score[H]]:
     """Return the best variants of the rivals that might explain the data as well, the nearest first; none of a small cause."""
     doubt = -DOUBT * finding.own.delta_bic
     if doubt < WORTH:
@@ -31,9 +31,9 @@ def doubtful(finding: Finding) -> list[Score]:
     return [score for _, score in sorted(near, key=lambda one: one[0])]
 
 
-def doubted(best: Trial) -> Iterator[list[Cause]]:
+def doubted(best: Trial[H]) -> Iterator[list[H]]:
     """Yield the causes with a rival of a large one in its place, or without one that has another at its joint."""
-    small = [finding for finding in best.findings if len(finding.cause.declared) <= COLUMNS]
+    small = [finding for finding in best.findings if finding.cause.n_parameters <= COLUMNS]
     for finding in small:
         cause = finding.cause
         yield from (swapped(best.causes, cause, score.cause) for score in doubtful(finding))
@@ -41,7 +41,7 @@ def doubted(best: Trial) -> Iterator[list[Cause]]:
             yield [other for other in best.causes if other != cause]
 
 
-def verified(best: Trial, tried: Sequence[Trial]) -> tuple[Finding, ...]:
+def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Finding[H], ...]:
     """Return the findings, with the rivals' evidence from the fits that there were with one of them in a cause's place."""
     found = []
     for finding in best.findings:
@@ -50,17 +50,17 @@ def verified(best: Trial, tried: Sequence[Trial]) -> tuple[Finding, ...]:
             for score in doubtful(finding)
             for other in tried if same(other.causes, swapped(best.causes, finding.cause, score.cause))
         }  # fmt: skip
-        found.append(corrected(finding, above, best.fitted.fit.residual.size))
+        found.append(corrected(finding, above, best.n_residuals))
     return tuple(found)
 
 
-def corrected(finding: Finding, above: Mapping[Place, float], n: int) -> Finding:
+def corrected(finding: Finding[H], above: Mapping[Place, float], n: int) -> Finding[H]:
     """Return the finding with some places' BICs as they were fitted, above that of the cause; n is the number of residuals."""
     places = by_place(finding.scores)
     own = places[finding.cause.place][0]
     shift = {place: bic + own - places[place][0] for place, bic in above.items()}
 
-    def moved(score: Score) -> Score:
+    def moved(score: Score[H]) -> Score[H]:
         if score.cause.place not in shift:
             return score
         change = shift[score.cause.place]

@@ -1,0 +1,85 @@
+"""A trial of a robot's model: fitted anew by IPOPT with each set of causes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.screening.screening import Score
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.linearisation import Linearisation
+from calflow.diagnosis.search.refinement import finest, refined
+from calflow.diagnosis.search.trial import Trial, bic, relief
+from calflow.effects.cause import Cause
+
+
+@dataclass(frozen=True)
+class FittedTrial(Trial[Cause]):
+    """A fitted model that was tried, and the catalogue to look at it with."""
+
+    fitted: Fitted
+    catalogue: Catalogue
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """Its causes."""
+        return self.fitted.causes
+
+    @property
+    def n_residuals(self) -> int:
+        """How many residuals it was fitted to."""
+        return self.fitted.fit.residual.size
+
+    @cached_property
+    def linearisation(self) -> Linearisation[Cause]:
+        """The linearised model."""
+        return Linearisation.at(self.fitted, self.catalogue)
+
+    @cached_property
+    def bic(self) -> float:
+        """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
+        fitted = self.fitted
+        scale = float(np.median(np.hypot(fitted.noise.sigma / fitted.far, fitted.noise.discrepancy)))
+        misfit = (fitted.misfit - sum(map(self._relief, self.causes))) * scale**2
+        parameters = fitted.fit.effective_parameters + sum(map(self._at_bound, self.causes))
+        variants = [self.catalogue.variants.get(cause.place, 1) for cause in self.causes]
+        return bic(misfit, self.n_residuals, parameters, variants)
+
+    def with_causes(self, causes: Sequence[Cause], added: Score[Cause] | None = None) -> FittedTrial:
+        """Fit the study's own effects with these causes, a new one from where it is expected."""
+        if added is None:
+            return replace(self, fitted=self.fitted.with_causes(causes))
+        start = np.concatenate([self.fitted.fit.estimate, added.estimate])
+        return replace(self, fitted=self.fitted.with_causes(causes, start, added.explained))
+
+    def finest(self, score: Score[Cause]) -> Score[Cause]:
+        """Return the best variant between a cause and its neighbours in the scan."""
+        return finest(score, self.fitted)
+
+    def refined(self) -> Iterator[list[Cause]]:
+        """Yield the causes with one in a variant between its neighbours that is clearly better."""
+        return refined(self.fitted)
+
+    def _at_bound(self, cause: Cause) -> int:
+        """How many of a cause's parameters have no effect: they were there to be fitted, and count like the others."""
+        return int(self.fitted.fit.at_bound[self.fitted.model.columns(cause)].sum())
+
+    def _relief(self, cause: Cause) -> float:
+        model = self.fitted.model
+        own = model.columns(cause)
+        return relief(self.fitted.fit.estimate[own] - model.nominal[own], model.prior_sd[own])
+
+
+def among(trail: Sequence[Fitted], causes: Sequence[Cause]) -> Fitted:
+    """Return the model with these causes from the models fitted on the way, or fit it from the one most like it."""
+
+    def differing(fitted: Fitted) -> int:
+        missing = sum(cause not in fitted.causes for cause in causes)
+        return missing + sum(cause not in causes for cause in fitted.causes)
+
+    near = min(reversed(trail), key=differing)
+    return near if list(near.causes) == list(causes) else near.with_causes(causes)

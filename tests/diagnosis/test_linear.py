@@ -1,0 +1,217 @@
+"""The diagnosis without a robot finds hidden blocks of a linear problem, and promises no more than it keeps.
+
+A probe's temperature is read over ten hours; a cubic course is fitted anyway. What may be hidden: a heater that switches, a fan
+beside it that hardly differs, a wave of unknown frequency, a step at an unknown moment, a decay.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from calflow.diagnosis.linear import Block, diagnose_linear
+from calflow.diagnosis.linear_trial import LinearProblem
+from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.search.acceptance import Acceptance
+from calflow.diagnosis.search.extension import extend
+from calflow.diagnosis.search.linearisation import Linearisation
+from calflow.files.problems import InputError
+from diagnosis.found import cause, hidden, start
+
+N, SIGMA = 90, 0.1  # readings, K
+TIME = np.linspace(0.0, 10.0, N)
+COURSE = np.vander(TIME / 10, 4)
+FREQUENCIES = np.round(np.arange(0.6, 3.0, 0.2), 1)
+HEATER = np.where(TIME % 2.5 < 1.0, 1.0, 0.0)
+
+
+def wave(frequency):
+    """A wave of this frequency, in Hz an hour's worth."""
+    angle = 2 * np.pi * frequency * TIME
+    return Block("wave", np.column_stack([np.cos(angle), np.sin(angle)]), 0.3, f"frequency {frequency:.1f}")
+
+
+def switching(name="heater", width=1.0, **limits):
+    """What switches as the heater does, a little longer or shorter."""
+    return Block(name, np.where(width > TIME % 2.5, 1.0, 0.0)[:, None], 0.3, **limits)
+
+
+def steps():
+    """Steps at nine moments."""
+    return [Block("step", (moment < TIME).astype(float)[:, None], 0.3, f"at {moment} h") for moment in range(1, 10)]
+
+
+DECAY = Block("decay", np.exp(-TIME)[:, None], 0.3)
+EVERY = (switching(), DECAY, *map(wave, FREQUENCIES), *steps())
+
+
+def found(effect, candidates=EVERY, seed=1, noise=SIGMA, **settings):
+    """Diagnose readings of an effect (n,) and noise, about a course that is not zero."""
+    rng = np.random.default_rng(seed)
+    residual = COURSE @ np.array([1.0, -2.0, 0.5, 20.0]) - effect - SIGMA * rng.standard_normal(N)
+    return diagnose_linear(residual, COURSE, candidates, rng=rng, noise=noise, **settings)
+
+
+@pytest.mark.parametrize("noise", [SIGMA, None])
+def test_a_hidden_block_is_found_and_named(noise):
+    """Fails if what is hidden is not found, is another size, passes for another variant, or the noise must be known for it."""
+    block = wave(1.4)
+    told = found(block.matrix @ [0.1, -0.2], noise=noise)
+    (one,) = told.findings
+    assert (one.name, one.variant) == ("wave", "frequency 1.4")
+    assert np.abs((one.estimate - [0.1, -0.2]) / one.sd).max() < 3
+    assert one.sd == pytest.approx(SIGMA * np.sqrt(2 / N), rel=0.25)
+    assert (one.p < 1e-6, one.probability > 0.999, one.rivals) == (True, True, ())
+    assert told.untestable == ()
+
+
+def test_look_alikes_are_rivals():
+    """Fails if one of two that the data do not tell apart is named for certain, or a clear one is vague."""
+    fan = switching("fan", 1.05)
+    (one,) = found(0.15 * HEATER, (*EVERY, fan)).findings
+    assert {one.name, *(rival.name for rival in one.rivals)} == {"heater", "fan"}
+    assert abs(one.rivals[0].delta_bic) < 10
+    assert one.probability < 0.999
+    (alone,) = found(0.3 * HEATER, (*EVERY, switching("fan", 2.0))).findings
+    assert (alone.name, alone.rivals) == ("heater", ())
+
+
+def test_two_at_once_are_found():
+    """Fails if the search stops after the first, or gives one cause the part of another."""
+    told = found(0.3 * HEATER + wave(2.2).matrix @ [0.2, 0.1])
+    by_name = {one.name: one for one in told.findings}
+    assert set(by_name) == {"heater", "wave"}
+    assert abs(by_name["heater"].estimate[0] - 0.3) < 3 * by_name["heater"].sd[0]
+    assert by_name["wave"].variant == "frequency 2.2"
+
+
+def test_one_that_imitates_two_gives_way_to_them():
+    """Fails if there is no exchange: what looks like two others together is found first and stays in their place."""
+    rng = np.random.default_rng(8)
+    first, second, apart = rng.standard_normal((3, N))
+    both = [Block(name, matrix[:, None], 1.0) for name, matrix in (("first", first), ("second", second))]
+    mixed = Block("mixed", (first + second + 0.8 * apart)[:, None], 1.0)
+    told = found(0.1 * (first + second), (*both, mixed))
+    assert {one.name for one in told.findings} == {"first", "second"}
+
+
+def test_nothing_hidden_raises_no_more_alarms_than_are_allowed():
+    """Fails if the number of tests, the variants or the fitted parameters are not paid for: 400 draws, a bound of 1 in 1000."""
+    rng, alarms, allowed, few = np.random.default_rng(5), 0, 0.05, (*EVERY[:8:2], *EVERY[-6::2])
+    for _ in range(400):
+        residual = rng.standard_normal(N)
+        alarms += bool(diagnose_linear(residual, COURSE, few, rng=rng, noise=1.0, false_alarm=allowed).findings)
+    assert alarms <= binom.isf(1e-3, 400, allowed)
+
+
+def test_variants_are_paid_for():
+    """Fails if a scan over many forms costs no more than one form: the same wave is less certain then."""
+    effect = wave(1.4).matrix @ [0.1, 0.0]
+    (one,) = found(effect, (wave(1.4),)).findings
+    (among,) = found(effect, tuple(map(wave, FREQUENCIES))).findings
+    assert 3 * one.p < among.p < 40 * one.p
+
+
+def test_readings_that_share_an_error_count_once():
+    """Fails if the number of readings at one moment makes their common error a finding."""
+    rng, size = np.random.default_rng(4), 6
+    groups = np.repeat(np.arange(N // size), size)
+    candidates = [
+        Block(f"{k}", one[groups][:, None], 1.0) for k, one in enumerate(rng.standard_normal((20, N // size)))
+    ]
+    alarms = np.zeros(2)
+    for _ in range(12):
+        residual = rng.standard_normal(N // size)[groups] + 0.3 * rng.standard_normal(N)
+        for k, given in enumerate((None, groups)):
+            told = diagnose_linear(residual, COURSE, candidates, rng=rng, groups=given, false_alarm=0.05)
+            alarms[k] += bool(told.findings)
+    assert alarms[0] > 6
+    assert alarms[1] <= binom.isf(1e-3, 12, 0.05)
+
+
+def test_priors_say_what_can_be_tested():
+    """Fails if what is too small to be seen at its usual size is tested, or what the fit imitates is not told."""
+    tiny, imitated = replace(DECAY, prior_sd=1e-3), Block("drift", COURSE[:, :1], 1.0)
+    told = found(0.3 * HEATER, (switching(), tiny, imitated, *steps()))
+    assert [one.name for one in told.findings] == ["heater"]
+    assert told.untestable == ("decay", "drift")
+    kept = found(0.3 * HEATER, (switching(), imitated), prior_sd=np.array([1e-3, 3.0, 3.0, 100.0]))
+    assert kept.untestable == ()
+
+
+def test_a_prior_of_what_is_fitted_counts():
+    """Fails if a course that is known beforehand is fitted as if it were not: a slow decay is seen beside a known one only."""
+    slow = Block("decay", np.exp(-TIME / 8)[:, None], 0.5)
+    rng = np.random.default_rng(3)
+    residual = -0.4 * slow.matrix[:, 0] - SIGMA * rng.standard_normal(N)
+    known, free = (
+        diagnose_linear(residual, COURSE, (slow,), rng=rng, noise=SIGMA, prior_sd=sd) for sd in (np.full(4, 1e-3), None)
+    )
+    assert [one.name for one in known.findings] == ["decay"]
+    assert free.findings == ()
+
+
+def test_what_a_bound_excludes_is_not_found():
+    """Fails if a block is found with a sign that it cannot have."""
+    against = switching(upper=0.0)
+    assert found(0.3 * HEATER, (against,)).findings == ()
+    (one,) = found(-0.3 * HEATER, (against,)).findings
+    assert one.estimate[0] == pytest.approx(-0.3, abs=0.1)
+
+
+def test_a_bound_is_kept_in_the_model():
+    """Fails if the fit of all together ignores bounds, or what a bound holds still moves."""
+    limited = Block("limited", np.column_stack([HEATER, np.exp(-TIME)]), 1.0, lower=[-0.1, -5.0], upper=[0.1, 5.0])
+    rng = np.random.default_rng(2)
+    residual = (-0.3 * HEATER + SIGMA * rng.standard_normal(N)) / SIGMA
+    problem = LinearProblem(residual, COURSE / SIGMA, np.full(4, 1e3), (limited,), limited.matrix / SIGMA, True, None)
+    solution = problem.solved((limited,))
+    assert solution.estimate[4] == pytest.approx(0.1)
+    assert list(solution.at_bound) == [False] * 4 + [True, False]
+    other = np.hstack([COURSE, np.exp(-TIME)[:, None]]) / SIGMA
+    left = residual + 0.1 * HEATER / SIGMA
+    expected = -np.linalg.solve(other.T @ other + solution.level**2 * np.diag([1e-6] * 4 + [1.0]), other.T @ left)
+    assert solution.estimate[[0, 1, 2, 3, 5]] == pytest.approx(expected, rel=1e-6)
+
+
+def test_figures_of_no_use_are_refused_together():
+    """Fails if a shape that does not fit is stretched, or only the first problem is told."""
+    with pytest.raises(InputError) as told:
+        diagnose_linear(np.ones(N), COURSE, (replace(DECAY, matrix=DECAY.matrix[1:]), replace(switching(), prior_sd=0.0)),
+                        rng=np.random.default_rng(1), noise=-1.0, groups=np.zeros(3))  # fmt: skip
+    assert len(told.value.problems) == 4
+    assert f"candidate decay: expected a matrix of shape ({N}, n_parameters)" in str(told.value)
+
+
+def test_a_robot_is_told_the_same_at_its_first_step():
+    """Fails if this is another method than the robot's: its linearisation gives another cause, size or certainty."""
+    soft = cause("joint-compliance", "joint2")
+    data = hidden([(soft, (2e-7,))])
+    begun = start(data)
+    catalogue = Catalogue.of(data, ("geometry",), ("joint-eccentricity", "gear-ratio-error", "joint-compliance"))
+    looked = Linearisation.at(begun, catalogue)
+    known = extend(begun, catalogue, Acceptance(0.01, 1), np.random.default_rng(1), lambda _: None)
+    (score,) = (one for one in known.first.scores if one.cause == soft)
+    r = looked.regressors
+    blocks = [
+        Block(
+            f"{c.cause.id} {c.cause.part}",
+            r.matrix[:, c.columns],
+            r.prior_sd[c.columns],
+            c.cause.detail,
+            *c.cause.bounds,
+        )
+        for c in r.candidates
+    ]
+    at_means = r.residual - r.jacobian @ looked.value
+    told = diagnose_linear(
+        at_means, r.jacobian, blocks, rng=np.random.default_rng(1), prior_sd=r.precision**-0.5, most=1
+    )
+    assert [one.name for one in told.findings] == ["joint-compliance joint2"]
+    assert [finding.cause for finding in known.findings] == [soft]
+    (one,) = told.findings
+    assert one.estimate == pytest.approx(score.estimate, rel=0.02)
+    assert one.p == pytest.approx(known.first.family.p(score), rel=1e-6, abs=1e-12)
