@@ -1,0 +1,103 @@
+"""How to tell a finding from its rivals is asked wherever it was measured, and said where it cannot be asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from calflow.design.candidates import pack
+from calflow.design.discrimination import THINNEST, NextPose, poses_table, question, separations_table
+from calflow.diagnosis.findings.verdict import Rival, Verdict
+from calflow.diagnosis.screening.screening import Family
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.linearisation import Finding
+from calflow.effects import catalogue
+from calflow.effects.cause import Cause
+from calflow.estimation.reweighting import fit_reweighted
+from calflow.files.tables import columns
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model, build
+from diagnosis.findings.test_verdict import score
+from estimation.data import SIGMA, stated
+from robots import industrial
+
+ROBOT = industrial()
+RATIO, ECCENTRIC = (
+    Cause(ROBOT, catalogue()[name](ROBOT), "joint2") for name in ("gear-ratio-error", "joint-eccentricity")
+)
+MODEL = Model(ROBOT, (*build(ROBOT, ("geometry",)).effects, RATIO))
+TRUTH = np.append(np.zeros(len(MODEL.parameters) - 1), 5e-4)
+PAYLOAD, MARKER = next(iter(ROBOT.payloads), ""), next(iter(ROBOT.markers))
+
+
+def position(readings):
+    """Where the robot is told to be."""
+    return MODEL.position(MODEL.nominal, pack(MODEL, readings, PAYLOAD, MARKER))
+
+
+def in_slab():
+    """Readings whose points lie in a horizontal slab 1 mm thick, by Newton's method on joint 3."""
+    rng = np.random.default_rng(4)
+    drawn = rng.uniform(*(0.6 * ROBOT.limits).T, (2000, ROBOT.n_joints))
+    height = float(np.median(position(drawn)[:, 2]))
+    for _ in range(12):
+        wrong = position(drawn)[:, 2] - height
+        moved = drawn.copy()
+        moved[:, 2] += 1e-5
+        slope = (position(moved)[:, 2] - height - wrong) / 1e-5
+        drawn[:, 2] -= np.clip(wrong / np.where(np.abs(slope) > 1e-3, slope, np.inf), -0.2, 0.2)
+    low, high = ROBOT.limits.T
+    good = (np.abs(position(drawn)[:, 2] - height) < 4e-4) & ((drawn > low) & (drawn < high)).all(axis=1)
+    return drawn[good][:80]
+
+
+def at_a_point():
+    """Readings about one pose, whose points lie within millimetres of each other."""
+    return np.mean(ROBOT.limits, axis=1) + 0.3 + 1e-3 * np.random.default_rng(5).standard_normal((80, ROBOT.n_joints))
+
+
+def asked(readings):
+    """What to measure to tell the gear ratio, fitted at these readings, from an eccentricity, and the tables of it."""
+    rng = np.random.default_rng(2)
+    table = pd.DataFrame(readings, columns=[f"q{i + 1}" for i in range(ROBOT.n_joints)])
+    table[["x", "y", "z"]] = position(readings) + SIGMA * rng.standard_normal((len(readings), 3))
+    table = table.assign(pose=np.arange(len(table)), repeat=1, marker=MARKER, payload=PAYLOAD, split="train",
+                         line=np.arange(len(table)) + 2)  # fmt: skip
+    data = Measurements(ROBOT, table)
+    fit, noise, lack, _ = fit_reweighted(MODEL, data, stated(data), MODEL.nominal[None], "linear")
+    fitted = Fitted(fit, data, noise, lack, "linear", noise)
+    scores = [replace(score(bic, cause.id, 2), estimate=np.full(cause.n_parameters, 2e-4))
+              for cause, bic in ((RATIO, -9.0), (ECCENTRIC, -7.0))]  # fmt: skip
+    finding = Finding(RATIO, tuple(scores), Family({}, 1.0))
+    verdict = Verdict(finding, "one_of", 0.7, (Rival(ECCENTRIC.id, 2, 2.0, scores[1]),))
+    one = question(verdict, fitted, 0.7, np.random.default_rng(1))
+    return one, poses_table([one], fitted), separations_table([one])
+
+
+def test_points_in_a_slab_do_not_end_the_search():
+    """Fails if a region 1 mm thick, which no random pose meets, counts as one where nothing can be measured."""
+    readings = in_slab()
+    assert len(readings) == 80
+    assert np.ptp(position(readings)[:, 2]) < 1e-3
+    one, poses, told = asked(readings)
+    assert [separation.unasked for separation in one.separations] == [""]
+    assert told["separation_after_sd"].iloc[0] > told["separation_before_sd"].iloc[0]
+    if len(poses):
+        proposed = position(np.deg2rad(poses[[f"q{i + 1}_deg" for i in range(ROBOT.n_joints)]].to_numpy()))
+        assert np.ptp(proposed[:, 2]) < THINNEST + 0.01
+
+
+def test_a_question_that_cannot_be_asked_is_said():
+    """Fails if the diagnosis ends where no pose can be drawn, or its tables do not say that none could be looked for."""
+    one, poses, told = asked(at_a_point())
+    assert one.plan is None
+    (row,) = told.to_dict("records")
+    assert "reach the region" in row["unasked"]
+    assert row["means"].startswith("measure in a wider region")
+    assert row["words"].startswith("no further poses could be looked for where it was measured")
+    assert (row["rival"], row["proposed"], row["separation_after_sd"]) == ("joint-eccentricity", False, 0.0)
+    assert poses.empty
+    assert {column.name for column in columns(NextPose) if "{" not in column.name} <= set(poses)
+    assert "q1_deg" in poses
