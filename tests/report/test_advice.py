@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pandas as pd
 import pytest
 
 from calflow.design.discrimination import NextPose, SeparationRow
+from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.diagnosis.findings.tables import CandidateRow, FindingRow
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.fit_summary import Extrapolation, IdentifySummary, Solver
+from calflow.estimation.fit_summary import Extrapolation, FitSummary, IdentifySummary, Solver
 from calflow.estimation.identifiability import Statement
 from calflow.files.documents import to_document
 from calflow.files.results import Results
@@ -22,6 +23,7 @@ from calflow.report.material import ModelAccuracy
 from calflow.report.section import Advice, Rule, advice, sections
 from calflow.report.sections import (
     accuracy,
+    diagnosis,
     faults,
     identifiability,
     parameters,
@@ -38,6 +40,10 @@ SUMMARY = IdentifySummary(
     effective_parameters=3.0, training_poses=9, heldout_poses=4, converged=True, equilibrium_error_um=0.0, starts=3,
     starts_agreeing=3,
 )  # fmt: skip
+DIAGNOSED = DiagnosisSummary(
+    **{field.name: getattr(SUMMARY, field.name) for field in fields(FitSummary)}, reduced_chi2_before=4.0, causes_tested=40,
+    tests=30.0,
+)  # fmt: skip
 CHAIN = ChainSummary(
     steps=100, burn_in_steps=25, ensembles=4, walkers=8, autocorrelation_steps=2.0, acceptance_independent=0.7,
     worst_rhat=1.001, smallest_ess=5000.0, sd_over_laplace_least=0.99, sd_over_laplace_most=1.01, missing_steps=0,
@@ -46,6 +52,10 @@ CHAIN = ChainSummary(
 
 def summary(stage: str = "identify", **items: object) -> dict[str, object]:
     return {f"{stage}/summary.json": to_document(replace(SUMMARY, **items))}  # type: ignore[arg-type]
+
+
+def diagnosed(**items: object) -> dict[str, object]:
+    return {"diagnose/summary.json": to_document(replace(DIAGNOSED, **items))}  # type: ignore[arg-type]
 
 
 def chain(missing: int) -> dict[str, object]:
@@ -155,6 +165,8 @@ QUIET: dict[str, object] = {
 SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (accuracy.nominal_far_off, summary(spread_mm=40.0), 1, "swapped axes"),
     (accuracy.not_converged, summary(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1, "Max_Iter"),
+    (diagnosis.extension_not_converged, diagnosed(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1,
+     "the model that diagnose extended: its fit did not converge (IPOPT: Max_Iter"),
     (accuracy.starts_disagree, summary(starts_agreeing=1), 2, "Only 1 of 3"),
     (accuracy.model_lacks, summary(reduced_chi2=9.0), 2, "leaves 3.0 times the noise"),
     (accuracy.noise_doubtful, summary(reduced_chi2=0.25), 3, "only 0.50 times"),
@@ -200,7 +212,7 @@ def test_rule_speaks_on_its_table(rule: Rule, tables: Mapping[str, object], urge
 
 @pytest.mark.parametrize("rule", [rule for section in sections() for rule in section.rules])
 def test_rule_is_silent_where_all_is_well(rule: Rule) -> None:
-    assert rule(results(QUIET)) == []
+    assert rule(results({**QUIET, **diagnosed()})) == []
 
 
 def test_every_rule_is_tested() -> None:
@@ -222,6 +234,7 @@ def test_every_rule_is_tested() -> None:
         (accuracy.model_lacks, {**summary(reduced_chi2=9.0), **summary("diagnose", reduced_chi2=1.1)}),
         (accuracy.model_lacks, {**summary(reduced_chi2=9.0), "diagnose/findings.csv": found("unexplained")}),
         (gain.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.061)}),
+        (diagnosis.extension_not_converged, diagnosed()),
         (gain.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=None)}),
         (separation.other_means, {"diagnose/findings.csv": found("named"), "diagnose/separations.csv": separations(0.0, "b")}),
         (separation.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(0.9)}),

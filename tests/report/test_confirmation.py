@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.report.figures.confirmation import two_series
+from calflow.report.sections.confirmation import _faults
 
 
 def test_a_slides_curve_is_drawn_in_lengths():
@@ -23,3 +24,11 @@ def test_a_slides_curve_is_drawn_in_lengths():
     ]
     assert [max(line.get_ydata()) for line in axes[1].get_lines()] == [20, 30]
     assert max(axes[1].get_lines()[0].get_xdata()) == 500
+
+
+def test_what_was_wrong_in_the_other_file_is_told_once():
+    """Fails if the reader is not told that the other series' file is to be corrected, or is told of each line."""
+    faults = pd.DataFrame({"statement": ["the sign of q3 is turned"] * 2 + ["line 9 is far off"]})
+    (block,) = _faults(faults)
+    assert "the sign of q3 is turned; line 9 is far off. Correct that file too." in str(block)
+    assert _faults(faults.iloc[:0]) == _faults(None) == []

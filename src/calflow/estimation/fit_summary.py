@@ -40,6 +40,7 @@ class FitSummary:
     reduced_chi2: float | None = column("chi² per degree of freedom; null: cannot be told, the noise came from the fit")
     lack_of_fit_p: float | None = column("chance of so much where the model is right; null: cannot be told")
     solver: Solver = column("name, status, iterations")
+    converged: bool = column("whether the solver reached its optimum")
 
     @property
     def noise_known(self) -> bool:
@@ -78,7 +79,6 @@ class IdentifySummary(FitSummary):
     effective_parameters: float = column("parameters that the data determine rather than the prior")
     training_poses: int = column("poses that were fitted")
     heldout_poses: int = column("poses that were held out")
-    converged: bool = column("whether the solver reached its optimum")
     equilibrium_error_um: float = column("how far a fourth turn of the equilibrium would move any pose", "um")
     starts: int = column("fits from different starting points")
     starts_agreeing: int = column("of which came to the same result")

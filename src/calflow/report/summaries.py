@@ -54,6 +54,7 @@ def diagnosed(found: DiagnosisSummary) -> Facts:
         ("causes tested", str(found.causes_tested)),
         ("tests", f"{found.tests:.4g}"),
         ("solver", found.solver.words),
+        ("converged", str(found.converged)),
     ]
 
 

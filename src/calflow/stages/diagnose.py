@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -26,14 +27,14 @@ from calflow.estimation.calibrated import DeviceNoise, Identified, ModelEffect, 
 from calflow.estimation.fit_summary import Solver
 from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
 from calflow.estimation.repeats import averaged
-from calflow.faults import corrected
+from calflow.faults import FaultyRow, as_table, corrected, search
 from calflow.files.documents import to_document
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.stages.stage import Context, Stage
-from calflow.study import known_effects
+from calflow.study import Study, known_effects
 
 BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
 
@@ -62,7 +63,7 @@ def run(context: Context) -> Results:
     final = found.extended.fitted
     faults = context.tables["identify/faults.csv"]
     other = study.confirming
-    confirmed = confirm(final, other.measurements()) if other and found.causes else None
+    confirmed = _confirmed(final, other, context.say) if other and found.causes else {}
     share = data.train.sum() / (data.train | data.held_out).sum()
     questions = [question(v, final, share, context.rng(f"poses{k}")) for k, v in enumerate(found.verdicts)]
     tables = {
@@ -78,11 +79,7 @@ def run(context: Context) -> Results:
         "diagnose/residuals.csv": residuals(errors(final.model, final.fit.estimate, data), data),
         "diagnose/curves.csv": curves(final, found.causes, data),
     }
-    if other and confirmed:
-        context.say(f"{other.name}: " + "; ".join(confirmed.table["words"].unique()))
-        tables |= {"diagnose/confirmation.csv": confirmed.table, "diagnose/confirmation_curves.csv": confirmed.curves,
-                   "diagnose/confirmation_accuracy.csv": confirmed.accuracy}  # fmt: skip
-    return Results(tables, {"diagnose/summary.json": to_document(_summary(found, known))})
+    return Results(tables | confirmed, {"diagnose/summary.json": to_document(_summary(found, known))})
 
 
 def diagnose(known: Identified, data: Measurements, context: Context) -> Diagnosis:
@@ -122,6 +119,21 @@ def diagnose(known: Identified, data: Measurements, context: Context) -> Diagnos
                      acceptance.false_alarm)  # fmt: skip
 
 
+def _confirmed(found: Fitted, other: Study, say: Callable[[str], None]) -> dict[str, pd.DataFrame]:
+    """What an independent series says of the joint errors found, once its own faults are seen to."""
+    data, faults = search(other.measurements())
+    for fault in faults:
+        say(f"{other.name}: {fault.cause.replace('-', ' ')}: {fault.statement}")
+    told = confirm(found, data)
+    say(f"{other.name}: " + "; ".join(told.table["words"].unique()))
+    return {
+        "diagnose/confirmation.csv": told.table,
+        "diagnose/confirmation_curves.csv": told.curves,
+        "diagnose/confirmation_accuracy.csv": told.accuracy,
+        "diagnose/confirmation_faults.csv": as_table(faults, data),
+    }
+
+
 def _accuracy(found: Diagnosis, data: Measurements, before: list[Accuracy]) -> pd.DataFrame:
     """The rows of identify/accuracy.csv, and one step for each cause."""
     name, step, rows = before[-1].model, before[-1].step, list(before)
@@ -158,6 +170,7 @@ def _summary(found: Diagnosis, known: Identified) -> DiagnosisSummary:
         reduced_chi2=final.lack.reduced_chi2 if final.noise.known else None,
         lack_of_fit_p=final.lack.p if final.noise.known else None,
         solver=Solver(status=final.fit.status, iterations=final.fit.iterations),
+        converged=final.fit.converged,
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
         causes_tested=len({score.cause.place for score in found.extended.first.scores}),
         tests=found.extended.first.family.places,
@@ -185,6 +198,7 @@ STAGE = Stage(
         "diagnose/confirmation.csv": ConfirmedCause,
         "diagnose/confirmation_curves.csv": ConfirmedPoint,
         "diagnose/confirmation_accuracy.csv": CarriedAccuracy,
+        "diagnose/confirmation_faults.csv": FaultyRow,
     },
     documents={"diagnose/summary.json": DiagnosisSummary},
 )

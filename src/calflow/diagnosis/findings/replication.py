@@ -90,7 +90,7 @@ def confirm(found: Fitted, other: Measurements) -> Confirmation:
 
     Args:
         found: the extended model on the first series.
-        other: the independent series, split into train and holdout.
+        other: the independent series, split into train and holdout, its faults seen to.
     """
     robot, observed = registered(other.robot, observations(other), other.only(other.train))
     other = other.on(robot)

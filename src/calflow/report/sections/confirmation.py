@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from calflow.report.document import Block, paragraph, plot, table
 from calflow.report.figures.confirmation import two_series
@@ -13,6 +14,7 @@ from calflow.report.material import Material
 from calflow.report.section import Section
 from calflow.report.words import mm
 
+FAULTS = "diagnose/confirmation_faults.csv"
 INTRODUCTION = (
     "The same joint errors were fitted to another series of measurements alone, with its own geometry, and compared over the "
     "travel that both series cover. Offset, slope and first order are left out of the comparison: a joint's zero, the "
@@ -35,7 +37,15 @@ def write(material: Material) -> list[Block]:
     blocks = [paragraph(INTRODUCTION, keep=True), table(header, cells, "lrrrrl", wide=5)]
     if len(curves):
         blocks.append(plot("confirmation", two_series(curves), CAPTION))
-    return [*blocks, paragraph(_carried(accuracy))]
+    return [*blocks, paragraph(_carried(accuracy)), *_faults(material.tables.get(FAULTS))]
+
+
+def _faults(faults: pd.DataFrame | None) -> list[Block]:
+    """Say what was wrong in the other series' file, which was seen to before it was fitted."""
+    if faults is None or faults.empty:
+        return []
+    said = "; ".join(dict.fromkeys(faults["statement"]))
+    return [paragraph(f"In the other series' file, before it was fitted: {said}. Correct that file too.")]
 
 
 def _carried(accuracy: object) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
+from calflow.files.results import Results
 from calflow.report.causes.finding import finding, moves, space
 from calflow.report.causes.gain import gain_cells, gained, makes_it_worse
 from calflow.report.causes.search import candidates, gate, limits, not_tested, strongest, untested, went
@@ -13,10 +14,11 @@ from calflow.report.causes.unexplained import still_unexplained, unexplained
 from calflow.report.document import Block, paragraph, table
 from calflow.report.findings import Found, chance_figure, findings, sureness
 from calflow.report.material import Material
-from calflow.report.section import Section
+from calflow.report.section import Advice, Section
 from calflow.report.words import effect_words, listed
 
 STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
+SUMMARY = "diagnose/summary.json"
 FAULT = "data_fault"  # told in a section of its own
 NO_PROOF = (
     "A smaller error does not prove a name: whatever bends with the data takes something off. That something is there "
@@ -47,7 +49,7 @@ def write(material: Material) -> list[Block]:
 
 
 def _opening(material: Material, every: Sequence[Found]) -> list[Block]:
-    tested = material.results.document("diagnose/summary.json", DiagnosisSummary).causes_tested
+    tested = material.results.document(SUMMARY, DiagnosisSummary).causes_tested
     searched = (
         f"What the study's model leaves was searched for {tested} causes, each at its place in the robot or its "
         f"surroundings. A cause counts as found where, with nothing hidden, fewer than {100 * gate(material):.2g} % of such "
@@ -74,6 +76,18 @@ def _opening(material: Material, every: Sequence[Found]) -> list[Block]:
     ]
 
 
+def extension_not_converged(results: Results) -> list[Advice]:
+    """A model with causes whose fit stopped before its optimum is not to be used, and names rest on it."""
+    summary = results.document(SUMMARY, DiagnosisSummary)
+    if summary.converged:
+        return []
+    sentence = (
+        f"Do not use the model that diagnose extended: its fit did not converge ({summary.solver.words}). Check the flagged rows "
+        "and what was found last, or look for fewer causes (stages.diagnose.causes), then run again."
+    )
+    return [Advice(1, sentence)]
+
+
 def _mended(every: Sequence[Found]) -> str:
     """Say that the search was made on data whose faults were seen to."""
     faults = dict.fromkeys(effect_words(one.cause) for one in every if one.status == FAULT)
@@ -91,7 +105,7 @@ def _title(one: Found) -> str:
 SECTION = Section(
     25,
     "What the model lacked: causes",
-    tuple(f"diagnose/{name}.csv" for name in ("findings", "candidates", "separations", "next_poses")),
+    (*(f"diagnose/{name}.csv" for name in ("findings", "candidates", "separations", "next_poses")), SUMMARY),
     write,
-    (makes_it_worse, unexplained, next_poses, other_means, untested),
+    (extension_not_converged, makes_it_worse, unexplained, next_poses, other_means, untested),
 )
