@@ -55,12 +55,12 @@ def test_without_noise_the_file_holds_the_true_positions(small):
 
 
 def test_noise_grows_with_range_as_stated(small):
-    """Fails if noise is not normal, not the same on all axes, or not the root of floor² + (noise · range)²."""
+    """Fails if noise is not normal, not the same on all axes, or not floor + noise · range, as a series states it."""
     device = ("origin_mm = [900, 0, 1000]", "floor_mm = 0.01", "noise_mm_per_m = 0.05")
     table = simulated(small, ("random = 40", "random = 3000"), (DEVICE, "\n".join(device)))
     true = true_positions(small, table)
     distance = np.linalg.norm(true - [900, 0, 1000], axis=1)
-    sigma = np.hypot(0.01, 0.05e-3 * distance)
+    sigma = 0.01 + 0.05e-3 * distance
     assert distance.max() > 4 * distance.min()
     np.testing.assert_allclose(table["sigma_mm"], sigma, atol=2e-5)
     unit = (table[X].to_numpy() - true) / sigma[:, None]

@@ -37,7 +37,7 @@ class Region(FileModel):
 
 
 class Device(FileModel):
-    """A tracker: noise per axis is the root of floor² + (noise · range)²."""
+    """A tracker: noise per axis is floor + noise · range."""
 
     origin: Lengths3 = (0.0, 0.0, 0.0)
     floor: Length = Field(default=0.0, ge=0)
@@ -45,7 +45,7 @@ class Device(FileModel):
 
     def sigma(self, position: np.ndarray) -> np.ndarray:
         """Return the standard deviation per axis [m] at positions (n, 3)."""
-        return np.hypot(self.floor, self.noise * np.linalg.norm(position - np.array(self.origin), axis=1))
+        return np.asarray(self.floor + self.noise * np.linalg.norm(position - np.array(self.origin), axis=1))
 
 
 class PoseSet(FileModel):
