@@ -1,9 +1,9 @@
 """The same answers: tables of the three studies and of thirty blind cases, of the code before against the code after.
 
-    python benchmarks/same_answers.py keep FOLDER        write cases (once) and run them with this calflow, into FOLDER/KEPT
-    python benchmarks/same_answers.py compare A B        compare two such results, table by table
+    python benchmarks/same_answers.py keep FOLDER      write studies and cases (once), run them with this calflow into FOLDER/NAME
+    python benchmarks/same_answers.py compare A B      compare two such results, table by table
 
-    --name KEPT     the result's name (`before` by default); --only hh800,case07 runs some; --processes 1
+    --name NAME     the result's name (`before` by default); --only hh800,case07 runs some; --processes 1
 
 Run the older code with PYTHONPATH=OTHER/src. The studies on measured data need CALFLOW_DATA and are left out without it.
 Estimates are compared in standard deviations, findings by cause, joint, status, rivals and detail, faults by cause and line.
@@ -16,6 +16,7 @@ import json
 import multiprocessing
 import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -28,11 +29,8 @@ import numpy as np
 import pandas as pd
 
 ROOT = Path(__file__).parents[1]
-STUDIES = {
-    "hh800": (ROOT / "studies/hh800/study.toml", False),
-    "fanuc": (ROOT / "studies/fanuc-r2000/study.toml", True),
-    "ur10": (ROOT / "studies/ur10-tmac/study.toml", True),
-}  # with whether the data lie in CALFLOW_DATA
+# a study of the folder studies/, and whether its data lie in CALFLOW_DATA
+STUDIES = {"hh800": ("hh800", False), "fanuc": ("fanuc-r2000", True), "ur10": ("ur10-tmac", True)}
 ALLOWED_SD, ALLOWED_TIME = 1e-3, 1.1
 HIDDEN = (  # cause, joint, size, variant: of every kind, from barely visible to gross
     (), (), (), (),
@@ -67,12 +65,23 @@ def main() -> None:
 
 def keep(folder: Path, name: str, only: set[str], processes: int) -> None:
     """Run every study and case."""
-    studies = {known: path for known, (path, outside) in STUDIES.items() if not outside or "CALFLOW_DATA" in os.environ}
+    studies = {
+        known: _study(folder / "studies" / name)
+        for known, (name, outside) in STUDIES.items()
+        if not outside or "CALFLOW_DATA" in os.environ
+    }
     every = {**{f"case{k:02d}": _case(folder / "cases" / f"case{k:02d}", k) for k in range(len(HIDDEN))}, **studies}
     jobs = [(path, folder / name / known) for known, path in every.items() if not only or known in only]
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
         for said in pool.imap_unordered(_run, jobs, chunksize=1):
             print(said, flush=True)
+
+
+def _study(folder: Path) -> Path:
+    """Copy a study, if it is not there yet."""
+    if not folder.is_dir():
+        shutil.copytree(ROOT / "studies" / folder.name, folder)
+    return folder / "study.toml"
 
 
 def _case(folder: Path, k: int) -> Path:
