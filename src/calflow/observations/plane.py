@@ -17,6 +17,7 @@ from calflow.robot.parameter import Parameter
 from calflow.robot.transforms import placement
 
 NOWHERE = (0.0,) * 6
+LAID = 10  # turns in which feet and normal settle: heights of millimetres tilt a plane of a metre by little
 
 
 @dataclass(frozen=True)
@@ -80,12 +81,9 @@ class Plane(Observation):
             if own.sum() < 3:
                 found.append(before)
                 continue
-            centre = points[own].mean(axis=0)
-            normal = np.linalg.svd(points[own] - centre)[2][2]
-            normal *= 1.0 if normal @ centre <= 0 else -1.0  # towards the base
+            foot, normal = _laid(points[own], reported[0, own])
             turn = Rotation.align_vectors(normal[None], np.array([[0.0, 0.0, 1.0]]))[0]
-            below = centre - normal * reported[0, own].mean()
-            found.append((*map(float, below), *map(float, turn.as_euler("XYZ"))))
+            found.append((*map(float, foot), *map(float, turn.as_euler("XYZ"))))
         return replace(self, nominal=tuple(found))
 
     @property
@@ -117,6 +115,17 @@ class Plane(Observation):
         """Return it with the new planes."""
         new = tuple(name for name in dict.fromkeys(_names(table)) if name not in self.planes)
         return replace(self, planes=self.planes + new, nominal=self.nominal + (NOWHERE,) * len(new))
+
+
+def _laid(points: np.ndarray, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A plane's middle and its normal towards the base, from points (n, 3) at heights (n,) over it."""
+    feet = points
+    for _ in range(LAID):
+        centre = feet.mean(axis=0)
+        normal = np.linalg.svd(feet - centre)[2][2]
+        normal = normal if normal @ centre <= 0 else -normal
+        feet = points - reading[:, None] * normal
+    return feet.mean(axis=0), normal
 
 
 def _names(table: pd.DataFrame) -> list[str]:
