@@ -73,7 +73,8 @@ def test_a_new_plane_is_lacking_until_it_is_added():
     points = on_plane(rng, 8)
     rows, new = (pd.DataFrame({"plane": [name] * 8}) for name in ("table", "wall"))
     one = Plane.of(Series(), rows).registered(points, np.zeros((8, 3, 3)), rows)
-    assert one.lacks(new) and not one.lacks(rows)
+    assert one.lacks(new)
+    assert not one.lacks(rows)
     wider = one.extended(new)
     assert wider.placements[0] == one.placements[0]
     assert not wider.lacks(new)

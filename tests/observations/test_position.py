@@ -100,9 +100,11 @@ def test_a_new_session_is_lacking_until_it_is_added():
     series = Series(station=Station("A", by_session=True))
     one = Position.of(series, rows).registered(points, np.zeros((8, 3, 3)), rows)
     new = table(reported, ["mon", "wed"] * 4)
-    assert not one.lacks(rows) and one.lacks(new)
+    assert not one.lacks(rows)
+    assert one.lacks(new)
     wider = one.extended(new)
-    assert not wider.lacks(new) and not wider.lacks(rows)
+    assert not wider.lacks(new)
+    assert not wider.lacks(rows)
     assert wider.placements[0] == one.placements[0]
     assert [p.name for p in wider.declared[:6]] == [p.name for p in one.declared]
 

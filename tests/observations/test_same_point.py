@@ -73,7 +73,8 @@ def test_a_new_socket_is_lacking_until_it_is_added():
     points = np.array([AT[name] for name in NAMES])
     said = Series.of("", "same-point", {"distance": 0.05})
     one = SamePoint.of(said, known).registered(points[:2], np.zeros((2, 3, 3)), known)
-    assert one.lacks(new) and not one.lacks(known)
+    assert one.lacks(new)
+    assert not one.lacks(known)
     wider = one.extended(new)
     assert wider.placements[:2] == one.placements
     assert [p.name for p in wider.declared[:5]] == [p.name for p in one.declared]

@@ -19,16 +19,14 @@ def brought(
     """Return readings (n, n_joints) near those given at which the nominal robot touches, and which of them do, (n,).
 
     rows (n_conditions, n) are the packed conditions, the readings first. Gauss-Newton with the least motion of the joints,
-    things touched in turn (see `Observation.expected`).
+    things touched in turn (see `Observation.touched`).
     """
     y, error = model.error(observation)
     p, c, _ = model.symbols
     slope = ca.jacobian(error, c)[:, : readings.shape[1]]
     function = ca.Function("contact", [p, c, y], [ca.densify(error), ca.densify(slope.T)])
     point = model.nominal
-    reported = observation.expected(model.point(point, rows), model.rotation(point, rows))
-    if "reading" in observation.columns.optional:
-        reported[0] = 0.0  # on the surface itself
+    reported = observation.touched(model.point(point, rows), model.rotation(point, rows))
     rows, n = rows.copy(), readings.shape[1]
     for _ in range(ROUNDS):
         left, slopes = over_rows(function, point, rows, reported)

@@ -10,6 +10,8 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations import Observation, observations
 
+TURNS = 4  # of Gauss and Newton, from what is registered already
+
 
 def observing(model: Model, data: Measurements) -> Model:
     """Return the model with the data's observations, if it has none."""
@@ -34,7 +36,27 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
         every.append(_extended(observation, points[own], turned[own], data, own) if new else observation)
     wider = replace(model, observations=tuple(every))
     known = dict(zip((parameter.name for parameter in model.parameters), estimate, strict=True))
-    return wider, np.array([known.get(parameter.name, parameter.nominal) for parameter in wider.parameters])
+    start = np.array([known.get(parameter.name, parameter.nominal) for parameter in wider.parameters])
+    new = np.array([parameter.name not in known for parameter in wider.parameters])
+    return wider, _settled(wider, start, new, data)
+
+
+def _settled(model: Model, point: np.ndarray, new: np.ndarray, data: Measurements) -> np.ndarray:
+    """Return the parameters with the new ones (a mask) where the rows of each series put them, all others held."""
+    point = point.copy()
+    for k, observation in enumerate(model.observations):
+        own = data.of_series(k)
+        columns = np.intersect1d(model.columns(observation), np.flatnonzero(new))
+        if not len(columns) or not own.any():
+            continue
+        rows, reported = data.rows[:, own], observation.reported(data.table[own])
+        sd = model.prior_sd[columns]
+        for _ in range(TURNS):
+            error = model.observed_error(observation, point, rows, reported).ravel()
+            slope = model.observed_jacobian(observation, point, rows, reported)[:, :, columns].reshape(len(error), -1)
+            there = np.isfinite(error)
+            point[columns] -= sd * np.linalg.lstsq(slope[there] * sd, error[there], rcond=1e-9)[0]
+    return point
 
 
 def _extended(

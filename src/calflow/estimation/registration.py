@@ -65,7 +65,6 @@ def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements)
     here = in_measuring_frame(observed, train)
     if robot.base.known or not here.any():
         return robot
-    at_origin = replace(robot, base=Base(known=False))
     train = train.only(here)
     at_origin = replace(robot, base=Base(known=False))
     nominal = build(at_origin, (), train.given)
@@ -78,9 +77,6 @@ def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements)
     placed = _with_base(at_origin, turn, measured_centre - turn.apply(centre))
 
     if train.rotation is not None:
-        seen = Rotation.from_matrix(nominal.rotation(nominal.nominal, train.rows))
-        tool = ((turn * seen).inv() * Rotation.from_matrix(train.rotation)).mean()
-        placed = replace(placed, tool_rotation=_angles(_tool(placed) * tool))
         oriented = np.isfinite(train.rotation).all(axis=(1, 2))
         seen = Rotation.from_matrix(nominal.rotation(nominal.nominal, train.rows[:, oriented]))
         tool = ((turn * seen).inv() * Rotation.from_matrix(train.rotation[oriented])).mean()
@@ -92,10 +88,11 @@ def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements)
         np.full(len(train), NOMINAL_ERROR), tuple[Source, ...]("estimated" for _ in train.series), rotation=rough
     )
     result, _ = fit(LeastSquares.of(model, train.on(placed), noise), loss="soft_l1")
-    dims = Placement(placed).dimensions(ca.SX(result.estimate), nominal_dimensions(placed), Row.symbols(placed))
+    found = result.estimate[result.model.columns(model.effects[0])]
+    dims = Placement(placed).dimensions(ca.SX(found), nominal_dimensions(placed), Row.symbols(placed))
     markers = np.array(ca.DM(ca.evalf(dims.markers))).T
     return _moved(
-        placed, {(p.part, p.symbol): value for p, value in zip(model.parameters, result.estimate, strict=True)}, markers
+        placed, {(p.part, p.symbol): value for p, value in zip(model.parameters, found, strict=True)}, markers
     )
 
 

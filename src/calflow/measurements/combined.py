@@ -53,7 +53,7 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
 
 
 def _named_apart(tables: Sequence[pd.DataFrame], readings: list[str]) -> list[pd.DataFrame]:
-    """Give poses of the same name but other readings names of their own."""
+    """Give poses of the same name but other readings names of their own, or those of the poses that they are."""
     found: list[pd.DataFrame] = []
     for k, table in enumerate(tables):
         for other in found:
@@ -63,6 +63,14 @@ def _named_apart(tables: Sequence[pd.DataFrame], readings: list[str]) -> list[pd
             apart = np.abs(both[readings].to_numpy() - both[[f"{name}_other" for name in readings]].to_numpy())
             if (apart > SAME).any():
                 table = table.assign(pose=[f"{k + 1}:{pose}" for pose in table["pose"]])
+                table = table.assign(pose=_met_again(table, found, readings))
                 break
         found.append(table)
     return found
+
+
+def _met_again(table: pd.DataFrame, others: Sequence[pd.DataFrame], readings: list[str]) -> list[str]:
+    """Return the poses' names, those of other tables where the very same readings and payload are there."""
+    keys = [*readings, "payload"]
+    known = {tuple(row[:-1]): row[-1] for other in others for row in other[[*keys, "pose"]].to_numpy(dtype=object)}
+    return [known.get(tuple(row[:-1]), row[-1]) for row in table[[*keys, "pose"]].to_numpy(dtype=object)]

@@ -111,6 +111,10 @@ class Observation(ABC):
         It is that of the first of several things, in the measuring frame.
         """
 
+    def touched(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+        """Return what would be reported where the robot touches, near these points, shape (reports, n)."""
+        return self.expected(points, rotations)
+
     def lacks(self, table: pd.DataFrame) -> bool:
         """Whether rows are of something (a socket, a session) that has no parameters here yet."""
         return False

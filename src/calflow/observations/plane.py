@@ -107,6 +107,12 @@ class Plane(Observation):
         which[0] = 1.0
         return np.vstack([height, which])
 
+    def touched(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+        """Return readings of nothing: on the plane itself."""
+        found = self.expected(points, rotations)
+        found[0] = 0.0
+        return found
+
     def lacks(self, table: pd.DataFrame) -> bool:
         """Whether a plane is new."""
         return not set(_names(table)) <= set(self.planes)
