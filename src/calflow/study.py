@@ -19,7 +19,9 @@ from calflow.files.units import split_unit
 from calflow.measurements.combined import combined
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import locate
+from calflow.measurements.series import Series
 from calflow.measurements.source import MeasurementSource
+from calflow.observations import Observation
 from calflow.observations import catalogue as observation_kinds
 from calflow.robot.robot import Robot
 
@@ -234,6 +236,17 @@ class Study:
 
     def _series(self, k: int, path: Path) -> Measurements:
         """Read one series."""
+        kind, series = self.series(k)
+        layout = replace(self.file.sources[k].layout, reports=kind.columns)
+        measured = Measurements.from_csv(path, self.robot, **vars(layout))
+        return plausible(replace(measured, series=(series,)), path)
+
+    def series(self, k: int) -> tuple[type[Observation], Series]:
+        """Return a series' kind of observation, and what the study says of its rows.
+
+        Raises:
+            InputError: its kind is unknown, or does not have its settings.
+        """
         source = self.file.sources[k]
         where = ("measurements",) if not isinstance(self.file.measurements, tuple) else ("measurements", k)
         origin = Origin.of(self.path)
@@ -242,11 +255,8 @@ class Study:
             raise InputError([origin.problem(message + nearest(source.kind, observation_kinds()), *where, "kind")])
         kind = observation_kinds()[source.kind or "pose"]
         told = validate(source.settings, kind.settings, replace(origin, table=(*where, "settings")))
-        layout = replace(source.layout, reports=kind.columns)
-        measured = Measurements.from_csv(path, self.robot, **vars(layout))
         said = {name: value for name, value in told.model_dump().items() if value is not None}
-        series = source.series(kind.columns.labels, said)
-        return plausible(replace(measured, series=(series,)), path)
+        return kind, source.series(kind.columns.labels, said)
 
     def settings(self, stage: str) -> dict[str, Any]:
         """Return a stage's settings: the workflow's, overridden by the study's, whatever their units."""

@@ -14,6 +14,7 @@ from calflow.estimation.nuisance import completed, observing
 from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
+from calflow.observations import Observation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +41,9 @@ class Residual:
     pose: str = column("as in the measurements")
     repeat: str = column("as in the measurements")
     marker: str = column("as in the measurements")
-    dx_mm: float = column("predicted minus measured position, along x; empty: no position was measured", "mm")
+    dx_mm: float = column(
+        "predicted minus measured position, along the measuring frame's x; empty: no position was measured", "mm"
+    )
     dy_mm: float = column("the same along y", "mm")
     dz_mm: float = column("the same along z", "mm")
     error_mm: float = column("size of the error, also of what is no position", "mm")
@@ -51,7 +54,8 @@ class Residual:
 def errors(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
     """Return predicted minus measured lengths of each row, shape (n_rows, 3) [m].
 
-    That is the position's three axes; a row of which one length was measured has it first, and nan besides.
+    That is the position's, along the measuring frame's axes; a row of which one length was measured has it first, and nan
+    besides.
     """
     model, estimate = completed(model, estimate, measured)
     found = np.full((len(measured), 3), np.nan)
@@ -61,7 +65,8 @@ def errors(model: Model, estimate: np.ndarray, measured: Measurements) -> np.nda
         error = model.observed_error(
             observation, estimate, measured.rows[:, rows], observation.reported(measured.table.iloc[rows])
         )
-        found[rows[:, None], np.arange(len(lengths))] = error[:, lengths]
+        turned = _turned(observation, model, estimate, measured.table.iloc[rows], error[:, lengths, None])
+        found[rows[:, None], np.arange(len(lengths))] = turned[:, :, 0]
     return found
 
 
@@ -74,8 +79,17 @@ def error_jacobian(model: Model, estimate: np.ndarray, measured: Measurements) -
         lengths = [i for i, unit in enumerate(observation.units) if unit == "m"]
         reported = observation.reported(measured.table.iloc[rows])
         slope = model.observed_jacobian(observation, estimate, measured.rows[:, rows], reported)
-        found[rows[:, None], np.arange(len(lengths))] = slope[:, lengths]
+        turned = _turned(observation, model, estimate, measured.table.iloc[rows], slope[:, lengths])
+        found[rows[:, None], np.arange(len(lengths))] = turned
     return found
+
+
+def _turned(
+    observation: Observation, model: Model, estimate: np.ndarray, table: pd.DataFrame, values: np.ndarray
+) -> np.ndarray:
+    """Return what a row has along a device's axes (n_rows, n_lengths, …) along the measuring frame's."""
+    axes = observation.axes(estimate[model.columns(observation)], table)
+    return values if axes is None else axes @ values
 
 
 def distances(error: np.ndarray) -> np.ndarray:

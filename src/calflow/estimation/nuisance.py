@@ -37,8 +37,8 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
     wider = replace(model, observations=tuple(every))
     known = dict(zip((parameter.name for parameter in model.parameters), estimate, strict=True))
     start = np.array([known.get(parameter.name, parameter.nominal) for parameter in wider.parameters])
-    new = np.array([parameter.name not in known for parameter in wider.parameters])
-    return wider, _settled(wider, start, new, data)
+    unknown = np.array([parameter.name not in known for parameter in wider.parameters])
+    return wider, _settled(wider, start, unknown, data)
 
 
 def _settled(model: Model, point: np.ndarray, new: np.ndarray, data: Measurements) -> np.ndarray:

@@ -31,7 +31,9 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
     notes = [f"{part.series[0].name or k + 1}: {note}" for k, part in enumerate(parts) for note in part.notes]
     tables = []
     for k, part in enumerate(parts):
-        table = part.table.assign(series=k)
+        table = part.table.assign(
+            series=k, pose=part.table["pose"].astype(str), repeat=part.table["repeat"].astype(str)
+        )
         if origin is not None and part.time_origin is not None:
             table["time"] += part.time_origin - origin
         lost = [name for name in part.given if name not in (*shared, *DERIVED)]

@@ -69,6 +69,15 @@ class Observation(ABC):
     def of(cls, series: Series, table: pd.DataFrame) -> Self:
         """Return the observation of a series for the rows of a table (see `measurements`), nothing placed yet."""
 
+    @classmethod
+    def planned(cls, series: Series) -> Self:
+        """Return the observation for rows that are still to be measured, what is not the robot where the settings say.
+
+        Raises:
+            ValueError: nothing is said of where it is; the message says what to state.
+        """
+        return cls.of(series, pd.DataFrame({label: [] for label in cls.columns.labels}, dtype=str))
+
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the nuisance parameters."""
@@ -90,6 +99,10 @@ class Observation(ABC):
     @abstractmethod
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return predicted minus reported, one residual a unit; y is one row of `reported`."""
+
+    def axes(self, p: np.ndarray, table: pd.DataFrame) -> np.ndarray | None:
+        """Return the axes of the measuring frame (n_rows, 3, 3) in which rows tell three lengths; None where in its own."""
+        return None
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Return the observation with what is not the robot placed by the nominal robot's points (n_rows, 3) [m]."""

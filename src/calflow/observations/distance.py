@@ -52,6 +52,15 @@ class Distance(Observation):
         stated = series.setting("anchor")
         return cls(series, stated if isinstance(stated, tuple) else NOWHERE)
 
+    @classmethod
+    def planned(cls, series: Series) -> Self:
+        """Return it with the anchor that is stated."""
+        if series.setting("anchor") is None:
+            raise ValueError(
+                "state where the wire's anchor is, roughly: anchor_mm = [x, y, z] and anchor_known = false"
+            )
+        return cls.of(series, pd.DataFrame())
+
     @property
     def _open(self) -> tuple[str, ...]:
         """What is not known beforehand."""

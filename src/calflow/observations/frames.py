@@ -71,6 +71,14 @@ class Frames:
         turn = stands[:3, :3].T
         return turn, -turn @ stands[:3, 3]
 
+    def turns(self, p: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """Return how the frames of rows (one-hot, (n_frames, n_rows)) are turned, shape (n_rows, 3, 3)."""
+        turn = Rotation.from_euler("XYZ", np.array(self.nominal)[:, 3:])
+        if len(p):
+            turn = turn * Rotation.from_euler("XYZ", np.reshape(p, (-1, 6))[:, 3:])
+        every = np.concatenate([np.eye(3)[None], turn.as_matrix()])
+        return np.asarray(every[np.where(which.any(axis=0), 1 + which.argmax(axis=0), 0)])
+
     def registered(self, points: np.ndarray, measured: np.ndarray, table: pd.DataFrame) -> Frames:
         """Place the frames by the rigid motion that takes measured (n_rows, 3) to points (Kabsch 1976)."""
         if not self.sessions or (self.station.known and not self.station.by_session):

@@ -8,8 +8,10 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 import pandas as pd
+from pydantic import field_validator
 from scipy.spatial.transform import Rotation
 
+from calflow.files.toml import FileModel, Lengths3
 from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
@@ -20,11 +22,26 @@ NOWHERE = (0.0,) * 6
 LAID = 10  # turns in which feet and normal settle: heights of millimetres tilt a plane of a metre by little
 
 
+class PlaneSettings(FileModel):
+    """Roughly where the plane will be, for poses that are to be planned: a point_mm on it, and its normal."""
+
+    point: Lengths3 | None = None
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    @field_validator("normal")
+    @classmethod
+    def _points_somewhere(cls, normal: tuple[float, float, float]) -> tuple[float, float, float]:
+        if not np.linalg.norm(normal) > 0:
+            raise ValueError("expected a direction other than [0, 0, 0]")
+        return normal
+
+
 @dataclass(frozen=True)
 class Plane(Observation):
     """Height of the marker over a plane = reading (0 where none is reported); a plane each name in the column `plane`.
 
     A plane's normal is the z axis of its frame, to the side that the robot's base is on. nominal holds origin and angles.
+    Settings: point (3,) [m] and normal (3,), roughly, for poses that are to be planned.
     """
 
     planes: tuple[str, ...] = ("",)
@@ -33,6 +50,7 @@ class Plane(Observation):
     id: ClassVar[str] = "plane"
     title: ClassVar[str] = "points on a plane"
     columns: ClassVar[Reported] = Reported({}, {"reading": "length"}, ("plane",))
+    settings: ClassVar[type[FileModel]] = PlaneSettings
     units: ClassVar[tuple[str, ...]] = ("m",)
     touches: ClassVar[bool] = True
 
@@ -41,6 +59,15 @@ class Plane(Observation):
         """Return the observation of the planes that the rows name."""
         planes = tuple(dict.fromkeys(_names(table)))
         return cls(series, planes, (NOWHERE,) * len(planes))
+
+    @classmethod
+    def planned(cls, series: Series) -> Self:
+        """Return a plane where the settings say."""
+        point, normal = series.setting("point"), series.setting("normal", (0.0, 0.0, 1.0))
+        if not isinstance(point, tuple):
+            raise ValueError("state where the plane will be, roughly: point_mm = [x, y, z] on it, and its normal")
+        turn = Rotation.align_vectors(np.array([normal], dtype=float), np.array([[0.0, 0.0, 1.0]]))[0]
+        return cls(series, ("",), ((*point, *map(float, turn.as_euler("XYZ"))),))
 
     def _part(self, plane: str) -> str:
         return f"{self.part}-{plane}" if plane else self.part

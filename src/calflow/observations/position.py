@@ -54,6 +54,10 @@ class Position(Observation):
         point = seen.point if frame is None else frame[0] @ seen.point + frame[1]
         return seen.device(point) - y[:3]
 
+    def axes(self, p: np.ndarray, table: pd.DataFrame) -> np.ndarray | None:
+        """Return how the station's frames are turned."""
+        return self.frames.turns(p, self.frames.which(table)) if self.frames.sessions else None
+
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Place the station's frames."""
         return replace(self, frames=self.frames.registered(points, table[["x", "y", "z"]].to_numpy(float), table))

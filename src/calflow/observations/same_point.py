@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from calflow.files.toml import FileModel, Length
+from calflow.files.toml import FileModel, Length, Lengths3
 from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
@@ -21,10 +21,14 @@ SHORTEST = 1e-6  # m
 
 
 class SamePointSettings(FileModel):
-    """distance_mm of a placement's two sockets, and distance_sd_mm, how surely it is known (0: exactly)."""
+    """distance_mm of a placement's two sockets, and distance_sd_mm, how surely it is known (0: exactly).
+
+    place_mm is roughly where the first socket will be: for poses that are to be planned, once measured the rows say it.
+    """
 
     distance: Length | None = Field(default=None, gt=0)
     distance_sd: Length = Field(default=0.0, ge=0)
+    place: Lengths3 | None = None
 
 
 Point = tuple[float, float, float]
@@ -48,7 +52,8 @@ class Socket:
 class SamePoint(Observation):
     """The marker is at its row's socket; a socket each name in the column `socket`, anew for each `placement`.
 
-    Settings: distance [m] of a placement's two sockets, and distance_sd [m], how surely it is known (0: exactly).
+    Settings: distance [m] of a placement's two sockets, and distance_sd [m], how surely it is known (0: exactly); place (3,)
+    [m] of the first one, roughly, for poses that are to be planned.
     """
 
     sockets: tuple[Socket, ...] = ()
@@ -64,6 +69,17 @@ class SamePoint(Observation):
     def of(cls, series: Series, table: pd.DataFrame) -> Self:
         """Return the observation of the sockets that the rows name."""
         return cls(series, tuple(Socket(*name) for name in sorted(set(_names(table)))))
+
+    @classmethod
+    def planned(cls, series: Series) -> Self:
+        """Return one socket where the settings say, or two along x where their distance is known."""
+        place = series.setting("place")
+        if not isinstance(place, tuple):
+            raise ValueError("state where the socket will be, roughly: place_mm = [x, y, z]")
+        x, y, z = place
+        apart = series.number("distance")
+        second = () if apart is None else (Socket("", "2", (x + apart, y, z)),)
+        return cls(series, (Socket("", "1", (x, y, z)), *second))
 
     @property
     def _distance(self) -> float | None:

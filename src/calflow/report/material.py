@@ -10,9 +10,10 @@ import numpy as np
 import pandas as pd
 
 from calflow.effects.cause import Cause
-from calflow.estimation.accuracy import Accuracy, distances
+from calflow.estimation.accuracy import Accuracy, errors
 from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
 from calflow.estimation.fit_summary import FitSummary
+from calflow.estimation.registration import in_measuring_frame
 from calflow.faults import corrected
 from calflow.files.results import Results
 from calflow.files.tables import Tables, from_frame
@@ -87,7 +88,7 @@ class Material:
 
     @cached_property
     def error(self) -> np.ndarray:
-        """Predicted minus measured positions, shape (n_rows, 3) [mm]."""
+        """Predicted minus measured positions, nan where none was measured, shape (n_rows, 3) [mm]."""
         return _errors(latest(self.results, "residuals"))
 
     @property
@@ -97,8 +98,25 @@ class Material:
 
     @cached_property
     def distance(self) -> np.ndarray:
-        """Length of each row's error, shape (n_rows,) [mm]."""
-        return distances(self.error)
+        """Size of each row's error, shape (n_rows,) [mm]."""
+        residuals = latest(self.results, "residuals")
+        return _used(residuals)["error_mm"].to_numpy(dtype=float)
+
+    @cached_property
+    def length_error(self) -> np.ndarray:
+        """Predicted minus measured length where a row has one alone, nan elsewhere, shape (n_rows,) [mm]."""
+        whole = errors(self.known.model, self.known.estimate, self.data)
+        return np.where(np.isnan(whole[:, 1]), 1e3 * whole[:, 0], np.nan)
+
+    @cached_property
+    def place(self) -> np.ndarray:
+        """Where the marker was: as measured, or as predicted where no position was, shape (n_rows, 3) [m]."""
+        known = self.known.model
+        here = in_measuring_frame(known.observations, self.data)
+        place = known.point(self.known.estimate, self.data.rows)
+        if here.any():
+            place[here] = self.data.position[here]
+        return place
 
     @cached_property
     def sigma(self) -> np.ndarray:
@@ -121,8 +139,12 @@ class Material:
 
 
 def _errors(residuals: pd.DataFrame) -> np.ndarray:
-    used = residuals["split"].isin(["train", "holdout"])  # the others were left out as faulty
-    return residuals.loc[used, ["dx_mm", "dy_mm", "dz_mm"]].to_numpy(dtype=float)
+    return _used(residuals)[["dx_mm", "dy_mm", "dz_mm"]].to_numpy(dtype=float)
+
+
+def _used(residuals: pd.DataFrame) -> pd.DataFrame:
+    """The rows that were not left out as faulty."""
+    return residuals[residuals["split"].isin(["train", "holdout"])]
 
 
 def latest(results: Results, name: str) -> pd.DataFrame:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -11,13 +11,18 @@ from pydantic import Field, field_validator, model_validator
 
 from calflow.design.candidates import READINGS, candidates, reading_columns, reading_factors
 from calflow.design.optimality import exchange, greedy, indices, log_determinant
+from calflow.design.planned import Planned
 from calflow.estimation.identifiability import NULL
 from calflow.files.problems import InputError, Problem, nearest
 from calflow.files.results import Results
 from calflow.files.tables import column, to_frame, typed
-from calflow.files.toml import FileModel, Length, Lengths3
+from calflow.files.toml import Angle, FileModel, Length, Lengths3, Origin
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.series import Series
 from calflow.model import Model, build
+from calflow.observations import Observation
+from calflow.observations.position import Position
+from calflow.robot.parts import Base
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study, known_effects
 
@@ -57,7 +62,8 @@ class Observability:
 class SelectSettings(FileModel):
     """Settings of select: how many poses of how many candidates, and where the device can see the tool.
 
-    Poses are chosen for the study's effects and for also_effects, which may be causes to be told apart.
+    Poses are chosen for the study's effects and for also_effects, which may be causes to be told apart, and to be measured as
+    the series `measure` will be; the study's first one where nothing is said.
     """
 
     poses: int = Field(default=100, ge=4)
@@ -67,6 +73,8 @@ class SelectSettings(FileModel):
     region_min: Lengths3 | None = None
     region_max: Lengths3 | None = None
     sigma: Length = Field(default=5e-5, gt=0)
+    sigma_rotation: Angle = Field(default=1e-4, gt=0)
+    measure: str = ""
     also_effects: tuple[str, ...] = ()
 
     @field_validator("also_effects")
@@ -92,14 +100,18 @@ class SelectSettings(FileModel):
 def run(context: Context) -> Results:
     """Choose poses by D-optimal greedy addition and exchange, and tell what every number of them is worth."""
     study, settings = context.study, context.settings
-    robot = study.robot
     if wrong := problems(study, settings, None):
         raise InputError(wrong)
+    robot = study.robot if _from_outside(study) else replace(study.robot, base=Base(fixed=True))
     marker = settings.marker or next(iter(robot.markers))
-    model = build(robot, tuple(dict.fromkeys((*study.file.effects, *settings.also_effects))))
+    planned = Planned(_planned(study, settings), settings.sigma, settings.sigma_rotation)
+    effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))
+    model = build(robot, effects, (), (planned.observation,))
     region = None if settings.region_min is None else np.array([settings.region_min, settings.region_max])
-    readings, rows = candidates(model, settings.candidates, settings.payload, marker, region, context.rng("candidates"))
-    whitened = model.position_jacobian(model.nominal, rows) * model.prior_sd / settings.sigma
+    readings, rows = candidates(
+        model, settings.candidates, settings.payload, marker, region, context.rng("candidates"), planned.observation
+    )
+    whitened = planned.whitened(model, model.nominal, rows) * model.prior_sd
     prior = np.eye(len(model.parameters))
     context.say(f"{len(readings)} candidates, {len(model.parameters)} parameters")
 
@@ -112,7 +124,8 @@ def run(context: Context) -> Results:
 
     travel = _shortest_tour(readings[best])
     chosen = np.array(best)[travel]
-    worth = _observability(whitened, greedy_order(whitened, prior, best), whitened[:TASK_POSES], settings)
+    task = model.point_jacobian(model.nominal, rows[:, :TASK_POSES]) * model.prior_sd / settings.sigma
+    worth = _observability(whitened, greedy_order(whitened, prior, best), task, settings)
     return Results(
         {
             "select/poses.csv": _poses(model, readings[chosen], rows[:, chosen], settings.payload, marker),
@@ -122,8 +135,15 @@ def run(context: Context) -> Results:
 
 
 def problems(study: Study, settings: SelectSettings, data: Measurements | None) -> list[Problem]:
-    """Find names that the robot file lacks."""
+    """Find names that robot file and study lack, and what is to be measured and stands nobody knows where."""
     found = []
+    names = [source.name for source in study.file.sources]
+    if settings.measure and settings.measure not in names:
+        named = ", ".join(filter(None, names)) or "none that has a name"
+        message = f"unknown measurements '{settings.measure}'; there are {named}{nearest(settings.measure, names)}"
+        found.append(study.setting_problem("select", message, "measure"))
+    elif said := _unplaced(study, settings):
+        found.append(said)
     for key, name, known in (
         ("marker", settings.marker, study.robot.markers),
         ("payload", settings.payload, study.robot.payloads),
@@ -132,6 +152,40 @@ def problems(study: Study, settings: SelectSettings, data: Measurements | None) 
             message = f"unknown {key} '{name}'; there are {', '.join(known) or 'none'}{nearest(name, known)}"
             found.append(study.setting_problem("select", message, key))
     return found
+
+
+def _which(study: Study, settings: SelectSettings) -> int:
+    """Number of the series as which further poses will be measured."""
+    names = [source.name for source in study.file.sources]
+    return names.index(settings.measure) if settings.measure else 0
+
+
+def _from_outside(study: Study) -> bool:
+    """Whether anything says where the robot stands."""
+    kinds = [study.series(k)[0] for k in range(len(study.file.sources))]
+    return not kinds or any(kind.from_outside for kind in kinds)
+
+
+def _planned(study: Study, settings: SelectSettings) -> Observation:
+    """What is to be measured; positions where the study has no measurements yet."""
+    if not study.file.sources:
+        return Position.planned(Series())
+    kind, series = study.series(_which(study, settings))
+    return (kind if series.kind else Position).planned(series)
+
+
+def _unplaced(study: Study, settings: SelectSettings) -> Problem | None:
+    """Say what to state of what is to be measured, where nothing is known of its place."""
+    try:
+        _planned(study, settings)
+    except ValueError as error:
+        where = (
+            ("measurements", _which(study, settings))
+            if isinstance(study.file.measurements, tuple)
+            else ("measurements",)
+        )
+        return Origin.of(study.path).problem(f"poses cannot be planned: {error}", *where, "settings")
+    return None
 
 
 def greedy_order(whitened: np.ndarray, prior: np.ndarray, chosen: list[int]) -> list[int]:

@@ -98,10 +98,14 @@ def space(material: Material, causes: Sequence[Found]) -> list[Block]:
     """Draw the errors before and after the causes were added."""
     if not any(moves(material, one) for one in causes):
         return []
-    position, before, after = 1e3 * material.data.position, material.error_before, material.error
+    position, before, after = 1e3 * material.place, material.error_before, material.error
+    whole = np.isfinite(before).all(axis=1)
+    if not whole.any():
+        return []
+    position, before, after, held = position[whole], before[whole], after[whole], material.held[whole]
     shown = np.unique(np.linspace(0, len(position) - 1, DRAWN).astype(int))
     factor = magnification(position, before)
-    drawn = in_space(position[shown], before[shown], after[shown], material.held[shown], factor)
+    drawn = in_space(position[shown], before[shown], after[shown], held[shown], factor)
     said = (
         f"Errors before and after the causes were added, both drawn {factor:,.0f} times enlarged; the darker, the larger. "
         "Circles: used for the fit; triangles: held out."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import matplotlib
 import numpy as np
@@ -22,7 +22,8 @@ BINS = 12  # of the running mean
 
 def magnification(position: np.ndarray, error: np.ndarray) -> float:
     """Return a round factor (1, 2 or 5 times a power of ten) that makes large errors visible among the positions."""
-    large = np.quantile(np.linalg.norm(error, axis=1), 0.9)
+    length = np.linalg.norm(error, axis=1)
+    large = np.quantile(length[np.isfinite(length)], 0.9)
     if large == 0:
         return 1.0
     wanted = ARROW * np.ptp(position, axis=0).max() / large
@@ -30,18 +31,20 @@ def magnification(position: np.ndarray, error: np.ndarray) -> float:
     return float(max(step * power for step in (1, 2, 5) if step * power <= wanted))
 
 
-def in_workspace(position: np.ndarray, error: np.ndarray, held: np.ndarray, factor: float) -> Figure:
-    """Draw each measured position with its error times factor, in space and from three sides.
+def in_workspace(
+    position: np.ndarray, error: np.ndarray, length: np.ndarray, held: np.ndarray, factor: float
+) -> Figure:
+    """Draw each position with its error times factor, in space and from three sides.
 
-    position and error have shape (n_rows, 3) [mm]; the darker, the larger.
+    position and error have shape (n_rows, 3) [mm], error nan where it has no direction; the darker, the larger its length
+    (n_rows,) [mm].
     """
     drawn = figure(4.8)
     drawn.set_layout_engine("none")
-    length = np.linalg.norm(error, axis=1)
     dark = ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(0.3, 1, 256)))
     norm = Normalize(0, length.max() or 1.0)
     colours = dark(norm(length))
-    segments = np.stack([position, position + factor * error], axis=1) / 1000
+    segments = np.stack([position, position + factor * np.nan_to_num(error)], axis=1) / 1000
     picture = len(position) > MANY / 5
 
     space = drawn.add_axes((0.0, 0.44, 0.54, 0.53), projection="3d")
@@ -77,21 +80,24 @@ def in_workspace(position: np.ndarray, error: np.ndarray, held: np.ndarray, fact
     return drawn
 
 
-def against_joints(reading: np.ndarray, error: np.ndarray, held: np.ndarray, labels: Sequence[str]) -> Figure:
-    """Draw the three components of the errors (n_rows, 3) [mm] against every joint's reading (n_rows, n_joints)."""
+def against_joints(
+    reading: np.ndarray, parts: Mapping[str, np.ndarray], held: np.ndarray, labels: Sequence[str]
+) -> Figure:
+    """Draw the parts of the errors (n_rows,) [mm], nan where a row has none, against every joint's reading (n_rows, n_joints)."""
     n_joints = reading.shape[1]
-    drawn, grid = panels(3, n_joints, 3.9, sharey=True, sharex="col")
-    limit = 1.1 * np.abs(error).max() or 1.0
-    for k in range(3):
+    drawn, grid = panels(len(parts), n_joints, 1.3 * max(len(parts), 1.5), sharey=True, sharex="col")
+    limit = 1.1 * max(np.nanmax(np.abs(error)) for error in parts.values()) or 1.0
+    for k, (name, error) in enumerate(parts.items()):
+        there = np.isfinite(error)
         for i in range(n_joints):
             axes = grid[k, i]
-            dots(axes, reading[:, i], error[:, k], held, 0.6 * crowded(len(error)), 3 * n_joints)
-            running_mean(axes, reading[:, i], error[:, k])
+            dots(axes, reading[there, i], error[there], held[there], 0.6 * crowded(len(error)), len(parts) * n_joints)
+            running_mean(axes, reading[there, i], error[there])
             axes.set_ylim(-limit, limit)
             axes.locator_params(axis="x", nbins=3)
-        grid[k, 0].set_ylabel(f"d{'xyz'[k]} [mm]")
+        grid[k, 0].set_ylabel(f"{name} [mm]")
     for i, label in enumerate(labels):
-        grid[2, i].set_xlabel(label)
+        grid[-1, i].set_xlabel(label)
         grid[0, i].set_title(f"joint {i + 1}")
     return drawn
 

@@ -31,10 +31,12 @@ JOINTS = (
 
 def write(material: Material) -> list[Block]:
     """Show the errors of the calibrated model in space, against joints and place, and the rows that stand out."""
-    robot, position, error = material.data.robot, 1e3 * material.data.position, material.error
+    robot, position, error = material.data.robot, 1e3 * material.place, material.error
     reading, labels = material.data.joints * reading_factors(robot), reading_labels(robot)
     reach = np.linalg.norm(position[:, :2] / 1e3 - np.array(robot.base.origin[:2]), axis=1)
-    factor = magnification(position, error)
+    directed = np.isfinite(error).all(axis=1).any()
+    factor = magnification(position, error) if directed else 1.0
+    enlarged = f", drawn {factor:,.0f} times enlarged" if directed else " (lengths have no direction: dots)"
     shown = np.unique(np.linspace(0, len(position) - 1, DRAWN).astype(int))
     some = f" {len(shown)} of {len(position)} rows are shown." if len(shown) < len(position) else ""
     return [
@@ -42,23 +44,28 @@ def write(material: Material) -> list[Block]:
         plot("residuals_place", against_place(reach, position[:, 2] / 1e3, material.distance, material.held), PLACE),
         plot(
             "residuals_workspace",
-            in_workspace(position[shown], error[shown], material.held[shown], factor),
-            f"Errors in the measuring frame, drawn {factor:,.0f} times enlarged; the darker, the larger.{some}",
+            in_workspace(position[shown], error[shown], material.distance[shown], material.held[shown], factor),
+            f"Errors in the measuring frame{enlarged}; the darker, the larger.{some}",
         ),
-        plot("residuals_joints", against_joints(reading, error, material.held, labels), JOINTS),
+        plot("residuals_joints", against_joints(reading, _components(material), material.held, labels), JOINTS),
         *_flagged(material),
     ]
 
 
+def _components(material: Material) -> dict[str, np.ndarray]:
+    """The errors' parts (n_rows,) [mm] by their names, nan where a row does not have one."""
+    parts = {f"d{axis}": material.error[:, k] for k, axis in enumerate("xyz")} | {"length": material.length_error}
+    return {name: values for name, values in parts.items() if np.isfinite(values).any()}
+
+
 def _flagged(material: Material) -> list[Block]:
     rows = _flags(material.results)
-    rows = rows.assign(distance=np.linalg.norm(rows[["dx_mm", "dy_mm", "dz_mm"]], axis=1))
-    flagged = rows[rows["flagged"].astype(bool)].sort_values("distance", ascending=False)
+    flagged = rows[rows["flagged"].astype(bool)].sort_values("error_mm", ascending=False)
     if flagged.empty:
         return [paragraph("No row stands out: none has an error too large for noise and for the spread of the rest.")]
     cells = [
         (*(str(row[name]) for name in ("line", "pose", "repeat", "marker")),
-         "held out" if row["split"] == "holdout" else "used", mm(row["distance"]), ratio(row["whitened"]))
+         "held out" if row["split"] == "holdout" else "used", mm(row["error_mm"]), ratio(row["whitened"]))
         for row in flagged.head(SHOWN).to_dict("records")
     ]  # fmt: skip
     left = f" The {SHOWN} largest of {len(flagged)} are shown." if len(flagged) > SHOWN else ""
