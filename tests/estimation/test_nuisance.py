@@ -40,7 +40,7 @@ def test_a_placement_held_out_is_placed_by_its_own_rows(arm):
     rng = np.random.default_rng(2)
     at = {"near": np.array([0.6, 0.3, 0.2]), "far": np.array([-0.5, 0.6, 0.4])}
     parts = [
-        sockets(arm, {"0": point, "1": [*point, 0.03, 0.0, 0.04]}, 12, SIGMA, rng).assign(placement=name)
+        sockets(arm, {"0": point, "1": point + np.array([0.03, 0.0, 0.04])}, 12, SIGMA, rng).assign(placement=name)
         for name, point in at.items()
     ]
     table = pd.concat(parts, ignore_index=True)

@@ -47,6 +47,11 @@ class DimensionError:
     field: str
     index: int | tuple[int, int]
 
+    @property
+    def is_length(self) -> bool:
+        """Whether it is of a length of the robot itself, not of where it stands."""
+        return self.parameter.unit == "m" and self.field != "base"
+
 
 @dataclass(frozen=True)
 class Geometry(Effect):

@@ -11,11 +11,13 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import qr
 
+from calflow.effects.geometry import Geometry
 from calflow.estimation.fit import Fit
 from calflow.files.tables import column, to_frame, typed
 
 NULL = 1e-9  # singular values below this share of the largest are zero but for rounding
 KNOWN = 3.0  # a direction is determined where the data know it this many times better than the prior does
+ALMOST_NULL = 1e-6  # the same of a direction that is a straight line only as far as the model is linear
 NAMED = 0.02  # share of a direction's largest coefficient from which a parameter is named in it
 STRONG_CORRELATION = 0.9
 
@@ -24,17 +26,17 @@ STRONG_CORRELATION = 0.9
 class Statement:
     """Something that the data leave open."""
 
-    kind: Literal["silent", "trade", "bound", "correlated"] = column(
-        "a parameter of which the data say nothing or hardly anything, several of which only a combination is known, one on "
-        "a bound, a strongly correlated pair"
+    kind: Literal["silent", "trade", "scale", "bound", "correlated"] = column(
+        "a parameter of which the data say nothing or hardly anything, several of which only a combination is known, all "
+        "lengths of the robot in proportion, one on a bound, a strongly correlated pair"
     )
     parameters: tuple[str, ...] = column("the names, the first one what the weights refer to")
     statement: str = column("the same in words")
     weights: tuple[float, ...] = column(
-        "of a trade: by how many prior sd each makes up for one of the first", default=()
+        "of a trade or scale: by how many prior sd each makes up for, or goes with, one of the first", default=()
     )
     wholly: bool = column(
-        "of silent, trade: the data say nothing at all, not merely less than the prior", default=False
+        "of silent, trade, scale: the data say nothing at all, not merely less than the prior", default=False
     )
 
 
@@ -84,6 +86,7 @@ def identifiability(fit: Fit) -> Identifiability:
         *_directions(directions[null], names, null=True),
         *_directions(directions[weak], names, null=False),
     ]
+    rows = [*_scale(fit, scaled, float(singular[0])), *rows]
     told = {tuple(sorted(pair)) for row in rows for pair in combinations(row.parameters, 2)}
     for name, parameter, bound in zip(names, parameters, fit.at_bound, strict=True):
         if bound:
@@ -141,6 +144,39 @@ def best_subset(fit: Fit, count: Mapping[str, int]) -> pd.DataFrame:
     return to_frame(rows, Counted)
 
 
+def _scale(fit: Fit, scaled: np.ndarray, largest: float) -> list[Statement]:
+    """State it where the data do not say how large the robot is, whatever they say of its shape.
+
+    That is the direction in which all its lengths grow in proportion, places of what is not the robot following as they will.
+    """
+    model = fit.model
+    direction = np.zeros(len(model.parameters))
+    for effect in model.effects:
+        if isinstance(effect, Geometry):
+            direction[model.columns(effect)] = [
+                (error.parameter.figure + value) / error.parameter.prior_sd if error.is_length else 0.0
+                for error, value in zip(effect.errors, fit.estimate[model.columns(effect)], strict=True)
+            ]
+    if not direction.any():
+        return []
+    direction /= np.linalg.norm(direction)
+    places = [i for o in model.observations for i in model.columns(o) if model.parameters[i].unit != "1"]
+    moved = scaled @ direction
+    if places:
+        basis, sizes, _ = np.linalg.svd(scaled[:, places], full_matrices=False)
+        free = basis[:, sizes > NULL * largest]
+        moved = moved - free @ (free.T @ moved)
+    known = float(np.linalg.norm(moved))
+    if known >= KNOWN:
+        return []
+    order = [int(k) for k in np.argsort(-np.abs(direction)) if direction[k]]
+    names = tuple(model.parameters[k].name for k in order)
+    weights = tuple(float(direction[k] / direction[order[0]]) for k in order)
+    wholly = known <= ALMOST_NULL * largest
+    said = scale_words(wholly)
+    return [Statement(kind="scale", parameters=names, statement=said, weights=weights, wholly=wholly)]
+
+
 def _scaled(fit: Fit) -> np.ndarray:
     return fit.r_factor * fit.model.prior_sd
 
@@ -171,6 +207,15 @@ def trade_words(names: Sequence[str], weights: Sequence[float], wholly: bool) ->
     others = ", ".join(f"{name} ({weight:+.2g})" for name, weight in zip(names[1:], weights[1:], strict=True))
     tail = "only their combination is known" if wholly else "the data hardly tell them apart"
     return f"{names[0]} trades against {others}: {tail}"
+
+
+def scale_words(wholly: bool) -> str:
+    """Say that the robot's size is not known."""
+    return (
+        f"the data say {'nothing' if wholly else 'hardly anything'} about how large the robot is: all its lengths, in proportion, "
+        "are as sure as the robot file's, whatever the data say of their ratios; one known length would tell, as the distance of "
+        "two sockets, a bar or a wire"
+    )
 
 
 def _echelon(basis: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import Any
 
 from calflow.estimation.calibrated import ModelObservation, read_observations
 from calflow.estimation.fit_summary import IdentifySummary
-from calflow.estimation.identifiability import Statement, silent_words, trade_words
+from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
 from calflow.files.results import Results
 from calflow.report.document import Block, bullets, heading, paragraph, table
 from calflow.report.material import Material
@@ -44,7 +44,7 @@ def write(material: Material) -> list[Block]:
 
 
 def _statements(results: Results) -> list[Block]:
-    said = [_words(one) for one in left_open(results) if one.kind in ("silent", "trade")]
+    said = [_words(one) for one in left_open(results) if one.kind in ("silent", "trade", "scale")]
     said += [_bound(row) for row in results.tables["identify/parameters.csv"].to_dict("records") if row["at_bound"]]
     if not said:
         return [paragraph("Nothing is left open: the data determine every parameter.")]
@@ -158,7 +158,7 @@ def open_questions(results: Results) -> list[str]:
     bound = [name for one in _of_kind(results, "bound") for name in one.parameters if name not in silent]
     told = {*silent, *bound, *(name for one in trades for name in one.parameters)}
     prior = [name for name in prior_names(results) if name not in told]
-    said = []
+    said = [_words(one) for one in _of_kind(results, "scale")]
     if silent:
         it = "it" if len(silent) == 1 else "them"
         said.append(f"Anything about {_spoken(silent, results)}: the value given for {it} is prior knowledge.")
@@ -193,6 +193,8 @@ def _trade(names: Sequence[str], results: Results) -> str:
 def _words(one: Statement) -> str:
     if one.kind == "trade":
         return f"{trade_words(one.parameters, one.weights, one.wholly)}."
+    if one.kind == "scale":
+        return f"{first_up(scale_words(one.wholly))}."
     return f"{first_up(silent_words(one.parameters[0], one.wholly))}."
 
 
