@@ -15,13 +15,13 @@ from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.screening.detection_limit import noncentrality
 from calflow.diagnosis.screening.regressors import Products
 from calflow.diagnosis.screening.screening import Screening
+from calflow.diagnosis.search.acceptance import SHARES
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Finding, Linearisation, Screened
 from calflow.estimation.calibrated import identified
 from calflow.estimation.repeats import averaged
 from calflow.faults import corrected
 from calflow.runs.run import run
-from calflow.stages.diagnose import SHARES
 from calflow.study import Study, load_study
 from hidden.case import Case, World, draw, write_case
 from hidden.causes import Hidden, measured_points

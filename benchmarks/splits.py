@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from calflow.estimation.accuracy import errors
+from calflow.estimation.extrapolation import extrapolation
 from calflow.estimation.registration import registered
 from calflow.estimation.repeats import measured_noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import read_measurements
 from calflow.model import build
-from calflow.stages.identify import extrapolation
 from calflow.study import load_study
 
 STUDY = Path(__file__).parents[1] / "studies" / "fanuc-r2000" / "study.toml"

@@ -10,7 +10,7 @@ from calflow.estimation.fit import fit
 from calflow.model import build
 from calflow.sampling.backend import joined, open_ensembles
 from calflow.sampling.posterior import Laplace, Posterior, moves
-from calflow.stages.sample import _extend
+from calflow.sampling.sample import _extend
 from estimation.data import SIGMA, drawn_truth, measured, problem
 from robots import industrial
 

@@ -15,10 +15,12 @@ import pandas as pd
 from calflow.design.candidates import READINGS, candidates, reading_columns, reading_factors
 from calflow.design.planned import Planned
 from calflow.design.t_optimality import Choices, Explanation, Pair, TCriterion, closest, propose
+from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.diagnosis.findings.verdict import Rival, Verdict, label
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
+from calflow.estimation.progress import Draws
 from calflow.files.problems import InputError
 from calflow.files.tables import column, to_frame, typed
 from calflow.measurements.columns import condition_columns
@@ -137,6 +139,13 @@ class Question:
     cause: Cause
     separations: tuple[Separation, ...]
     plan: Plan | None = None
+
+
+def questions(found: Diagnosis, data: Measurements, rng: Draws) -> list[Question]:
+    """Return how to tell each finding from its rivals by poses of which as many are fitted as of the data."""
+    share = data.train.sum() / (data.train | data.held_out).sum()
+    final = found.extended.fitted
+    return [question(one, final, share, rng(f"poses{k}")) for k, one in enumerate(found.verdicts)]
 
 
 def question(verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Generator) -> Question:

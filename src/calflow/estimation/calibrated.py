@@ -206,15 +206,22 @@ def noise_table(
     noise: Noise, observed: Sequence[Observation], growth: tuple[float, float] | None = None
 ) -> pd.DataFrame:
     """Return the table of `DeviceNoise`; growth is its floor [m] and slope [m/m]."""
-    rows = []
-    for k, (source, one) in enumerate(zip(noise.sources, observed, strict=True)):
-        sigma, slope = growth or (float(np.sqrt(np.mean(noise.sigma[noise.of_series(k)] ** 2))), 0.0)
-        rows.append(
-            DeviceNoise(
-                series=one.series.name, kind=one.id, source=source, sigma_mm=1e3 * sigma, growth_mm_per_m=1e3 * slope
-            )
+    rows = [
+        DeviceNoise(
+            series=one.series.name, kind=one.id, source=own.source, sigma_mm=1e3 * own.sigma, growth_mm_per_m=1e3 * own.growth
         )
+        for own, one in zip(series_noise(noise, growth), observed, strict=True)
+    ]  # fmt: skip
     return to_frame(rows, DeviceNoise)
+
+
+def series_noise(noise: Noise, growth: tuple[float, float] | None = None) -> tuple[SeriesNoise, ...]:
+    """Return the noise of each series; growth is its floor [m] and slope [m/m]."""
+    found = []
+    for k, source in enumerate(noise.sources):
+        sigma, slope = growth or (float(np.sqrt(np.mean(noise.sigma[noise.of_series(k)] ** 2))), 0.0)
+        found.append(SeriesNoise(sigma, source, slope))
+    return tuple(found)
 
 
 def _read_noise(rows: Sequence[DeviceNoise]) -> tuple[SeriesNoise, ...]:

@@ -13,22 +13,11 @@ class ReportSettings(FileModel):
 
 def run(context: Context) -> Results:
     """Write report.pdf and figures/*.svg into the stage's folder; the report has no tables of its own."""
-    from calflow.report.document import (
-        write,
-    )  # drawing and typesetting are loaded only where a report is made
-    from calflow.report.material import Material
-    from calflow.report.section import chosen, sections
-    from calflow.report.style import style
+    from calflow.report.material import Material  # drawing and typesetting are loaded only where a report is made
+    from calflow.report.written import write_report
 
     material = Material.of(context.study, context.results, context.run_folder)
-    with style():
-        parts = []
-        there = chosen(sections(), material)
-        for k, section in enumerate(there):
-            parts.append((section.title, section.write(material)))
-            context.advance(0.7 * (k + 1) / len(there))
-        n_figures = write(material.title, parts, context.folder)
-    context.say(f"report.pdf: {n_figures} figures, {len(parts)} sections")
+    write_report(material, context.folder, context.say, context.advance)
     return Results()
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calflow.estimation.progress import draws
 from calflow.files.problems import Problem
 from calflow.files.results import Results
 from calflow.files.tables import Tables
@@ -41,7 +42,7 @@ class Context:
 
     def rng(self, purpose: str) -> np.random.Generator:
         """Return a random generator of this purpose's own, from the study's seed."""
-        return np.random.default_rng([self.study.file.seed, *purpose.encode()])
+        return draws(self.study.file.seed)(purpose)
 
 
 def no_problems(study: Study, settings: Any, data: Measurements | None) -> list[Problem]:

@@ -1,0 +1,77 @@
+"""The diagnosis: the identified model extended by what it lacks, each cause weighed against its rivals."""
+
+from __future__ import annotations
+
+from calflow.diagnosis.findings.remainder import remainder
+from calflow.diagnosis.findings.tables import Diagnosis
+from calflow.diagnosis.findings.verdict import verdict
+from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES, Acceptance
+from calflow.diagnosis.search.extension import extend, weighed_against
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.narrowing import narrowed
+from calflow.diagnosis.search.noise_growth import growth
+from calflow.estimation.calibrated import Identified
+from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
+from calflow.estimation.repeats import averaged
+from calflow.measurements.measurements import Measurements
+
+BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
+
+
+def diagnose(
+    known: Identified,
+    data: Measurements,
+    *,
+    false_alarm: float = FALSE_ALARM,
+    causes: int = 10,
+    catalogue: tuple[str, ...] = (),
+    leave_out: tuple[str, ...] = (),
+    rng: Draws = SAME,
+    say: Say = nobody,
+    advance: Advance = nobody,
+) -> Diagnosis:
+    """Extend the identified model on the training rows, and weigh what was found.
+
+    Args:
+        known: the model as it was identified.
+        data: the rows it was identified from, on the robot that its errors refer to.
+        false_alarm: chance that anything is found where nothing is.
+        causes: the most to add.
+        catalogue: ids of the effects to look for; all where there are none.
+        leave_out: ids not to look for.
+        rng: draws the bootstrap and the decoys.
+        say: is told what is tried.
+        advance: is told the share of work done.
+    """
+    train, noise = averaged(data.only(data.train), known.noise(data).only(data.train))
+    start = Fitted.of(known, train, noise)
+    alarm = SHARES["noise"] * false_alarm
+    plain = start.device.sigma
+    if grown := growth(start, alarm):
+        start = start.weighed(grown.sigma(train, start.device))
+    have = [effect.id for effect in known.model.effects]
+    wanted = Catalogue.of(train, have, catalogue, leave_out)
+    advance(BEGUN)
+    acceptance = Acceptance(SHARES["causes"] * false_alarm, causes)
+    extended = extend(
+        start, wanted, acceptance, rng("bootstrap"), say, lambda share: advance(BEGUN + share * (SEARCHED - BEGUN))
+    )
+    advance(SEARCHED)
+    significance = SHARES["remainder"] * false_alarm
+    left = remainder(extended.fitted, significance, rng("decoys"), say)
+    if left and extended.findings:
+        named = extended
+        extended = narrowed(start, named, [one.score.cause for one in left], wanted, acceptance)
+        if extended is not named:
+            say("what is left over explains some of what was found: dropped")
+            left = remainder(extended.fitted, significance, rng("decoys"), say)
+    if catalogue or leave_out:
+        extended = weighed_against(extended, Catalogue.of(train, have))
+    advance(0.8)
+    last = extended.fitted
+    if again := growth(last.weighed(plain) if grown else last, alarm):
+        say(f"the noise grows with range: {1e6 * again.slope:.3g} um/m, p = {again.p:.2g}")
+    verdicts = tuple(verdict(finding) for finding in extended.findings)
+    return Diagnosis(start, extended, verdicts, tuple(left), again, wanted.lacking, wanted.superseded,
+                     acceptance.false_alarm)  # fmt: skip

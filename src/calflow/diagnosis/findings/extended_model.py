@@ -1,0 +1,79 @@
+"""The extended model as a table and a document tell it: its accuracy, its noise, and how the search ended."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
+from calflow.diagnosis.findings.tables import Diagnosis
+from calflow.estimation.accuracy import Accuracy, accuracy, errors
+from calflow.estimation.calibrated import Identified, noise_table, series_noise
+from calflow.estimation.fit_summary import Solver
+from calflow.estimation.noise import Noise
+from calflow.files.tables import to_frame
+from calflow.measurements.measurements import Measurements
+
+
+def extended_model(found: Diagnosis, known: Identified, data: Measurements) -> Identified:
+    """Return the extended model as the stages after it start from it; known is what it was extended from."""
+    final = found.extended.fitted
+    return Identified(
+        final.model, final.fit.estimate, final.fit.covariance, final.fit.at_bound,
+        series_noise(_noise(found, known, data), _growth(found)), final.noise.discrepancy,
+        final.noise.rotation_discrepancy, final.loss,
+    )  # fmt: skip
+
+
+def accuracy_table(found: Diagnosis, data: Measurements, before: Sequence[Accuracy]) -> pd.DataFrame:
+    """Return the accuracy of the models before, and one step for each cause."""
+    name, step, rows = before[-1].model, before[-1].step, list(before)
+    for k, (cause, fitted) in enumerate(zip(found.causes, found.extended.path, strict=True), start=step + 1):
+        name += f" + {cause.id} {cause.part}"
+        rows += accuracy(name, errors(fitted.model, fitted.fit.estimate, data), data, k, cause)
+    return to_frame(rows, Accuracy)
+
+
+def extended_noise(found: Diagnosis, known: Identified, data: Measurements) -> pd.DataFrame:
+    """Return the table of each series' noise as the extended model leaves it."""
+    return noise_table(_noise(found, known, data), found.extended.fitted.model.observations, _growth(found))
+
+
+def summary(found: Diagnosis, known: Identified) -> DiagnosisSummary:
+    """Say how the search ended."""
+    final, first = found.extended.fitted, found.start
+    sigma = found.growth.floor if found.growth else known.sigma
+    if final.noise.sources[0] == "estimated" and not found.growth:
+        sigma = float(np.median(final.noise.sigma[final.noise.of_series(0)]))
+    return DiagnosisSummary(
+        noise_sources=final.noise.sources,
+        sigma_mm=1e3 * sigma,
+        noise_growth_mm_per_m=1e3 * found.growth.slope if found.growth else 0.0,
+        discrepancy_mm=1e3 * final.noise.discrepancy,
+        rotation_discrepancy_mrad=None if final.noise.rotation is None else 1e3 * final.noise.rotation_discrepancy,
+        loss=final.loss,
+        reduced_chi2=final.lack.reduced_chi2 if final.noise.known else None,
+        lack_of_fit_p=final.lack.p if final.noise.known else None,
+        solver=Solver(status=final.fit.status, iterations=final.fit.iterations),
+        converged=final.fit.converged,
+        reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
+        causes_tested=len({score.cause.place for score in found.extended.first.scores}),
+        tests=found.extended.first.family.places,
+    )
+
+
+def _noise(found: Diagnosis, known: Identified, data: Measurements) -> Noise:
+    final = found.extended.fitted
+    noise = known.noise(data)
+    sigma = noise.sigma.copy()
+    for k, source in enumerate(noise.sources):
+        if source == "estimated":
+            sigma[noise.of_series(k)] = np.median(final.noise.sigma[final.noise.of_series(k)])
+    return replace(noise, sigma=sigma)
+
+
+def _growth(found: Diagnosis) -> tuple[float, float] | None:
+    return (found.growth.floor, found.growth.slope) if found.growth else None

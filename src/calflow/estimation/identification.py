@@ -1,0 +1,175 @@
+"""Identification: the nominal robot's errors, effect by effect, and what the data determine of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from calflow.estimation.accuracy import Accuracy, accuracy, errors
+from calflow.estimation.calibrated import Identified, series_noise
+from calflow.estimation.extrapolation import extrapolation
+from calflow.estimation.fit import Fit, draw_starts
+from calflow.estimation.fit_summary import IdentifySummary, Solver
+from calflow.estimation.identifiability import Identifiability, identifiability
+from calflow.estimation.least_squares import Loss
+from calflow.estimation.noise import LackOfFit, Noise
+from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
+from calflow.estimation.registration import registered
+from calflow.estimation.repeats import conditions, measured_noise
+from calflow.estimation.reweighting import fit_reweighted
+from calflow.files.problems import refuse
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model, build
+from calflow.observations import observations
+
+EQUILIBRIUM_ROWS = 2000  # rows at which the equilibrium is checked
+NoiseSource = Literal["auto", "repeats", "file", "estimated"]
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """A model identified from its training rows.
+
+    data are all rows, on the robot that the errors refer to; noise is that of single rows, with the discrepancy that the model
+    left. steps is the accuracy of each model on the way, lack the fit's lack of fit, agreeing how many of the starts came to
+    the same result.
+    """
+
+    data: Measurements
+    fit: Fit
+    noise: Noise
+    steps: tuple[Accuracy, ...]
+    lack: LackOfFit
+    loss: Loss
+    starts: int
+    agreeing: int
+
+    @property
+    def model(self) -> Model:
+        """The graph."""
+        return self.fit.model
+
+    @cached_property
+    def identifiability(self) -> Identifiability:
+        """What the data determine, and what they leave open."""
+        return identifiability(self.fit)
+
+    @cached_property
+    def known(self) -> Identified:
+        """What the stages after it start from."""
+        return Identified(
+            self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
+            self.noise.discrepancy, self.noise.rotation_discrepancy, self.loss,
+        )  # fmt: skip
+
+    @cached_property
+    def summary(self) -> IdentifySummary:
+        """How it ended."""
+        fit, found, noise, data = self.fit, self.identifiability, self.noise, self.data
+        used = data.only(data.train | data.held_out)
+        return IdentifySummary(
+            noise_sources=noise.sources,
+            sigma_mm=1e3 * float(np.sqrt(np.mean(noise.sigma**2))),
+            discrepancy_mm=1e3 * noise.discrepancy,
+            rotation_discrepancy_mrad=None if noise.rotation is None else 1e3 * noise.rotation_discrepancy,
+            loss=self.loss,
+            reduced_chi2=self.lack.reduced_chi2 if noise.known else None,
+            lack_of_fit_p=self.lack.p if noise.known else None,
+            solver=Solver(status=fit.status, iterations=fit.iterations),
+            spread_mm=1e3 * _spread(fit.model, fit.estimate, used),
+            rank=found.rank,
+            parameters=found.n_parameters,
+            rank_by_effect=dict(found.rank_by_effect),
+            effective_parameters=fit.effective_parameters,
+            training_poses=data.table.loc[data.train, "pose"].nunique(),
+            heldout_poses=data.table.loc[data.held_out, "pose"].nunique(),
+            converged=fit.converged,
+            equilibrium_error_um=1e6 * fit.model.equilibrium_error(fit.estimate, used.rows[:, :EQUILIBRIUM_ROWS]),
+            starts=self.starts,
+            starts_agreeing=self.agreeing,
+            extrapolation=extrapolation(data),
+            time_origin_s=data.time_origin,
+        )
+
+
+def identify(
+    data: Measurements,
+    effects: Sequence[str],
+    *,
+    starts: int = 3,
+    loss: Loss = "linear",
+    noise: NoiseSource = "auto",
+    rng: Draws = SAME,
+    say: Say = nobody,
+    advance: Advance = nobody,
+    source: Path | None = None,
+) -> Identification:
+    """Fit the errors of the data's nominal robot, one effect after the other.
+
+    Args:
+        data: split rows, gross mistakes put right (see `faults.search`).
+        effects: ids, in the order in which they are added.
+        starts: number of starting points of each fit.
+        loss: how the square of a row's residual counts.
+        noise: where the noise is to be taken from.
+        rng: draws the starts.
+        say: is told each fit.
+        advance: is told the share of work done.
+        source: the file of the data, for messages.
+
+    Raises:
+        InputError: the data are too few, or do not tell the noise asked for.
+    """
+    train = data.only(data.train)
+    robot, observed = registered(data.robot, observations(train), train)
+    data, train = data.on(robot), train.on(robot)
+    nominal = build(robot, (), data.given, observed)
+    device = measured_noise(data, noise, nominal)
+
+    rows = accuracy("nominal", errors(nominal, nominal.nominal, data), data)
+    for k in range(1, len(effects) + 1):
+        model = build(robot, effects[:k], data.given, observed)
+        if wrong := too_few_equations(model, train):
+            raise refuse(wrong, source)
+        say(f"{' + '.join(effects[:k])}: {len(model.parameters)} parameters, {len(train)} rows")
+        points = draw_starts(model, starts, rng("starts"))
+        result, reweighted, lack, agree = fit_reweighted(model, train, device.only(data.train), points, loss)
+        error = errors(model, result.estimate, data)
+        rows += accuracy(" + ".join(effects[:k]), error, data, k, model.effects[-1])
+        advance(k / len(effects))
+
+    left = replace(device, discrepancy=reweighted.discrepancy, rotation_discrepancy=reweighted.rotation_discrepancy)
+    left = replace(left, sigma=_of_single_rows(left, reweighted))
+    return Identification(data, result, left, tuple(rows), lack, loss, starts, agree)
+
+
+def too_few_equations(model: Model, train: Measurements) -> str:
+    """Say that training rows are too few for a model; empty where they are enough."""
+    first = np.unique(conditions(train), return_index=True)[1]
+    equations = sum(len(model.observations[k].units) for k in train.series_number[first])
+    if equations >= len(model.parameters):
+        return ""
+    poses = train.table["pose"].nunique()
+    wanted = -(-len(model.parameters) * poses // equations)
+    return (f"{equations} equations ({poses} training poses) for {len(model.parameters)} parameters: measure at least "
+            f"{wanted} training poses, better twice as many")  # fmt: skip
+
+
+def _of_single_rows(noise: Noise, fitted: Noise) -> np.ndarray:
+    """Each row's sigma, an estimated one's as the fit left it: a mean of n repeats is that much better than a single row."""
+    sigma = noise.sigma.copy()
+    for k, source in enumerate(noise.sources):
+        if source == "estimated":
+            sigma[noise.of_series(k)] = fitted.sigma[fitted.of_series(k)].max(initial=0.0)
+    return sigma
+
+
+def _spread(model: Model, estimate: np.ndarray, data: Measurements) -> float:
+    """Mean distance of the points from their middle [m]."""
+    points = model.point(estimate, data.rows)
+    return float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
