@@ -162,7 +162,10 @@ def simulate(truth: Path, out: Path | None, force: bool) -> None:
 @click.argument("study_or_run", type=FILE)
 @click.argument("rows", metavar="ROWS.csv", type=FILE)
 @click.option("--out", type=FILE, help="CSV to write; printed by default.")
-def predict(study_or_run: Path, rows: Path, out: Path | None) -> None:
+@click.option(
+    "--without-conditions", is_flag=True, help="Predict rows that lack needed columns too, with a wider standard deviation."
+)
+def predict(study_or_run: Path, rows: Path, out: Path | None, without_conditions: bool) -> None:
     """Predict where the calibrated robot's markers will be at the joints and conditions of ROWS.csv.
 
     Give the run's folder, or its study.
@@ -170,7 +173,7 @@ def predict(study_or_run: Path, rows: Path, out: Path | None) -> None:
     from calflow.files.csv import csv_text
     from calflow.runs.predict import predict as predict_rows
 
-    table = predict_rows(study_or_run, rows)
+    table = predict_rows(study_or_run, rows, "widen" if without_conditions else "refuse")
     for note in table.attrs["notes"]:
         click.echo(f"note: {note}", err=True)
     if out is None:

@@ -2,33 +2,62 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
+from calflow.deployment.needed_conditions import NeededCondition, check_stated
 from calflow.estimation.calibrated import Identified
 from calflow.measurements.measurements import Measurements
+
+Missing = Literal["refuse", "widen"]
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Predicted positions (n_rows, 3) [m] and their standard deviations per axis (n_rows, 3) [m]."""
+    """Predicted positions (n_rows, 3) [m] and their standard deviations per axis (n_rows, 3) [m]; notes say what was assumed."""
 
     position: np.ndarray
     sd: np.ndarray
+    notes: tuple[str, ...] = ()
 
 
-def predict_positions(known: Identified, data: Measurements) -> Prediction:
+def predict_positions(
+    known: Identified, needed: Sequence[NeededCondition], data: Measurements, missing: Missing = "refuse"
+) -> Prediction:
     """Return where the rows' markers will be.
 
     The standard deviations hold what is not known of the parameters and the model's own discrepancy, without the measuring
     device's noise; where that noise was estimated from the fit the two cannot be told apart, and both are in.
+
+    Args:
+        known: the calibrated model; conditions that it does not need are left aside.
+        needed: the conditions that it needs.
+        data: the rows.
+        missing: whether rows that lack a needed condition are refused, or predicted without what depends on it, with a standard
+            deviation that is wider by what that did to the rows fitted.
+
+    Raises:
+        InputError: a needed condition is missing.
     """
-    position = known.model.point(known.estimate, data.rows)
-    jacobian = known.model.point_jacobian(known.estimate, data.rows)
+    if missing == "refuse":
+        check_stated(needed, data.given)
+    lacking = [one for one in needed if one.condition not in data.given]
+    stated = tuple(one.condition for one in needed if one.condition in data.given)
+    model, rows = replace(known.model, given=stated), data.stating(stated).rows
+    position = model.point(known.estimate, rows)
+    jacobian = model.point_jacobian(known.estimate, rows)
     variance = np.einsum("nai,ij,naj->na", jacobian, known.covariance, jacobian)
     variance += (known.discrepancy if known.noise_known else known.sigma) ** 2
-    return Prediction(position, np.sqrt(variance))
+    variance += sum((one.spread_mm / 1e3) ** 2 for one in lacking)
+    notes = (
+        f"without {one.columns} nothing is predicted of {', '.join(one.effects)}: the standard deviations are wider by "
+        f"{one.spread_mm:.3g} mm, what that did to the rows that were fitted"
+        for one in lacking
+    )
+    return Prediction(position, np.sqrt(variance), (*notes, *beyond_limits(data)))
 
 
 def beyond_limits(data: Measurements) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from html import escape
@@ -192,6 +193,14 @@ class Measurements:
     def only(self, mask: np.ndarray) -> Measurements:
         """Return the rows where mask is true."""
         return replace(self, table=self.table[mask].reset_index(drop=True))
+
+    def stating(self, conditions: Collection[str]) -> Measurements:
+        """Return the rows with none of the optional conditions but these."""
+        others = [name for name in self.given if name not in conditions]
+        return replace(
+            self,
+            table=self.table.drop(columns=[column for name in others for column in condition_columns(name, self.robot)]),
+        )
 
     def on(self, robot: Robot) -> Measurements:
         """Return the same rows for a robot that differs in its dimensions only (a registered base, say)."""

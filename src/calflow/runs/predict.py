@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from calflow.deployment.prediction import beyond_limits, predict_positions
+from calflow.deployment.needed_conditions import NeededCondition
+from calflow.deployment.prediction import Missing, predict_positions
 from calflow.estimation.calibrated import calibrated
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.plausibility import plausible
@@ -21,12 +22,12 @@ from calflow.runs.reasons import outdated
 from calflow.study import StudyFile
 
 
-def predict(study_or_run: str | Path, rows: str | Path) -> pd.DataFrame:
+def predict(study_or_run: str | Path, rows: str | Path, missing: Missing = "refuse") -> pd.DataFrame:
     """Return the rows of a CSV with where their marker will be: x_mm, y_mm, z_mm and standard deviations.
 
     The run is named by its folder, or by its study. rows has a measurement file's columns without x, y and z, with the
-    separator and decimal sign of the study's measurements. The standard deviations are those of `predict_positions`. What
-    was assumed of the rows stands in attrs["notes"].
+    separator and decimal sign of the study's measurements. The standard deviations are those of `predict_positions`, as is
+    what missing says of conditions that the rows lack. What was assumed of the rows stands in attrs["notes"].
 
     Raises:
         InputError: the run has not identified yet, or the rows are at fault.
@@ -49,7 +50,8 @@ def predict(study_or_run: str | Path, rows: str | Path) -> pd.DataFrame:
     data = plausible(
         Measurements.to_predict(path, robot, time_origin=origin, separator=separator, decimal=decimal), path
     )
-    predicted = predict_positions(calibrated(robot, results, data.given), data)
+    needed = results.rows(f"{'diagnose' if 'diagnose/effects.csv' in results else 'identify'}/needed_conditions.csv", NeededCondition)
+    predicted = predict_positions(calibrated(robot, results, data.given), needed, data, missing)
     asked = pd.read_csv(
         path, sep=separator, dtype=str, keep_default_na=False, skip_blank_lines=False, encoding="utf-8-sig"
     ).fillna("")
@@ -60,7 +62,7 @@ def predict(study_or_run: str | Path, rows: str | Path) -> pd.DataFrame:
         asked[f"{axis}_mm"] = 1e3 * predicted.position[:, i]
     for i, axis in enumerate("xyz"):
         asked[f"sd_{axis}_mm"] = 1e3 * predicted.sd[:, i]
-    asked.attrs["notes"] = (*data.notes, *_columns_mended(results.tables["identify/faults.csv"]), *beyond_limits(data))
+    asked.attrs["notes"] = (*data.notes, *_columns_mended(results.tables["identify/faults.csv"]), *predicted.notes)
     return asked
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import pandas as pd
 from pydantic import Field, field_validator
 
+from calflow.deployment.needed_conditions import NeededCondition, needed_conditions
 from calflow.design.discrimination import (
     NextPose,
     Question,
@@ -18,7 +19,7 @@ from calflow.design.discrimination import (
 from calflow.diagnosis.diagnosis import diagnose
 from calflow.diagnosis.findings.curves import CurvePoint, curves
 from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
-from calflow.diagnosis.findings.extended_model import accuracy_table, extended_noise, summary
+from calflow.diagnosis.findings.extended_model import accuracy_table, extended_model, extended_noise, summary
 from calflow.diagnosis.findings.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint, confirm
 from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, FindingRow, candidates_table, findings_table
 from calflow.diagnosis.search.acceptance import FALSE_ALARM
@@ -30,6 +31,7 @@ from calflow.estimation.progress import Draws, Say
 from calflow.faults import FaultyRow, as_table, corrected, search
 from calflow.files.documents import to_document
 from calflow.files.results import Results
+from calflow.files.tables import to_frame
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.stages.stage import Context, Stage
@@ -69,6 +71,7 @@ def results(
 ) -> Results:
     """Return what was found as the run folder keeps it; before are the results of identify, known what these say."""
     final, faults = found.extended.fitted, before.tables["identify/faults.csv"]
+    extended = extended_model(found, known, data)
     steps = before.rows("identify/accuracy.csv", Accuracy)
     tables = {
         "diagnose/findings.csv": findings_table(found, data, faults, rng("resamples")),
@@ -82,6 +85,7 @@ def results(
         "diagnose/noise.csv": extended_noise(found, known, data),
         "diagnose/residuals.csv": residuals(errors(final.model, final.fit.estimate, data), data),
         "diagnose/curves.csv": curves(final, found.causes, data),
+        "diagnose/needed_conditions.csv": to_frame(needed_conditions(extended, data), NeededCondition),
     }
     return Results(tables, {"diagnose/summary.json": to_document(summary(found, known))})
 
@@ -119,6 +123,7 @@ STAGE = Stage(
         "diagnose/noise.csv": DeviceNoise,
         "diagnose/residuals.csv": Residual,
         "diagnose/curves.csv": CurvePoint,
+        "diagnose/needed_conditions.csv": NeededCondition,
         "diagnose/confirmation.csv": ConfirmedCause,
         "diagnose/confirmation_curves.csv": ConfirmedPoint,
         "diagnose/confirmation_accuracy.csv": CarriedAccuracy,

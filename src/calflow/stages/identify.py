@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from calflow.deployment.needed_conditions import NeededCondition, needed_conditions
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated import (
     DeviceNoise,
@@ -75,6 +76,7 @@ def results(found: Identification, faults: tuple[Fault, ...]) -> Results:
         "identify/observations.csv": observation_table(observed),
         "identify/noise.csv": noise_table(found.noise, observed),
         "identify/placement.csv": placement_table(found.data.robot, observed),
+        "identify/needed_conditions.csv": to_frame(needed_conditions(found.known, found.data), NeededCondition),
     }
     return Results(tables, {"identify/summary.json": to_document(found.summary)})
 
@@ -125,6 +127,7 @@ STAGE = Stage(
         "identify/observations.csv": ModelObservation,
         "identify/noise.csv": DeviceNoise,
         "identify/placement.csv": Placed,
+        "identify/needed_conditions.csv": NeededCondition,
         "identify/count.csv": Counted,
     },
     documents={"identify/summary.json": IdentifySummary},

@@ -1,0 +1,96 @@
+"""Needed conditions: what the calibrated robot must be told of a row to say where it will be, and what is lost without it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from calflow.estimation.calibrated import Identified
+from calflow.files.problems import InputError, Problem
+from calflow.files.tables import column
+from calflow.files.units import SUFFIXES
+from calflow.measurements.columns import column_names, condition_columns
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model, over_rows
+from calflow.robot.conditions import Row
+from calflow.robot.robot import Robot
+
+HOW_TO_GO_ON = 'missing = "widen" (--without-conditions) goes on with a wider standard deviation'
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeededCondition:
+    """A condition of a row on which it depends where the calibrated robot will be."""
+
+    condition: str = column("its name: approach, travel, wrench, torque, time, temperature, order")
+    effects: tuple[str, ...] = column("ids of the effects that depend on it")
+    columns: str = column("the columns that state it, in words")
+    spread_mm: float = column(
+        "what the model is off without it, per axis: root mean square over the rows that were fitted", "mm"
+    )
+
+
+def needed_conditions(known: Identified, data: Measurements) -> tuple[NeededCondition, ...]:
+    """Return the optional conditions on which the markers' places depend, and what each does over the rows fitted.
+
+    It is read off the graph, so that an effect need not say what it looks at. What only the measuring device depends on is
+    not where the robot will be.
+    """
+    model, rows = known.model, data.only(data.train)
+    found = []
+    for condition in _depended_on(model):
+        own = [effect.id for effect in model.effects if condition in _depended_on(replace(model, effects=(effect,)))]
+        left = tuple(name for name in model.given if name != condition)
+        lost = _points(known, model.given, rows) - _points(known, left, rows)
+        found.append(
+            NeededCondition(
+                condition=condition, effects=tuple(dict.fromkeys(own or (effect.id for effect in model.effects))),
+                columns=_columns(condition, model.robot), spread_mm=1e3 * float(np.sqrt((lost**2).mean(axis=0)).max()),
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def check_stated(needed: Iterable[NeededCondition], given: Sequence[str]) -> None:
+    """Check that rows state what they must.
+
+    Raises:
+        InputError: they do not; with a problem for each effect and condition.
+    """
+    problems = [
+        Problem(f"effect '{effect}' needs {one.columns}, which the rows lack; {HOW_TO_GO_ON}")
+        for one in needed if one.condition not in given for effect in one.effects
+    ]  # fmt: skip
+    if problems:
+        raise InputError(problems)
+
+
+def _points(known: Identified, given: tuple[str, ...], rows: Measurements) -> np.ndarray:
+    """Where the markers are by what a row states of given alone, shape (n_rows, 3) [m]; not compiled: it is asked once."""
+    p, c, predicted = replace(known.model, given=given).symbols
+    point = ca.Function("point", [p, c], [ca.densify(predicted.point)])
+    return over_rows(point, known.estimate, rows.stating(given).rows)[0].T
+
+
+def _depended_on(model: Model) -> list[str]:
+    """The optional conditions that a marker's place depends on."""
+    _, c, predicted = model.symbols
+    depends = np.array(ca.which_depends(predicted.point, c, 1, False), dtype=bool)
+    sizes = Row.sizes(model.robot, model.given)
+    ends = np.cumsum(list(sizes.values()))
+    spans = zip(sizes, ends - list(sizes.values()), ends, strict=True)
+    return [name for name, start, end in spans if name in model.given and depends[start:end].any()]
+
+
+def _columns(condition: str, robot: Robot) -> str:
+    """Name the columns of a condition, with the SI unit of those that have one."""
+    dimensions = column_names(robot)
+    names = condition_columns(condition, robot)
+    if not set(names) <= set(dimensions):
+        return "rows in measuring order"
+    units = [SUFFIXES[dimensions[name]][0] if dimensions[name] else "" for name in names]
+    spelled = [f"{name}_{unit}" if unit else name for name, unit in zip(names, units, strict=True)]
+    return f"columns {spelled[0]} … {spelled[-1]}" if len(spelled) > 1 else f"a column {spelled[0]}"
