@@ -21,7 +21,7 @@ FLOORS = (  # an import points to a floor further up this list, or stays within 
     ("deployment",),
     ("study", "templates"),
     ("simulation",),
-    ("report",),
+    ("reporting",),
     ("stages",),
     ("runs",),
     ("api",),

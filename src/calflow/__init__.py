@@ -1,7 +1,13 @@
 """calflow: an optimisation workflow framework for calibrating robots.
 
-From Python: `study = calflow.load_study("studies/hh800/study.toml")`, `result = calflow.run(study)`, then
-`result.tables["identify/accuracy.csv"]` is a DataFrame.
+    import calflow as cf
+    robot = cf.Robot.from_toml("robot.toml")
+    data = cf.Measurements.from_csv("points.csv", robot).split(holdout=0.3, seed=1)
+    fit = cf.identify(robot, data, effects=["geometry", "joint-compliance"])
+    found = cf.diagnose(fit, data)
+
+A study on disk: `study = cf.load_study("studies/hh800/study.toml")`, `result = cf.run(study)`, then
+`result.tables["identify/accuracy.csv"]` is a DataFrame. docs/api.md has the rest.
 """
 
 from __future__ import annotations
@@ -9,24 +15,60 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from calflow.api.diagnosed import Diagnosis, diagnose
+    from calflow.api.fit import Fit, identify
+    from calflow.api.model import Compensation, Model
+    from calflow.api.report import report
+    from calflow.api.sampled import Posterior, sample
+    from calflow.deployment.prediction import Prediction
     from calflow.files.problems import InputError
+    from calflow.measurements.measurements import Measurements
+    from calflow.robot.frames import Frame, dh, modified_dh
+    from calflow.robot.parts import Base, Coupling, FourBar, Joint, Marker, Payload
+    from calflow.robot.robot import Robot
     from calflow.runs.predict import predict
     from calflow.runs.run import Run, run
     from calflow.simulation import simulate
     from calflow.study import Study, load_study
 
-__all__ = ["InputError", "Run", "Study", "load_study", "predict", "run", "simulate"]
+__all__ = [
+    "Base", "Compensation", "Coupling", "Diagnosis", "Fit", "FourBar", "Frame", "InputError", "Joint", "Marker", "Measurements",
+    "Model", "Payload", "Posterior", "Prediction", "Robot", "Run", "Study", "dh", "diagnose", "identify", "load_study",
+    "modified_dh", "predict", "report", "run", "sample", "simulate",
+]  # fmt: skip
 
 _HOMES = {
-    "InputError": "calflow.files.problems", "Run": "calflow.runs.run", "run": "calflow.runs.run", "Study": "calflow.study",
-    "load_study": "calflow.study", "predict": "calflow.runs.predict", "simulate": "calflow.simulation",
-}  # fmt: skip
+    "api.diagnosed": ("Diagnosis", "diagnose"),
+    "api.fit": ("Fit", "identify"),
+    "api.model": ("Compensation", "Model"),
+    "api.report": ("report",),
+    "api.sampled": ("Posterior", "sample"),
+    "deployment.prediction": ("Prediction",),
+    "files.problems": ("InputError",),
+    "measurements.measurements": ("Measurements",),
+    "robot.frames": ("Frame", "dh", "modified_dh"),
+    "robot.parts": ("Base", "Coupling", "FourBar", "Joint", "Marker", "Payload"),
+    "robot.robot": ("Robot",),
+    "runs.predict": ("predict",),
+    "runs.run": ("Run", "run"),
+    "simulation": ("simulate",),
+    "study": ("Study", "load_study"),
+}
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
     """Import what is asked for when it is asked for, so that the command line answers at once."""
-    import importlib
+    if name == "__version__":
+        from importlib.metadata import version
 
-    if name in _HOMES:
-        return getattr(importlib.import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'calflow' has no attribute '{name}'")
+        return version("calflow")
+    if name not in _HOME:
+        raise AttributeError(f"module 'calflow' has no attribute '{name}'")
+    from importlib import import_module
+
+    return getattr(import_module(f"calflow.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted((*__all__, "__version__"))

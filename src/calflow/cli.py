@@ -95,7 +95,7 @@ def plan(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
 @FORCE
 def run(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
     """Run a study: what did not change is reused, what was interrupted is resumed."""
-    from calflow.report.last_lines import last_lines
+    from calflow.reporting.last_lines import last_lines
     from calflow.runs.run import run as run_study
     from calflow.study import load_study
 
@@ -163,7 +163,9 @@ def simulate(truth: Path, out: Path | None, force: bool) -> None:
 @click.argument("rows", metavar="ROWS.csv", type=FILE)
 @click.option("--out", type=FILE, help="CSV to write; printed by default.")
 @click.option(
-    "--without-conditions", is_flag=True, help="Predict rows that lack needed columns too, with a wider standard deviation."
+    "--without-conditions",
+    is_flag=True,
+    help="Predict rows that lack needed columns too, with a wider standard deviation.",
 )
 def predict(study_or_run: Path, rows: Path, out: Path | None, without_conditions: bool) -> None:
     """Predict where the calibrated robot's markers will be at the joints and conditions of ROWS.csv.

@@ -19,9 +19,9 @@ from plugin import HOSES, hoses, install
 
 SOURCE = """\
 import sys
-from calflow.report import document
-from calflow.report.material import Material
-from calflow.report.section import chosen, sections
+from calflow.reporting import document
+from calflow.reporting.material import Material
+from calflow.reporting.section import chosen, sections
 from calflow.runs.run import run
 from calflow.study import load_study
 

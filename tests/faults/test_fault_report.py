@@ -10,12 +10,12 @@ from calflow.faults import Correction, Fault, as_table
 from calflow.faults.base import fault
 from calflow.faults.outlier import Outlier
 from calflow.files.results import Results
-from calflow.report.document import write
-from calflow.report.material import Material
-from calflow.report.section import advice, chosen, sections
-from calflow.report.sections import faults as section
+from calflow.reporting.document import write
+from calflow.reporting.material import Material
+from calflow.reporting.section import advice, chosen, sections
+from calflow.reporting.sections import faults as section
 from calflow.stages.stage import Context
-from report.case import context
+from reporting.case import context
 
 
 @pytest.fixture(scope="module")

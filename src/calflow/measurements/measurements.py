@@ -199,7 +199,9 @@ class Measurements:
         others = [name for name in self.given if name not in conditions]
         return replace(
             self,
-            table=self.table.drop(columns=[column for name in others for column in condition_columns(name, self.robot)]),
+            table=self.table.drop(
+                columns=[column for name in others for column in condition_columns(name, self.robot)]
+            ),
         )
 
     def on(self, robot: Robot) -> Measurements:

@@ -50,7 +50,9 @@ def predict(study_or_run: str | Path, rows: str | Path, missing: Missing = "refu
     data = plausible(
         Measurements.to_predict(path, robot, time_origin=origin, separator=separator, decimal=decimal), path
     )
-    needed = results.rows(f"{'diagnose' if 'diagnose/effects.csv' in results else 'identify'}/needed_conditions.csv", NeededCondition)
+    needed = results.rows(
+        f"{'diagnose' if 'diagnose/effects.csv' in results else 'identify'}/needed_conditions.csv", NeededCondition
+    )
     predicted = predict_positions(calibrated(robot, results, data.given), needed, data, missing)
     asked = pd.read_csv(
         path, sep=separator, dtype=str, keep_default_na=False, skip_blank_lines=False, encoding="utf-8-sig"

@@ -1,0 +1,1 @@
+"""From Python: objects that a notebook holds, over the functions that the stages call."""

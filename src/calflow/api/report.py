@@ -1,0 +1,50 @@
+"""The report of what a notebook found, or of a run."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from calflow.api.diagnosed import Diagnosis
+from calflow.api.fit import Fit
+from calflow.files.problems import refuse
+
+
+def report(found: Fit | Diagnosis | str | Path, path: str | Path, title: str = "") -> Path:
+    """Write the report as a PDF and return its path.
+
+    Args:
+        found: a fit, a diagnosis, or a run's folder or study whose report is copied.
+        path: of the PDF.
+        title: of the report; that of a run is its study's.
+
+    Raises:
+        InputError: the run has no report, or path is no PDF.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".pdf":
+        raise refuse("expected a name that ends in .pdf", path)
+    if isinstance(found, str | Path):
+        return _copied(Path(found), path)
+    if not isinstance(found, Fit | Diagnosis):
+        raise TypeError(f"expected a fit, a diagnosis or a run folder, found {type(found).__name__}")
+    from calflow.api.material import material_of
+    from calflow.reporting.written import write_report
+
+    with TemporaryDirectory() as folder:
+        write_report(material_of(found, title), Path(folder))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(Path(folder) / "report.pdf", path)
+    return path
+
+
+def _copied(study_or_run: Path, path: Path) -> Path:
+    from calflow.runs.folder import run_folder
+
+    written = run_folder(study_or_run) / "report.pdf"
+    if not written.is_file():
+        raise refuse("there is no report yet; run the study", written)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(written, path)
+    return path

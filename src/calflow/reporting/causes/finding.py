@@ -1,0 +1,113 @@
+"""A finding told: what it is, how sure that is, what it gained, and its curve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from calflow.diagnosis.findings.tables import UNEXPLAINED
+from calflow.reporting.causes.gain import gain_words
+from calflow.reporting.causes.separation import apart
+from calflow.reporting.document import Block, heading, paragraph, plot
+from calflow.reporting.figures.causes import explained, in_space
+from calflow.reporting.figures.residuals import magnification
+from calflow.reporting.findings import Found, cause_name, cause_words, chance, sureness
+from calflow.reporting.material import Material
+from calflow.reporting.words import first_up, listed
+
+DRAWN = 700  # arrows in the workspace
+
+
+def finding(material: Material, one: Found) -> list[Block]:
+    """Tell a cause in words and figures."""
+    head = f"{one.order}. {first_up(one.names)}"
+    text = " ".join(
+        part for part in (_what(one), how_sure(one), *apart(one, material.results), _gain(material, one)) if part
+    )
+    return [heading(head), paragraph(text), *_curve(material, one)]
+
+
+def _what(one: Found) -> str:
+    words = cause_words(one.cause)
+    size = f"{words.size} {one.amount}" if one.unit else ""
+    if one.of_family:
+        best = f"{words.name} ({one.detail})" if one.detail else words.name
+        return f"The angle of joint {one.joint} is off by an amount that goes with the angle; best described as {best}: {size}."
+    said = first_up(words.what or words.name)
+    return f"{said}: {size} (1 sd)." if size and "±" in size else f"{said}{f': {size}' if size else ''}."
+
+
+def how_sure(one: Found) -> str:
+    """Say how sure it is that there is something, and how sure its name is."""
+    said = [f"The chance that noise alone makes any cause look like this is {chance(one.p)}."]
+    if one.of_family:
+        kin = first_up(listed([cause_words(name).name for name in one.kin]))
+        said.append("That it goes with the joint's angle is sure; its order, or finer form, is not.")
+        said += [f"{kin} would do as well."] if one.kin else []
+    if one.others:
+        verb = "explains" if len(one.others) == 1 else "explain"
+        names = listed([other.name for other in one.others], 5)
+        said.append(
+            f"Its name is less sure: {names} {verb} these data as well, or nearly so (probability of "
+            f"{cause_name(one.cause, one.joint)}: {sureness(one.probability)})."
+        )
+    elif UNEXPLAINED in one.alike:
+        said.append(
+            "Its name is not sure: something that no cause explains depends on the same input, and may be all of it."
+        )
+    elif not one.of_family:
+        said.append(
+            f"Nothing else that was tested explains the data nearly as well (probability {sureness(one.probability)})."
+        )
+    return " ".join(said)
+
+
+def _gain(material: Material, one: Found) -> str:
+    if not moves(material, one):
+        return "It changes how much each row counts, not where the tool is predicted."
+    return gain_words(one, material.noise_floor)
+
+
+def moves(material: Material, one: Found) -> bool:
+    """Whether a finding is in the model of the position, and not in that of the noise."""
+    return one.told and bool((material.tables["diagnose/curves.csv"]["finding"] == one.order).any())
+
+
+def _curve(material: Material, one: Found) -> list[Block]:
+    rows = material.tables["diagnose/curves.csv"]
+    rows = rows[(rows["finding"] == one.order) & rows["split"].isin(["train", "holdout"])]
+    if rows.empty:
+        return []
+    x, before, after, fitted = rows[["x", "before_mm", "after_mm", "fitted_mm"]].to_numpy(dtype=float).T
+    unit = "" if pd.isna(rows["variable_unit"].iloc[0]) else str(rows["variable_unit"].iloc[0])
+    drawn = explained(
+        x, before, after, fitted, (rows["split"] != "train").to_numpy(), str(rows["variable"].iloc[0]), unit
+    )
+    return [
+        plot(
+            f"cause_{one.order}",
+            drawn,
+            f"{first_up(one.name)}: errors without it, with it, and against what it explains.",
+        )
+    ]
+
+
+def space(material: Material, causes: Sequence[Found]) -> list[Block]:
+    """Draw the errors before and after the causes were added."""
+    if not any(moves(material, one) for one in causes):
+        return []
+    position, before, after = 1e3 * material.place, material.error_before, material.error
+    whole = np.isfinite(before).all(axis=1)
+    if not whole.any():
+        return []
+    position, before, after, held = position[whole], before[whole], after[whole], material.held[whole]
+    shown = np.unique(np.linspace(0, len(position) - 1, DRAWN).astype(int))
+    factor = magnification(position, before)
+    drawn = in_space(position[shown], before[shown], after[shown], held[shown], factor)
+    said = (
+        f"Errors before and after the causes were added, both drawn {factor:,.0f} times enlarged; the darker, the larger. "
+        "Circles: used for the fit; triangles: held out."
+    )
+    return [plot("causes_workspace", drawn, said)]

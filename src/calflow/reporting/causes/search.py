@@ -1,0 +1,137 @@
+"""How the search went: the places that spoke most strongly, how small a cause these data show, and what was not testable."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calflow.diagnosis.findings.tables import CandidateRow
+from calflow.diagnosis.findings.verdict import WITHIN
+from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES
+from calflow.files.results import Results
+from calflow.reporting.causes.unexplained import unexplained
+from calflow.reporting.document import Block, bullets, heading, paragraph, plot, table
+from calflow.reporting.figures.causes import evidence
+from calflow.reporting.findings import Found, cause_words, chance, place_name, place_names, readable_size
+from calflow.reporting.material import Material
+from calflow.reporting.section import Advice
+from calflow.reporting.words import first_up, listed, two_digits
+
+SHOWN = 10  # candidates in the figure
+LONGEST = 46  # letters of a name with its detail, beyond which the detail is left out
+EVIDENCE = (
+    "The places that spoke most strongly against the study's model, each tested alone; what one cause explains, others "
+    "imitate in part. Below zero a place explains less than its parameters cost; left of the gate it may be chance."
+)
+LIMITS = (
+    "The size at which a cause would be found 95 times in 100, at each joint or link, against the scatter that the study's "
+    "model leaves. What is smaller can be there unseen."
+)
+IMITATED = "the model's own parameters imitate"
+
+
+def candidates(results: Results) -> list[CandidateRow]:
+    """Return every place that was tested, and what could not be."""
+    return results.rows("diagnose/candidates.csv", CandidateRow)
+
+
+def went(material: Material, causes: Sequence[Found]) -> list[Block]:
+    """Draw the places that spoke most strongly; causes are those in the extended model."""
+    rows = _tested(candidates(material.results))[:SHOWN]
+    if not rows:
+        return []
+    places = {(one.cause, one.joint) for one in causes}
+    added = np.array([(row.cause, row.joint or 0) in places for row in rows])
+    drawn = evidence([_words(row) for row in rows], np.array([-row.delta_bic for row in rows]),
+                     np.array([row.p_family for row in rows]), added, WITHIN, gate(material))  # fmt: skip
+    return [heading("How the search went"), plot("evidence", drawn, EVIDENCE)]
+
+
+def limits(rows: Sequence[CandidateRow]) -> list[Block]:
+    """Tell how small a cause these data would have shown, by joint or link."""
+    shown = [row for row in rows if np.isfinite(row.limit)]
+    if not shown:
+        return []
+    numbers = sorted({row.joint for row in shown if row.joint})
+    least: dict[tuple[str, int], float] = {}
+    for row in shown:
+        place = row.cause, row.joint or 0
+        least[place] = min(row.limit, least.get(place, np.inf))
+    lines = []
+    for cause, unit in {row.cause: row.unit for row in reversed(shown)}.items():
+        factor, said = readable_size(cause, unit)
+        cells = [two_digits(factor * least[cause, k]) if (cause, k) in least else "–" for k in (*numbers, 0)]
+        lines.append((first_up(cause_words(cause).name), said, *cells))
+    header = ("cause", "unit", *map(str, numbers), "whole robot")
+    return [
+        heading("How small a cause these data show"),
+        paragraph(LIMITS, keep=True),
+        table(header, sorted(lines), "ll" + "r" * (len(numbers) + 1), size=8, wide=0),
+    ]
+
+
+def not_tested(rows: Sequence[CandidateRow]) -> list[Block]:
+    """List what could not be tested, by the reason why."""
+    groups = untestable(rows)
+    if not groups:
+        return []
+    items = [(f"{first_up(_why(lacking))}:", f"{listed(names, 12)}.") for lacking, names in groups.items()]
+    return [
+        heading("Not testable with these data"),
+        paragraph(
+            "Of these causes the data say nothing, neither that they are there nor that they are not.", keep=True
+        ),
+        bullets(items),
+    ]
+
+
+def untestable(rows: Sequence[CandidateRow]) -> dict[str, list[str]]:
+    """Return which causes could not be tested by what a test would need; nothing: the model's own parameters imitate them."""
+    places: dict[tuple[str, str], list[tuple[int, str]]] = {}
+    for row in rows:
+        if row.imitated or row.lacking:
+            places.setdefault((row.lacking, row.cause), []).append((row.joint or 0, row.part))
+    groups: dict[str, list[str]] = {}
+    for (lacking, cause), own in places.items():
+        groups.setdefault(lacking, []).append(place_names(cause, own))
+    return groups
+
+
+def untested(results: Results) -> list[Advice]:
+    """Where something stays unexplained, what would make more causes testable is worth its while."""
+    needs = {lacking: names for lacking, names in untestable(candidates(results)).items() if lacking}
+    if not needs or not unexplained(results):
+        return []
+    said = "; ".join(f"{what} ({listed(names, 4)})" for what, names in list(needs.items())[:3])
+    return [Advice(3, f"More causes could be tested with {said}.")]
+
+
+def strongest(rows: Sequence[CandidateRow]) -> str:
+    """Say which place came nearest where nothing was found."""
+    tested = _tested(rows)
+    if not tested:
+        return ""
+    return (
+        f" The strongest, {_words(tested[0])}, is no more than noise alone shows in such a search: the chance of it is "
+        f"{chance(tested[0].p_family)}."
+    )
+
+
+def gate(material: Material) -> float:
+    """Chance of a false alarm below which a cause passes."""
+    return SHARES["causes"] * float(material.study.settings("diagnose").get("false_alarm", FALSE_ALARM))
+
+
+def _why(lacking: str) -> str:
+    return f"needs {lacking}" if lacking else IMITATED
+
+
+def _tested(rows: Sequence[CandidateRow]) -> list[CandidateRow]:
+    return sorted((row for row in rows if np.isfinite(row.delta_bic)), key=lambda row: row.delta_bic)
+
+
+def _words(row: CandidateRow) -> str:
+    name = place_name(row.cause, row.joint or 0, row.part)
+    detail = f" ({row.detail})" if row.detail else ""
+    return name + detail if len(name + detail) <= LONGEST else name

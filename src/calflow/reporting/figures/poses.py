@@ -1,0 +1,27 @@
+"""Figure of observability against the number of poses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from calflow.reporting.style import ALONE, DARK, panels
+
+INDICES = ("O1", "O2", "O3", "O4", "O5")
+
+
+def observability(table: pd.DataFrame) -> Figure:
+    """Draw the indices, each relative to its value with all poses, and the tool's expected sd [mm]."""
+    drawn, ((left, right),) = panels(1, 2, 2.3)
+    poses = table["n_poses"].to_numpy()
+    for name, (colour, line, marker) in zip(INDICES, ALONE, strict=True):
+        values = table[name].to_numpy(dtype=float)
+        if np.isfinite(values[-1]) and values[-1] != 0:
+            left.plot(poses, values / values[-1], color=colour, linestyle=line, marker=marker, markevery=max(1, len(poses) // 8),
+                      markersize=3, label=name)  # fmt: skip
+    left.set(xlabel="number of poses", ylabel="observability index\n[relative to all poses]", ylim=(0, None))
+    left.legend(ncols=2)
+    right.plot(poses, table["expected_sd_mm"], color=DARK, marker="o", markersize=2.5)
+    right.set(xlabel="number of poses", ylabel="expected sd of the\npredicted position [mm]", ylim=(0, None))
+    return drawn

@@ -1,0 +1,75 @@
+"""What a run ends with: the accuracy, what was found and page one's verdict, as plain lines."""
+
+from __future__ import annotations
+
+import math
+
+from calflow.diagnosis.findings.tables import FindingRow
+from calflow.estimation.accuracy import Accuracy
+from calflow.files.results import Results
+from calflow.files.tables import from_frame
+from calflow.reporting.findings import Found, findings, place_name
+from calflow.reporting.material import gathered, latest, split_judged, steps
+from calflow.reporting.section import advice, sections
+from calflow.reporting.sections.verdict import SECTION, headline, judgement
+from calflow.reporting.words import mm
+
+WRONG = 2  # urgency of advice that is repeated; what could be better is left to the report
+
+
+def last_lines(results: Results) -> list[str]:
+    """Return accuracy, findings, verdict and what is wrong, as far as there are results of it."""
+    return [*_accuracy(results), *_findings(results), *_verdict(results), *_wrong(results)]
+
+
+def _accuracy(results: Results) -> list[str]:
+    """The accuracy of every model on the way; of a model with one more cause, what it has more."""
+    if "identify/accuracy.csv" not in results:
+        return []
+    own = set(results.tables["identify/accuracy.csv"]["model"])
+    rows = from_frame(latest(results, "accuracy"), Accuracy)
+    names = [row.model if row.model in own else f"+ {place_name(row.effect, row.joint or 0, row.part)}" for row in rows]
+    width = max(map(len, names))
+    return [
+        f"{'position error':{width}}  split      mean mm    max mm",
+        *(
+            f"{name:{width}}  {row.split:8} {row.mean_mm:9.3f} {row.max_mm:9.3f}"
+            for name, row in zip(names, rows, strict=True)
+        ),
+    ]
+
+
+def _findings(results: Results) -> list[str]:
+    if "diagnose/findings.csv" not in results:
+        return []
+    rows = results.rows("diagnose/findings.csv", FindingRow)
+    told = [f"found: {_told(one, row)}" for one, row in zip(findings(results), rows, strict=True)]
+    return told or ["found: nothing that the model lacks"]
+
+
+def _told(one: Found, row: FindingRow) -> str:
+    """A finding with its cause, joint, size and gain."""
+    if one.told:
+        said = f"{one.names}, {one.amount}"
+    elif one.status == "unexplained":
+        said = f"something unexplained that depends on {one.inputs}"
+    else:
+        return row.statement
+    gain, low, high = one.gain
+    if math.isnan(gain):
+        return said
+    interval = "" if math.isnan(low) else f" ({mm(low)} to {mm(high)}, 95 %)"
+    return f"{said}; takes {mm(gain)} mm off the mean error{interval}"
+
+
+def _verdict(results: Results) -> list[str]:
+    if not all(name in results for name in SECTION.needs):
+        return []
+    accuracy = latest(results, "accuracy")
+    split = split_judged(accuracy)
+    found = gathered(steps(accuracy, split), len(steps(results.tables["identify/accuracy.csv"], split)))
+    return [judgement(results, found), headline(found, split)]
+
+
+def _wrong(results: Results) -> list[str]:
+    return [f"! {item.sentence}" for item in advice(sections(), results) if item.urgency <= WRONG]

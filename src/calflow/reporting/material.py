@@ -1,0 +1,184 @@
+"""What the sections are written from: the study, its measurements and the results, with what is derived from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from calflow.effects.cause import Cause
+from calflow.estimation.accuracy import Accuracy, errors
+from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
+from calflow.estimation.fit_summary import FitSummary
+from calflow.estimation.registration import in_measuring_frame
+from calflow.faults import corrected
+from calflow.files.results import Results
+from calflow.files.tables import Tables, from_frame
+from calflow.measurements.measurements import Measurements
+from calflow.reporting.findings import place_name
+from calflow.reporting.words import effect_words
+from calflow.study import Study
+
+MEAN_OF_NOISE = float(np.sqrt(8 / np.pi))  # mean length of a vector of three unit normals
+
+
+@dataclass(frozen=True)
+class ModelAccuracy:
+    """A model's accuracy on one split [mm]; name says what it is, or what it has more than the one before (added)."""
+
+    model: str
+    name: str
+    n: int
+    mean: float
+    rms: float
+    max: float
+    added: bool = False
+
+    @property
+    def label(self) -> str:
+        """The name, with a plus where it is what was added."""
+        return f"+ {self.name}" if self.added else self.name
+
+
+@dataclass(frozen=True)
+class Material:
+    """Study, measurements without the rows that are left out, the best model that was found, and all results."""
+
+    study: Study
+    data: Measurements
+    known: Identified
+    results: Results
+    run_folder: Path
+
+    @staticmethod
+    def of(study: Study, results: Results, run_folder: Path) -> Material:
+        """Read the measurements and rebuild the fitted model."""
+        data = corrected(study.measurements(), results.tables["identify/faults.csv"])
+        known = calibrated(study.robot, results, data.given)
+        used = data.only(data.train | data.held_out)
+        return Material(study, used.on(known.model.robot), known, results, run_folder)
+
+    @property
+    def tables(self) -> Tables:
+        """All tables by their path in the run folder."""
+        return self.results.tables
+
+    @cached_property
+    def sampled(self) -> tuple[Identified, tuple[Cause, ...]]:
+        """The model of which the stage sample drew, and the causes that it held at their estimates."""
+        return with_maps_held(self.known)
+
+    @property
+    def title(self) -> str:
+        """What the report is called."""
+        return self.study.file.title or self.study.name
+
+    @cached_property
+    def held(self) -> np.ndarray:
+        """Which rows no fit has seen, shape (n_rows,)."""
+        return self.data.held_out
+
+    @property
+    def judged(self) -> np.ndarray:
+        """The rows by which the model is judged: those held out, else those fitted."""
+        return self.held if self.held.any() else self.data.train
+
+    @cached_property
+    def error(self) -> np.ndarray:
+        """Predicted minus measured positions, nan where none was measured, shape (n_rows, 3) [mm]."""
+        return _errors(latest(self.results, "residuals"))
+
+    @property
+    def error_before(self) -> np.ndarray:
+        """The same of the study's own model, before causes were added to it."""
+        return _errors(self.tables["identify/residuals.csv"])
+
+    @cached_property
+    def distance(self) -> np.ndarray:
+        """Size of each row's error, shape (n_rows,) [mm]."""
+        residuals = latest(self.results, "residuals")
+        return _used(residuals)["error_mm"].to_numpy(dtype=float)
+
+    @cached_property
+    def length_error(self) -> np.ndarray:
+        """Predicted minus measured length where a row has one alone, nan elsewhere, shape (n_rows,) [mm]."""
+        whole = errors(self.known.model, self.known.estimate, self.data)
+        return np.where(np.isnan(whole[:, 1]), 1e3 * whole[:, 0], np.nan)
+
+    @cached_property
+    def place(self) -> np.ndarray:
+        """Where the marker was: as measured, or as predicted where no position was, shape (n_rows, 3) [m]."""
+        known = self.known.model
+        here = in_measuring_frame(known.observations, self.data)
+        place = known.point(self.known.estimate, self.data.rows)
+        if here.any():
+            place[here] = self.data.position[here]
+        return place
+
+    @cached_property
+    def sigma(self) -> np.ndarray:
+        """Noise of each row per axis, shape (n_rows,) [mm]."""
+        return 1e3 * self.known.noise(self.data).sigma
+
+    @property
+    def noise_floor(self) -> float | None:
+        """Mean error that noise alone would give in the judged rows [mm]; None where only the fit tells the noise."""
+        if not self.known.noise_known:
+            return None
+        return MEAN_OF_NOISE * float(self.sigma[self.judged].mean())
+
+    @cached_property
+    def model_sd(self) -> float:
+        """How sure the calibrated model's own position is: root mean square over the judged rows [mm]."""
+        jacobian = self.known.model.point_jacobian(self.known.estimate, self.data.rows[:, self.judged])
+        variance = np.einsum("nai,ij,naj->n", jacobian, self.known.covariance, jacobian, optimize=True)
+        return 1e3 * float(np.sqrt(variance.mean()))
+
+
+def _errors(residuals: pd.DataFrame) -> np.ndarray:
+    return _used(residuals)[["dx_mm", "dy_mm", "dz_mm"]].to_numpy(dtype=float)
+
+
+def _used(residuals: pd.DataFrame) -> pd.DataFrame:
+    """The rows that were not left out as faulty."""
+    return residuals[residuals["split"].isin(["train", "holdout"])]
+
+
+def latest(results: Results, name: str) -> pd.DataFrame:
+    """Return a table of the best model there is: diagnose's, which has the causes that were found, else identify's."""
+    extended = f"diagnose/{name}.csv"
+    return results.tables[extended] if extended in results else results.tables[f"identify/{name}.csv"]
+
+
+def latest_summary(results: Results) -> FitSummary:
+    """Return the summary of the best model there is."""
+    extended = "diagnose/summary.json"
+    return results.document(extended if extended in results else "identify/summary.json", FitSummary)
+
+
+def split_judged(accuracy: pd.DataFrame) -> str:
+    """Return the split by which models are judged: holdout where there is one."""
+    return "holdout" if (accuracy["split"] == "holdout").any() else "train"
+
+
+def steps(accuracy: pd.DataFrame, split: str) -> list[ModelAccuracy]:
+    """Return the models of accuracy.csv in their order."""
+    rows = [row for row in from_frame(accuracy, Accuracy) if row.split == split]
+    return [
+        ModelAccuracy(row.model, _name(row), row.n, row.mean_mm, row.rms_mm, row.max_mm, row.step > 1) for row in rows
+    ]
+
+
+def gathered(found: list[ModelAccuracy], own: int) -> list[ModelAccuracy]:
+    """Return steps of which the first are the study's own and the others, if there are several, are drawn together."""
+    added = len(found) - own
+    return found if added < 2 else [*found[:own], replace(found[-1], name=f"{added} causes", added=True)]
+
+
+def _name(row: Accuracy) -> str:
+    if not row.effect:
+        return "nominal robot"
+    return place_name(row.effect, row.joint or 0, row.part) if row.part else effect_words(row.effect)

@@ -1,0 +1,68 @@
+"""What a section of the report is, and how sections are found: a new file in sections/ is enough to add one."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from calflow.files.results import Results
+from calflow.reporting.document import Block
+from calflow.reporting.material import Material
+
+
+@dataclass(frozen=True)
+class Advice:
+    """A sentence that tells the reader what to do; the most urgent, 1, stand first.
+
+    1: do not use the result; 2: something is wrong or missing; 3: it could be better.
+    """
+
+    urgency: int
+    sentence: str
+
+
+Rule = Callable[[Results], list[Advice]]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the report: where it stands, the tables and documents it cannot do without, how it is written, what it advises.
+
+    rules turn them into advice for the first page; they apply where they are there. worth_telling says
+    whether the section has anything to say.
+    """
+
+    order: int
+    title: str
+    needs: tuple[str, ...]
+    write: Callable[[Material], list[Block]]
+    rules: tuple[Rule, ...] = ()
+    worth_telling: Callable[[Results], bool] = lambda results: True
+
+
+def sections() -> list[Section]:
+    """Return all sections in their order."""
+    from calflow.reporting import sections as folder
+
+    modules = [
+        importlib.import_module(f"{folder.__name__}.{module.name}") for module in pkgutil.iter_modules(folder.__path__)
+    ]
+    return sorted((module.SECTION for module in modules), key=lambda section: section.order)
+
+
+def chosen(every: Sequence[Section], material: Material) -> list[Section]:
+    """Return the sections whose tables are there and hold something to tell."""
+    results = material.results
+    return [section for section in every if _served(section, results) and section.worth_telling(results)]
+
+
+def advice(every: Sequence[Section], results: Results) -> list[Advice]:
+    """Return what all sections advise, the most urgent first."""
+    found = [item for section in every if _served(section, results) for rule in section.rules for item in rule(results)]
+    return sorted(found, key=lambda item: item.urgency)
+
+
+def _served(section: Section, results: Results) -> bool:
+    return all(path in results for path in section.needs)

@@ -1,0 +1,81 @@
+"""The appendix: the facts of the run."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+
+from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
+from calflow.estimation.calibrated import DeviceNoise
+from calflow.estimation.fit_summary import IdentifySummary
+from calflow.reporting.document import Block, paragraph, table
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
+from calflow.reporting.summaries import diagnosed, identified
+from calflow.reporting.words import effect_words
+
+PACKAGES = ("calflow", "casadi", "emcee", "numpy", "scipy", "pandas")
+
+
+def write(material: Material) -> list[Block]:
+    """Tabulate what was asked, what was used and how it ended."""
+    study, results = material.study, material.results
+    noises = results.rows("identify/noise.csv", DeviceNoise)
+    facts: list[tuple[str, str] | str] = [
+        "asked",
+        ("study", study.name),
+        ("robot", f"{study.robot.name}: {study.robot.n_joints} joints, {study.robot.kinematics}"),
+        ("effects", ", ".join(effect_words(effect) for effect in study.file.effects)),
+        ("measurements", ", ".join(source.file for source in study.file.sources) or "none"),
+        ("workflow", f"{study.workflow.name}: {', '.join(study.workflow.stages)}"),
+        ("seed", str(study.file.seed)),
+        ("versions", ", ".join(f"{name} {version(name)}" for name in PACKAGES)),
+        *(
+            (f"settings of {stage}", _settings(study.settings(stage)))
+            for stage in study.workflow.stages
+            if study.settings(stage)
+        ),
+        "found by identify",
+        *identified(results.document("identify/summary.json", IdentifySummary), noises),
+        *(_placement(material)),
+        *_diagnosed(material),
+    ]
+    return [
+        paragraph("Hashes of all input files, durations and the state of each stage are in manifest.json; all tables named in "
+                  "this report lie beside it as CSV, in SI units unless a column says otherwise."),
+        table(("what", "value"), facts, "ll", size=8.6, wide=1),
+    ]  # fmt: skip
+
+
+def _diagnosed(material: Material) -> list[tuple[str, str] | str]:
+    path = "diagnose/summary.json"
+    if path not in material.results:
+        return []
+    return ["found by diagnose", *diagnosed(material.results.document(path, DiagnosisSummary))]
+
+
+def _settings(settings: dict[str, object]) -> str:
+    return "; ".join(f"{name} = {_plainly(value)}" for name, value in settings.items())
+
+
+def _plainly(value: object) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{name} = {_plainly(inner)}" for name, inner in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_plainly(inner) for inner in value) + "]"
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _placement(material: Material) -> list[tuple[str, str]]:
+    rows = material.tables["identify/placement.csv"].to_dict("records")
+    return [
+        (f"nominal place of {row['what']}",
+         ", ".join(f"{axis} {1e3 * row[f'{axis}_m']:.2f} mm" for axis in "xyz")
+         + (", " + ", ".join(f"{a} {row[f'{a}_deg']:.3f} deg" for a in ("rx", "ry", "rz")) if row["what"] == "base" else "")
+         + f" ({row['source']})")
+        for row in rows
+    ]  # fmt: skip
+
+
+SECTION = Section(
+    90, "Appendix: the run", ("identify/summary.json", "identify/noise.csv", "identify/placement.csv"), write
+)

@@ -1,0 +1,80 @@
+"""The section on confirmation: what an independent series of measurements says of the joint errors found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from calflow.reporting.document import Block, paragraph, plot, table
+from calflow.reporting.figures.confirmation import two_series
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
+from calflow.reporting.words import mm
+
+FAULTS = "diagnose/confirmation_faults.csv"
+INTRODUCTION = (
+    "The same joint errors were fitted to another series of measurements alone, with its own geometry, and compared over the "
+    "travel that both series cover. Offset, slope and first order are left out of the comparison: a joint's zero, the "
+    "geometry and gravity imitate them in either series."
+)
+CAPTION = "Joint errors as found here (line) and on the other series alone (dashes), beyond their first order."
+
+
+def write(material: Material) -> list[Block]:
+    """Show each joint's curve on both series, how well they agree, and what carries over."""
+    rows = material.tables["diagnose/confirmation.csv"]
+    curves = material.tables["diagnose/confirmation_curves.csv"]
+    accuracy = material.tables["diagnose/confirmation_accuracy.csv"]
+    cells = [
+        (f"joint {row['joint']}", _number(row["correlation"], "{:.3f}"), _either(row, "rms_here_urad", "rms_here_um", "µm"),
+         _either(row, "rms_there_urad", "rms_there_um", "µm"), _either(row, "common_deg", "common_mm", "mm"), str(row["words"]))
+        for row in rows.to_dict("records")
+    ]  # fmt: skip
+    header = ("joint", "correlation", "here [µrad]", "there [µrad]", "common [deg]", "what it means")
+    blocks = [paragraph(INTRODUCTION, keep=True), table(header, cells, "lrrrrl", wide=5)]
+    if len(curves):
+        blocks.append(plot("confirmation", two_series(curves), CAPTION))
+    return [*blocks, paragraph(_carried(accuracy)), *_faults(material.tables.get(FAULTS))]
+
+
+def _faults(faults: pd.DataFrame | None) -> list[Block]:
+    """Say what was wrong in the other series' file, which was seen to before it was fitted."""
+    if faults is None or faults.empty:
+        return []
+    said = "; ".join(dict.fromkeys(faults["statement"]))
+    return [paragraph(f"In the other series' file, before it was fitted: {said}. Correct that file too.")]
+
+
+def _carried(accuracy: object) -> str:
+    found = accuracy.set_index("model")  # type: ignore[attr-defined]
+    n = int(found["n"].iloc[0])
+    if n == 0:
+        return (
+            "The model does not carry over as a whole: no held-out row of the other series lies within the travel that all "
+            "these joint errors were found on."
+        )
+    parts = [f"{mm(value)} mm {name}" for name, value in found["heldout_mean_mm"].items()]
+    return f"At the {n} held-out rows of the other series within the travel covered here the mean error is {', '.join(parts)}."
+
+
+def _either(row: Mapping[Any, Any], turns: str, slides: str, unit: str) -> str:
+    """A turning joint's figure in the column's unit, or a slide's with its own."""
+    if np.isfinite(float(row[slides])):
+        return f"{_number(row[slides], '{:.0f}')} {unit}"
+    return _number(row[turns], "{:.0f}")
+
+
+def _number(value: object, form: str) -> str:
+    number = float(value)  # type: ignore[arg-type]
+    return form.format(number) if np.isfinite(number) else "–"
+
+
+SECTION = Section(
+    27,
+    "Confirmation by an independent series",
+    ("diagnose/confirmation.csv", "diagnose/confirmation_curves.csv", "diagnose/confirmation_accuracy.csv"),
+    write,
+)

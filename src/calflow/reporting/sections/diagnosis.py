@@ -1,0 +1,111 @@
+"""The section on causes: what the study's model lacked, how sure that is, and what stays unexplained or untested."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
+from calflow.files.results import Results
+from calflow.reporting.causes.finding import finding, moves, space
+from calflow.reporting.causes.gain import gain_cells, gained, makes_it_worse
+from calflow.reporting.causes.search import candidates, gate, limits, not_tested, strongest, untested, went
+from calflow.reporting.causes.separation import next_poses, other_means
+from calflow.reporting.causes.unexplained import still_unexplained, unexplained
+from calflow.reporting.document import Block, paragraph, table
+from calflow.reporting.findings import Found, chance_figure, findings, sureness
+from calflow.reporting.material import Material
+from calflow.reporting.section import Advice, Section
+from calflow.reporting.words import effect_words, listed
+
+STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
+SUMMARY = "diagnose/summary.json"
+FAULT = "data_fault"  # told in a section of its own
+NO_PROOF = (
+    "A smaller error does not prove a name: whatever bends with the data takes something off. That something is there "
+    "rests on the test; its name rests on what else could explain the same data, which is said with each cause."
+)
+NOTHING = "Nothing was found that the model lacks."
+CURVES = (
+    "The figures show errors along the direction in which a cause moves the tool. Left: the final model without this "
+    "cause, its other parameters kept; middle: with it; right: what was measured against what the cause explains."
+)
+
+
+def write(material: Material) -> list[Block]:
+    """Tell each finding in words and figures, then what is left and what could not be tested."""
+    found, rows = findings(material.results), candidates(material.results)
+    causes = [one for one in found if one.told]
+    left = [one for one in found if one.status == "unexplained"]
+    return [
+        *_opening(material, found),
+        *[block for one in causes for block in finding(material, one)],
+        *gained(material, causes),
+        *still_unexplained(left),
+        *space(material, causes),
+        *went(material, causes),
+        *limits(rows),
+        *not_tested(rows),
+    ]
+
+
+def _opening(material: Material, every: Sequence[Found]) -> list[Block]:
+    tested = material.results.document(SUMMARY, DiagnosisSummary).causes_tested
+    searched = (
+        f"What the study's model leaves was searched for {tested} causes, each at its place in the robot or its "
+        f"surroundings. A cause counts as found where, with nothing hidden, fewer than {100 * gate(material):.2g} % of such "
+        f"searches would find anything.{_mended(every)}"
+    )
+    found = [one for one in every if one.status != FAULT]
+    if not found:
+        best = strongest(candidates(material.results))
+        return [paragraph(NOTHING, bold=True), paragraph(f"{searched}{best}")]
+    rows = [
+        (str(one.order or "–"), _title(one), one.amount if one.told and one.unit else "–", STATUS.get(one.status, one.status),
+         chance_figure(one.p), sureness(one.probability), *gain_cells(one))
+        for one in found
+    ]  # fmt: skip
+    header = ("", "finding", "size (± 1 sd)", "name", "false alarm", "probability", "gain [mm]", "95 % interval")
+    told = any(one.told for one in found)
+    first = [] if told else [paragraph("No cause of the catalogue was found.", bold=True)]
+    listing = [paragraph(NO_PROOF), table(header, rows, "rlrlrrrr", size=8, wide=1)]
+    return [
+        *first,
+        paragraph(searched),
+        *listing,
+        *([paragraph(CURVES)] if any(moves(material, one) for one in found) else []),
+    ]
+
+
+def extension_not_converged(results: Results) -> list[Advice]:
+    """A model with causes whose fit stopped before its optimum is not to be used, and names rest on it."""
+    summary = results.document(SUMMARY, DiagnosisSummary)
+    if summary.converged:
+        return []
+    sentence = (
+        f"Do not use the model that diagnose extended: its fit did not converge ({summary.solver.words}). Check the flagged rows "
+        "and what was found last, or look for fewer causes (stages.diagnose.causes), then run again."
+    )
+    return [Advice(1, sentence)]
+
+
+def _mended(every: Sequence[Found]) -> str:
+    """Say that the search was made on data whose faults were seen to."""
+    faults = dict.fromkeys(effect_words(one.cause) for one in every if one.status == FAULT)
+    return (
+        f" Faults of the data ({listed(list(faults))}) were seen to before: see the section on them." if faults else ""
+    )
+
+
+def _title(one: Found) -> str:
+    if one.status == "unexplained":
+        return f"depends on {one.inputs}"
+    return one.names
+
+
+SECTION = Section(
+    25,
+    "What the model lacked: causes",
+    (*(f"diagnose/{name}.csv" for name in ("findings", "candidates", "separations", "next_poses")), SUMMARY),
+    write,
+    (extension_not_converged, makes_it_worse, unexplained, next_poses, other_means, untested),
+)

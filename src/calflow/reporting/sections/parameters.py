@@ -1,0 +1,155 @@
+"""The section on parameters: what was identified, how surely, and what is only prior knowledge."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from calflow.estimation.identifiability import Statement
+from calflow.files.results import Results
+from calflow.reporting.document import Block, paragraph, plot, table
+from calflow.reporting.figures.estimates import estimates
+from calflow.reporting.material import Material, latest
+from calflow.reporting.section import Advice, Section
+from calflow.reporting.words import effect_words, interval, listed, readable, with_sd
+
+FEW = 4  # parameters in a trade up to which each is marked
+BY_PRIOR = 0.5  # prior share from which a parameter is left to the prior
+LEGEND = (
+    "Each value is the difference from the robot file. jointN: link N's DH figures: angles alpha, beta (about y, where "
+    "axes are nearly parallel) and theta, lengths a and d; s: compliance, the twist of the joint by a torque (1 µrad/Nm is "
+    "1 mrad at 1 kNm). base: where the robot stands; loop: lengths of the bars; other names are markers on the tool. In "
+    "grey: left to prior knowledge, not measured."
+)
+NEAR_ZERO = 0.01  # share of the range within which a bound of zero was hit
+REGISTERED = " Base and markers: the difference from where the training poses put them (see the appendix)."
+ADDED = (
+    " At the end: the causes that the section before names. Outside this table their parameters have the cause in their "
+    "names, as in joint3.joint-backlash.b."
+)
+CAPTION = (
+    "Estimates in units of what was thought likely beforehand (grey band: one prior standard deviation). Bars are ± 2 sd; "
+    "where none is seen it is smaller than the dot."
+)
+
+
+def write(material: Material) -> list[Block]:
+    """Tabulate and draw the parameters."""
+    parameters = latest(material.results, "parameters")
+    model = material.known.model
+    added = len(parameters) > len(material.tables["identify/parameters.csv"])
+    lines, shaded = _lines(parameters, _known_together(material.results))
+    nominal, estimate, sd, share = parameters[["nominal", "estimate", "sd", "prior_share"]].to_numpy(dtype=float).T
+    drawn = estimates(
+        _places(parameters),
+        _groups(parameters),
+        (estimate - nominal) / model.prior_sd,
+        sd / model.prior_sd,
+        share > BY_PRIOR,
+    )
+    return [
+        paragraph(LEGEND + (REGISTERED if not model.robot.base.known else "") + (ADDED if added else "")),
+        table(("parameter", "unit", "estimate", "sd", "allowed", "known from"), lines, "llrrrl", shaded, 8.6),
+        plot("parameters", drawn, CAPTION),
+    ]
+
+
+def _lines(parameters: pd.DataFrame, together: set[str]) -> tuple[list[tuple[str, ...] | str], frozenset[int]]:
+    """Return the table's rows with a heading for each effect, and which rows are left to the prior."""
+    lines: list[tuple[str, ...] | str] = []
+    shaded = []
+    before = ""
+    for row, group, name in zip(parameters.to_dict("records"), _groups(parameters), _places(parameters), strict=True):
+        if group != before:
+            before = group
+            lines.append(group)
+        if row["prior_share"] > BY_PRIOR:
+            shaded.append(len(lines))
+        lines.append((name, *_line(row, row["parameter"] in together)))
+    return lines, frozenset(shaded)
+
+
+def _groups(parameters: pd.DataFrame) -> list[str]:
+    """Return each parameter's effect in words, with its variant."""
+    variants = parameters["variant"].astype(object).fillna("")
+    return [" ".join(filter(None, (effect_words(str(effect)), str(variant))))
+            for effect, variant in zip(parameters["effect"], variants, strict=True)]  # fmt: skip
+
+
+def _places(parameters: pd.DataFrame) -> list[str]:
+    """Return each parameter's part and symbol, which is clear within its group."""
+    return [f"{part}.{symbol}" for part, symbol in zip(parameters["part"], parameters["symbol"], strict=True)]
+
+
+def _line(row: dict[Hashable, Any], together: bool) -> tuple[str, ...]:
+    factor, unit = readable(str(row["unit"]))
+    nominal, estimate, sd, lower, upper, share = (
+        float(row[name]) for name in ("nominal", "estimate", "sd", "lower", "upper", "prior_share")
+    )
+    value, deviation = with_sd(factor * (estimate - nominal), factor * sd)
+    allowed = interval(factor * (lower - nominal), factor * (upper - nominal))
+    return unit, value, deviation, allowed, known_from(share, bool(row["at_bound"]), together)
+
+
+def known_from(prior_share: float, at_bound: bool, together: bool = False) -> str:
+    """Say in words where a parameter's value comes from; together: the data know it only with others."""
+    if at_bound:
+        return "at a bound, data say nothing" if prior_share > BY_PRIOR else "data, at a bound"
+    if together and prior_share <= BY_PRIOR:
+        return "data, only in combination"
+    for limit, words in ((0.1, "data"), (BY_PRIOR, "data, little prior"), (0.9, "mostly prior")):
+        if prior_share <= limit:
+            return words
+    return "prior alone"
+
+
+def _known_together(results: Results) -> set[str]:
+    """Return the parameters of which the data know little more than a combination with one or two others."""
+    if "identify/identifiability.csv" not in results:
+        return set()
+    statements = results.rows("identify/identifiability.csv", Statement)
+    groups = [one.parameters for one in statements if one.kind == "trade"]
+    return {name for group in groups if len(group) <= FEW for name in group}
+
+
+def at_bound(results: Results) -> list[Advice]:
+    """A parameter that the data push against a bound means that something else is wrong."""
+    parameters = latest(results, "parameters")
+    pushed = parameters[parameters["at_bound"].astype(bool) & (parameters["prior_share"] <= BY_PRIOR)]
+    zero = (pushed["lower"] == 0) & (pushed["estimate"] < NEAR_ZERO * pushed["upper"])
+    found = []
+    if not zero.all():
+        far = pushed[~zero]
+        sentence = (
+            f"The data push {listed(far['parameter'].tolist())} to the end of the allowed range ({_ranges(far)}): check "
+            "the robot file's dimensions and units, and the payload's mass."
+        )
+        found.append(Advice(2, sentence))
+    if zero.any():
+        sentence = (
+            f"{listed(pushed.loc[zero, 'parameter'].tolist())} came out at zero, the least allowed: stiffer than the data can "
+            "tell, or the masses and payload in the robot file are wrong."
+        )
+        found.append(Advice(3, sentence))
+    return found
+
+
+def _ranges(rows: pd.DataFrame) -> str:
+    said = []
+    for row in rows.to_dict("records"):
+        factor, unit = readable(str(row["unit"]))
+        said.append(f"{interval(factor * row['lower'], factor * row['upper'])} {unit}".rstrip())
+    return listed(list(dict.fromkeys(said)), 4)
+
+
+def prior_names(results: Results) -> list[str]:
+    """Return the parameters that the data leave to the prior."""
+    parameters = results.tables["identify/parameters.csv"]
+    share = np.asarray(parameters["prior_share"], dtype=float)
+    return parameters.loc[share > BY_PRIOR, "parameter"].astype(str).tolist()
+
+
+SECTION = Section(30, "Identified parameters", ("identify/parameters.csv",), write, (at_bound,))

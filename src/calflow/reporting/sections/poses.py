@@ -1,0 +1,61 @@
+"""The section on planned poses: how many are worth it, and which."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from calflow.design.candidates import reading_columns, reading_labels
+from calflow.reporting.document import Block, heading, paragraph, plot, table
+from calflow.reporting.figures.poses import observability
+from calflow.reporting.figures.residuals import map_of_poses
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
+from calflow.reporting.words import mm, number
+from calflow.robot.robot import Robot
+
+SHOWN = 10  # poses in the table
+WORTH = (
+    "What more poses are worth. Left: observability indices O1 to O5 (the higher, the better parameters are told apart), "
+    "each relative to its value with all poses. Right: expected standard deviation of the predicted tool position; where "
+    "the curve is flat, more poses gain little."
+)
+
+
+def write(material: Material) -> list[Block]:
+    """Show what the number of poses is worth, where they are and the first of them."""
+    poses, worth = material.tables["select/poses.csv"], material.tables["select/observability.csv"]
+    expected = float(worth["expected_sd_mm"].iloc[-1])
+    position = poses[[f"nominal_{axis}_mm" for axis in "xyz"]].to_numpy(dtype=float)
+    return [
+        paragraph(
+            f"{len(poses)} poses were chosen so that together they tell the most about all parameters. With all of them the "
+            f"predicted tool position is expected to be certain to {mm(expected)} mm (1 sd) over the workspace.",
+            keep=True,
+        ),
+        plot("observability", observability(worth), WORTH),
+        plot(
+            "poses",
+            map_of_poses(position),
+            "The tool at the chosen poses, in measuring order; the square is the first.",
+        ),
+        *_first(poses, material.study.robot),
+    ]
+
+
+def _first(poses: pd.DataFrame, robot: Robot) -> list[Block]:
+    joints = reading_columns(robot)
+    columns = ["pose", *joints, *(f"nominal_{axis}_mm" for axis in "xyz")]
+    head = ["pose", *reading_labels(robot), *(f"{axis} [mm]" for axis in "xyz")]
+    rows = [
+        [str(row["pose"]), *(number(row[name], ".2f") for name in joints),
+         *(number(row[name], ".0f") for name in columns[-3:])]
+        for row in poses.head(SHOWN).to_dict("records")
+    ]  # fmt: skip
+    return [
+        heading("The first poses to measure"),
+        paragraph("All poses, with the side from which each joint is to arrive, are in select/poses.csv.", keep=True),
+        table(head, rows, "r" * len(head), size=7.6 if len(joints) > 6 else 8.4),
+    ]
+
+
+SECTION = Section(50, "Planned poses", ("select/poses.csv", "select/observability.csv"), write)

@@ -1,0 +1,201 @@
+"""The section on the sampled posterior: is it to be trusted, and how does it differ from the approximation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from calflow.effects.cause import Cause
+from calflow.files.results import Results
+from calflow.reporting.chain import Chain
+from calflow.reporting.document import Block, bullets, heading, paragraph, plot, table
+from calflow.reporting.figures.chains import against_laplace, corner, traces
+from calflow.reporting.findings import cause_name
+from calflow.reporting.material import Material, latest
+from calflow.reporting.section import Advice, Section
+from calflow.reporting.style import WIDTH
+from calflow.reporting.words import listed, readable, short_names, with_sd
+from calflow.sampling.chain_summary import ChainSummary
+
+SAME = 1.01  # R-hat up to which ensembles agree
+TRACED, PAIRED = 3, 6  # parameters in the figures
+CORNER_DRAWS = 40_000
+INTRODUCTION = (
+    "The standard deviations of the fit assume that errors add up linearly. Sampling makes no such assumption: it collects "
+    "parameter sets that agree with the data as well as the noise allows. Agreement of the two is the check."
+)
+RATIO = (
+    "Sampled standard deviation over that of the fit. Near 1, the sd of the parameter table can be taken at its word."
+)
+TRACES = (
+    "The parameters that mix worst. Thick lines: median over the walkers of each ensemble; thin: the middle 95 %. Level "
+    "bands that lie on each other show that the ensembles agree and were long enough."
+)
+CORNER = (
+    "Posterior of parameters at a bound and of those most correlated: grey is density, lines hold 68 % and 95 %. Narrow "
+    "slanted shapes are pairs of which only a combination is known."
+)
+
+
+def write(material: Material) -> list[Block]:
+    """Show mixing, the comparison with Laplace's approximation and the pairs that are not simply normal."""
+    posterior, summary = material.tables["sample/posterior.csv"], _summary(material.results)
+    model, held = material.sampled
+    free = ~model.at_bound
+    ratio = posterior["sd"].to_numpy(dtype=float)[: len(free)][free] / np.sqrt(np.diag(model.covariance))[free]
+    names = short_names([p for p, is_free in zip(model.model.parameters, free, strict=True) if is_free])
+    return [
+        paragraph(INTRODUCTION, keep=True),
+        table(("check", "found", "wanted"), _checks(posterior, summary), "lll"),
+        *_cuts(summary),
+        *_held(held),
+        plot("posterior_sd", against_laplace(names, ratio), RATIO),
+        *_chain(material),
+        *_noise(posterior),
+    ]
+
+
+def _checks(posterior: pd.DataFrame, summary: ChainSummary) -> list[tuple[str, str, str]]:
+    worst, least = posterior.sort_values("rhat").iloc[-1], posterior.sort_values("ess").iloc[0]
+    return [
+        ("ensembles agree (largest R-hat)", f"{worst['rhat']:.4f} ({worst['parameter']})", f"below {SAME:g}"),
+        ("independent samples (smallest)", f"{least['ess']:,.0f} ({least['parameter']})", "some thousand"),
+        ("length", f"{summary.steps} steps, {summary.ensembles} of {summary.walkers} walkers", _length(summary)),
+        ("steps until a walker forgets", _forgets(summary.autocorrelation_steps), "at most a fiftieth of the steps"),
+        ("sampled sd over approximation", _over_laplace(summary), "near 1"),
+    ]
+
+
+def _length(summary: ChainSummary) -> str:
+    """Say whether the chain is long enough, and how to lengthen it."""
+    if not summary.missing_steps:
+        return "long enough"
+    return (
+        f"too short: about {summary.missing_steps} more steps are needed; set stages.sample.max_steps = "
+        f"{summary.steps + summary.missing_steps} and run again, it resumes where it is"
+    )
+
+
+def _forgets(steps: float | None) -> str:
+    return "not known: some never moved" if steps is None else f"{steps:.3g}"
+
+
+def _over_laplace(summary: ChainSummary) -> str:
+    least, most = summary.sd_over_laplace_least, summary.sd_over_laplace_most
+    return "every parameter is at a bound" if least is None or most is None else f"{least:.3f} to {most:.3f}"
+
+
+def _cuts(summary: ChainSummary) -> list[Block]:
+    said = [
+        f"The bounds {one.lower:.3g} to {one.upper:.3g} {one.unit} cut the posterior of {one.parameter}: read its quantiles, "
+        "not its mean and sd."
+        for one in summary.cut
+    ]
+    return [bullets(said)] if said else []
+
+
+def _held(held: Sequence[Cause]) -> list[Block]:
+    """Say which causes were not sampled."""
+    if not held:
+        return []
+    names = listed([cause_name(cause.id, cause.joint) for cause in held])
+    return [paragraph(f"Held at their estimates, having too many parameters to sample: {names}. What is not known of them is "
+                      "not in the sampled standard deviations.")]  # fmt: skip
+
+
+def _noise(posterior: pd.DataFrame) -> list[Block]:
+    rows = posterior[posterior["parameter"] == "noise.factor"].to_dict("records")
+    return [
+        paragraph(
+            f"The noise itself was sampled too: {row['q500']:.2f} times what the fit used (95 % between {row['q025']:.2f} "
+            f"and {row['q975']:.2f})."
+        )
+        for row in rows
+    ]
+
+
+def _chain(material: Material) -> list[Block]:
+    path = material.run_folder / "sample" / "chain.h5"
+    if not path.exists():
+        return []
+    posterior = material.tables["sample/posterior.csv"]
+    chain = Chain.read(path, material)
+    names = posterior["parameter"].astype(str).tolist()
+    shown = [*short_names(material.sampled[0].model.parameters), names[-1]]
+    units = [readable(str(unit)) for unit in posterior["unit"]]
+
+    def labels(which: Sequence[int]) -> list[str]:
+        return [f"{shown[k]}\n[{units[k][1]}]" if units[k][1] else shown[k] for k in which]
+
+    def factors(which: Sequence[int]) -> np.ndarray:
+        return np.array([units[k][0] for k in which])
+
+    slow = np.argsort(posterior["ess"].to_numpy(dtype=float), kind="stable")[:TRACED].tolist()
+    traced = traces(chain.steps, chain.values(np.array(slow)) * factors(slow), labels(slow), chain.discard)
+    blocks = [plot("traces", traced, TRACES)]
+    pairs = [names.index(name) for name in corner_names(material.results)]
+    if len(pairs) > 1:
+        drawn = corner(chain.draws(np.array(pairs), CORNER_DRAWS) * factors(pairs), labels(pairs))
+        width = round(100 * drawn.get_figwidth() / WIDTH)
+        rows = [_row(posterior.iloc[k]) for k in pairs]
+        blocks += [
+            heading("Parameters that go together"),
+            plot("corner", drawn, CORNER, width),
+            table(("parameter", "unit", "mean", "sd", "2.5 %", "median", "97.5 %"), rows, "llrrrrr"),
+        ]
+    return blocks
+
+
+def corner_names(results: Results) -> list[str]:
+    """Return the parameters worth a look in pairs: at a bound, then the most correlated, then the last effect's; six at most."""
+    parameters = latest(results, "parameters")
+    names = parameters.loc[parameters["at_bound"].astype(bool), "parameter"].astype(str).tolist()[:2]
+    if "identify/correlations.csv" in results:
+        names += results.tables["identify/correlations.csv"][["first", "second"]].to_numpy().ravel().tolist()
+    last = parameters["effect"].iloc[-1]
+    names += parameters.loc[parameters["effect"] == last, "parameter"].astype(str).tolist()
+    sampled = (
+        set(results.tables["sample/posterior.csv"]["parameter"]) if "sample/posterior.csv" in results else set(names)
+    )
+    chosen = [name for name in dict.fromkeys(names) if name in sampled][:PAIRED]
+    return [name for name in parameters["parameter"] if name in chosen]
+
+
+def _row(row: pd.Series) -> tuple[str, ...]:
+    factor, unit = readable(str(row["unit"]))
+    sd = factor * float(row["sd"])
+    said = [with_sd(factor * float(row[name]), sd)[0] for name in ("mean", "q025", "q500", "q975")]
+    return (str(row["parameter"]), unit, said[0], with_sd(0.0, sd)[1], *said[1:])
+
+
+def too_short(results: Results) -> list[Advice]:
+    """A chain that is too short is to be lengthened."""
+    summary = _summary(results)
+    return [Advice(2, f"The sampling is {_length(summary)}.")] if summary.missing_steps else []
+
+
+def ensembles_disagree(results: Results) -> list[Advice]:
+    """Ensembles that disagree have not found all of the posterior."""
+    worst = results.tables["sample/posterior.csv"].sort_values("rhat").iloc[-1]
+    if not worst["rhat"] > SAME:
+        return []
+    sentence = (
+        f"The ensembles disagree on {worst['parameter']} (R-hat {worst['rhat']:.3f}, wanted below {SAME:g}): the sampled "
+        "intervals are not to be trusted yet; raise stages.sample.max_steps."
+    )
+    return [Advice(2, sentence)]
+
+
+def _summary(results: Results) -> ChainSummary:
+    return results.document("sample/summary.json", ChainSummary)
+
+
+SECTION = Section(
+    60,
+    "How sure: the sampled posterior",
+    ("sample/posterior.csv", "sample/summary.json", "identify/parameters.csv"),
+    write,
+    (too_short, ensembles_disagree),
+)

@@ -1,0 +1,160 @@
+"""The first page: what calibration gained, how sure that is, what stays open and what to do next."""
+
+from __future__ import annotations
+
+import math
+
+from calflow.estimation.fit_summary import IdentifySummary
+from calflow.files.results import Results
+from calflow.reporting.causes.first_page import lacked, structure, unsure
+from calflow.reporting.document import Block, bullets, card, gap, heading, paragraph, picture, side_by_side
+from calflow.reporting.figures.error_budget import before_after
+from calflow.reporting.findings import findings
+from calflow.reporting.material import Material, ModelAccuracy, gathered, latest, latest_summary, split_judged, steps
+from calflow.reporting.section import Section, advice, sections
+from calflow.reporting.sections.accuracy import LACKS
+from calflow.reporting.sections.identifiability import open_questions
+from calflow.reporting.sections.predictive import coverage_words
+from calflow.reporting.words import listed, mm, plural, ratio
+
+ENOUGH = 1.1  # times the noise up to which a model counts as complete
+USELESS = 0.95  # share of the nominal error above which calibration gained nothing
+CARDS = 3
+TEXT = 10.5  # points
+SIZES = ((TEXT, 18, 95), (9.5, 22, 106), (8.5, 27, 119))  # points, lines below the figure, letters in a line
+TOLD = "Nothing: the data determine every parameter."
+FINE = "Nothing needs attention: the parameters can be used for the tools, loads and workspace that were measured."
+
+
+def write(material: Material) -> list[Block]:
+    """Put the verdict on one page."""
+    accuracy = latest(material.results, "accuracy")
+    split = split_judged(accuracy)
+    found = gathered(steps(accuracy, split), len(steps(material.tables["identify/accuracy.csv"], split)))
+    shown = [found[0], *found[1:][-(CARDS - 1) :]]
+    cards = [
+        [card(step.label, mm(step.mean), f"largest {mm(step.max)} mm", dark=step is found[-1] and len(found) > 1)]
+        for step in shown
+    ]
+    lists: list[tuple[str, list[str | tuple[str, str]]]] = [
+        ("What the data cannot tell", [*unsure(material.results), *open_questions(material.results)] or [TOLD]),
+        ("What to do next", [*next_steps(material)] or [FINE]),
+    ]
+    size = TEXT
+    if "diagnose/findings.csv" in material.results:
+        lists.insert(0, ("What the study's model lacked", lacked(material.results)))
+        size = fitting([" ".join(line) if isinstance(line, tuple) else line for _, lines in lists for line in lines])
+    return [
+        paragraph("Calibration report", 10),
+        paragraph(material.title, 21, bold=True),
+        paragraph(_measured(material), 10),
+        gap(20),
+        paragraph(judgement(material.results, found), 14, bold=True),
+        gap(6),
+        paragraph(headline(found, split), 12),
+        gap(16),
+        side_by_side(cards, [1] * len(cards), 8),
+        gap(16),
+        side_by_side(
+            [[picture("before_after", before_after(found, material.noise_floor))],
+             [heading("How sure is this?"), bullets(how_sure(material), TEXT)]],
+            [1, 1],
+        ),
+        *(block for title, lines in lists for block in (heading(title), bullets(lines, size))),
+    ]  # fmt: skip
+
+
+def judgement(results: Results, found: list[ModelAccuracy]) -> str:
+    """Say in a few words whether to use the model."""
+    first, last = found[0], found[-1]
+    urgent = any(found.urgency == 1 for found in advice(sections(), results))
+    if urgent or last.mean > USELESS * first.mean:
+        return "Do not use this model: see what to do next."
+    times = latest_summary(results).lack_of_fit
+    if any(found.status == "unexplained" for found in findings(results)):
+        return "Usable where it was measured, but something unexplained is left."
+    if math.isnan(times):
+        return "Usable where it was measured; how much better it could be is not known."
+    if times <= ENOUGH:
+        return "Calibrated: as good as the measuring device can tell."
+    return "Usable where it was measured, but the model lacks something."
+
+
+def headline(found: list[ModelAccuracy], split: str) -> str:
+    """Say in one sentence what calibration gained."""
+    first, last = found[0], found[-1]
+    seen = "that no fit has seen" if split == "holdout" else "used for the fit (none were held out)"
+    if len(found) == 1:
+        return f"At poses {seen}, the nominal robot is off by {mm(first.mean)} mm on average."
+    verb = "reduces" if last.mean < first.mean else "increases"
+    return (
+        f"At poses {seen}, calibration {verb} the tool-position error from {mm(first.mean)} mm to {mm(last.mean)} mm "
+        f"on average, and the largest from {mm(first.max)} mm to {mm(last.max)} mm."
+    )
+
+
+def how_sure(material: Material) -> list[tuple[str, str]]:
+    """Say what the numbers are worth: noise, lack of fit, the model's own uncertainty, coverage."""
+    alone = material.noise_floor
+    floor = f" Noise alone would give a mean error of {mm(alone)} mm." if alone else ""
+    summary = latest_summary(material.results)
+    sure = f"where it was tested, its predicted positions are certain to {mm(material.model_sd)} mm (1 sd)."
+    said = [
+        ("Noise:", f"{material.known.noise(material.data).words}.{floor}"),
+        ("Left over:", leftover(summary.lack_of_fit, summary.discrepancy_mm, structure(material.results))),
+        ("Calibrated model:", sure),
+    ]
+    if "sample/predictive.csv" in material.results:
+        said.append(("Tested:", coverage_words(material.results)))
+    return said
+
+
+def leftover(times: float, discrepancy: float = 0.0, structure: str = "") -> str:
+    """Say what a lack-of-fit factor and the model's own error [mm] mean; nan is a factor that cannot be known.
+
+    structure is what an unexplained part of the error depends on, if there is one.
+    """
+    if structure and not times > ENOUGH:
+        return f"more than noise: a part of it depends on {structure}, and no cause explains that."
+    if math.isnan(times):
+        return "whether the model leaves more than noise cannot be told: the noise was estimated from the fit itself."
+    if times <= ENOUGH:
+        return f"the model leaves {times:.2f} times the noise, so the noise explains all that is left."
+    own = (
+        f" Its own error of {mm(discrepancy)} mm per axis is counted in every standard deviation."
+        if discrepancy
+        else ""
+    )
+    lacks = "it lacks something" if times > LACKS else "a little more than noise explains"
+    return f"the model leaves {ratio(times)} times the noise: {lacks}.{own}"
+
+
+def next_steps(material: Material) -> list[str]:
+    """Return what all sections advise, the most urgent first."""
+    return [step.sentence for step in advice(sections(), material.results)]
+
+
+def fitting(lines: list[str]) -> float:
+    """Return the size of letters [points] in which lists have room below the figure."""
+    sizes = [size for size, room, width in SIZES if sum(-(-len(line) // width) for line in lines) <= room]
+    return sizes[0] if sizes else SIZES[-1][0]
+
+
+def _measured(material: Material) -> str:
+    summary = material.results.document("identify/summary.json", IdentifySummary)
+    robot, data = material.study.robot, material.data.table
+    loads = [name for name in dict.fromkeys(data["payload"].astype(str)) if name]
+    markers = list(dict.fromkeys(data["marker"].astype(str)))
+    parts = [
+        f"Robot: {robot.name}",
+        f"{plural(summary.training_poses, 'pose')} used for the fit, {summary.heldout_poses} held out",
+        f"{plural(len(data), 'measured point')}",
+        f"{'marker' if len(markers) == 1 else 'markers'} {listed(markers, 5)}",
+        *([f"{'payload' if len(loads) == 1 else 'payloads'} {listed(loads, 5)}"] if loads else []),
+    ]
+    return "  ·  ".join(parts)
+
+
+SECTION = Section(
+    0, "Verdict", ("identify/accuracy.csv", "identify/summary.json", "identify/identifiability.csv"), write
+)

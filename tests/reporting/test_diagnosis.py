@@ -1,0 +1,476 @@
+"""The part on causes: said in words for each kind of finding, drawn without anything cut off, and told on the first page."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from calflow.effects import catalogue
+from calflow.reporting import document
+from calflow.reporting.causes.finding import how_sure
+from calflow.reporting.causes.first_page import lacked, unsure
+from calflow.reporting.causes.gain import gain_words
+from calflow.reporting.causes.search import candidates, untestable
+from calflow.reporting.figures.causes import evidence, explained, gains, in_space, waterfall
+from calflow.reporting.figures.estimates import estimates
+from calflow.reporting.findings import (
+    amount,
+    cause_name,
+    chance,
+    chance_figure,
+    findings,
+    place_name,
+    place_names,
+    sureness,
+)
+from calflow.reporting.material import Material, ModelAccuracy, gathered, steps
+from calflow.reporting.section import chosen, sections
+from calflow.reporting.style import style
+from calflow.stages.stage import Context
+from reporting.case import (
+    BACKLASH,
+    COUPLED,
+    CURVE,
+    OR_HYSTERESIS,
+    ORDER_OPEN,
+    OUTLIERS,
+    STEP,
+    WAVING,
+    Case,
+    Found,
+    context,
+    with_diagnosis,
+    with_sample,
+)
+
+NO_GAIN = (float("nan"),) * 3
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Context:
+    return context(tmp_path_factory.mktemp("small"))
+
+
+def told(given: Context) -> tuple[str, str]:
+    """The first page and the section on causes, with everything that string literals hide unescaped."""
+    material = Material.of(given.study, given.results, given.run_folder)
+    with style():
+        parts = {section.title: section.write(material) for section in chosen(sections(), material)}
+    source = {
+        title: document.source("", [("", blocks)]).replace('\\"', '"').replace("\\\\", "\\")
+        for title, blocks in parts.items()
+    }
+    return source["Verdict"], source["What the model lacked: causes"]
+
+
+def test_a_named_cause_is_told_with_place_size_sureness_and_gain(small: Context) -> None:
+    """Fails if what, where, how large, how sure or what it gained is missing."""
+    first, section = told(with_diagnosis(small, BACKLASH))
+    assert "1. Backlash of joint 2" in section
+    assert "play 100.0 ± 4.0 µrad (1 sd)" in section
+    assert "less than one in a million" in section
+    assert "Nothing else that was tested" in section
+    assert "takes 0.040 mm off the mean error (95 % interval 0.020 to 0.060 mm)" in section
+    assert "does not prove a name" in section
+    assert "Backlash of joint 2:" in first
+    assert "100.0 ± 4.0 µrad; it takes 0.040 mm off the mean error." in first
+
+
+def test_a_cause_with_several_parameters_is_told(small: Context) -> None:
+    """Fails if a cause of the device, or one with more than one parameter, cannot be written."""
+    first, section = told(with_diagnosis(small, STEP, BACKLASH))
+    assert "1. Step of the measuring device (after row 12 in measuring order)" in section
+    assert "step 0.3000 ± 0.0090 mm" in section
+    assert "2. Backlash of joint 2" in section
+    assert "+ 2 causes" in first
+
+
+def test_what_cannot_be_told_apart_is_said_with_what_would_tell(small: Context) -> None:
+    """Fails if a name that is not sure is told as if it were, or without a way out."""
+    first, section = told(with_diagnosis(small, OR_HYSTERESIS, poses=0))
+    assert "1. Backlash of joint 2 or friction wind-up of joint 2" in section
+    assert "Its name is less sure: friction wind-up of joint 2 explains these data as well" in section
+    assert "No pose tells backlash from friction wind-up in these data: log each joint's travel." in section
+    assert "Whether it is backlash of joint 2 or friction wind-up of joint 2." in first
+    assert "To tell backlash of joint 2 from friction wind-up of joint 2: log each joint's travel." in first
+
+
+def test_poses_that_would_tell_are_asked_for_on_the_first_page(small: Context) -> None:
+    """Fails if the proposed poses are not told."""
+    first, section = told(with_diagnosis(small, OR_HYSTERESIS))
+    said = (
+        "Measure the 5 poses of diagnose/next_poses.csv that tell backlash of joint 2 from friction wind-up of joint 2:"
+    )
+    assert said in first
+    assert "would tell it from friction wind-up of joint 2: 6.5 standard deviations apart instead of 1.2." in section
+
+
+def test_only_the_family_is_named_where_the_order_is_open(small: Context) -> None:
+    """Fails if one order is told as certain where others do as well."""
+    first, section = told(with_diagnosis(small, ORDER_OPEN))
+    assert "1. Angular transmission error of joint 2" in section
+    assert "best described as eccentricity (order 1): amplitude 300 ± 10 µrad" in section
+    assert "The order, or finer form, of the angular transmission error of joint 2." in first
+
+
+def test_the_unexplained_is_told_by_its_inputs_and_never_as_a_cause(small: Context) -> None:
+    """Fails if structure without a cause is passed over or given a name."""
+    unsure = replace(WAVING, gain=(0.01, -0.02, 0.04))
+    first, section = told(with_diagnosis(small, BACKLASH, COUPLED, unsure))
+    assert "The angles of joints 2 and 3:" in section
+    assert "A Gaussian process of it, which has no physical meaning, would take 0.040 mm off the mean error" in section
+    assert "How much it matters at other poses cannot be told (a Gaussian process gains 0.010 mm" in section
+    assert "The time (period 36 s):" in section
+    assert "Usable where it was measured, but something unexplained is left." in first
+    assert "Why a part of the error depends on the angles of joints 2 and 3 and the time (period 36 s)" in first
+    assert "More causes could be tested with a column temperature_degC (thermal growth)." in first
+    assert "What depends on it is worth 0.040 mm of the mean error, or more." in first
+    assert "+ 2 causes" not in first
+    named, _ = told(with_diagnosis(small, BACKLASH))
+    assert "Left over" in named
+    assert "a part of it depends on" not in named
+    alone, _ = told(with_diagnosis(small, COUPLED))
+    assert "No cause explains what is left: 41 causes were tested." in alone
+
+
+def test_a_name_beside_the_unexplained_along_its_input_is_not_told_as_sure(small: Context) -> None:
+    """Fails if a cause counts as certain although what nobody can name depends on the same joint."""
+    context = with_diagnosis(small, replace(BACKLASH, status="one_of"), COUPLED)
+    table = context.tables["diagnose/findings.csv"]
+    table["cannot_tell_from"] = table["cannot_tell_from"].astype(object)
+    table.loc[table["cause"] == "joint-backlash", "cannot_tell_from"] = "unexplained"
+    first, section = told(context)
+    assert "something that no cause explains depends on the same input" in section
+    assert "Whether it is backlash of joint 2 at all, or a part of what stays unexplained." in first
+    assert "Nothing else that was tested" not in section
+
+
+def test_a_fault_of_the_data_is_told_without_a_size(small: Context) -> None:
+    """Fails if a fault, which has neither size nor gain, breaks the section or counts as a cause."""
+    _, section = told(with_diagnosis(small, OUTLIERS, BACKLASH))
+    assert "Faults of the data (outlier) were seen to before" in section
+    assert "1. Backlash of joint 2" in section
+    assert "nan" not in section
+    _, section = told(with_diagnosis(small, OUTLIERS))
+    assert "Nothing was found that the model lacks." in section
+
+
+def test_nothing_found_is_said_and_nothing_else_is_shown(small: Context) -> None:
+    """Fails if an empty diagnosis reads as if something had been found, or breaks."""
+    first, section = told(with_diagnosis(small))
+    assert "Nothing was found that the model lacks." in section
+    assert "Nothing was found: 41 causes were tested." in first
+    assert "What the causes gained" not in section
+    assert "does not prove" not in section
+
+
+def test_without_the_tables_of_diagnose_the_first_page_does_not_speak_of_causes(small: Context) -> None:
+    """Fails if a run without diagnose claims that anything was looked for."""
+    material = Material.of(small.study, small.results, small.run_folder)
+    with style():
+        parts = [(section.title, section.write(material)) for section in chosen(sections(), material)]
+    assert "lacked" not in document.source("", parts)
+
+
+def test_what_could_not_be_tested_is_listed_by_what_it_needs(small: Context) -> None:
+    """Fails if a cause that nobody could test is taken for one that is not there."""
+    _, section = told(with_diagnosis(small))
+    assert "bending of links 1 and 2." in section
+    assert "Needs a column temperature_degC:" in section
+    groups = untestable(candidates(with_diagnosis(small).results))
+    assert list(groups) == ["", "a column temperature_degC"]  # nothing: the model's own parameters imitate it
+
+
+def test_how_small_a_cause_the_data_show_is_told_by_joint(small: Context) -> None:
+    """Fails if limits are not told, in another unit than the heading's, or as powers of ten."""
+    _, section = told(with_diagnosis(small))
+    below = section.partition("How small a cause these data show")[2]
+    row = next(line for line in below.splitlines() if "Gear ratio error" in line)
+    assert all(f'[#"{cell}";]' in row for cell in ("µrad/rad", "120", "250", "370"))
+
+
+@pytest.mark.parametrize("case", [Case(holdout=0.0), Case(stated=False)], ids=["none held out", "noise unknown"])
+def test_a_report_is_written_whatever_is_known(case: Case, tmp_path: Path) -> None:
+    """Fails if gains that are not known, or a missing noise floor, break a section or are told as numbers."""
+    found = replace(BACKLASH, gain=NO_GAIN) if not case.holdout else BACKLASH
+    _, section = told(with_diagnosis(context(tmp_path, case), found, COUPLED))
+    assert ("No poses were held out" in section) == (not case.holdout)
+    assert ("What the causes gained" in section) == bool(case.holdout)
+    assert ("; noise alone would leave" in section) == (case.stated and bool(case.holdout))
+
+
+def test_the_report_is_set_with_causes_and_a_sampled_extended_model(small: Context, tmp_path: Path) -> None:
+    """Fails if typst refuses the section, or the posterior is not that of the extended model."""
+    from calflow.stages.report import STAGE
+
+    given = with_sample(with_diagnosis(small, STEP, OR_HYSTERESIS, COUPLED))
+    STAGE.run(replace(given, folder=tmp_path))
+    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
+    drawn = {path.stem for path in (tmp_path / "figures").iterdir()}
+    assert {"cause_1", "cause_2", "gains", "evidence", "causes_workspace", "error_budget", "traces"} <= drawn
+
+
+def test_a_posterior_without_the_maps_is_told_as_such(small: Context, tmp_path: Path) -> None:
+    """Fails if the chain of a model whose curves were held is read as one of the whole model, or nobody says so."""
+    given = with_sample(with_diagnosis(small, BACKLASH, CURVE))
+    material = Material.of(given.study, given.results, given.run_folder)
+    held = sum(parameter.effect == "joint-error-map" for parameter in material.known.model.parameters)
+    assert held > 20
+    assert len(material.sampled[0].estimate) == len(material.known.estimate) - held
+    with style():
+        (section,) = [section for section in chosen(sections(), material) if "posterior" in section.title]
+        text = document.source("", [("", section.write(material))])
+    assert "too many parameters to sample: angle error curve of joint 2" in text
+
+
+def test_errors_and_accuracy_are_those_of_the_extended_model(small: Context) -> None:
+    """Fails if the first page goes on telling what the study's own model reached."""
+    given = with_diagnosis(small, BACKLASH)
+    material = Material.of(given.study, given.results, given.run_folder)
+    np.testing.assert_allclose(material.error, 0.5 * material.error_before)
+    assert material.known.model.parameters[-1].effect == "joint-backlash"
+    table = given.tables["diagnose/accuracy.csv"]
+    first, _ = told(given)
+    last = table[table["split"] == "holdout"]["mean_mm"].iloc[-1]
+    assert f"to {last:.3f} mm on average" in first
+
+
+def test_causes_are_drawn_together_on_the_first_page() -> None:
+    """Fails if ten steps crowd the first page, or a single cause loses its name."""
+    found = [ModelAccuracy(str(k), f"+ {k}", 9, 1.0, 1.0, 1.0) for k in range(6)]
+    assert [step.label for step in gathered(found, 3)] == ["+ 0", "+ 1", "+ 2", "+ 3 causes"]
+    assert gathered(found, 3)[-1].model == "5"
+    assert gathered(found, 5) == found
+    assert gathered(found, 6) == found
+
+
+def test_many_causes_are_cut_on_the_first_page(small: Context) -> None:
+    """Fails if the list of causes pushes everything else off the first page."""
+    many = [Found("named", "gear-ratio-error", k, 1e-4, 1e-6, "1") for k in (1, 2, 3)]
+    said = lacked(with_diagnosis(small, *many, STEP, BACKLASH, ORDER_OPEN).results)
+    assert len(said) == 5
+    assert said[-1] == ("And 2 more causes:", "backlash of joint 2 and angular transmission error of joint 2.")
+
+
+def test_causes_of_the_same_name_are_told_by_their_detail(small: Context) -> None:
+    """Fails if two steps of the device, at different moments, read as one."""
+    results = with_diagnosis(small, STEP, replace(STEP, detail="after row 20 in measuring order")).results
+    assert [head for head, _ in lacked(results)] == [
+        "Step of the measuring device (after row 12 in measuring order):",
+        "Step of the measuring device (after row 20 in measuring order):",
+    ]
+
+
+def test_causes_that_harm_unseen_poses_are_not_to_be_used(small: Context) -> None:
+    """Fails if a model that got worse at held-out poses is called calibrated."""
+    given = with_diagnosis(small, BACKLASH)
+    table = given.tables["diagnose/accuracy.csv"]
+    table.loc[table["model"] == table["model"].iloc[-1], "mean_mm"] *= 2
+    first, _ = told(given)
+    assert "Do not use this model: see what to do next." in first
+    assert "Do not use the model with the causes: at held-out poses it is worse than without them" in first
+
+
+@pytest.mark.parametrize(
+    ("gain", "words"),
+    [
+        (
+            (0.041, 0.024, 0.056),
+            "takes 0.041 mm off the mean error (95 % interval 0.024 to 0.056 mm) and leaves 0.080 mm",
+        ),
+        (
+            (-0.012, -0.046, 0.024),
+            "gained −0.012 mm, which cannot be told from nothing (95 % interval −0.046 to 0.024 mm)",
+        ),
+        ((-0.03, -0.05, -0.01), "makes the mean error 0.030 mm larger"),
+        (NO_GAIN, "No poses were held out"),
+    ],
+)
+def test_a_gain_is_told_as_what_its_interval_allows(
+    small: Context, gain: tuple[float, float, float], words: str
+) -> None:
+    """Fails if a gain that may be nothing is told as a gain."""
+    (found,) = findings(with_diagnosis(small, replace(BACKLASH, gain=gain)).results)
+    assert words in gain_words(found, None)
+    assert ("noise alone" in gain_words(found, 0.06)) == (gain[0] == gain[0] and not gain[2] < 0)
+
+
+def test_sureness_is_told_for_each_status(small: Context) -> None:
+    """Fails if a set of causes is told as a single one."""
+    one = [findings(with_diagnosis(small, found).results)[0] for found in (BACKLASH, OR_HYSTERESIS, ORDER_OPEN)]
+    assert "Nothing else" in how_sure(one[0])
+    assert "Its name is less sure" in how_sure(one[1])
+    assert "its order, or finer form, is not. Periodic angle error and angle error curve would do" in how_sure(one[2])
+    coarse = findings(with_diagnosis(small, replace(ORDER_OPEN, rivals="")).results)[0]
+    assert coarse.name == "angular transmission error of joint 2"
+    assert "would do as well" not in how_sure(coarse)
+    assert unsure(with_diagnosis(small, BACKLASH).results) == []
+
+
+@pytest.mark.parametrize(
+    ("cause", "estimate", "sd", "unit", "words"),
+    [
+        ("joint-backlash", 1.2e-4, 4e-6, "rad", "120.0 ± 4.0 µrad"),
+        ("gravity-deflection", 3.79e-3, 1.1e-5, "rad", "3.790 ± 0.011 mrad"),
+        ("tool-deflection", 4e-7, 1e-8, "m/N", "3.923 ± 0.098 µm/kg"),
+        ("payload-mass", 0.156, 0.012, "1", "15.6 ± 1.2 %"),
+        ("wrist-coupling", 1.9e-4, 3e-5, "1", "190 ± 30 µrad/rad"),
+        ("thermal-growth", 2.33e-5, 9e-7, "1/K", "23.30 ± 0.90 µm/m per °C"),
+        ("frame-drift", 1.1e-7, 3.2e-9, "m/s", "0.396 ± 0.012 mm/h"),
+        ("base-compliance", 3e-8, 2e-9, "rad/Nm", "30.0 ± 2.0 µrad/kNm"),
+        ("link-bending", 4e-7, 1.6e-8, "1/Nm2", "2.50 ± 0.10 MNm²"),
+        ("gravity-compensator", 5400.0, 300.0, "Nm", "5.40 ± 0.30 kNm"),
+        ("frame-step", 3e-4, float("nan"), "m", "0.3 mm"),
+        ("something-new", 2.5, 0.1, "bar", "2.50 ± 0.10 bar"),
+    ],
+)
+def test_sizes_are_in_units_that_an_engineer_reads(
+    cause: str, estimate: float, sd: float, unit: str, words: str
+) -> None:
+    """Fails if a size is off by a factor, or stands in SI."""
+    assert amount(cause, estimate, sd, unit) == words
+
+
+def test_units_survive_a_csv(small: Context) -> None:
+    """Fails if the unit 1, which pandas reads as a number, is shown as 1.0."""
+    given = with_diagnosis(small, Found("named", "gear-ratio-error", 1, 5e-4, 1e-6, "1"), COUPLED)
+    table = given.tables["diagnose/findings.csv"]
+    table["unit"] = pd.to_numeric(table["unit"])
+    assert findings(given.results)[0].amount == "500.0 ± 1.0 µrad/rad"
+
+
+def test_chances_are_told_in_words_that_do_not_overstate() -> None:
+    """Fails if a p-value is told as zero, or a probability as certain."""
+    assert chance(1e-200) == "less than one in a million"
+    assert chance(0.000321) == "about one in 3,100"
+    assert chance(0.0069) == "about one in 140"
+    assert chance(0.25) == "about 25 %"
+    assert chance(float("nan")) == "unknown"
+    assert (chance_figure(0.0), chance_figure(0.0069), chance_figure(float("nan"))) == ("< 10⁻⁶", "0.0069", "–")
+    assert (sureness(0.99999), sureness(0.5), sureness(float("nan"))) == ("> 99 %", "50 %", "–")
+
+
+def test_causes_have_a_name_with_their_place() -> None:
+    """Fails if a reader is shown an id, or a link is called a joint."""
+    assert cause_name("joint-backlash", 2) == "backlash of joint 2"
+    assert cause_name("link-bending", 4) == "bending of link 4"
+    assert place_name("payload-mass", 0, "half") == "payload mass error (half)"
+    assert place_name("payload-mass", 0, "payloads") == "payload mass error"
+    assert place_names("bearing-compliance", [(1, "joint1"), (3, "joint3")]) == "bearing tilt of joints 1 and 3"
+    assert place_name("periodic-joint-error", 2, "joint2") == "periodic angle error of joint 2"
+    assert cause_name("something-new", 3) == "something new of joint 3"
+
+
+def test_every_effect_of_the_catalogue_has_words() -> None:
+    """Fails if an effect is added and the report can only show its title."""
+    assert [name for name, kind in catalogue().items() if kind.words is None] == []
+    assert all(kind.words.name and kind.words.what and kind.words.size for kind in catalogue().values())
+
+
+@cache
+def _drawings() -> dict[str, Figure]:
+    rng = np.random.default_rng(0)
+    held = np.arange(90) % 4 == 0
+    x, noise = np.linspace(-2.5e4, 2.5e4, 90), 0.03 * rng.standard_normal(90)
+    side = np.where(np.arange(90) % 2, 1.0, -1.0)
+    curve, cloud = np.sin(x / 8e3), rng.standard_normal(90)
+    names = ["nominal robot", "geometry", "+ joint compliance", "+ gear transmission error of joint 6",
+             "+ scale error of the measuring device", "+ payload mass error (a long name of a payload)"]  # fmt: skip
+    stages = [
+        ModelAccuracy(n, n, 9, m, m, 2 * m) for n, m in zip(names, (31.0, 1.2, 0.2, 0.1, 0.12, 0.06), strict=True)
+    ]
+    place, error = rng.uniform(0, 3000, (90, 3)), 0.1 * rng.standard_normal((90, 3))
+    labels = [
+        "periodic angle error of joint 2 (order 14.4)",
+        "drift of the measuring device (shifting)",
+        "backlash of joint 1",
+    ]
+    some = np.array([True, False, False])
+    with style():
+        return {
+            "a line": explained(x, curve + noise, noise, curve, held, "moment across the axis of joint 2", "Nm"),
+            "crosses": explained(x, cloud + noise, noise, cloud, held, "angle of joint 2", "deg"),
+            "groups": explained(side, side + noise, noise, side, held, "approach of joint 2", ""),
+            "none held out": explained(side, side + noise, noise, side, held & False, "payload", "kg"),
+            "waterfall": waterfall(stages, 0.05),
+            "waterfall, no floor": waterfall(stages, None),
+            "gains": gains(0.2, names[3:], [0.1, 0.12, 0.06], np.array([[0.05, 0.15], [-0.05, 0.01], [0.02, 0.09]]), 0.05),
+            "gains, no floor": gains(0.2, names[3:4], [0.1], np.array([[-0.05, 0.15]]), None),
+            "evidence": evidence(labels, np.array([80.0, 75.0, -3.0]), np.array([0.0, 1e-9, 0.4]), some, 10.0, 0.007),
+            "no evidence": evidence(labels, np.array([-2.0, -3.0, -4.0]), np.ones(3), some & False, 10.0, 0.007),
+            "space": in_space(place, error, 0.3 * error, held, 500.0),
+        }  # fmt: skip
+
+
+def _tick_labels(axis: Axis) -> list[Text]:
+    """The tick labels of an axis that are seen."""
+    low, high = sorted(axis.get_view_interval())
+    margin = 1e-9 * (high - low)
+    labels = [tick.label1 for tick in axis.get_major_ticks() if low - margin <= tick.get_loc() <= high + margin]
+    return [label for label in labels if label.get_visible() and label.get_text().strip()]
+
+
+def _has_names(axes: Axes) -> bool:
+    """Whether names stand along the vertical axis in the place of numbers."""
+    return any(label.get_text().strip("−-.0123456789") for label in _tick_labels(axes.yaxis))
+
+
+@pytest.mark.parametrize("name", _drawings())
+def test_figures_have_labels_and_nothing_is_cut_off(name: str) -> None:
+    """Fails if an axis has no label, text reaches beyond the figure, or labels of one axis lie on each other."""
+    drawn = _drawings()[name]
+    with style():
+        canvas = FigureCanvasAgg(drawn)
+        canvas.draw()
+        renderer = canvas.get_renderer()
+        seen = [*drawn.texts, *(text for legend in drawn.legends for text in legend.get_texts())]
+        for axes in (axes for axes in drawn.axes if axes.axison):
+            ticks = [_tick_labels(axis) for axis in (axes.xaxis, axes.yaxis)]
+            sharing = axes.get_shared_y_axes().get_siblings(axes)
+            assert axes.get_xlabel() or axes.get_label() == "<colorbar>"
+            assert any(other.get_ylabel() or _has_names(other) for other in sharing)
+            for labels in ticks:
+                boxes = [label.get_window_extent(renderer) for label in labels]
+                assert not any(a.overlaps(b) for k, a in enumerate(boxes) for b in boxes[k + 1 :]), [
+                    label.get_text() for label in labels
+                ]
+            seen += [*ticks[0], *ticks[1], *axes.texts, axes.title, axes.xaxis.label, axes.yaxis.label]
+        for text in seen:
+            box = text.get_window_extent(renderer)
+            inside = box.x0 > -1 and box.y0 > -1 and box.x1 < drawn.bbox.x1 + 1 and box.y1 < drawn.bbox.y1 + 1
+            assert inside or not text.get_text().strip(), (text.get_text(), box)
+
+
+@pytest.mark.parametrize("sizes", [(28, 6, 2, 1), (3, 1, 1, 1), (28, 6, 6, 120)])
+def test_effects_with_few_parameters_are_named_apart(sizes: tuple[int, ...]) -> None:
+    """Fails if the names of narrow groups of parameters lie on each other or beyond the figure."""
+    groups = ("geometry", "joint-compliance", "gravity-compensator", "nonlinear-joint-stiffness")
+    effects = [effect for effect, size in zip(groups, sizes, strict=True) for _ in range(size)]
+    zero = np.zeros(len(effects))
+    with style():
+        drawn = estimates([f"joint2.{k}" for k in range(len(effects))], effects, zero, zero + 1, zero > 0)
+        canvas = FigureCanvasAgg(drawn)
+        canvas.draw()
+        boxes = [text.get_window_extent(canvas.get_renderer()) for text in drawn.axes[0].texts]
+    assert len(boxes) == len(groups)
+    assert all(a.x1 < b.x0 for a, b in pairwise(boxes))
+    assert boxes[0].x0 > 0
+    assert boxes[-1].x1 < drawn.bbox.x1
+
+
+def test_steps_of_the_extended_model_are_labelled_by_their_cause(small: Context) -> None:
+    """Fails if the accuracy table or its waterfall shows ids."""
+    given = with_diagnosis(small, STEP, BACKLASH)
+    labels = [step.label for step in steps(given.tables["diagnose/accuracy.csv"], "holdout")]
+    assert labels[-2:] == ["+ step of the measuring device", "+ backlash of joint 2"]

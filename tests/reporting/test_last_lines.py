@@ -1,0 +1,43 @@
+"""What a run ends with: the verdict, what was found with its size and gain, and the accuracy with it."""
+
+from __future__ import annotations
+
+import pytest
+
+from calflow.reporting.last_lines import last_lines
+from reporting.case import BACKLASH, COUPLED, OUTLIERS, context, with_diagnosis
+
+
+@pytest.fixture(scope="module")
+def given(tmp_path_factory):
+    """Identified."""
+    return context(tmp_path_factory.mktemp("study"))
+
+
+def test_findings_are_told_with_cause_joint_size_and_gain(given):
+    """Fails if a reader of the last lines does not learn what was found, where, how large, and what it is worth."""
+    lines = last_lines(with_diagnosis(given, BACKLASH, COUPLED, OUTLIERS).tables)
+    found = [line for line in lines if line.startswith("found: ")]
+    assert found == [
+        "found: backlash of joint 2, 100.0 ± 4.0 µrad; takes 0.040 mm off the mean error (0.020 to 0.060, 95 %)",
+        "found: something unexplained that depends on the angles of joints 2 and 3; takes 0.040 mm off the mean error "
+        "(0.020 to 0.060, 95 %)",
+        "found: 2 rows are far off (lines 12, 31)",
+    ]
+    assert "Usable where it was measured, but something unexplained is left." in lines
+
+
+def test_accuracy_goes_on_after_diagnosis(given):
+    """Fails if the last lines stop at the study's own model, or repeat it with each cause's name."""
+    tables = with_diagnosis(given, BACKLASH).tables
+    lines = last_lines(tables)
+    rows = [line.rsplit(None, 3) for line in lines[1 : 1 + len(tables["diagnose/accuracy.csv"])]]
+    assert [row[0].strip() for row in rows if row[1] == "holdout"][-1] == "+ joint-backlash joint2"
+    assert [float(row[2]) for row in rows] == [round(v, 3) for v in tables["diagnose/accuracy.csv"]["mean_mm"]]
+
+
+def test_nothing_found_is_said(given):
+    """Fails if a diagnosis that found nothing looks like none."""
+    assert "found: nothing that the model lacks" in last_lines(with_diagnosis(given).tables)
+    assert not any(line.startswith("found") for line in last_lines(given.tables))
+    assert last_lines({}) == []

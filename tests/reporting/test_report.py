@@ -1,0 +1,197 @@
+"""The report as a whole: it is built from whatever tables there are, twice the same, and says what they say."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calflow.files.results import Results
+from calflow.reporting import document
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section, chosen, sections
+from calflow.reporting.style import style
+from calflow.stages.report import STAGE
+from calflow.stages.stage import Context
+from reporting.case import Case, changed, context, with_sample, with_select
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Context:
+    return context(tmp_path_factory.mktemp("small"))
+
+
+@pytest.fixture(scope="module")
+def whole(small: Context) -> Context:
+    return with_sample(with_select(small))
+
+
+@pytest.fixture(scope="module")
+def files(whole: Context, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    return built(whole, tmp_path_factory.mktemp("whole"))
+
+
+def source_of(given: Context) -> str:
+    """The typst source, with everything that its string literals hide unescaped."""
+    material = Material.of(given.study, given.results, given.run_folder)
+    with style():
+        parts = [(section.title, section.write(material)) for section in chosen(sections(), material)]
+    return document.source(material.title, parts).replace('\\"', '"').replace("\\\\", "\\")
+
+
+def built(given: Context, folder: Path) -> dict[str, bytes]:
+    assert STAGE.run(replace(given, folder=folder)) == Results()
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_the_same_tables_give_the_same_bytes(whole: Context, files: dict[str, bytes], tmp_path: Path) -> None:
+    again = built(whole, tmp_path / "again")
+    assert again.keys() == files.keys()
+    assert [name for name in files if files[name] != again[name]] == []
+    assert b"CreationDate" not in files["report.pdf"]
+
+
+def test_nothing_but_the_report_and_its_figures_is_written(files: dict[str, bytes]) -> None:
+    assert {name for name in files if not re.fullmatch(r"figures/\w+\.svg", name)} == {"report.pdf"}
+    assert {"before_after", "residuals_joints", "traces", "corner", "observability"} <= {
+        Path(name).stem for name in files
+    }
+
+
+def test_numbers_of_the_accuracy_table_are_told(small: Context) -> None:
+    text = source_of(small)
+    accuracy = small.tables["identify/accuracy.csv"]
+    for row in accuracy.to_dict("records"):
+        assert f'"{row["mean_mm"]:.3f}"' in text
+        assert f'"{row["max_mm"]:.3f}"' in text
+    held = accuracy[accuracy["split"] == "holdout"]
+    assert f"to {held['mean_mm'].iloc[-1]:.3f} mm on average" in text
+
+
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")
+def test_a_reader_of_the_pdf_finds_the_numbers_and_names(small: Context, tmp_path: Path) -> None:
+    built(small, tmp_path)
+    text = subprocess.run(["pdftotext", "-layout", tmp_path / "report.pdf", "-"], capture_output=True, text=True).stdout
+    held = small.tables["identify/accuracy.csv"].query("split == 'holdout'")
+    assert f"{held['mean_mm'].iloc[-1]:.3f}" in text
+    assert r'Arm_1 *bold* #let $x^2$ @ref <label> "quoted" \\ [x] // end' in text
+    assert "T_*a*$#@<b>.x" in text
+
+
+@pytest.mark.parametrize("name", ['$x^2$ *b* _i_ #set @a <b> "q" \\', "a\nb", "'", "]", "// no comment", "1. - + = /"])
+def test_text_is_shown_letter_by_letter(name: str) -> None:
+    literal = document.plain(name)
+    inside = literal.removeprefix('#"').removesuffix('";')
+    assert re.fullmatch(r'(?:[^"\\\n]|\\["\\])*', inside)
+    assert inside.replace('\\"', '"').replace("\\\\", "\\") == name.replace("\n", " ")
+
+
+def test_sections_are_left_out_without_their_tables(small: Context, whole: Context) -> None:
+    def titles(given: Context) -> list[str]:
+        return [
+            section.title for section in chosen(sections(), Material.of(given.study, given.results, given.run_folder))
+        ]
+
+    assert set(titles(whole)) - set(titles(small)) == {
+        "Planned poses", "How sure: the sampled posterior", "Predictions put to the test"
+    }  # fmt: skip
+    assert titles(whole)[0] == "Verdict"
+    assert titles(whole)[-1].startswith("Appendix")
+
+
+def test_every_section_has_a_place_of_its_own() -> None:
+    found = sections()
+    assert all(isinstance(section, Section) for section in found)
+    assert len({section.order for section in found}) == len(found)
+
+
+def test_the_chain_is_drawn_in_the_parameters_own_units(whole: Context) -> None:
+    from calflow.reporting.chain import Chain
+
+    material = Material.of(whole.study, whole.results, whole.run_folder)
+    chain = Chain.read(whole.run_folder / "sample" / "chain.h5", material)
+    parameters = whole.tables["identify/parameters.csv"]
+    k = int(np.flatnonzero(parameters["parameter"] == "joint2.a")[0])
+    drawn = chain.draws(np.array([k, len(parameters)]), 10**6)
+    assert drawn[:, 0].mean() == pytest.approx(parameters["estimate"][k], abs=0.1 * parameters["sd"][k])
+    assert drawn[:, 0].std() == pytest.approx(parameters["sd"][k], rel=0.15)
+    assert drawn[:, 1].mean() == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_sampled_run_without_its_chain_is_reported(whole: Context, tmp_path: Path) -> None:
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "traces.svg").touch()  # of an earlier report, which had a chain
+    files = built(replace(whole, run_folder=tmp_path / "elsewhere"), tmp_path)
+    assert "figures/posterior_sd.svg" in files
+    assert "figures/traces.svg" not in files
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        Case(payload=False, stated=False, holdout=0.0),
+        Case(markers=("1", "2"), repeats=3),
+        Case(oriented=True),
+        Case(poses=400, repeats=4, markers=("a", "b")),
+    ],
+    ids=["bare", "markers", "oriented", "large"],
+)
+def test_other_data_are_reported(case: Case, tmp_path: Path) -> None:
+    given = with_sample(context(tmp_path, case))
+    files = built(given, tmp_path / "out")
+    assert files["report.pdf"].startswith(b"%PDF")
+    assert len(files["report.pdf"]) < 3e6
+    assert max(map(len, files.values())) < 2e6  # crowds of points are pictures
+
+
+def test_without_heldout_poses_the_report_says_so(tmp_path: Path) -> None:
+    text = source_of(context(tmp_path, Case(holdout=0.0)))
+    assert "used for the fit (none were held out)" in text
+    assert "flatters the model" in text
+
+
+def test_no_noise_floor_is_claimed_where_only_the_fit_tells_the_noise(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    assert "Noise alone would give" not in source_of(context(tmp_path / "a", Case(stated=False)))
+    assert "Noise alone would give" in source_of(context(tmp_path / "b"))
+
+
+def test_noise_floor_is_the_mean_length_of_the_noise(small: Context) -> None:
+    material = Material.of(small.study, small.results, small.run_folder)
+    noise = 0.05 * np.random.default_rng(0).standard_normal((200_000, 3))
+    assert material.noise_floor == pytest.approx(np.linalg.norm(noise, axis=1).mean(), rel=0.01)
+
+
+def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> None:
+    material = Material.of(small.study, small.results, small.run_folder)
+    known = material.known
+    rng = np.random.default_rng(0)
+    draws = rng.multivariate_normal(known.estimate, known.covariance, 400, method="svd")
+    rows = material.data.rows[:, material.judged]
+    centre = known.model.position(known.estimate, rows)
+    moved = np.array([known.model.position(draw, rows) - centre for draw in draws])
+    assert material.model_sd == pytest.approx(1e3 * np.sqrt((moved**2).sum(axis=2).mean()), rel=0.1)
+
+
+def test_flagged_rows_are_listed_by_their_line(small: Context) -> None:
+    rows = small.tables["identify/residuals.csv"]
+    given = changed(small, "identify/residuals.csv", flagged=np.arange(len(rows)) == 7)
+    text = source_of(given)
+    assert f"Check 1 row of the measurement file (line {rows['line'][7]})" in text
+    assert "Rows that do not fit" in text
+    assert "No row stands out" in source_of(small)
+
+
+def test_the_largest_error_stands_first_among_flagged_rows(small: Context) -> None:
+    rows = small.tables["identify/residuals.csv"]
+    error = np.linalg.norm(rows[["dx_mm", "dy_mm", "dz_mm"]], axis=1)
+    table = source_of(changed(small, "identify/residuals.csv", flagged=True)).partition("Rows that do not fit")[2]
+    assert re.search(r'\[#"(\d+)";\]', table.partition("table.hline(stroke: 0.4pt)")[2])[1] == str(
+        rows["line"][error.argmax()]
+    )  # type: ignore[index]
