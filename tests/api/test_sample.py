@@ -1,35 +1,119 @@
-"""The sample of the documentation: from files to a diagnosis, a posterior, commands and a report."""
+"""The sample of the documentation: from files to a diagnosis, a posterior, joint commands and a report."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import calflow as cf
+from calflow.api.sampled import sample
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "api.md"
-
-
-@pytest.fixture
-def asked(small, monkeypatch):
-    """robot.toml and points.csv in the working folder: a robot whose first gear has 0.6 mrad of play that nobody stated."""
-    small.edit("robot.toml", ("[payloads.heavy]", "[payloads.full]"))
-    small.edit(
-        "truth.toml",
-        ('"joint-compliance"]', '"joint-compliance", "joint-backlash"]\napproach = true'),
-        ('payloads = ["light", "heavy"]', 'payloads = ["light", "full"]'),
-        ("random = 40", "random = 60"),
-    )
-    with (small / "truth.toml").open("a") as file:
-        file.write("\n[values.joint1]\nb_rad = 6e-4\n")
-    assert small.calflow("simulate", small / "truth.toml", "--out", small / "points.csv").code == 0
-    monkeypatch.chdir(small.path)
-    monkeypatch.setattr(cf.api.sampled.ChainLength, "ess", 4000, raising=False)
-    return small
+RUNOUT = 6e-4  # rad, of a gear: an eccentricity, which is not among the sample's effects
 
 
 def the_sample() -> str:
     """The first block of Python in the documentation."""
     return re.search(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)[1]
+
+
+@pytest.fixture
+def points(small, monkeypatch):
+    """A working folder with robot.toml and points.csv, of a robot whose first gear does not run true."""
+    small.edit("robot.toml", ("[payloads.heavy]", "[payloads.full]"))
+    small.edit(
+        "truth.toml", ('"joint-compliance"]', '"joint-compliance", "joint-eccentricity"]\napproach = true'),
+        ('"heavy"', '"full"'), ("random = 40", "random = 60"),
+    )  # fmt: skip
+    with (small / "truth.toml").open("a", encoding="utf-8") as file:
+        file.write(f"\n[values.joint1]\nsin_rad = {RUNOUT}\n")
+    assert small.calflow("simulate", small / "truth.toml", "--out", small / "points.csv").code == 0
+    monkeypatch.chdir(small.path)
+    monkeypatch.setitem(sample.__kwdefaults__, "max_steps", 60)  # a short chain: it says so
+    return small
+
+
+def test_the_sample_runs_as_written(points):
+    """Fails if a line of the documentation's sample does not run, or its objects do not hold what the sample says."""
+    q, a = np.array([[0.1, -0.5, 0.7], [1.0, -0.9, 1.2]]), np.array([[1, 1, -1], [-1, 1, 1]])
+    targets = np.array([[0.9, 0.3, 0.8], [9.0, 0.0, 0.0]])
+    said = {"q": q, "a": a, "targets": targets}
+    exec(compile(the_sample(), "sample", "exec"), said)
+    fit, found, posterior = said["fit"], said["found"], said["posterior"]
+    assert found.accuracy["mean_mm"].iloc[-1] < 0.1 < fit.accuracy["mean_mm"].iloc[-1]
+    assert fit.covariance.loc["joint2.a", "joint2.a"] == pytest.approx(
+        fit.parameters.set_index("parameter")["sd"]["joint2.a"] ** 2
+    )
+    assert found.findings[0].cause == "joint-eccentricity"
+    assert found.findings.table["cause"].tolist() == [finding.cause for finding in found.findings]
+    assert found.findings[0].estimate == pytest.approx(RUNOUT, rel=0.1)
+    assert set(found.findings[0].cannot_tell_from) <= {rival.split()[0] for rival in found.findings[0].rivals}
+    assert len(found.next_poses) == len(found.next_poses.table)
+    assert "missing_steps" in repr(posterior.summary)
+    assert len(posterior.draws) == posterior.values[..., 0].size
+    assert posterior.draws["joint2.a"].mean() == pytest.approx(
+        posterior.table.set_index("parameter")["mean"]["joint2.a"]
+    )
+    assert isinstance(fit.plot.residuals(), Figure)
+    assert (points / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_fit_says_what_it_is_worth(points):
+    """Fails if a notebook hides the error, a parameter at its bound, or what the data do not tell."""
+    robot = cf.Robot.from_toml("robot.toml")
+    data = cf.Measurements.from_csv("points.csv", robot).split(holdout=0.3, seed=1)
+    fit = cf.identify(robot, data, effects=["geometry", "joint-compliance"])
+    for shown in (repr(fit), fit._repr_html_()):
+        assert "at bounds: joint1.s" in shown
+        assert "the data say nothing about joint1.s" in shown
+        assert "geometry + joint-compliance" in shown
+    assert "<table" in fit._repr_html_()
+    again = cf.identify(robot, data, effects=["geometry", "joint-compliance"])
+    assert again.parameters.equals(fit.parameters)
+    with pytest.raises(cf.InputError, match="identify them first"):
+        cf.diagnose(fit, data.only(np.arange(len(data)) > 2))
+
+
+def test_wrong_requests_are_refused_together(points):
+    """Fails if what an effect lacks, a wrong name or a missing split ends in a traceback of NumPy."""
+    robot = cf.Robot.from_toml("robot.toml")
+    rows = cf.Measurements.from_csv("points.csv", robot)
+    with pytest.raises(cf.InputError, match=r"data\.split\(holdout=0\.3"):
+        cf.identify(robot, rows)
+    with pytest.raises(cf.InputError, match="unknown effect 'geometri', did you mean 'geometry'"):
+        cf.identify(robot, rows.split(), effects=["geometri"])
+    with pytest.raises(cf.InputError) as refused:
+        cf.identify(robot, rows.split(), effects=["gear-transmission-error", "range-noise"])
+    assert len(refused.value.problems) == 3
+
+
+def test_without_arviz_it_says_what_to_install(points):
+    """Fails if the draws cannot be handed to ArviZ, or its absence is a riddle."""
+    robot = cf.Robot.from_toml("robot.toml")
+    data = cf.Measurements.from_csv("points.csv", robot).split(holdout=0.3, seed=1)
+    fit = cf.identify(robot, data, effects=["geometry"], starts=1)
+    posterior = cf.sample(fit.model, data, max_steps=50)
+    try:
+        import arviz_base  # noqa: F401
+    except ImportError:
+        with pytest.raises(ImportError, match="pip install arviz-base"):
+            posterior.to_inference_data()
+        return
+    drawn = posterior.to_inference_data()["posterior"]["joint2.a"]
+    assert float(drawn.mean()) == pytest.approx(posterior.draws["joint2.a"].mean())
+
+
+def test_the_package_shows_its_public_names_only():
+    """Fails if a notebook's completion shows modules, a public name leads nowhere, or the version is another."""
+    from importlib.metadata import version
+
+    assert set(dir(cf)) == {*cf.__all__, "__version__"}
+    assert all(getattr(cf, name).__doc__ for name in cf.__all__)
+    assert cf.__version__ == version("calflow")
+    import calflow.reporting.section  # noqa: F401
+
+    assert callable(cf.report)

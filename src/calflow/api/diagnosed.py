@@ -27,6 +27,7 @@ from calflow.stages.diagnose import results
 
 if TYPE_CHECKING:
     from calflow.api.plots import Plots
+    from calflow.reporting.material import Material
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,7 +84,16 @@ class Diagnosis:
         """Its figures."""
         from calflow.api.plots import Plots
 
-        return Plots(self)
+        return Plots(self.material)
+
+    def material(self, title: str = "") -> Material:
+        """Return what its figures and its report are made from."""
+        from calflow.api.material import material_of
+
+        settings = self.fit.settings | {"diagnose": {"false_alarm": self.false_alarm}}
+        return material_of(
+            self.model, self.fit.results | self.results, self.fit.effects, self.fit.seed, settings, title
+        )
 
     def __repr__(self) -> str:
         last = self.accuracy.groupby("split", sort=False).last()["mean_mm"].round(4)

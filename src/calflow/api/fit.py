@@ -27,6 +27,7 @@ from calflow.stages.identify import results
 
 if TYPE_CHECKING:
     from calflow.api.plots import Plots
+    from calflow.reporting.material import Material
 
 OPEN_SHOWN = 6  # statements of what the data leave open, beyond which the rest is counted
 
@@ -90,7 +91,18 @@ class Fit:
         """Its figures."""
         from calflow.api.plots import Plots
 
-        return Plots(self)
+        return Plots(self.material)
+
+    def material(self, title: str = "") -> Material:
+        """Return what its figures and its report are made from."""
+        from calflow.api.material import material_of
+
+        return material_of(self.model, self.results, self.effects, self.seed, self.settings, title)
+
+    @property
+    def settings(self) -> dict[str, dict[str, object]]:
+        """What a study would say to get it."""
+        return {"identify": {"starts": self.identification.starts, "loss": self.identification.loss}}
 
     def __repr__(self) -> str:
         return "\n".join((f"Fit: {' + '.join(self.effects)}", self._accuracy.to_string(index=False), *self._said))

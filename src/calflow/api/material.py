@@ -5,31 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from calflow.api.diagnosed import Diagnosis
-from calflow.api.fit import Fit
+from calflow.api.model import Model
+from calflow.files.results import Results
 from calflow.reporting.material import Material
 from calflow.study import Study, StudyFile, WorkflowFile
 
 NOWHERE = Path()
+NAME = "python"
+Settings = dict[str, dict[str, Any]]
 
 
-def material_of(found: Fit | Diagnosis, title: str = "") -> Material:
-    """Return what a fit's or a diagnosis' figures and report are made from."""
-    fit = found.fit if isinstance(found, Diagnosis) else found
-    data, known = fit.identification.data, found.model.known
-    results = fit.results | found.results
-    stages: dict[str, dict[str, Any]] = {"identify": {"starts": fit.identification.starts}}
-    if isinstance(found, Diagnosis):
-        stages["diagnose"] = {"false_alarm": found.false_alarm}
-    study = _study(fit, title, stages)
-    return Material(study, data.only(data.train | data.held_out), known, results, NOWHERE)
-
-
-def _study(fit: Fit, title: str, stages: dict[str, dict[str, Any]]) -> Study:
-    """The study that asks for what was asked for in Python."""
-    name = "python"
-    file = StudyFile(
-        name=name, title=title or f"Calibration of {fit.measured.robot.name}", robot="robot.toml", seed=fit.seed,
-        effects=fit.effects, stages=stages,
-    )  # fmt: skip
-    return Study(NOWHERE, file, fit.measured.robot, NOWHERE, WorkflowFile(name=name, stages=tuple(stages)), NOWHERE)
+def material_of(
+    model: Model, results: Results, effects: tuple[str, ...], seed: int, settings: Settings, title: str
+) -> Material:
+    """Return what a fit's or a diagnosis' figures and report are made from; settings are those of each stage, in order."""
+    title = title or f"Calibration of {model.robot.name}"
+    file = StudyFile(name=NAME, title=title, robot="robot.toml", seed=seed, effects=effects, stages=settings)
+    workflow = WorkflowFile(name=NAME, stages=tuple(settings))
+    study = Study(NOWHERE, file, model.robot, NOWHERE, workflow, NOWHERE)
+    used = model.data.only(model.data.train | model.data.held_out)
+    return Material(study, used, model.known, results, NOWHERE)

@@ -4,25 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
-from calflow.api.material import material_of
 from calflow.reporting.material import Material
 from calflow.reporting.sections.residuals import by_joint, by_place, in_space
 from calflow.reporting.style import style
-
-if TYPE_CHECKING:
-    from calflow.api.diagnosed import Diagnosis
-    from calflow.api.fit import Fit
 
 
 @dataclass(frozen=True)
 class Plots:
     """Figures of Matplotlib; `.savefig(path)` writes one."""
 
-    of: Fit | Diagnosis
+    material: Callable[[], Material]
 
     def residuals(self) -> Figure:
         """Draw the position errors against each joint's reading."""
@@ -38,4 +32,4 @@ class Plots:
 
     def _drawn(self, draw: Callable[[Material], Figure]) -> Figure:
         with style():
-            return draw(material_of(self.of))
+            return draw(self.material())

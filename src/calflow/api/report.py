@@ -29,11 +29,10 @@ def report(found: Fit | Diagnosis | str | Path, path: str | Path, title: str = "
         return _copied(Path(found), path)
     if not isinstance(found, Fit | Diagnosis):
         raise TypeError(f"expected a fit, a diagnosis or a run folder, found {type(found).__name__}")
-    from calflow.api.material import material_of
     from calflow.reporting.written import write_report
 
     with TemporaryDirectory() as folder:
-        write_report(material_of(found, title), Path(folder))
+        write_report(found.material(title), Path(folder))
         path.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(Path(folder) / "report.pdf", path)
     return path
