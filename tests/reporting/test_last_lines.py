@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from calflow.files.results import Results
 from calflow.reporting.last_lines import last_lines
 from reporting.case import BACKLASH, COUPLED, OUTLIERS, context, with_diagnosis
 
@@ -16,7 +17,7 @@ def given(tmp_path_factory):
 
 def test_findings_are_told_with_cause_joint_size_and_gain(given):
     """Fails if a reader of the last lines does not learn what was found, where, how large, and what it is worth."""
-    lines = last_lines(with_diagnosis(given, BACKLASH, COUPLED, OUTLIERS).tables)
+    lines = last_lines(with_diagnosis(given, BACKLASH, COUPLED, OUTLIERS).results)
     found = [line for line in lines if line.startswith("found: ")]
     assert found == [
         "found: backlash of joint 2, 100.0 ± 4.0 µrad; takes 0.040 mm off the mean error (0.020 to 0.060, 95 %)",
@@ -29,15 +30,15 @@ def test_findings_are_told_with_cause_joint_size_and_gain(given):
 
 def test_accuracy_goes_on_after_diagnosis(given):
     """Fails if the last lines stop at the study's own model, or repeat it with each cause's name."""
-    tables = with_diagnosis(given, BACKLASH).tables
-    lines = last_lines(tables)
-    rows = [line.rsplit(None, 3) for line in lines[1 : 1 + len(tables["diagnose/accuracy.csv"])]]
-    assert [row[0].strip() for row in rows if row[1] == "holdout"][-1] == "+ joint-backlash joint2"
-    assert [float(row[2]) for row in rows] == [round(v, 3) for v in tables["diagnose/accuracy.csv"]["mean_mm"]]
+    results = with_diagnosis(given, BACKLASH).results
+    lines = last_lines(results)
+    rows = [line.rsplit(None, 3) for line in lines[1 : 1 + len(results.tables["diagnose/accuracy.csv"])]]
+    assert [row[0].strip() for row in rows if row[1] == "holdout"][-1] == "+ backlash of joint 2"
+    assert [float(row[2]) for row in rows] == [round(v, 3) for v in results.tables["diagnose/accuracy.csv"]["mean_mm"]]
 
 
 def test_nothing_found_is_said(given):
     """Fails if a diagnosis that found nothing looks like none."""
-    assert "found: nothing that the model lacks" in last_lines(with_diagnosis(given).tables)
-    assert not any(line.startswith("found") for line in last_lines(given.tables))
-    assert last_lines({}) == []
+    assert "found: nothing that the model lacks" in last_lines(with_diagnosis(given).results)
+    assert not any(line.startswith("found") for line in last_lines(given.results))
+    assert last_lines(Results()) == []

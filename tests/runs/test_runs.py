@@ -17,6 +17,7 @@ import pytest
 from filelock import FileLock
 
 import calflow
+from calflow.files.results import Results
 from calflow.files.toml import FileModel
 from calflow.runs import cache_key, execution, planning
 from calflow.runs.folder import default_folder
@@ -171,7 +172,7 @@ def test_a_stage_takes_others_into_account_only_where_they_hold(finished, monkey
         "last",
         "last",
         None_,
-        lambda context: seen.append(sorted(context.tables)) or {},
+        lambda context: seen.append(sorted(context.tables)) or Results(),
         ("identify",),
         ("select", "sample"),
     )
@@ -256,7 +257,7 @@ def test_a_renamed_measurement_file_replaces_the_old_one(finished):
 KILL = """
 import os, signal, sys
 from calflow import cli
-from calflow.files import tables, writing
+from calflow.files import csv, writing
 from calflow.runs import execution, manifest, run
 from calflow.sampling.backend import BlockBackend
 
@@ -283,7 +284,7 @@ def append(self, block, state, real=BlockBackend.append):
         die()
     real(self, block, state)
 
-for module in (tables, writing, execution, manifest, run):
+for module in (csv, writing, execution, manifest, run):
     module.write_whole = write
 os.replace, BlockBackend.append = replace, append
 sys.argv = ["calflow", *arguments]
