@@ -228,6 +228,11 @@ class Model:
         return over_rows(self._compiled[name], p, *rows)
 
     @cached_property
+    def made(self) -> dict[tuple[int, ...], ca.Function]:
+        """Functions that others made of this model's graph, since making one takes longer than a fit's few evaluations."""
+        return {}
+
+    @cached_property
     def _compiled(self) -> dict[str, ca.Function]:
         """What has been looked up in the cache of compiled functions; the look-up takes longer than a few rows."""
         return {}

@@ -21,7 +21,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import locate
 from calflow.measurements.series import Series
 from calflow.measurements.source import MeasurementSource
-from calflow.observations import Observation
+from calflow.observations import Observation, observations
 from calflow.observations import catalogue as observation_kinds
 from calflow.robot.robot import Robot
 
@@ -227,12 +227,24 @@ class Study:
         parts = together(*(partial(self._series, k, one) for k, one in enumerate(paths)))
         measured = combined(parts)
         check_columns(self.file.effects, measured, path)
+        self._check_names(measured)
         measured = measured.split(self.file.split.holdout, self.file.seed)
         poses = measured.table.loc[measured.train, "pose"].nunique()
         if poses < FEWEST_POSES:
             raise refuse(f"holds {poses} poses to fit and {len(measured) - measured.train.sum()} rows in holdout: nothing can be "
                          "identified with so few", path)  # fmt: skip
         return measured
+
+    def _check_names(self, data: Measurements) -> None:
+        """Refuse series whose own parameters would be called the same."""
+        names = [{parameter.name for parameter in one.declared} for one in observations(data)]
+        for k, own in enumerate(names):
+            if both := sorted(own & set().union(*names[:k])):
+                message = (
+                    f"two series have parameters of the same names ({', '.join(both[:3])}, …): give each series a name of its own, "
+                    "and each further station one series, or state where it stands (known = true)"
+                )
+                raise InputError([Origin.of(self.path).problem(message, "measurements", k, "name")])
 
     def _series(self, k: int, path: Path) -> Measurements:
         """Read one series."""

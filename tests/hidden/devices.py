@@ -17,7 +17,7 @@ from calflow.robot.robot import Robot
 from robots import figures, marker_position
 
 Array = np.ndarray
-STEP, TURNS = 1e-6, 25  # of differences [rad], and of Newton's method
+STEP, TURNS = 1e-6, 12  # of differences [rad], and of Newton's method
 MET = 1e-9  # m
 UNITS = {"q": "rad", "length": "m", "reading": "m", "x": "m", "y": "m", "z": "m"}
 

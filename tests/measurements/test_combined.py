@@ -152,3 +152,14 @@ def test_an_impossible_beam_noise_is_refused(small, wrong):
     small.edit("study.toml", (ONE, ONE + (noise if "angle" in wrong else noise.replace("floor_mm = 0.015\n", ""))))
     with pytest.raises(InputError):
         load_study(small.path)
+
+
+def test_two_series_that_share_a_name_are_refused(small):
+    """Fails if the anchors of two wires become one parameter's two values, or nobody is told what to do."""
+    wired(small)
+    small.edit("study.toml", (ONE, SERIES + WIRE + WIRE))
+    (said,) = small.refused()
+    assert said.startswith("study.toml:")
+    assert "wire.x" in said
+    small.edit("study.toml", ('name = "wire"', 'name = "other"'))
+    assert small.calflow("check").code == 0

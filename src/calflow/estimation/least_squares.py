@@ -80,14 +80,24 @@ class Block:
     @cached_property
     def graph(self) -> ca.Function:
         """The function of (p, conditions, reported, whitening): whitened residual and its Jacobian, transposed."""
-        inputs, residual = self.expression()
-        jacobian = ca.densify(ca.jacobian(residual, inputs[0])).T
-        return ca.Function("linearised", inputs, [residual, jacobian])
+        if self._key not in self.model.made:
+            inputs, residual = self.expression()
+            jacobian = ca.densify(ca.jacobian(residual, inputs[0])).T
+            self.model.made[self._key] = ca.Function("linearised", inputs, [residual, jacobian])
+        return self.model.made[self._key]
 
     @cached_property
     def function(self) -> ca.Function:
         """The same, compiled where that pays."""
-        return compiled(self.graph, EXPECTED_EVALUATIONS * len(self.rows))
+        key = (*self._key, len(self.rows))
+        if key not in self.model.made:
+            self.model.made[key] = compiled(self.graph, EXPECTED_EVALUATIONS * len(self.rows))
+        return self.model.made[key]
+
+    @property
+    def _key(self) -> tuple[int, int]:
+        """What its function is known by among those of the model: the observation's number, and how many weights a row has."""
+        return self.model.observations.index(self.observation), len(self.whitening)
 
     def linearised(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield row numbers (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, part by part."""

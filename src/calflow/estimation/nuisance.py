@@ -1,4 +1,4 @@
-"""Nuisance parameters: where sockets, planes and stations are that no fitted row was of."""
+"""Nuisance parameters: where stations are, and what was touched, that no fitted row was of."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def observing(model: Model, data: Measurements) -> Model:
 def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[Model, np.ndarray]:
     """Return a model and its estimate for rows of things that it does not know yet.
 
-    A new socket, plane or session is placed by its own rows, with the robot as it was estimated: what they say of each other is
+    A new socket or session is placed by its own rows, with the robot as it was estimated: what they say of each other is
     judged, where the thing is is not.
     """
     model = observing(model, data)

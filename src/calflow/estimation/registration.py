@@ -43,7 +43,7 @@ def registered(
 ) -> tuple[Robot, tuple[Observation, ...]]:
     """Return the robot with base and tool where the training data put them, all links as the maker says, and what is observed.
 
-    A robot whose base is known, or that nothing sees from outside, is returned as it is. Stations, anchors, planes and sockets
+    A robot whose base is known, or that nothing sees from outside, is returned as it is. Stations, anchors and what was touched
     are placed by the nominal robot's points.
     """
     if any(observation.from_outside for observation in observed):

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calflow.estimation.accuracy import errors
 from calflow.estimation.noise import LEAST_SCATTER, NORMAL_MEDIAN, Noise, Source
+from calflow.estimation.nuisance import observing
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -32,7 +33,7 @@ def measured_noise(
     Raises:
         InputError: the source asked for is not in the data.
     """
-    nominal = nominal or Model(data.robot, (), data.given)
+    nominal = observing(nominal or Model(data.robot, (), data.given), data)
     stated = stated_noise(data)
     sigma, sources = stated.sigma.copy(), list[Source]()
     error = errors(nominal, nominal.nominal, data)

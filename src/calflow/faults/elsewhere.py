@@ -29,7 +29,7 @@ def is_position(data: Measurements) -> np.ndarray:
 
 
 def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
-    """Return one fault with the outliers among some rows (n_rows,), which a robust fit of all training rows leaves far off."""
+    """Return the outliers among some rows (n_rows,), a fault a series, which a robust fit of all training rows leaves far off."""
     train = data.only(data.train)
     robot, observed = registered(data.robot, observations(train), train)
     here, train = data.on(robot), train.on(robot)
@@ -40,19 +40,25 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
         return ()
     fit = fit_reweighted(model, train, noise, model.nominal[None], "cauchy")[0]
     miss = errors(model, fit.estimate, here)
-    off = np.zeros(len(data), dtype=bool)
+    faults = []
     far = distances(miss)
     for k in np.unique(data.series_number[which]):
         own = which & data.of_series(int(k)) & (data.train | data.held_out)
         scale = float(np.median(far[own])) / MEDIAN_LENGTH[int((~np.isnan(miss[own][0])).sum())]
         found = own & (far > limit_of(far[own], scale, max(GROSS * scale, LEAST_GROSS)))
-        off |= found if found.sum() <= MOST * own.sum() else False
-    if not off.any():
-        return ()
-    rows = np.flatnonzero(off)
+        if found.any() and found.sum() <= MOST * own.sum():
+            faults.append(_outliers(data, int(k), found, far, float(np.median(far[own & ~found]))))
+    return tuple(faults)
+
+
+def _outliers(data: Measurements, k: int, found: np.ndarray, far: np.ndarray, others: float) -> Fault:
+    """Tell the rows (n_rows,) of a series that are too far [m] from what all others say."""
+    rows = np.flatnonzero(found)
     lines = tuple(dict.fromkeys(int(line) for line in data.table["line"].iloc[rows]))
+    several = f" of measurements {data.series[k].name or k + 1}" if len(data.series) > 1 else ""
+    low, high = (f"{1e3 * end:.3g}" for end in (far[found].min(), far[found].max()))
     statement = (
-        f"what was measured in {lines_in_words(lines)} is {1e3 * far[off].min():.3g} to {1e3 * far[off].max():.3g} mm from what "
-        f"all other rows say, which miss by {1e3 * float(np.median(far[which & ~off])):.2g} mm; left out, measure again"
+        f"what was measured in {lines_in_words(lines)}{several} is {low if low == high else f'{low} to {high}'} mm from what all "
+        f"other rows say, which miss by {1e3 * others:.2g} mm; left out, measure again"
     )
-    return (Fault(Outlier.id, 0, lines, statement, "left out", tuple(Correction(int(row) + 1) for row in rows)),)
+    return Fault(Outlier.id, 0, lines, statement, "left out", tuple(Correction(int(row) + 1) for row in rows))

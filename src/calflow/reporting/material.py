@@ -22,7 +22,9 @@ from calflow.reporting.findings import place_name
 from calflow.reporting.words import effect_words
 from calflow.study import Study
 
-MEAN_OF_NOISE = float(np.sqrt(8 / np.pi))  # mean length of a vector of three unit normals
+MEAN_OF_NOISE = np.sqrt(
+    np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, np.pi])
+)  # mean length of so many unit normals
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,9 @@ class Material:
         """Mean error that noise alone would give in the judged rows [mm]; None where only the fit tells the noise."""
         if not self.known.noise_known:
             return None
-        return MEAN_OF_NOISE * float(self.sigma[self.judged].mean())
+        units = [one.units.count("m") for one in self.known.model.observations]
+        mean = MEAN_OF_NOISE[np.array(units)[self.data.series_number]] * self.sigma
+        return float(mean[self.judged].mean())
 
     @cached_property
     def model_sd(self) -> float:
