@@ -46,7 +46,7 @@ def test_a_robust_fit_stays_robust(model):
     assert np.linalg.norm(model.position(result.estimate, probe.rows) - probe.position, axis=1).mean() < 2 * SIGMA
     weighed = LeastSquares.of(model, data, level).reweighted(result.estimate, "cauchy")
     sampled = Laplace.of(weighed, result.estimate, result.at_bound)
-    assert sampled.level < 2
+    assert sampled.variance < 2
     again, _ = fit(weighed)
     assert np.linalg.norm(model.position(again.estimate, probe.rows) - probe.position, axis=1).mean() < 2 * SIGMA
 

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from calflow.estimation.least_squares import Layout, LeastSquares, Loss, rho, rho_slope
+from calflow.estimation.least_squares import LeastSquares, Loss, Stacking, rho, rho_slope
 from calflow.model import Model
 
 AT_BOUND = 0.05  # posterior standard deviations from a bound: closer than that, IPOPT's barrier stopped it
@@ -25,7 +25,7 @@ SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two 
 class Fit:
     """An estimate (n_parameters,) and what it is worth.
 
-    residual (n,) is whitened by the noise, layout says what each of them is; r_factor (n_parameters, n_parameters) is
+    residual (n,) is whitened by the noise, stacking says what each of them is; r_factor (n_parameters, n_parameters) is
     Householder's R factor of their Jacobian, which tells all of it but the rows. covariance is Laplace's, over the
     parameters off their bounds; a parameter at a bound has zeros there. objective is half of chi² plus half of the priors' part.
     """
@@ -34,7 +34,7 @@ class Fit:
     estimate: np.ndarray
     objective: float
     residual: np.ndarray
-    layout: Layout
+    stacking: Stacking
     r_factor: np.ndarray
     iterations: int
     converged: bool
@@ -105,7 +105,7 @@ def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "l
         estimate,
         objective,
         residual,
-        problem.layout,
+        problem.stacking,
         r_factor,
         stats["iter_count"],
         stats["success"],

@@ -24,7 +24,7 @@ FINEST = 1e-5  # m: a fit to less noise is asked to be no more exact than one to
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class Stacking:
     """What each of the stacked residuals is: the row that it belongs to, which of its units, and whether it is an angle; (n,)."""
 
     row: np.ndarray
@@ -42,7 +42,7 @@ class Layout:
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class SeriesBlock:
     """The rows of one series: their numbers, packed conditions, what was reported, and the whitening of their residuals.
 
     whitening is (n_units, n_rows) where residuals are independent, else (n_units², n_rows): a matrix a row, column by column.
@@ -112,7 +112,7 @@ class LeastSquares:
     """A model and its data, a block a series."""
 
     model: Model
-    blocks: tuple[Block, ...]
+    blocks: tuple[SeriesBlock, ...]
 
     @staticmethod
     def of(model: Model, data: Measurements, noise: Noise) -> LeastSquares:
@@ -128,7 +128,7 @@ class LeastSquares:
                 continue
             own, units = noise.only(rows), observation.units
             reported = observation.reported(data.table.iloc[rows])
-            blocks.append(Block(model, observation, rows, data.rows[:, rows], reported, own.whitening(units),
+            blocks.append(SeriesBlock(model, observation, rows, data.rows[:, rows], reported, own.whitening(units),
                                 own.principal(units), own.about_model(units)))  # fmt: skip
         return LeastSquares(model, tuple(blocks))
 
@@ -143,12 +143,12 @@ class LeastSquares:
         return sum(block.n_units * len(block.rows) for block in self.blocks)
 
     @cached_property
-    def layout(self) -> Layout:
+    def stacking(self) -> Stacking:
         """What each of the stacked residuals is."""
         row = [np.repeat(block.rows, block.n_units) for block in self.blocks]
         unit = [np.tile(np.arange(block.n_units), len(block.rows)) for block in self.blocks]
         angular = [np.tile([u == "rad" for u in block.observation.units], len(block.rows)) for block in self.blocks]
-        return Layout(np.concatenate(row), np.concatenate(unit), np.concatenate(angular), self.n_rows)
+        return Stacking(np.concatenate(row), np.concatenate(unit), np.concatenate(angular), self.n_rows)
 
     @cached_property
     def sigma(self) -> np.ndarray:

@@ -27,7 +27,7 @@ NOMINAL_ERROR = 1e-3  # m and rad, of a robot as its maker describes it: only se
 
 
 @dataclass(frozen=True)
-class Placement(Geometry):
+class PlacementErrors(Geometry):
     """The part of the geometry that says where base and tool are; not an effect of its own."""
 
     @cached_property
@@ -82,14 +82,14 @@ def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements)
         tool = ((turn * seen).inv() * Rotation.from_matrix(train.rotation[oriented])).mean()
         placed = replace(placed, tool_rotation=_angles(_tool(placed) * tool))
 
-    model = Model(placed, (Placement(placed),), train.given)
+    model = Model(placed, (PlacementErrors(placed),), train.given)
     rough = None if train.rotation is None else np.full(len(train), NOMINAL_ERROR)
     noise = Noise(
         np.full(len(train), NOMINAL_ERROR), tuple[Source, ...]("estimated" for _ in train.series), rotation=rough
     )
     result, _ = fit(LeastSquares.of(model, train.on(placed), noise), loss="soft_l1")
     found = result.estimate[result.model.columns(model.effects[0])]
-    dims = Placement(placed).dimensions(ca.SX(found), nominal_dimensions(placed), Row.symbols(placed))
+    dims = PlacementErrors(placed).dimensions(ca.SX(found), nominal_dimensions(placed), Row.symbols(placed))
     markers = np.array(ca.DM(ca.evalf(dims.markers))).T
     return _moved(
         placed, {(p.part, p.symbol): value for p, value in zip(model.parameters, found, strict=True)}, markers

@@ -48,35 +48,35 @@ def fit_reweighted(
 
 def _agreeing(result: Fit, problem: LeastSquares, noise: Noise, loss: Loss) -> Noise:
     """The noise that agrees with what the fit leaves."""
-    layout = problem.layout
+    stacking = problem.stacking
     estimated = noise.estimated
     sigma = noise.sigma.copy()
     for k, source in enumerate(noise.sources):
         own = noise.of_series(k)
         if source == "estimated" and own.any():
-            lack = _lack(result, problem, layout.of_row(own) & ~layout.angular, loss)
+            lack = _lack(result, problem, stacking.of_row(own) & ~stacking.angular, loss)
             sigma[own] = np.maximum(sigma[own] * np.sqrt(lack.reduced_chi2), LEAST_SCATTER)
     changed = replace(noise, sigma=sigma)
-    known = layout.of_row(~estimated) & ~layout.angular
+    known = stacking.of_row(~estimated) & ~stacking.angular
     if known.any():
         changed = replace(changed, discrepancy=_lack(result, problem, known, loss).discrepancy)
-    if layout.angular.any():
-        changed = replace(changed, rotation_discrepancy=_lack(result, problem, layout.angular, loss).discrepancy)
+    if stacking.angular.any():
+        changed = replace(changed, rotation_discrepancy=_lack(result, problem, stacking.angular, loss).discrepancy)
     return changed
 
 
 def _of_lengths(result: Fit, problem: LeastSquares, noise: Noise, loss: Loss) -> LackOfFit:
     """Lack of fit of the lengths whose noise is known, of all where none is."""
-    layout = problem.layout
-    known = layout.of_row(~noise.estimated) & ~layout.angular
-    return _lack(result, problem, known if known.any() else ~layout.angular, loss)
+    stacking = problem.stacking
+    known = stacking.of_row(~noise.estimated) & ~stacking.angular
+    return _lack(result, problem, known if known.any() else ~stacking.angular, loss)
 
 
 def _lack(result: Fit, problem: LeastSquares, which: np.ndarray, loss: Loss) -> LackOfFit:
     """Lack of fit of some of the residuals, which bear their share of the parameters."""
     error = (result.residual * problem.total)[which]
     determined = result.effective_parameters * np.count_nonzero(which) / len(which)
-    rows = None if loss == "linear" else problem.layout.row[which]
+    rows = None if loss == "linear" else problem.stacking.row[which]
     return lack_of_fit(error, problem.sigma[which], determined, rows)
 
 

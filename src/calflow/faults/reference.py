@@ -10,7 +10,7 @@ import numpy as np
 
 from calflow.effects import catalogue
 from calflow.effects.geometry import Geometry
-from calflow.estimation.registration import Placement
+from calflow.estimation.registration import PlacementErrors
 from calflow.estimation.repeats import conditions
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
@@ -55,7 +55,7 @@ class Models:
     @cached_property
     def placed(self) -> Model:
         """With base and tool where they may be."""
-        return Model(self.robot, (Placement(self.robot),), self.given)
+        return Model(self.robot, (PlacementErrors(self.robot),), self.given)
 
     @cached_property
     def geometric(self) -> Model:

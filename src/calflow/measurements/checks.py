@@ -20,7 +20,7 @@ from calflow.measurements.columns import (
     column_names,
     numbered,
 )
-from calflow.measurements.header import Column
+from calflow.measurements.header import ReadColumn
 from calflow.measurements.layout import Layout
 from calflow.robot.robot import Robot
 
@@ -29,7 +29,7 @@ LEAST_SIGMA = 1e-15  # m or rad; below, what is divided by it is no number any m
 MOVED = 0.02  # rad or m by which two readings of one pose may differ
 
 
-def check_header(columns: Sequence[Column], layout: Layout, robot: Robot, conditions_only: bool) -> list[str]:
+def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, conditions_only: bool) -> list[str]:
     """Say which columns are unknown, doubled, without their unit, or missing."""
     unknown = [said for column in columns if (said := _unknown(column, columns, layout, robot, conditions_only))]
     if len(unknown) > MOST_TOLD:
@@ -55,7 +55,9 @@ def check_header(columns: Sequence[Column], layout: Layout, robot: Robot, condit
     return list(dict.fromkeys((*unknown, *missing, *told)))
 
 
-def _unknown(column: Column, columns: Sequence[Column], layout: Layout, robot: Robot, conditions_only: bool) -> str:
+def _unknown(
+    column: ReadColumn, columns: Sequence[ReadColumn], layout: Layout, robot: Robot, conditions_only: bool
+) -> str:
     """Say what is wrong with a column's name; empty where nothing is."""
     known, name = column_names(robot, layout.reports), column.name
     first = next(one for one in columns if one.name == name and one.marker in ("", column.marker))
@@ -73,7 +75,7 @@ def _unknown(column: Column, columns: Sequence[Column], layout: Layout, robot: R
 
 
 def _missing(
-    own: dict[str, Column], marker: str, layout: Layout, robot: Robot, conditions_only: bool
+    own: dict[str, ReadColumn], marker: str, layout: Layout, robot: Robot, conditions_only: bool
 ) -> list[str]:  # fmt: skip
     """Say which columns the rows of a marker ('' for all) lack."""
     n, known = robot.n_joints, column_names(robot, layout.reports)

@@ -13,7 +13,7 @@ from calflow.robot.robot import Robot
 
 
 @dataclass(frozen=True)
-class Column:
+class ReadColumn:
     """A column that is read: calflow's name and unit for it, both as one word, the file's word, its marker ('': all)."""
 
     name: str
@@ -26,7 +26,7 @@ class Column:
         return f"column '{self.theirs}'" + (f" ({self.ours})" if self.ours != self.theirs else "")
 
 
-def columns_read(there: Sequence[str], layout: Layout, robot: Robot, path: Path) -> list[Column]:
+def columns_read(there: Sequence[str], layout: Layout, robot: Robot, path: Path) -> list[ReadColumn]:
     """Return the columns that are read of those that are there: what the layout names, or else all.
 
     Raises:
@@ -42,4 +42,6 @@ def columns_read(there: Sequence[str], layout: Layout, robot: Robot, path: Path)
     pairs += [(marker, ours, theirs) for marker, own in layout.markers.items() for ours, theirs in own.items()]
     if not pairs:
         pairs = [("", name, name) for name in there]
-    return [Column(*split_column(ours, robot, layout.reports), ours, theirs, marker) for marker, ours, theirs in pairs]
+    return [
+        ReadColumn(*split_column(ours, robot, layout.reports), ours, theirs, marker) for marker, ours, theirs in pairs
+    ]

@@ -13,7 +13,7 @@ from calflow.files.units import LARGEST, SUFFIXES, to_si
 from calflow.measurements.cells import EMPTY, read_cells
 from calflow.measurements.checks import at_rows, check_header, check_values
 from calflow.measurements.columns import SIGMAS, column_names
-from calflow.measurements.header import Column, columns_read
+from calflow.measurements.header import ReadColumn, columns_read
 from calflow.measurements.labels import labelled
 from calflow.measurements.layout import Layout
 from calflow.measurements.sequence import ordered, ranged
@@ -106,12 +106,12 @@ def beyond_words(dimension: str) -> str:
     return f"expected at most {WRONG_UNIT * LARGEST[dimension]:g}{si}"
 
 
-def _is_told(column: Column, known: dict[str, str]) -> bool:
+def _is_told(column: ReadColumn, known: dict[str, str]) -> bool:
     """Whether a column's values can be read: it has a name that is known and a unit of its dimension."""
     return column.name in known and column.unit in SUFFIXES.get(known[column.name], ("",))
 
 
-def _values(cells: pd.Series, column: Column, layout: Layout, path: Path) -> _Values:
+def _values(cells: pd.Series, column: ReadColumn, layout: Layout, path: Path) -> _Values:
     """Return a column's values in SI units."""
     never = pd.Series(False, cells.index)
     if column.name in ("marker", "payload", "session", "split", *layout.reports.labels):
@@ -124,7 +124,7 @@ def _values(cells: pd.Series, column: Column, layout: Layout, path: Path) -> _Va
     return _numbers(cells, column, layout, path)
 
 
-def _numbers(cells: pd.Series, column: Column, layout: Layout, path: Path) -> _Values:
+def _numbers(cells: pd.Series, column: ReadColumn, layout: Layout, path: Path) -> _Values:
     if pd.api.types.is_numeric_dtype(cells):
         numbers, text = cells.astype(float), pd.Series(False, cells.index)
     else:
@@ -144,7 +144,7 @@ def _numbers(cells: pd.Series, column: Column, layout: Layout, path: Path) -> _V
     return _Values(values.where(~(empty | large)), empty, problems)
 
 
-def _no_number(wrong: pd.Series, column: Column, layout: Layout) -> str:
+def _no_number(wrong: pd.Series, column: ReadColumn, layout: Layout) -> str:
     """Say that cells hold no number."""
     first, more = shortened(str(wrong.iloc[0])), len(wrong) - 1
     other = "," if layout.decimal == "." else "."
@@ -153,7 +153,7 @@ def _no_number(wrong: pd.Series, column: Column, layout: Layout) -> str:
     return f"{column}: expected a number, found '{first}'{hint}{count}"
 
 
-def _without_measurement(read: dict[Column, _Values], layout: Layout) -> dict[str, pd.Series]:
+def _without_measurement(read: dict[ReadColumn, _Values], layout: Layout) -> dict[str, pd.Series]:
     """Return for each marker ('' where markers have no columns of their own) which lines lack a measured value."""
     gone = {}
     for marker in dict.fromkeys([column.marker for column in read if column.marker] or [""]):
@@ -167,7 +167,7 @@ def _without_measurement(read: dict[Column, _Values], layout: Layout) -> dict[st
     return gone
 
 
-def _empty(column: Column, own: _Values, gone: dict[str, pd.Series], layout: Layout, path: Path) -> list[Problem]:
+def _empty(column: ReadColumn, own: _Values, gone: dict[str, pd.Series], layout: Layout, path: Path) -> list[Problem]:
     """Find empty cells, besides those of the device in rows that are left out."""
     empty = own.empty
     if column.name in (*layout.reports.values, *SIGMAS):
@@ -176,7 +176,7 @@ def _empty(column: Column, own: _Values, gone: dict[str, pd.Series], layout: Lay
     return _at_lines(empty, path, f"{column} is empty or not a number; complete the row or leave it out")
 
 
-def _assembled(read: dict[Column, _Values], gone: dict[str, pd.Series], layout: Layout) -> pd.DataFrame:
+def _assembled(read: dict[ReadColumn, _Values], gone: dict[str, pd.Series], layout: Layout) -> pd.DataFrame:
     """Return a row for each line, and for each marker where they are measured side by side."""
     blocks = []
     for marker, lines in gone.items():

@@ -41,7 +41,7 @@ class Deflection:
 
 
 @dataclass(frozen=True)
-class Pose:
+class Posture:
     """The frames of one pose, 4x4 each, in the robot's base frame.
 
     joints has each joint's frame after its rotation, ends each link's far end (ends[0] the base, the last the flange),
@@ -60,7 +60,7 @@ class Pose:
         return self.ends[-1]
 
 
-def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Pose:
+def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Posture:
     """Return all frames at driven joint angles q (n_joints,) [rad, or m].
 
     A joint's own frame is the one just after it has turned about its axis (see `frames.Frame`).
@@ -86,10 +86,10 @@ def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Po
         joints.append(moved)
         links.append(link)
         ends.append(end)
-    return Pose(tuple(joints), tuple(ends), tuple(links), bars, closure)
+    return Posture(tuple(joints), tuple(ends), tuple(links), bars, closure)
 
 
-def marker_point(dims: Dimensions, pose: Pose, choice: ca.SX) -> ca.SX:
+def marker_point(dims: Dimensions, pose: Posture, choice: ca.SX) -> ca.SX:
     """Return the chosen marker's position in the robot's base frame; choice is one-hot over markers."""
     return apply(pose.flange, dims.markers @ choice)
 

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.files.problems import refuse
-from calflow.robot.chain import Deflection, Pose, marker_point, pose
+from calflow.robot.chain import Deflection, Posture, marker_point, pose
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads
 from calflow.robot.loop import reachable
@@ -45,7 +45,7 @@ class State:
         return replace(self, torque=self.torque + extra)
 
 
-def potential_energy(robot: Robot, loads: Loads, row: Row, at: Pose) -> ca.SX:
+def potential_energy(robot: Robot, loads: Loads, row: Row, at: Posture) -> ca.SX:
     """Return the energy [J] of all links, the loop's bars and the row's payload in gravity."""
     gravity = ca.DM(robot.gravity)
     energy = ca.SX(0)

@@ -13,12 +13,12 @@ from scipy.special import gammaln
 
 from calflow.compiled import compiled
 from calflow.estimation.calibrated import Identified
-from calflow.estimation.least_squares import Block, LeastSquares
+from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.repeats import averaged
 from calflow.measurements.measurements import Measurements
 
 LOG_NOISE_SD = 1.0  # prior on the log of the noise level: a factor e either way
-LEVEL_PASSES = 3  # the noise level and the number of parameters it leaves undetermined depend on each other, weakly
+VARIANCE_PASSES = 3  # the noise level and the number of parameters it leaves undetermined depend on each other, weakly
 DEGREES = 8.0  # of the Student t that proposes: tails heavy enough to reach what Laplace's normal would miss
 EXPECTED_EVALUATIONS = 10_000  # of each row: sampling always pays for compiling
 
@@ -27,14 +27,14 @@ EXPECTED_EVALUATIONS = 10_000  # of each row: sampling always pays for compiling
 class Laplace:
     """A normal approximation about the estimate: covariance (n, n) of the parameters off their bounds.
 
-    level is the noise's variance relative to the problem's weights. A parameter at a bound stands in the covariance by
+    variance is the noise's, relative to the problem's weights. A parameter at a bound stands in the covariance by
     itself, with the variance that it would have if all others were known.
     """
 
     estimate: np.ndarray
     covariance: np.ndarray
     at_bound: np.ndarray
-    level: float
+    variance: float
 
     @staticmethod
     def of(problem: LeastSquares, estimate: np.ndarray, at_bound: np.ndarray) -> Laplace:
@@ -42,15 +42,17 @@ class Laplace:
         residual, r_factor = problem.reduced(estimate)
         scaled = r_factor * problem.model.prior_sd
         free = ~at_bound
-        level = 1.0
-        for _ in range(LEVEL_PASSES):
-            information = scaled.T @ scaled / level + np.eye(len(estimate))
+        variance = 1.0
+        for _ in range(VARIANCE_PASSES):
+            information = scaled.T @ scaled / variance + np.eye(len(estimate))
             inverse = np.linalg.inv(information[np.ix_(free, free)])
             determined = len(inverse) - np.trace(inverse)
-            level = float((residual**2).sum() / max(1.0, residual.size - determined))
+            variance = float((residual**2).sum() / max(1.0, residual.size - determined))
         covariance = np.diag(np.where(free, 0.0, 1 / np.diag(information)))
         covariance[np.ix_(free, free)] = inverse
-        return Laplace(estimate, covariance * np.outer(problem.model.prior_sd, problem.model.prior_sd), at_bound, level)
+        return Laplace(
+            estimate, covariance * np.outer(problem.model.prior_sd, problem.model.prior_sd), at_bound, variance
+        )
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ class Posterior:
     @staticmethod
     def about(problem: LeastSquares, laplace: Laplace) -> Posterior:
         """Scale by Laplace's approximation; a coordinate of a parameter at a bound counts from there inwards."""
-        centre = np.append(laplace.estimate, 0.5 * np.log(laplace.level))
+        centre = np.append(laplace.estimate, 0.5 * np.log(laplace.variance))
         n = len(laplace.estimate)
         factor = np.zeros((n + 1, n + 1))
         free = ~laplace.at_bound
@@ -103,7 +105,7 @@ class Posterior:
         """Return the log posterior, up to a constant, of coordinates (n_walkers, n_dimensions); -inf outside bounds."""
         x = self.parameters(u)
         model = self.problem.model
-        values, level = x[:, :-1], x[:, -1]
+        values, log_noise = x[:, :-1], x[:, -1]
         lower, upper = model.bounds.T
         inside = ((values >= lower) & (values <= upper)).all(axis=1)
         result = np.full(len(x), -np.inf)
@@ -112,8 +114,8 @@ class Posterior:
             squares = self.squares(values[inside].T)
             scaled = (values[inside] - model.nominal) / model.prior_sd
             result[inside] = (
-                -0.5 * squares * np.exp(-2 * level[inside]) - n_values * level[inside]
-                - 0.5 * (scaled**2).sum(axis=1) - 0.5 * (level[inside] / LOG_NOISE_SD) ** 2
+                -0.5 * squares * np.exp(-2 * log_noise[inside]) - n_values * log_noise[inside]
+                - 0.5 * (scaled**2).sum(axis=1) - 0.5 * (log_noise[inside] / LOG_NOISE_SD) ** 2
             )  # fmt: skip
         return result
 
@@ -176,7 +178,7 @@ def _sum_of_squares(problem: LeastSquares) -> Callable[[np.ndarray], np.ndarray]
     return squares
 
 
-def _squares_of(block: Block) -> Callable[[np.ndarray], np.ndarray]:
+def _squares_of(block: SeriesBlock) -> Callable[[np.ndarray], np.ndarray]:
     n_rows = len(block.rows)
     inputs, residual = block.expression()
     row = compiled(ca.Function("squares", inputs, [ca.sumsqr(residual)]), EXPECTED_EVALUATIONS * n_rows)

@@ -14,7 +14,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
-from calflow.estimation.least_squares import Layout
+from calflow.estimation.least_squares import Stacking
 from calflow.estimation.noise import LackOfFit, Noise
 from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
@@ -33,7 +33,7 @@ FUNCTIONS = {  # rad, of the joint's angle [rad] and approach
 
 def positions(n):
     """The layout of so many measured positions."""
-    return Layout(np.repeat(np.arange(n), 3), np.tile(np.arange(3), n), np.zeros(3 * n, dtype=bool), n)
+    return Stacking(np.repeat(np.arange(n), 3), np.tile(np.arange(3), n), np.zeros(3 * n, dtype=bool), n)
 
 
 def drawn(*names, q, approach):

@@ -188,7 +188,9 @@ class Remainder:
         return self.family.p(self.score)
 
 
-def remainder(fitted: Fitted, level: float, rng: np.random.Generator, say: Callable[[str], None]) -> list[Remainder]:
+def remainder(
+    fitted: Fitted, significance: float, rng: np.random.Generator, say: Callable[[str], None]
+) -> list[Remainder]:
     """Return what the fitted model leaves that depends on inputs, the strongest first."""
     screening = Screening(Regressors.of(fitted.fit, fitted.problem, decoys(fitted), fitted.poses))
     family = screening.family(rng)
@@ -196,7 +198,7 @@ def remainder(fitted: Fitted, level: float, rng: np.random.Generator, say: Calla
     for score in sorted(screening.scores, key=family.p):
         assert isinstance(score.cause.effect, Decoy)
         inputs = score.cause.effect.inputs
-        if family.p(score) >= level or len(found) == MOST_PARTS:
+        if family.p(score) >= significance or len(found) == MOST_PARTS:
             break
         if not any(set(inputs) & set(other.inputs) for other in found):
             found.append(Remainder(inputs, score, family))

@@ -13,7 +13,7 @@ from calflow.diagnosis.screening.hypothesis import H
 from calflow.effects import Effect
 from calflow.effects.cause import Cause, parts
 from calflow.estimation.fit import Fit
-from calflow.estimation.least_squares import Layout, LeastSquares
+from calflow.estimation.least_squares import LeastSquares, Stacking
 
 USUAL = 1e-3  # m, per axis: what a model leaves of a usual robot at most
 SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
@@ -89,7 +89,7 @@ class Regressors(Generic[H]):
         point = np.concatenate([fit.estimate, large.nominal[n:]])
         left, matrix = problem.on(large).screened(point)
         if poses is not None:
-            left, matrix = counted_once(left, matrix, shared_by(problem.layout, poses), fit.effective_parameters)
+            left, matrix = counted_once(left, matrix, shared_by(problem.stacking, poses), fit.effective_parameters)
         free = np.flatnonzero(~fit.at_bound)
         offset = fit.estimate - model.nominal
         precision = model.prior_sd**-2.0
@@ -137,12 +137,12 @@ def counted_once(
     return first, second
 
 
-def shared_by(layout: Layout, poses: np.ndarray) -> np.ndarray:
+def shared_by(stacking: Stacking, poses: np.ndarray) -> np.ndarray:
     """Number the residuals by what the rows of a pose measure alike: the same unit of the same kind, shape (n,).
 
     poses (n_rows,) numbers the rows by pose and series.
     """
-    return np.asarray(poses[layout.row] * (int(layout.unit.max(initial=0)) + 1) + layout.unit)
+    return np.asarray(poses[stacking.row] * (int(stacking.unit.max(initial=0)) + 1) + stacking.unit)
 
 
 def shared_error(residual: np.ndarray, group: np.ndarray, determined: float) -> float:

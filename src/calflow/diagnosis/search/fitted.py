@@ -125,8 +125,8 @@ def _settled(
 
 def _excess(fit: Fit, far: np.ndarray) -> np.ndarray:
     """By how much each row's error exceeds FAR robust standard deviations, at least 1, shape (n_rows,)."""
-    lengths = ~fit.layout.angular
-    size = np.sqrt(fit.layout.by_row(np.where(lengths, fit.residual**2, 0.0))) * far
-    units = fit.layout.by_row(lengths.astype(float)).astype(int)
+    lengths = ~fit.stacking.angular
+    size = np.sqrt(fit.stacking.by_row(np.where(lengths, fit.residual**2, 0.0))) * far
+    units = fit.stacking.by_row(lengths.astype(float)).astype(int)
     scale = float(np.median(size / MEDIAN_LENGTH[units]))
     return np.asarray(np.maximum(1.0, size / (FAR * scale)))

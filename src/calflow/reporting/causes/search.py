@@ -22,7 +22,7 @@ SHOWN = 10  # candidates in the figure
 LONGEST = 46  # letters of a name with its detail, beyond which the detail is left out
 EVIDENCE = (
     "The places that spoke most strongly against the study's model, each tested alone; what one cause explains, others "
-    "imitate in part. Below zero a place explains less than its parameters cost; left of the gate it may be chance."
+    "imitate in part. Below zero a place explains less than its parameters cost; left of the threshold it may be chance."
 )
 LIMITS = (
     "The size at which a cause would be found 95 times in 100, at each joint or link, against the scatter that the study's "
@@ -44,7 +44,7 @@ def went(material: Material, causes: Sequence[Found]) -> list[Block]:
     places = {(one.cause, one.joint) for one in causes}
     added = np.array([(row.cause, row.joint or 0) in places for row in rows])
     drawn = evidence([_words(row) for row in rows], np.array([-row.delta_bic for row in rows]),
-                     np.array([row.p_family for row in rows]), added, WITHIN, gate(material))  # fmt: skip
+                     np.array([row.p_family for row in rows]), added, WITHIN, threshold(material))  # fmt: skip
     return [heading("How the search went"), plot("evidence", drawn, EVIDENCE)]
 
 
@@ -118,7 +118,7 @@ def strongest(rows: Sequence[CandidateRow]) -> str:
     )
 
 
-def gate(material: Material) -> float:
+def threshold(material: Material) -> float:
     """Chance of a false alarm below which a cause passes."""
     return SHARES["causes"] * float(material.study.settings("diagnose").get("false_alarm", FALSE_ALARM))
 

@@ -124,9 +124,9 @@ def gains(
 
 
 def evidence(
-    labels: Sequence[str], evidence: np.ndarray, p: np.ndarray, found: np.ndarray, within: float, gate: float
+    labels: Sequence[str], evidence: np.ndarray, p: np.ndarray, found: np.ndarray, within: float, threshold: float
 ) -> Figure:
-    """Draw how strongly each place speaks: the fall of BIC, and the chance of a false alarm with the gate it must pass.
+    """Draw how strongly each place speaks: the fall of BIC, and the chance of a false alarm with the threshold it must pass.
 
     All arrays have shape (n_places,), best first; found marks what is in the extended model; where there is any, places whose
     evidence is no more than within short of the best cannot be told from it by the first look.
@@ -148,7 +148,7 @@ def evidence(
     for mask, look, _ in looks:
         marker = {"markerfacecolor": look.get("color", look.get("facecolor")), "markeredgecolor": DARK}
         right.plot(shown[mask], at[mask], "o", markersize=4, linestyle="none", **marker)
-    right.axvline(gate, color="black", linestyle="--", linewidth=0.9, label=f"gate: {100 * gate:.2g} %")
+    right.axvline(threshold, color="black", linestyle="--", linewidth=0.9, label=f"threshold: {100 * threshold:.2g} %")
     right.set_xscale("log")
     right.set_xlim(4.0, LEAST_P / 4)
     right.set_xticks(ticks := [1.0, 1e-4, 1e-8, LEAST_P], [_power(tick) for tick in ticks])

@@ -8,7 +8,7 @@ from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.files.results import Results
 from calflow.reporting.causes.finding import finding, moves, space
 from calflow.reporting.causes.gain import gain_cells, gained, makes_it_worse
-from calflow.reporting.causes.search import candidates, gate, limits, not_tested, strongest, untested, went
+from calflow.reporting.causes.search import candidates, limits, not_tested, strongest, threshold, untested, went
 from calflow.reporting.causes.separation import next_poses, other_means
 from calflow.reporting.causes.unexplained import still_unexplained, unexplained
 from calflow.reporting.document import Block, paragraph, table
@@ -52,7 +52,7 @@ def _opening(material: Material, every: Sequence[Found]) -> list[Block]:
     tested = material.results.document(SUMMARY, DiagnosisSummary).causes_tested
     searched = (
         f"What the study's model leaves was searched for {tested} causes, each at its place in the robot or its "
-        f"surroundings. A cause counts as found where, with nothing hidden, fewer than {100 * gate(material):.2g} % of such "
+        f"surroundings. A cause counts as found where, with nothing hidden, fewer than {100 * threshold(material):.2g} % of such "
         f"searches would find anything.{_mended(every)}"
     )
     found = [one for one in every if one.status != FAULT]
