@@ -8,13 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calflow.diagnosis.findings.extended_model import summary
 from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.extension import Extended
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.estimation.reweighting import fit_reweighted
-from calflow.stages.diagnose import _confirmed, _summary
+from calflow.stages.diagnose import _confirmed
 from diagnosis.findings.test_replication import series
 from estimation.data import stated
 
@@ -55,5 +56,5 @@ def test_the_summary_tells_whether_the_extended_fit_converged(fitted, converged)
     last = replace(fitted, fit=replace(fitted.fit, converged=converged, status="Maximum_Iterations_Exceeded"))
     first = Linearisation.at(fitted, Catalogue((), {})).screened(np.random.default_rng(1))
     found = Diagnosis(fitted, Extended(last, (), (), first), (), (), None, {}, {}, 0.01)
-    summary = _summary(found, SimpleNamespace(sigma=3e-5))
-    assert (summary.converged, summary.solver.status) == (converged, "Maximum_Iterations_Exceeded")
+    told = summary(found, SimpleNamespace(sigma=3e-5))
+    assert (told.converged, told.solver.status) == (converged, "Maximum_Iterations_Exceeded")
