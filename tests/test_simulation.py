@@ -167,7 +167,7 @@ def test_wrong_values_and_payloads_are_told_together(small):
         (
             "q1_deg,q2_dg,q3_inch\n1,2,3\n",
             [
-                "p.csv:1: missing column: expected q2_rad or q2_deg or q2_mrad or q2_urad, did you mean 'q2_dg'?",
+                "p.csv:1: missing column: expected q2_rad or q2_deg or q2_mrad or q2_urad or q2_arcsec, did you mean 'q2_dg'?",
                 "q3_deg",
             ],
         ),

@@ -98,7 +98,7 @@ def of_parts(**parts: str) -> pd.DataFrame:
 
 
 def placement(*markers: str) -> pd.DataFrame:
-    return pd.DataFrame({"what": ["base", *markers]})
+    return pd.DataFrame({"what": ["base", *markers], "kind": ["base", *["marker"] * len(markers)]})
 
 
 def predictions(inside: int, outside: int, split: str = "holdout") -> pd.DataFrame:

@@ -72,6 +72,7 @@ class Placed:
     rx_deg: float = column("its turn about x, then y, then z", "deg")
     ry_deg: float = column("the same about y", "deg")
     rz_deg: float = column("the same about z", "deg")
+    kind: str = column("base, marker, tool or observation")
     source: str = column("who says so: the robot file, or registered by the training data")
 
 
@@ -231,16 +232,17 @@ def _read_noise(rows: Sequence[DeviceNoise]) -> tuple[SeriesNoise, ...]:
 def placement_table(robot: Robot, observed: Sequence[Observation]) -> pd.DataFrame:
     """Return the table of what is `Placed`: as the robot file says, or registered by the training data."""
     source = ROBOT_FILE if robot.base.known else REGISTERED
-    known = [("base", robot.base.origin, robot.base.rotation)]
-    known += [(name, marker.point, NOT_TURNED) for name, marker in robot.markers.items()]
+    known = [("base", robot.base.origin, robot.base.rotation, "base")]
+    known += [(name, marker.point, NOT_TURNED, "marker") for name, marker in robot.markers.items()]
     if robot.tool_rotation is not None:
-        known.append(("tool", (0.0, 0.0, 0.0), robot.tool_rotation))
+        known.append(("tool", (0.0, 0.0, 0.0), robot.tool_rotation, "tool"))
     placed = [(*place, source) for place in known]
-    placed += [(one.what, one.origin, one.rotation, REGISTERED) for own in observed for one in own.placements]
+    seen = [one for own in observed for one in own.placements]
+    placed += [(one.what, one.origin, one.rotation, "observation", REGISTERED) for one in seen]
     rows = []
-    for what, (x, y, z), turn, said in placed:
+    for what, (x, y, z), turn, kind, said in placed:
         rx, ry, rz = (float(angle) for angle in np.rad2deg(turn))
-        rows.append(Placed(what=what, x_m=x, y_m=y, z_m=z, rx_deg=rx, ry_deg=ry, rz_deg=rz, source=said))
+        rows.append(Placed(what=what, x_m=x, y_m=y, z_m=z, rx_deg=rx, ry_deg=ry, rz_deg=rz, kind=kind, source=said))
     return to_frame(rows, Placed)
 
 

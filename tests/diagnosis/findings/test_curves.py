@@ -9,13 +9,14 @@ from numpy.testing import assert_allclose
 
 import robots
 from calflow.design.candidates import pack
-from calflow.diagnosis.findings.curves import COLUMNS, curves
+from calflow.diagnosis.findings.curves import CurvePoint, curves
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import Stacking
 from calflow.estimation.noise import LackOfFit, Noise
+from calflow.files.tables import columns
 from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
@@ -75,7 +76,7 @@ def rows():
 def test_before_is_after_with_the_causes_own_part(rows, names):
     """Fails if what is drawn before is not what the model without this cause, but with the others, would leave."""
     found, noise = drawn(*names, **rows)
-    assert list(found.columns) == COLUMNS
+    assert list(found.columns) == [column.name for column in columns(CurvePoint)]
     assert_allclose(found["before_mm"] - found["fitted_mm"], found["after_mm"], atol=1e-12)
     for k, name in enumerate(names):
         own = found[found["finding"] == k + 1]
@@ -140,5 +141,5 @@ def test_no_finding_draws_nothing(rows):
     )
     level = Noise(np.ones(len(data)), ("file",))
     none = curves(Fitted(fit, data, level, LackOfFit(1.0, 0.5, 0.0), "linear", level), [], data)
-    assert list(none.columns) == COLUMNS
+    assert list(none.columns) == [column.name for column in columns(CurvePoint)]
     assert none.empty

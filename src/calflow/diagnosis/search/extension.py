@@ -36,7 +36,7 @@ def extend(
     say: Callable[[str], None],
     advance: Callable[[float], None] = lambda share: None,
 ) -> Extended:
-    """Add causes while one passes the gate, and drop, swap and exchange those that prove mistaken, until nothing changes.
+    """Add causes while one is accepted, and drop, swap and exchange those that prove mistaken, until nothing changes.
 
     say is told each step in words, advance the share of the search that is done, which never falls.
     """

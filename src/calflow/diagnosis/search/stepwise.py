@@ -113,7 +113,7 @@ class Stepwise(Generic[H]):
 def _added(
     trial: Trial[H], first: Screened[H], acceptance: Acceptance, rng: np.random.Generator
 ) -> Iterator[Proposal[H]]:
-    """The causes with the best one that passes the gate."""
+    """The causes with the best one that is accepted."""
     now = trial.linearisation.screened(rng, first.family) if trial.causes else first
     passed = [score for score in now.scores if acceptance.accepts(score, now.family)]
     if trial.causes and not (passed and now.family.p(passed[0]) < CLEAR * acceptance.false_alarm):

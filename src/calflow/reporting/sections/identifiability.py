@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from typing import Any
 
-from calflow.estimation.calibrated import ModelObservation, read_observations
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
 from calflow.files.results import Results
@@ -106,9 +105,8 @@ def _count(results: Results) -> list[Block]:
 
 def second_marker(results: Results) -> list[Advice]:
     """A trade between the last link and the only marker ends with a second marker."""
-    observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
-    others = {"base", "tool", *(place.what for one in observed for place in one.placements)}
-    markers = [str(name) for name in results.tables["identify/placement.csv"]["what"] if name not in others]
+    placed = results.tables["identify/placement.csv"]
+    markers = list(placed.loc[placed["kind"] == "marker", "what"])
     if len(markers) != 1:
         return []
     marker = markers[0]
