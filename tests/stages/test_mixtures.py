@@ -29,7 +29,7 @@ name = "quick"
 stages = ["select", "identify", "diagnose", "sample", "report"]
 
 [settings.select]
-poses = 20
+poses = 40
 candidates = 100
 
 [settings.identify]
@@ -97,7 +97,7 @@ def tables():
     q = arm.random(60, rng)
     stations = {"A": np.array([3, 0.2, 0.4, 0, 0, 1.0]), "B": np.array([-2, 2.5, 0.4, 0.02, -0.01, -2.0])}
     found = {name: seen(arm, q[k * 20 :][:40], Tracker(at), rng) for k, (name, at) in enumerate(stations.items())}
-    found["wire"] = wire(arm, arm.random(90, rng), np.array([1.2, 0.5, 0.1]), 5e-5, rng)
+    found["wire"] = wire(arm, arm.random(120, rng), np.array([1.2, 0.5, 0.1]), 5e-5, rng)
     found["cups"] = sockets(arm, {"a": point, "b": point + np.array([0.03, 0.04, 0.0])}, 45, 5e-5, rng)
     found["wire"].loc[17, "length"] += 0.02
     found["cups"].loc[33, "q2"] += 0.02

@@ -127,7 +127,7 @@ def _observability(whitened: np.ndarray, order: list[int], task: np.ndarray, sig
     n_parameters = whitened.shape[2]
     singular = np.linalg.svd(whitened.reshape(-1, n_parameters), compute_uv=False)
     rank = int((singular > NULL * singular[0]).sum())
-    first = -(-rank // 3)
+    first = min(len(order), -(-rank // whitened.shape[1]))
     rows = []
     for n in sorted({*range(first, len(order) + 1, max(1, (len(order) - first) // 30)), len(order)}):
         part = whitened[order[:n]]

@@ -21,7 +21,8 @@ def observability(table: pd.DataFrame) -> Figure:
             left.plot(poses, values / values[-1], color=colour, linestyle=line, marker=marker, markevery=max(1, len(poses) // 8),
                       markersize=3, label=name)  # fmt: skip
     left.set(xlabel="number of poses", ylabel="observability index\n[relative to all poses]", ylim=(0, None))
-    left.legend(ncols=2)
+    if left.lines:  # with fewer poses than it takes there is no index
+        left.legend(ncols=2)
     right.plot(poses, table["expected_sd_mm"], color=DARK, marker="o", markersize=2.5)
     right.set(xlabel="number of poses", ylabel="expected sd of the\npredicted position [mm]", ylim=(0, None))
     return drawn
