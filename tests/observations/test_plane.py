@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
+import pytest
 
+from calflow.design.candidates import candidates, pack
+from calflow.files.problems import InputError
+from calflow.files.toml import Origin, validate
+from calflow.measurements.combined import combined
 from calflow.measurements.series import Series
-from calflow.observations.plane import Plane
+from calflow.model import build
+from calflow.observations.plane import Plane, PlaneSettings
+from calflow.robot.parts import Base
+from hidden.devices import Arm, measured, surface, wire
+from hidden.trials import aligned, calibrated, promised
 from observations.graph import error, frame, through_json
+from robots import ur10
 
 PLACE = np.array([0.4, -0.2, -0.6, 0.15, -0.1, 0.0])
 
@@ -90,3 +102,46 @@ def test_what_is_expected_leaves_no_error():
     one = Plane.of(Series(), rows).registered(on_plane(rng, 5), np.zeros((5, 3, 3)), rows)
     reading = one.expected(points, np.zeros((5, 3, 3)))[0]
     np.testing.assert_allclose(error(one, np.zeros(3), points, rows.assign(reading=reading)), 0, atol=1e-12)
+
+
+def stated(**more) -> Series:
+    """A surface plate 200 mm under the base, in front of it."""
+    return Series.of("plate", "plane", {"point": (0.6, 0.0, -0.2), "normal": (0.0, 0.0, 1.0), **more})
+
+
+def test_planned_poses_touch_the_plane_that_is_stated():
+    """Fails if candidates miss the plane, leave the joints' limits, or a plane of unknown place is planned for."""
+    plane = Plane.planned(stated())
+    robot = replace(ur10(), base=Base(fixed=True))
+    model = build(robot, ("geometry",), (), (plane,))
+    readings, rows = candidates(model, 30, "", "E", None, np.random.default_rng(1), plane)
+    assert len(readings) == 30
+    np.testing.assert_allclose(model.point(model.nominal, rows)[:, 2], -0.2, atol=2e-6)
+    with pytest.raises(ValueError, match="point_mm"):
+        Plane.planned(Series("plate", "plane"))
+
+
+def test_touches_of_a_plane_and_a_wire_calibrate_a_robot():
+    """Fails if a plane beside another device, its place unknown, biases the fit or promises too much."""
+    rng = np.random.default_rng(2)
+    arm = Arm.drawn(ur10(), rng)
+    touches = surface(arm, np.array([0.6, 0.0, -0.2]), np.array([0.0, 0.0, 1.0]), 60, 5e-5, rng)
+    lengths = wire(arm, arm.random(60, rng), np.array([1.2, 0.5, 0.1]), 5e-5, rng)
+    data = combined(
+        [measured(arm.robot, touches, stated(), 5e-5), measured(arm.robot, lengths, Series("wire", "distance"), 5e-5)]
+    )
+    found = calibrated(data, ("geometry",)).fit
+    squared = float((found.residual**2).sum()) / (found.residual.size - found.effective_parameters)
+    assert 0.6 < squared < 1.5
+    q = arm.random(300, rng)
+    rows = pack(found.model, q, "", "E")
+    said, slope = found.model.point(found.estimate, rows), found.model.point_jacobian(found.estimate, rows)
+    assert aligned(said, arm.tool(q)) < 1.5 * promised(said, slope, found.covariance)
+
+
+def test_a_plane_without_direction_is_refused(tmp_path):
+    """Fails if a normal of no length goes through."""
+    path = tmp_path / "study.toml"
+    path.write_text("[measurements.settings]\nnormal = [0, 0, 0]\n")
+    with pytest.raises(InputError, match="direction"):
+        validate({"normal": [0, 0, 0]}, PlaneSettings, Origin.of(path, "measurements", "settings"))
