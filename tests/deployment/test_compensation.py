@@ -1,0 +1,87 @@
+"""Compensation: readings that land on the targets, change least, keep to the limits, and own up to what is out of reach."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calflow.deployment.compensation import landing, nominal_readings
+from calflow.design.candidates import candidates
+from calflow.model import build
+from robots import hh800, ur10
+
+
+@pytest.fixture(params=[ur10, hh800], ids=["serial", "loop"])
+def wrong(request):
+    """A model with large errors, its parameters, and readings whose nominal positions are the targets."""
+    robot = request.param()
+    model = build(robot, ("geometry", "joint-compliance"))
+    rng = np.random.default_rng(3)
+    p = np.clip(model.nominal + 0.3 * model.prior_sd * rng.standard_normal(len(model.nominal)), *model.bounds.T)
+    readings, rows = candidates(model, 12, next(iter(robot.payloads)), next(iter(robot.markers)), None, rng)
+    return model, p, readings, rows, model.point(model.nominal, rows)
+
+
+def test_it_lands_where_it_is_told(wrong):
+    """Fails if the true position at the readings is not the target, here by the model's own positions."""
+    model, p, readings, rows, targets = wrong
+    before = np.linalg.norm(model.point(p, rows) - targets, axis=1)
+    found = landing(model, p, rows, targets, readings)
+    there = np.vstack([found.readings.T, rows[model.robot.n_joints :]])
+    assert before.max() > 1e-3
+    assert found.reached.all()
+    np.testing.assert_allclose(model.point(p, there), targets, atol=1e-8)
+
+
+def test_of_all_readings_that_land_it_takes_the_nearest(wrong):
+    """Fails if the change is larger than it must be: at its end it has no part along which the tool stands still."""
+    model, p, readings, rows, targets = wrong
+    found = landing(model, p, rows, targets, readings)
+    n, step = model.robot.n_joints, 1e-6
+    for k, (moved, start) in enumerate(zip(found.readings, readings, strict=True)):
+        around = np.hstack([moved[:, None] + step * np.eye(n), moved[:, None] - step * np.eye(n)])
+        points = model.point(p, np.vstack([around, np.tile(rows[n:, k : k + 1], 2 * n)]))
+        slope = (points[:n] - points[n:]).T / (2 * step)
+        mixed = model.robot.reading_matrix
+        change, slope = mixed @ (moved - start), slope @ np.linalg.inv(mixed)
+        low, high = model.robot.limits.T
+        q = mixed @ moved
+        if ((q < low + 1e-6) | (q > high - 1e-6)).any():
+            continue  # a joint at its limit leaves the others more to do
+        still = change - np.linalg.pinv(slope) @ (slope @ change)
+        assert np.abs(still).max() < 1e-3 * np.abs(change).max() + 1e-7
+
+
+def test_without_a_start_it_finds_one_within_the_limits(wrong):
+    """Fails if a target within reach is not found, a limit is passed, or one out of reach counts as reached."""
+    model, p, _, rows, targets = wrong
+    targets = targets.copy()
+    targets[0] = [30.0, 0.0, 0.0]
+    start = nominal_readings(model, rows, targets, np.random.default_rng(1))
+    found = landing(model, p, rows, targets, start)
+    assert not found.reached[0]
+    assert found.remaining[0] > 20
+    assert found.reached[1:].sum() >= 10
+    q = found.readings @ model.robot.reading_matrix.T
+    low, high = model.robot.limits.T
+    assert ((q >= low - 1e-8) & (q <= high + 1e-8)).all()
+
+
+def test_a_joint_at_its_limit_leaves_the_rest_to_the_others():
+    """Fails if a limit makes a target unreachable that other joints could reach."""
+    robot = ur10()
+    model = build(robot, ("geometry",))
+    readings, rows = candidates(model, 1, "load", "E", None, np.random.default_rng(5))
+    joints = tuple(
+        joint if k else replace(joint, limits=(readings[0, 0] - 1e-3, readings[0, 0]))
+        for k, joint in enumerate(robot.joints)
+    )
+    bound = build(replace(robot, joints=joints), ("geometry",))
+    turned = readings + np.array([0.02, 0, 0, 0, 0, 0])  # only beyond joint 1's limit by itself
+    target = model.point(model.nominal, np.vstack([turned.T, rows[6:]]))
+    found = landing(bound, bound.nominal, rows, target, readings)
+    assert found.reached.all()
+    assert found.readings[0, 0] <= readings[0, 0] + 1e-8
+    assert np.abs(found.readings - turned).max() > 1e-3

@@ -1,0 +1,115 @@
+"""Needed conditions: a prediction without what an effect depends on is refused by name, or honest about it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import calflow as cf
+from calflow.deployment.needed_conditions import needed_conditions
+from calflow.deployment.prediction import predict_positions
+from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.files.problems import InputError
+from calflow.measurements.measurements import Measurements
+from calflow.model import build
+from robots import poses, ur10
+
+X = ["x_mm", "y_mm", "z_mm"]
+PLAY = 3e-3  # rad: some 2.5 mm at the tool
+
+
+def calibrated(effects, values, **conditions):
+    """A robot whose parameters are known, its rows (to be fitted), and their conditions without a measured value."""
+    robot = ur10()
+    q = poses(robot, 40)
+    data = Measurements.from_arrays(robot, q, np.zeros((40, 3)), payload="load", split="train", **conditions)
+    model = build(robot, effects, data.given)
+    names = [parameter.name for parameter in model.parameters]
+    estimate = model.nominal.copy()
+    for name, value in values.items():
+        estimate[names.index(name)] = value
+    n = len(names)
+    device = (SeriesNoise(1e-5, "file"),)
+    return Identified(model, estimate, 1e-16 * np.eye(n), np.zeros(n, dtype=bool), device, 0.0, 0.0, "linear"), data
+
+
+def sides(seed=1):
+    return np.random.default_rng(seed).choice([-1, 1], (40, 6))
+
+
+def test_what_is_needed_is_read_off_the_graph():
+    """Fails if an effect's condition is missed, one is asked for that nothing depends on, or the wrong effect is named."""
+    every = {"approach": sides(), "travel": np.ones((40, 6)), "time": np.arange(40.0), "temperature": 295.0}
+    known, data = calibrated(("geometry", "joint-backlash"), {"joint1.joint-backlash.b": PLAY}, **every)
+    (one,) = needed_conditions(known, data)
+    assert (one.condition, one.effects, one.columns) == (
+        "approach",
+        ("joint-backlash",),
+        "columns approach1 … approach6",
+    )
+    known, data = calibrated(("geometry", "joint-hysteresis", "thermal-growth"), {}, **every)
+    assert {one.condition: one.effects for one in needed_conditions(known, data)} == {
+        "approach": ("joint-hysteresis",), "travel": ("joint-hysteresis",), "temperature": ("thermal-growth",)
+    }  # fmt: skip
+    assert "columns travel1_rad … travel6_rad" in [one.columns for one in needed_conditions(known, data)]
+
+
+def test_the_tracker_s_own_errors_need_nothing():
+    """Fails if a drift of the device, which is not where the robot will be, asks for a time."""
+    known, data = calibrated(("geometry", "frame-drift"), {}, time=np.arange(40.0))
+    assert needed_conditions(known, data) == ()
+
+
+def test_backlash_without_a_side_is_refused_or_widened():
+    """Fails if backlash is dropped in silence: millimetres off with a stated deviation of hundredths."""
+    known, data = calibrated(("geometry", "joint-backlash"), {"joint1.joint-backlash.b": PLAY}, approach=sides())
+    needed = needed_conditions(known, data)
+    truth = predict_positions(known, needed, data).position
+    asked = Measurements.from_arrays(known.model.robot, data.joints, None, payload="load")
+    with pytest.raises(
+        InputError, match="effect 'joint-backlash' needs columns approach1 … approach6, which the rows lack"
+    ):
+        predict_positions(known, needed, asked)
+    told = predict_positions(known, needed, asked, "widen")
+    off = truth - told.position
+    assert np.abs(off).max() > 1e-3
+    assert 0.5 < np.sqrt((off[:, :2] ** 2).mean()) / told.sd[:, :2].mean() < 1.2
+    assert "nothing is predicted of joint-backlash" in told.notes[0]
+
+
+def test_conditions_that_nothing_needs_change_nothing():
+    """Fails if rows that state more than the fitted ones did are refused, or predicted by another model."""
+    known, data = calibrated(("geometry", "joint-compliance"), {"joint2.s": 1e-6})
+    more = Measurements.from_arrays(
+        known.model.robot, data.joints, None, payload="load", approach=sides(), torque=np.zeros((40, 6))
+    )
+    needed = needed_conditions(known, data)
+    assert needed == ()
+    np.testing.assert_array_equal(
+        predict_positions(known, needed, more).position, predict_positions(known, needed, data).position
+    )
+
+
+def test_a_run_and_the_command_line_do_the_same(small):
+    """Fails if a run folder forgets what its model needs, or --without-conditions goes on as if nothing were missing."""
+    small.edit("truth.toml", ('"joint-compliance"]', '"joint-compliance", "joint-backlash"]\napproach = true'))
+    with (small / "truth.toml").open("a", encoding="utf-8") as file:
+        file.write("\n[values.joint1]\nb_rad = 3e-3\n")
+    assert small.calflow("simulate", small / "truth.toml", "--force").code == 0
+    small.edit("study.toml", ('"joint-compliance"]', '"joint-compliance", "joint-backlash"]'))
+    assert small.calflow("run", "--stage", "identify").code == 0
+    rows = small.rows.drop(columns=[*X, "sigma_mm"])
+    small.measure(rows, "whole.csv")
+    small.measure(rows.drop(columns=[name for name in rows if name.startswith("approach")]), "asked.csv")
+    (told,) = small.refused("predict", small / "runs", small / "asked.csv")
+    assert "effect 'joint-backlash' needs columns approach1 … approach3" in told
+    answer = small.calflow(
+        "predict", small / "runs", small / "asked.csv", "--without-conditions", "--out", small / "p.csv"
+    )
+    assert answer.code == 0, answer
+    assert "nothing is predicted of joint-backlash" in answer.err
+    widened, whole = pd.read_csv(small / "p.csv"), cf.predict(str(small / "runs"), str(small / "whole.csv"))
+    off = np.abs(widened[X].to_numpy() - whole[X].to_numpy())
+    assert off.max() > 0.5
+    assert widened["sd_x_mm"].min() > 0.3 > whole["sd_x_mm"].max()
