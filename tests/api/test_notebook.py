@@ -1,0 +1,50 @@
+"""The notebook of the documentation runs from its first cell to its last."""
+
+from __future__ import annotations
+
+import ast
+import json
+from pathlib import Path
+
+import matplotlib
+import pytest
+
+NOTEBOOK = Path(__file__).parents[2] / "docs" / "first_calibration.ipynb"
+
+
+def code_cells() -> list[dict]:
+    """The cells of code."""
+    cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
+    return [cell for cell in cells if cell["cell_type"] == "code"]
+
+
+def shown(source: str, names: dict) -> object:
+    """Run a cell as a notebook does; what its last line, if that is an expression, stands for."""
+    tree = ast.parse(source)
+    last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
+    exec(compile(tree, "cell", "exec"), names)
+    return eval(compile(ast.Expression(last.value), "cell", "eval"), names) if last else None
+
+
+@pytest.fixture
+def names(monkeypatch, tmp_path):
+    """The names of a fresh kernel in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with matplotlib.rc_context():
+        yield {"__name__": "__main__"}
+
+
+def test_every_cell_runs(names, capsys):
+    """Fails if a cell of the notebook raises, shows nothing, or tells another story than the text beside it."""
+    results = [shown("".join(cell["source"]), names) for cell in code_cells()]
+    assert sum(bool(repr(result)) for result in results if result is not None) >= 9
+    assert "effect 'joint-backlash' needs columns approach1" in capsys.readouterr().out
+    first = names["found"].findings[0]
+    assert (first.cause, first.joint) == ("joint-backlash", 1)
+    assert names["commands"].reached.all()
+
+
+def test_it_is_kept_without_outputs():
+    """Fails if somebody's outputs, with their paths, are kept with the notebook."""
+    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in code_cells())
