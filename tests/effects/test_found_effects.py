@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from calflow.effects import catalogue
-from calflow.estimation.calibrated import read_effects
+from calflow.estimation.calibrated import ModelEffect, read_effects
 from calflow.files.problems import InputError
 from calflow.robot.robot import Robot
 from plugin import HOSES, hoses, install
@@ -27,7 +27,7 @@ from calflow.study import load_study
 
 study = load_study(".")
 made = run(study, "runs")
-material = Material.of(study, made.tables, made.folder)
+material = Material.of(study, made.results, made.folder)
 sys.stdout.buffer.write(
     document.source("", [(s.title, s.write(material)) for s in chosen(sections(), material)]).encode()
 )
@@ -189,9 +189,9 @@ def test_a_mistake_of_another_package_ends_a_command_without_a_traceback(small, 
 
 def test_a_run_with_an_effect_that_is_gone_is_refused(small):
     """Fails if a run whose package was removed ends in a traceback, or reads back as another model."""
-    table = pd.DataFrame({"effect": ["hose-pull"], "part": ["joint1"], "variant": ['{"slack": 0.2}']})
+    row = ModelEffect(effect="hose-pull", part="joint1", variant='{"slack": 0.2}')
     with pytest.raises(InputError, match=r"'hose-pull'.*install the package"):
-        read_effects(table, Robot.from_toml(small / "robot.toml"))
+        read_effects([row], Robot.from_toml(small / "robot.toml"))
 
 
 def test_nothing_else_is_installed_here():

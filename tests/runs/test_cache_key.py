@@ -85,7 +85,7 @@ def test_an_installed_package_counts_as_a_whole(tmp_path):
 
     found = {asked()[0]}
     assert asked()[1:] == [str(package / "_workflows"), str(package / "__init__.py")]
-    for name in ("_workflows/calibrate.toml", "report/template.typ", "runs/run.py"):
+    for name in ("_workflows/calibrate.toml", "reporting/template.typ", "runs/run.py"):
         path = package / name
         path.write_text(path.read_text(encoding="utf-8") + "\n", encoding="utf-8")
         found.add(asked()[0])
