@@ -16,6 +16,7 @@ import click
 if TYPE_CHECKING:
     import pandas as pd
 
+    from calflow.measurements.measurements import Measurements
     from calflow.stages.stage import Stage
 
 OUT = click.option("--out", type=click.Path(path_type=Path), help="Run folder; runs/<study name> by default.")
@@ -62,14 +63,19 @@ def check(study: Path) -> None:
     data = checked.data
     for note in data.notes:
         click.echo(f"note: {note}")
-    click.echo(f"{loaded.measurement_path}: {len(data)} rows, {data.table['pose'].nunique()} poses, "
-               f"{data.table.loc[data.train, 'pose'].nunique()} of them to fit")  # fmt: skip
+    for k, path in enumerate(loaded.measurement_paths):
+        click.echo(_counted(path, data.only(data.of_series(k))))
     source = "as the robot file says" if loaded.robot.base.known else "placed by the poses to fit"
     click.echo(f"the nominal robot's position error, base and tool {source}:")
     for row in checked.nominal.itertuples():
         click.echo(f"  {row.split:8} mean {row.mean_mm:.3f} mm, max {row.max_mm:.3f} mm")
     click.echo(f"{checked.n_parameters} parameters: {', '.join(loaded.file.effects)}")
     click.echo("ok")
+
+
+def _counted(path: Path, data: Measurements) -> str:
+    fitted = data.table.loc[data.train, "pose"].nunique()
+    return f"{path}: {len(data)} rows, {data.table['pose'].nunique()} poses, {fitted} of them to fit"
 
 
 @cli.command()

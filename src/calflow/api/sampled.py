@@ -21,7 +21,7 @@ from calflow.sampling.sample import ChainLength, Sampled
 from calflow.sampling.sample import sample as sampled
 
 NOISE = "noise.factor"
-NO_ARVIZ = "to_inference_data needs ArviZ: pip install arviz-base (or arviz)"
+NO_ARVIZ = "to_inference_data needs ArviZ: pip install 'calflow[arviz]' (or arviz-base)"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
