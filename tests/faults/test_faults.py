@@ -8,7 +8,6 @@ import os
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -185,10 +184,10 @@ def test_an_outlier_is_beyond_heavy_tails(n):
     for _ in range(2000):
         miss = np.linalg.norm(rng.standard_t(3, (n, 3)), axis=1)
         scale = float(np.median(miss)) / NORMAL_LENGTH
-        alarms += bool((miss > limit_of(miss, SimpleNamespace(scale=scale, gross=15 * scale))).any())
+        alarms += bool((miss > limit_of(miss, scale, 15 * scale)).any())
     assert alarms < 20
     miss = np.linalg.norm(rng.standard_normal((n, 3)), axis=1)
-    assert limit_of(miss, SimpleNamespace(scale=1.0, gross=15.0)) < 65
+    assert limit_of(miss, 1.0, 15.0) < 65
 
 
 def test_rows_that_are_off_together_are_no_outliers(tmp_path):
@@ -250,6 +249,7 @@ def test_every_check_has_its_place():
     files = {path.stem for path in Path(faults.__path__[0]).glob("*.py")} - {
         "__init__",
         "base",
+        "elsewhere",
         "reference",
         "segments",
     }
