@@ -137,6 +137,15 @@ def test_a_condition_that_one_series_lacks_is_left_out_and_said():
     assert any("temperature" in note and "left out" in note for note in data.notes)
 
 
+def test_rows_without_a_split_beside_others_with_one_are_fitted_and_that_is_said():
+    """Fails if a series without a split is held out in part, or nobody is told that all of it is fitted."""
+    q = np.random.default_rng(5).uniform(-1, 1, (2, 4, 6))
+    data = two(*q, [f"p{i}" for i in range(4)], split=["train", "train", "holdout", "holdout"])
+    assert data.only(data.of_series(1)).train.all()
+    assert data.held_out.sum() == 2
+    assert any("'split'" in note and "fitted" in note for note in data.notes)
+
+
 def test_series_of_other_markers_are_refused_by_name(small):
     """Fails if a second series' marker that the robot does not have goes through."""
     wired(small)

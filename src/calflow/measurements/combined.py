@@ -41,8 +41,13 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
         tables.append(table.drop(columns=columns))
         if lost:
             notes.append(f"not all measurements state {', '.join(lost)}: left out")
-    if any("split" in table for table in tables):
-        tables = [table if "split" in table else table.assign(split="train") for table in tables]
+    unsplit = [k for k, table in enumerate(tables) if "split" not in table]
+    if len(unsplit) < len(tables):
+        for k in unsplit:
+            tables[k] = tables[k].assign(split="train")
+            notes.append(
+                f"{parts[k].series[0].name or k + 1}: no column 'split', as others have: all rows are to be fitted"
+            )
     whole = pd.concat(_named_apart(tables, numbered("q", first.robot.n_joints)), ignore_index=True)
     for label in [name for part in parts for name in part.series[0].labels]:
         if label in whole:
