@@ -225,3 +225,8 @@ def looped(tmp_path, monkeypatch):
     monkeypatch.delenv("CALFLOW_DATA", raising=False)
     shutil.copytree(Path(__file__).parents[1] / "studies" / "hh800", tmp_path / "hh800")
     return Folder(tmp_path / "hh800")
+
+
+def pytest_collection_modifyitems(items):
+    """Begin with the longest, whole studies, so that no worker is left alone with them at the end."""
+    items.sort(key=lambda item: item.path.name != "test_studies.py")
