@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.findings.gaussian_process import SIZES, predicted
-from calflow.diagnosis.findings.remainder import Shift
+from calflow.diagnosis.search.decoys import Shift
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import errors
 from calflow.model import Model

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings.remainder import JointField
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.acceptance import Acceptance
+from calflow.diagnosis.search.decoys import JointField
 from calflow.diagnosis.search.extension import Extended
 from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.diagnosis.search.narrowing import narrowed

@@ -6,172 +6,17 @@ their own; what passes is reported as unexplained, never as a cause.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
-from typing import ClassVar
+from collections.abc import Callable
+from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from calflow.diagnosis.screening.regressors import Regressors
 from calflow.diagnosis.screening.screening import Family, Score, Screening
+from calflow.diagnosis.search.decoys import Decoy, decoys
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.effects import Effect
-from calflow.effects.joint_error import JointError, Term
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.parameter import Parameter
-from calflow.robot.statics import State
 
-SIZE = 3e-4  # rad or m, of a decoy before any data
-ORDERS = 6  # of a function of one joint
 MOST_PARTS = 3  # unexplained dependences that are told
-MOMENTS = 20  # parts of the rows, between which something may have slipped
-FREQUENCIES = 800  # at most, of a disturbance in time
-FASTEST = 2.0  # turns a pose: poses at uneven times tell also what turns more than once between them (Lomb 1976)
-
-
-class Decoy(Effect):
-    """A smooth function of some inputs."""
-
-    id: ClassVar[str] = "unexplained"
-    title: ClassVar[str] = "unexplained"
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """What it depends on."""
-        raise NotImplementedError
-
-
-@dataclass(frozen=True)
-class JointField(JointError, Decoy):
-    """Every joint's error as a smooth function of one joint's angle, or of two together (without what either does alone)."""
-
-    of: tuple[int, ...] = (0,)
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The joints it depends on."""
-        return tuple(f"q{i + 1}" for i in self.of)
-
-    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return waves of the joint's angle, or products of waves of both."""
-        return [
-            Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(_waves(state.q, self.of))
-        ]
-
-
-@dataclass(frozen=True)
-class Shift(Decoy):
-    """A shift of the reported point as a smooth function of one joint's angle, or of two together."""
-
-    of: tuple[int, ...] = (0,)
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The joints it depends on."""
-        return tuple(f"q{i + 1}" for i in self.of)
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the waves along each axis."""
-        number = 2 * ORDERS if len(self.of) == 1 else 4
-        return tuple(
-            Parameter(self.id, "point", f"wave{k + 1}{axis}", "m", SIZE, -1.0, 1.0)
-            for k in range(number)
-            for axis in "xyz"
-        )
-
-    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift what is reported."""
-        return point + ca.reshape(p, 3, p.numel() // 3) @ ca.vertcat(*_waves(row.q, self.of))
-
-
-@dataclass(frozen=True)
-class InTime(Decoy):
-    """A shift of the reported point that comes and goes with time."""
-
-    rate: float = 1.0  # rad/s
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Time."""
-        return ("time",)
-
-    @property
-    def detail(self) -> str:
-        """Say the period."""
-        return f"period {2 * np.pi / self.rate:.3g} s"
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return both phases along each axis."""
-        return tuple(
-            Parameter(self.id, "device", f"{phase}{axis}", "m", SIZE, -1.0, 1.0)
-            for phase in ("cos", "sin")
-            for axis in "xyz"
-        )
-
-    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift what is reported."""
-        return point + p[:3] * ca.cos(self.rate * row.time) + p[3:] * ca.sin(self.rate * row.time)
-
-
-@dataclass(frozen=True)
-class Since(Decoy):
-    """Zeros of all joints, and the marker on the tool, that are others from a row on."""
-
-    moment: float = 0.5
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The order of the rows."""
-        return ("order",)
-
-    @property
-    def detail(self) -> str:
-        """Say when."""
-        return f"since row {int(np.floor(self.moment)) + 1} in measuring order"
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the joints' offsets, and the marker's."""
-        units = [joint.unit for joint in self.robot.joints] + ["m"] * 3
-        return tuple(
-            Parameter(self.id, "since", f"offset{k + 1}", unit, SIZE, -1.0, 1.0) for k, unit in enumerate(units)
-        )
-
-    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Turn the joints, and shift the flange with what it carries."""
-        after, n = row.order > self.moment, self.robot.n_joints
-        link = ca.SX(still.link)
-        link[:3, -1] = p[n:] * after
-        return replace(still, joint=p[:n] * after, link=link)
-
-
-@dataclass(frozen=True)
-class InPlace(Decoy):
-    """A shift of the reported point that depends smoothly on where it is."""
-
-    centre: tuple[float, ...] = (0.0, 0.0, 0.0)
-    reach: float = 1.0
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The place."""
-        return "x", "y", "z"
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the cubic terms along each axis; lower ones are geometry's."""
-        return tuple(
-            Parameter(self.id, "place", f"{axis}{k}", "m", SIZE, -1.0, 1.0)
-            for axis in "xyz"
-            for k in range(len(_powers()))
-        )
-
-    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift what is reported."""
-        near = (point - ca.DM(self.centre)) / self.reach
-        terms = ca.vertcat(*(near[0] ** i * near[1] ** j * near[2] ** k for i, j, k in _powers()))
-        return point + ca.reshape(p, len(_powers()), 3).T @ terms
 
 
 @dataclass(frozen=True)
@@ -204,42 +49,3 @@ def remainder(
             found.append(Remainder(inputs, score, family))
             say(f"left over, by {' and '.join(inputs)}: p = {found[-1].p:.2g}")
     return found
-
-
-def decoys(fitted: Fitted) -> list[Decoy]:
-    """Return the functions to try on a fitted model's rows."""
-    data, robot = fitted.data, fitted.data.robot
-    turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
-    chosen: list[Decoy] = [JointField(robot, (i,)) for i in turning]
-    chosen += [Shift(robot, (i,)) for i in turning]
-    chosen += [kind(robot, pair) for pair in combinations(turning, 2) for kind in (JointField, Shift)]
-    place = fitted.model.point(fitted.fit.estimate, data.rows)
-    centre = place.mean(axis=0)
-    chosen.append(InPlace(robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0))
-    if "order" in data.given:
-        order = np.unique(data.table["order"].to_numpy(float))
-        chosen += [Since(robot, float(moment)) for moment in np.quantile(order, np.arange(1, MOMENTS) / MOMENTS)]
-    if "time" in data.given:
-        chosen += [InTime(robot, float(rate)) for rate in _rates(data.table["time"].to_numpy())]
-    return chosen
-
-
-def _waves(q: ca.SX, of: tuple[int, ...]) -> list[ca.SX]:
-    """Waves of one joint's angle, or products of two joints' without what either does alone."""
-    if len(of) == 1:
-        return [wave(k * q[of[0]]) for k in range(1, ORDERS + 1) for wave in (ca.cos, ca.sin)]
-    first, second = (q[i] for i in of)
-    return [a(first) * b(second) for a in (ca.cos, ca.sin) for b in (ca.cos, ca.sin)]
-
-
-def _rates(time: np.ndarray) -> np.ndarray:
-    """Angular rates from one turn a session to the fastest, half a turn a session apart."""
-    span = float(np.ptp(time))
-    if span <= 0:
-        return np.array([])
-    turns = FASTEST * len(np.unique(time))
-    return 2 * np.pi / span * np.linspace(1.0, turns, min(FREQUENCIES, int(2 * turns)))
-
-
-def _powers() -> list[tuple[int, int, int]]:
-    return [(i, j, k) for i in range(4) for j in range(4) for k in range(4) if 2 <= i + j + k <= 3]
