@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 from blind_cases import begun
 
-from calflow.diagnosis.screening.regressors import Regressors
 from calflow.diagnosis.screening.screening import Screening
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.refinement import finest
@@ -89,7 +88,7 @@ def true_structure(study: Study, h: Hidden, tables: Tables) -> Fitted:
     """Fit the identified model with the hidden cause, in the form of it that suits the training rows best."""
     start, catalogue = begun(study, tables)
     effects = [effect for effect in catalogue.effects if effect.id == h.cause]
-    scores = Screening(Regressors.of(start.fit, start.problem, effects, start.poses)).scores
+    scores = Screening(start.regressors(effects)).scores
     best = finest(next(score for score in scores if score.cause.joint == h.joint), start)
     point = np.concatenate([start.fit.estimate, best.estimate])
     return start.with_causes([best.cause], point, best.share)

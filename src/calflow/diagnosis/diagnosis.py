@@ -9,8 +9,8 @@ from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES, Acceptance
 from calflow.diagnosis.search.extension import extend, weighed_against
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.narrowing import narrowed
 from calflow.diagnosis.search.noise_growth import growth
+from calflow.diagnosis.search.weighing import weighed
 from calflow.estimation.calibrated import Identified
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.repeats import averaged
@@ -57,15 +57,10 @@ def diagnose(
     extended = extend(
         start, wanted, acceptance, rng("bootstrap"), say, lambda share: advance(BEGUN + share * (SEARCHED - BEGUN))
     )
+    extended = weighed(start, extended, wanted, acceptance, rng("background"), say)
     advance(SEARCHED)
     significance = SHARES["remainder"] * false_alarm
     left = remainder(extended.fitted, significance, rng("decoys"), say)
-    if left and extended.findings:
-        named = extended
-        extended = narrowed(start, named, [one.score.cause for one in left], wanted, acceptance)
-        if extended is not named:
-            say("what is left over explains some of what was found: dropped")
-            left = remainder(extended.fitted, significance, rng("decoys"), say)
     if catalogue or leave_out:
         extended = weighed_against(extended, Catalogue.of(train, have))
     advance(0.8)

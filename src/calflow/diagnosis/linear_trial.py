@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2 as chi2_distribution
 
-from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors, counted_once
+from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors, counted_once, shared_error
 from calflow.diagnosis.screening.screening import Score
 from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.diagnosis.search.trial import Trial, bic, relief
@@ -208,7 +208,8 @@ class LinearTrial(Trial[Block]):
         found, problem, n = self.solution, self.problem, self.solution.design.shape[1]
         residual, both = found.residual, np.hstack([found.design, problem.matrix / found.level])
         if problem.group is not None:
-            residual, both = counted_once(residual, both, problem.group, found.effective_parameters)
+            shared = shared_error(residual, problem.group, found.effective_parameters)
+            residual, both = counted_once(residual, both, problem.group, shared)
         free = np.flatnonzero(~found.at_bound)
         precision = found.prior_sd**-2.0
         jacobian, matrix = both[:, free], both[:, n:]

@@ -59,6 +59,14 @@ class SeriesBlock:
     total: np.ndarray
 
     @property
+    def weight(self) -> np.ndarray:
+        """What residuals are multiplied by along the whitened axes, (n_units, n_rows)."""
+        n = self.n_units
+        if len(self.whitening) == n:
+            return self.whitening
+        return np.sqrt((self.whitening.reshape(n, n, -1) ** 2).sum(axis=0))
+
+    @property
     def n_units(self) -> int:
         """Number of residuals a row."""
         return len(self.observation.units)
@@ -159,6 +167,11 @@ class LeastSquares:
     def total(self) -> np.ndarray:
         """The same with the model's discrepancy."""
         return np.concatenate([block.total.T.ravel() for block in self.blocks])
+
+    @cached_property
+    def weight(self) -> np.ndarray:
+        """What each of the stacked residuals was multiplied by, robust weights included, shape (n,)."""
+        return np.concatenate([block.weight.T.ravel() for block in self.blocks])
 
     @cached_property
     def scatter(self) -> float:

@@ -28,7 +28,7 @@ def found_amplitude(finding: Finding, fitted: Fitted) -> tuple[float, float]:
     """
     cause = finding.cause
     own = fitted.model.columns(cause)
-    estimate, sd = amplitude(cause, fitted.fit.estimate[own], fitted.fit.covariance[np.ix_(own, own)])
+    estimate, sd = amplitude(cause, fitted.fit.estimate[own], fitted.covariance[np.ix_(own, own)])
     if sd == 0:
         return estimate, sd  # at a bound
     forms = [score for score in finding.scores if score.cause.place == cause.place]

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from calflow.diagnosis.screening.regressors import Regressors
 from calflow.diagnosis.screening.screening import Screening
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects.cause import Cause
@@ -26,7 +25,7 @@ def predicted(fitted: Fitted, decoy: Cause, data: Measurements) -> np.ndarray:
 
     The model's own parameters settle beside it, as far as their priors let them.
     """
-    regressors = Regressors.of(fitted.fit, fitted.problem, (decoy,), fitted.poses)
+    regressors = replace(fitted, background=None).regressors((decoy,))
     amplitudes = _amplitudes(Screening(regressors)) * regressors.prior_sd
     own = regressors.jacobian
     imitated = own.T @ (regressors.matrix @ amplitudes)

@@ -7,11 +7,10 @@ their own; what passes is reported as unexplained, never as a cause.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calflow.diagnosis.screening.regressors import Regressors
 from calflow.diagnosis.screening.screening import Family, Score, Screening
 from calflow.diagnosis.search.decoys import Decoy, decoys
 from calflow.diagnosis.search.fitted import Fitted
@@ -37,7 +36,7 @@ def remainder(
     fitted: Fitted, significance: float, rng: np.random.Generator, say: Callable[[str], None]
 ) -> list[Remainder]:
     """Return what the fitted model leaves that depends on inputs, the strongest first."""
-    screening = Screening(Regressors.of(fitted.fit, fitted.problem, decoys(fitted), fitted.poses))
+    screening = Screening(replace(fitted, background=None).regressors(decoys(fitted)))
     family = screening.family(rng)
     found: list[Remainder] = []
     for score in sorted(screening.scores, key=family.p):

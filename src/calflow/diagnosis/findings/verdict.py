@@ -13,6 +13,8 @@ from calflow.diagnosis.search.linearisation import Finding
 
 WITHIN = 10.0  # of the best BIC: closer rivals cannot be told apart (Kass and Raftery 1995: "very strong" beyond)
 
+UNEXPLAINED = "unexplained"  # what nobody can name, as a rival
+
 Status = Literal["named", "one_of"]
 
 
@@ -68,7 +70,9 @@ def verdict(finding: Finding[H]) -> Verdict[H]:
     tested = {(score.cause.id, score.cause.joint) for score in finding.scores}
     rivals += [Rival(other, cause.joint, 0.0, None) for other in cause.alike if (other, cause.joint) not in tested]
     weights = [np.exp(-(bic - own) / 2) for place, (bic, _) in evidence.items() if place != cause.place]
-    weights += [1.0 for rival in rivals if rival.cause is None]
+    if finding.unnamed < WITHIN:
+        rivals.append(Rival(UNEXPLAINED, 0, finding.unnamed, None))
+    weights += [float(np.exp(-max(rival.bic, 0.0) / 2)) for rival in rivals if rival.cause is None]
     probability = 1 / (1 + float(np.sum(weights)))
     ordered = tuple(sorted(rivals, key=lambda rival: rival.bic))
     return Verdict(finding, "one_of" if ordered else "named", probability, ordered)

@@ -9,6 +9,7 @@ from typing import Generic
 import numpy as np
 from scipy.stats import f as f_distribution
 
+from calflow.diagnosis.screening.correlation import Correlation
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.effects import Effect
 from calflow.effects.cause import Cause, parts
@@ -59,7 +60,8 @@ class Regressors(Generic[H]):
 
     residual (n,) and jacobian (n, n_free) are the fit's, pull (n_free,) the priors' part of the gradient; matrix is
     (n, n_columns), prior_sd (n_columns,). determined is how many parameters the residual has lost. scale is by how much the
-    candidates' priors are wider than they state.
+    candidates' priors are wider than they state, shared the factor of what the rows of a pose have in common. All are
+    whitened by the correlation, where there is one.
     """
 
     residual: np.ndarray
@@ -73,14 +75,21 @@ class Regressors(Generic[H]):
     products: Products
     determined: float = 0.0
     scale: float = 1.0
+    shared: float = 1.0
+    correlation: Correlation | None = None
 
     @staticmethod
     def of(
-        fit: Fit, problem: LeastSquares, effects: Sequence[Effect], poses: np.ndarray | None = None
+        fit: Fit,
+        problem: LeastSquares,
+        effects: Sequence[Effect],
+        poses: np.ndarray | None = None,
+        correlation: Correlation | None = None,
     ) -> Regressors[Cause]:
         """Linearise the fitted model with all these effects at zero, which costs one Jacobian.
 
         poses (n_rows,) numbers the rows by pose: what the rows of a pose have in common counts once (see `shared_error`).
+        correlation is what errors of rows near each other share besides.
         Where much more is left than usual, causes are looked for that are as much larger than usual.
         """
         model = fit.model
@@ -88,8 +97,13 @@ class Regressors(Generic[H]):
         n = len(model.parameters)
         point = np.concatenate([fit.estimate, large.nominal[n:]])
         left, matrix = problem.on(large).screened(point)
+        shared = 1.0
         if poses is not None:
-            left, matrix = counted_once(left, matrix, shared_by(problem.stacking, poses), fit.effective_parameters)
+            group = shared_by(problem.stacking, poses)
+            shared = correlation.shared if correlation else shared_error(left, group, fit.effective_parameters)
+            left, matrix = counted_once(left, matrix, group, shared)
+        if correlation is not None:
+            left, matrix = correlation.whitened(left), correlation.whitened(matrix)
         free = np.flatnonzero(~fit.at_bound)
         offset = fit.estimate - model.nominal
         precision = model.prior_sd**-2.0
@@ -107,6 +121,8 @@ class Regressors(Generic[H]):
             Products.of(jacobian, found, candidates),
             fit.effective_parameters,
             scale,
+            shared,
+            correlation,
         )
 
     def without(self, columns: np.ndarray, effect: np.ndarray, pull: np.ndarray) -> Regressors[H]:
@@ -124,13 +140,12 @@ class Regressors(Generic[H]):
 
 
 def counted_once(
-    residual: np.ndarray, matrix: np.ndarray, group: np.ndarray, determined: float
+    residual: np.ndarray, matrix: np.ndarray, group: np.ndarray, shared: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals (n,) and regressors (n, n_columns) in which what a group has in common counts once.
+    """Return residuals (n,) and regressors (n, n_columns) in which what a group (n,) has in common counts once.
 
-    group and determined are as for `shared_error`.
+    shared is the factor of that: see `shared_error`.
     """
-    shared = shared_error(residual, group, determined)
     if shared >= 1:
         return residual, matrix
     first, second = (array - (1 - shared) * _group_means(array, group) for array in (residual, matrix))

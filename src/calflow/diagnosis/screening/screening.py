@@ -153,6 +153,22 @@ class Screening(Generic[H]):
         """Degrees of freedom of what the model leaves: its own parameters have taken theirs."""
         return len(self.regressors.residual) - self.regressors.determined
 
+    @property
+    def level(self) -> float:
+        """Variance of what is left, over what it was taken for."""
+        return self.chi2 / self.degrees_of_freedom
+
+    @cached_property
+    def sure(self) -> np.ndarray:
+        """Degrees of freedom of the variance of each column's amplitude; the number of residuals where they are independent."""
+        r, n = self.regressors, len(self.regressors.residual)
+        if r.correlation is None:
+            return np.full(r.matrix.shape[1], float(n))
+        modes = r.correlation.modes.T
+        imitated = (modes @ r.jacobian) @ solve_triangular(self._factor.T, self._imitated, lower=False)
+        visible = np.einsum("nc,nc->c", r.matrix, r.matrix) - np.einsum("pc,pc->c", self._imitated, self._imitated)
+        return r.correlation.degrees_of_freedom(modes @ r.matrix - imitated, visible, float(n))
+
     @cached_property
     def _blocks(self) -> list[_Block]:
         sizes = np.array([len(candidate.columns) for candidate in self.regressors.candidates])
@@ -183,7 +199,9 @@ class Screening(Generic[H]):
         for block in self._blocks:
             own = self.score[block.columns]
             squared = np.einsum("mij,mj->mi", block.roots, own) ** 2
-            p = self._p(squared.sum(axis=1), self.chi2, block, self.degrees_of_freedom)
+            left = np.minimum(self.sure[block.columns].min(axis=1), self.degrees_of_freedom - block.degrees_of_freedom)
+            left = np.maximum(left, 1.0)
+            p = self._p(squared.sum(axis=1), self.chi2, block, self.degrees_of_freedom, left)
             precision = self.regressors.prior_sd[block.columns] ** -2.0
             covariance = np.linalg.inv(block.information + np.eye(own.shape[1]) * precision[:, None, :])
             estimate = -np.einsum("mij,mj->mi", covariance, own)
@@ -201,16 +219,14 @@ class Screening(Generic[H]):
                 [self.variants[self.regressors.candidates[member].cause.place] for member in block.members]
             )
             wider = spent * np.log(self.regressors.scale)
-            bic = (
-                n * np.log1p(-np.minimum(drops / self.chi2, 1 - 1e-12))
-                + spent * np.log(n)
-                + 2 * (wider + np.log(scans))
-            )
+            explained = np.minimum(drops / self.chi2, 1 - 1e-12)
+            bic = _evidence(explained, n, self.sure[block.columns].min(axis=1)) + spent * np.log(n)
+            bic += 2 * (wider + np.log(scans))
             found += [
                 Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),
                       float(p[k]), float(bic[k]), float(block.share[k]), estimate[k], covariance[k],
                       block.information[k], int(block.degrees_of_freedom[k]), 
-                      float(max(self.degrees_of_freedom - block.degrees_of_freedom[k], 1)),
+                      float(left[k]),
                       float(n * relief[k] / self.chi2))
                 for k, member in enumerate(block.members)
             ]  # fmt: skip
@@ -246,13 +262,26 @@ class Screening(Generic[H]):
         adjusted = -np.expm1(scans[:, None] * np.log1p(-np.minimum(smallest, 1 - 1e-16)))
         return Family(dict(zip(places, scans, strict=True)), _worth(adjusted.min(axis=0)) if places else 1.0)
 
-    def _p(self, drops: np.ndarray, chi2: float | np.ndarray, block: _Block, total: float) -> np.ndarray:
-        """p-values of F tests: drops (n_members, …) of chi² (…), which has so many degrees of freedom in all."""
+    def _p(
+        self, drops: np.ndarray, chi2: float | np.ndarray, block: _Block, total: float, sure: np.ndarray | None = None
+    ) -> np.ndarray:
+        """p-values of F tests: drops (n_members, …) of chi² (…), which has so many degrees of freedom in all.
+
+        sure (n_members,) are those by which the noise that matters to each candidate is known, all that are left by default.
+        """
         shape = (-1, *[1] * (drops.ndim - 1))
         degrees_of_freedom = block.degrees_of_freedom.reshape(shape)
         left = np.maximum(total - degrees_of_freedom, 1.0)
         ratio = drops / degrees_of_freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
-        return np.asarray(f_distribution.sf(ratio, degrees_of_freedom, left))
+        return np.asarray(f_distribution.sf(ratio, degrees_of_freedom, left if sure is None else sure))
+
+
+def _evidence(explained: np.ndarray, n: int, sure: np.ndarray) -> np.ndarray:
+    """Twice minus the logarithm of what explaining so large a share of chi² says, the noise known as well as it is.
+
+    Student's t with as many degrees of freedom as the noise is known by, in the place of one with n.
+    """
+    return -sure * np.log1p(n * explained / (1 - explained) / sure)
 
 
 def prior_cost(pulled: np.ndarray, number: int) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import casadi as ca
 import numpy as np
@@ -36,23 +36,34 @@ class Decoy(Effect):
         """What it depends on."""
         raise NotImplementedError
 
+    @property
+    def spectrum(self) -> np.ndarray:
+        """How large each of its waves is beside the others in what is smooth, shape (n_parameters,)."""
+        return np.ones(len(self.declared))
+
 
 @dataclass(frozen=True)
 class JointField(JointError, Decoy):
     """Every joint's error as a smooth function of one joint's angle, or of two together (without what either does alone)."""
 
     of: tuple[int, ...] = (0,)
+    orders: int = ORDERS
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """The joints it depends on."""
         return tuple(f"q{i + 1}" for i in self.of)
 
+    @property
+    def spectrum(self) -> np.ndarray:
+        """Waves that fall with their order."""
+        waves = _spectrum(self.of, self.orders)
+        return np.tile(waves, len(self.declared) // len(waves))
+
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return waves of the joint's angle, or products of waves of both."""
-        return [
-            Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(_waves(state.q, self.of))
-        ]
+        waves = _waves(state.q, self.of, self.orders)
+        return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(waves)]
 
 
 @dataclass(frozen=True)
@@ -60,15 +71,21 @@ class Shift(Decoy):
     """A shift of the reported point as a smooth function of one joint's angle, or of two together."""
 
     of: tuple[int, ...] = (0,)
+    orders: int = ORDERS
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """The joints it depends on."""
         return tuple(f"q{i + 1}" for i in self.of)
 
+    @property
+    def spectrum(self) -> np.ndarray:
+        """Waves that fall with their order."""
+        return np.repeat(_spectrum(self.of, self.orders), 3)
+
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the waves along each axis."""
-        number = 2 * ORDERS if len(self.of) == 1 else 4
+        number = len(_spectrum(self.of, self.orders))
         return tuple(
             Parameter(self.id, "point", f"wave{k + 1}{axis}", "m", SIZE, -1.0, 1.0)
             for k in range(number)
@@ -77,19 +94,26 @@ class Shift(Decoy):
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported."""
-        return point + ca.reshape(p, 3, p.numel() // 3) @ ca.vertcat(*_waves(row.q, self.of))
+        return point + ca.reshape(p, 3, p.numel() // 3) @ ca.vertcat(*_waves(row.q, self.of, self.orders))
 
 
 @dataclass(frozen=True)
 class InTime(Decoy):
     """A shift of the reported point that comes and goes with time."""
 
-    rate: float = 1.0  # rad/s
+    rate: float = 1.0  # rad/s, or rad a row
+    clock: Literal["time", "order"] = "time"
+    share: float = 1.0  # of its size beside other waves
+
+    @property
+    def spectrum(self) -> np.ndarray:
+        """Its size beside others'."""
+        return np.full(len(self.declared), self.share)
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Time."""
-        return ("time",)
+        """Time, or the order of the rows."""
+        return (self.clock,)
 
     @property
     def detail(self) -> str:
@@ -106,7 +130,8 @@ class InTime(Decoy):
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported."""
-        return point + p[:3] * ca.cos(self.rate * row.time) + p[3:] * ca.sin(self.rate * row.time)
+        angle = self.rate * (row.time if self.clock == "time" else row.order)
+        return point + p[:3] * ca.cos(angle) + p[3:] * ca.sin(angle)
 
 
 @dataclass(frozen=True)
@@ -174,9 +199,7 @@ def decoys(fitted: Fitted) -> list[Decoy]:
     chosen: list[Decoy] = [JointField(robot, (i,)) for i in turning]
     chosen += [Shift(robot, (i,)) for i in turning]
     chosen += [kind(robot, pair) for pair in combinations(turning, 2) for kind in (JointField, Shift)]
-    place = fitted.model.point(fitted.fit.estimate, data.rows)
-    centre = place.mean(axis=0)
-    chosen.append(InPlace(robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0))
+    chosen.append(placed(fitted))
     if "order" in data.given:
         order = np.unique(data.table["order"].to_numpy(float))
         chosen += [Since(robot, float(moment)) for moment in np.quantile(order, np.arange(1, MOMENTS) / MOMENTS)]
@@ -185,10 +208,22 @@ def decoys(fitted: Fitted) -> list[Decoy]:
     return chosen
 
 
-def _waves(q: ca.SX, of: tuple[int, ...]) -> list[ca.SX]:
+def placed(fitted: Fitted) -> InPlace:
+    """Return the smooth functions of place where a fitted model's rows are."""
+    place = fitted.model.point(fitted.fit.estimate, fitted.data.rows)
+    centre = place.mean(axis=0)
+    return InPlace(fitted.data.robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0)
+
+
+def _spectrum(of: tuple[int, ...], orders: int) -> np.ndarray:
+    """The waves' sizes beside each other, those of `_waves`."""
+    return np.repeat(1 / np.arange(1.0, orders + 1), 2) if len(of) == 1 else np.ones(4)
+
+
+def _waves(q: ca.SX, of: tuple[int, ...], orders: int) -> list[ca.SX]:
     """Waves of one joint's angle, or products of two joints' without what either does alone."""
     if len(of) == 1:
-        return [wave(k * q[of[0]]) for k in range(1, ORDERS + 1) for wave in (ca.cos, ca.sin)]
+        return [wave(k * q[of[0]]) for k in range(1, orders + 1) for wave in (ca.cos, ca.sin)]
     first, second = (q[i] for i in of)
     return [a(first) * b(second) for a in (ca.cos, ca.sin) for b in (ca.cos, ca.sin)]
 

@@ -14,6 +14,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.fitted_trial import FittedTrial, among
 from calflow.diagnosis.search.linearisation import Finding, Linearisation, Screened
 from calflow.diagnosis.search.stepwise import Stepwise
+from calflow.diagnosis.search.trial import Trial
 from calflow.diagnosis.search.verification import verified
 from calflow.effects.cause import Cause
 
@@ -42,14 +43,19 @@ def extend(
     """
     first = Linearisation.at(start, catalogue).screened(rng)
     found = Stepwise(acceptance, first, rng, say, advance).best(FittedTrial(first.family, start, catalogue))
-    best, tried = cast(tuple[FittedTrial, list[FittedTrial]], found)  # trials lead to trials of their own kind
+    return extended(*found, first)
+
+
+def extended(found: Trial[Cause], every: list[Trial[Cause]], first: Screened[Cause]) -> Extended:
+    """Return what a search ended with, found being its best trial of every one."""
+    best, tried = cast(tuple[FittedTrial, list[FittedTrial]], (found, every))  # trials lead to trials of their own kind
     trail = [trial.fitted for trial in tried]
     path = tuple(among(trail, best.causes[: k + 1]) for k in range(len(best.causes)))
     return Extended(best.fitted, verified(best, tried), path, first)
 
 
-def weighed_against(extended: Extended, catalogue: Catalogue) -> Extended:
+def weighed_against(known: Extended, catalogue: Catalogue) -> Extended:
     """Score a wider catalogue's candidates in each cause's place: what was left out of the search can still be the truth."""
-    if not extended.findings:
-        return extended
-    return replace(extended, findings=FittedTrial(extended.first.family, extended.fitted, catalogue).findings)
+    if not known.findings:
+        return known
+    return replace(known, findings=FittedTrial(known.first.family, known.fitted, catalogue).findings)

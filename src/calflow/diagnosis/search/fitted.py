@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calflow.diagnosis.screening.correlation import Background
+from calflow.diagnosis.screening.regressors import Regressors
+from calflow.diagnosis.screening.screening import Screening
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated import Identified
@@ -27,7 +30,8 @@ WEIGHINGS = 3  # fits in which the weights of rows far off settle
 class Fitted:
     """A fitted model with the training data and the noise it was fitted with.
 
-    lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight.
+    lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight. background is
+    what rows near each other share; without one what is left counts as independent.
     """
 
     fit: Fit
@@ -36,6 +40,7 @@ class Fitted:
     lack: LackOfFit
     loss: Loss
     device: Noise
+    background: Background | None = None
 
     @property
     def model(self) -> Model:
@@ -48,6 +53,12 @@ class Fitted:
         pose = np.unique(self.data.table["pose"], return_inverse=True)[1]
         return np.asarray(pose * len(self.data.series) + self.data.series_number)
 
+    def regressors(self, effects: Sequence[Effect]) -> Regressors[Cause]:
+        """Linearise the model with these effects at zero, against what its background leaves of independent noise."""
+        problem = self.problem
+        correlation = self.background.correlation(problem.weight) if self.background else None
+        return Regressors.of(self.fit, problem, effects, self.poses, correlation)
+
     @property
     def far(self) -> np.ndarray:
         """By how much rows count less than the device's noise says, at least 1, shape (n_rows,)."""
@@ -55,9 +66,28 @@ class Fitted:
         return np.asarray(ratio / ratio.min())
 
     @property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the estimate, wider where a background is fitted as if it were independent noise.
+
+        Shape (n_parameters, n_parameters); the sandwich of White (1980), with the background's covariance between.
+        """
+        if self.background is None:
+            return self.fit.covariance
+        level = Screening(self.regressors(())).level
+        plain = replace(self, background=None).regressors(())
+        bread = np.linalg.inv(plain.jacobian.T @ plain.jacobian + np.diag(plain.precision))
+        within = level * self.background.correlation(self.problem.weight).covered(plain.jacobian)
+        free = np.flatnonzero(~self.fit.at_bound)
+        found = np.zeros((len(self.fit.estimate), len(self.fit.estimate)))
+        found[np.ix_(free, free)] = bread @ (within + np.diag(plain.precision)) @ bread
+        return found
+
+    @property
     def misfit(self) -> float:
-        """Huber's cost of all rows, and the priors' chi²."""
+        """Huber's cost of all rows, and the priors' chi²; beside a background by what it leaves of independent noise."""
         fit, model = self.fit, self.model
+        if self.background is not None:
+            return Screening(self.regressors(())).chi2 + 2 * FAR**2 * float((self.far - 1).sum())
         pulled = (fit.estimate - model.nominal) / model.prior_sd
         return float((fit.residual**2).sum() + 2 * FAR**2 * (self.far - 1).sum() + pulled @ pulled)
 
@@ -69,7 +99,7 @@ class Fitted:
     def weighed(self, sigma: np.ndarray) -> Fitted:
         """Fit anew with other noise (n_rows,) [m]."""
         noise = replace(self.device, sigma=sigma, discrepancy=0.0)
-        return _settled(self.model, self.data, noise, self.fit.estimate, self.loss)
+        return replace(_settled(self.model, self.data, noise, self.fit.estimate, self.loss), background=self.background)
 
     @staticmethod
     def of(known: Identified, data: Measurements, noise: Noise) -> Fitted:
@@ -103,7 +133,7 @@ class Fitted:
         bare = replace(self.device, discrepancy=0.0, rotation_discrepancy=0.0)
         near = self.noise.sigma / self.far * np.sqrt(1 - share)
         bare = replace(bare, sigma=np.where(bare.estimated, near, bare.sigma))
-        return _settled(model, self.data, bare, start, self.loss, self.far)
+        return replace(_settled(model, self.data, bare, start, self.loss, self.far), background=self.background)
 
 
 def _settled(

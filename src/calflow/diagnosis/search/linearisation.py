@@ -18,11 +18,17 @@ from calflow.effects.cause import Cause
 
 @dataclass(frozen=True)
 class Finding(Generic[H]):
-    """A cause in the extended model, with all candidates' scores where it is taken out and the others stay."""
+    """A cause in the extended model, with all candidates' scores where it is taken out and the others stay.
+
+    unnamed is the BIC of what nobody can name in its place, above its own; carries_over whether it holds at blocks of training
+    poses that were left out, None where that was not tried.
+    """
 
     cause: H
     scores: tuple[Score[H], ...]
     family: Family
+    unnamed: float = np.inf
+    carries_over: bool | None = None
 
     @property
     def own(self) -> Score[H]:
@@ -60,7 +66,7 @@ class Linearisation(Generic[H]):
     def at(fitted: Fitted, catalogue: Catalogue) -> Linearisation[Cause]:
         """Linearise a fitted model; its own causes are among the candidates, for when they are taken out."""
         own = (cause for cause in fitted.causes if cause.effect not in catalogue.effects)
-        regressors = Regressors.of(fitted.fit, fitted.problem, (*catalogue.effects, *own), fitted.poses)
+        regressors = fitted.regressors((*catalogue.effects, *own))
         free = np.flatnonzero(~fitted.fit.at_bound)
         columns = tuple(np.flatnonzero(np.isin(free, fitted.model.columns(cause))) for cause in fitted.causes)
         return Linearisation(fitted.causes, regressors, fitted.fit.estimate[free], columns)

@@ -9,7 +9,6 @@ from itertools import chain
 import numpy as np
 
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.regressors import Regressors
 from calflow.diagnosis.screening.screening import Score, Screening
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Linearisation
@@ -24,7 +23,7 @@ def finest(score: Score[Cause], now: Fitted) -> Score[Cause]:
     finer = _finer(score.cause, now)
     if not finer:
         return score
-    scores = Screening(Regressors.of(now.fit, now.problem, finer, now.poses)).scores
+    scores = Screening(now.regressors(finer)).scores
     best = max(scores, key=lambda s: s.drop, default=score)
     return best if best.drop > score.drop else score
 

@@ -1,0 +1,92 @@
+"""Correlation: errors that rows share because they are near each other, in the covariance that tests go by.
+
+What the model leaves is white noise and a background of random effects: V = s² (I + sum over parts of size² Z Zᵀ), each
+part's Z smooth functions of one input. Multiplied by (V/s²)^-1/2, residuals and regressors are as independent as the tests
+want them (generalised least squares: Aitken 1936).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+SMALL = 0.02  # of a mode's variance over the noise's: less changes no test
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What one of a background's inputs does: its waves by modes (n_modes, n_waves), and its size's degrees of freedom."""
+
+    waves: np.ndarray
+    degrees_of_freedom: float
+
+
+@dataclass(frozen=True, eq=False)
+class Correlation:
+    """The modes (n, n_modes), orthonormal, of a background, their variance (n_modes,) over the noise's, and its parts.
+
+    shared is the factor at which what the rows of a pose have in common counts (see `counted_once`).
+    """
+
+    modes: np.ndarray
+    variance: np.ndarray
+    parts: tuple[Part, ...]
+    shared: float
+
+    def whitened(self, values: np.ndarray) -> np.ndarray:
+        """Return values (n, …) times (V/s²)^-1/2."""
+        shrunk = 1 - (1 + self.variance) ** -0.5
+        return np.asarray(values - self.modes @ (shrunk * (self.modes.T @ values).T).T)
+
+    def degrees_of_freedom(self, along: np.ndarray, visible: np.ndarray, of_noise: float) -> np.ndarray:
+        """Return those of the variance of each column's amplitude, shape (n_columns,) (Satterthwaite 1946).
+
+        What is uncertain because of a background whose size few waves tell is not as sure as the number of rows suggests.
+
+        Args:
+            along: whitened columns, freed of what the model imitates, along the modes, (n_modes, n_columns).
+            visible: their squares summed, over modes and all else, (n_columns,).
+            of_noise: degrees of freedom of the noise itself.
+        """
+        along = along / np.sqrt(1 + self.variance)[:, None]
+        whole = np.maximum(visible, np.finfo(float).tiny)
+        left, unsure = np.ones(len(whole)), np.zeros(len(whole))
+        for part in self.parts:
+            share = ((part.waves.T @ along) ** 2).sum(axis=0) / whole
+            left -= share
+            unsure += share**2 / part.degrees_of_freedom
+        return np.asarray(1 / (unsure + np.maximum(left, 0.0) ** 2 / of_noise))
+
+    def covered(self, jacobian: np.ndarray) -> np.ndarray:
+        """Return Jᵀ (V/s²) J of a Jacobian (n, n_parameters) that is not whitened by it."""
+        along = self.modes.T @ jacobian
+        return np.asarray(jacobian.T @ jacobian + along.T @ (self.variance[:, None] * along))
+
+
+@dataclass(frozen=True, eq=False)
+class Background:
+    """What no cause explains: random smooth functions of inputs, whose waves (n, n_waves) are over the noise, scaled by size.
+
+    weight (n,) is what the rows' residuals were multiplied by when the waves were worked out, shared the factor of what rows of
+    a pose have in common; degrees_of_freedom (n_parts,) are those of the sizes' estimates, gains (n_parts,) twice the logarithm
+    of the likelihood that each part adds.
+    """
+
+    inputs: tuple[tuple[str, ...], ...]
+    waves: tuple[np.ndarray, ...]
+    weight: np.ndarray
+    shared: float
+    degrees_of_freedom: tuple[float, ...]
+    gains: tuple[float, ...]
+
+    def correlation(self, weight: np.ndarray) -> Correlation:
+        """Return the correlation of residuals that are multiplied by other weights (n,), of the same noise but for its level."""
+        ratio = weight / self.weight
+        whole = (ratio / np.median(ratio))[:, None] * np.hstack(self.waves)
+        left, value, right = np.linalg.svd(whole, full_matrices=False)
+        kept = value**2 > SMALL
+        ends = np.cumsum([waves.shape[1] for waves in self.waves])[:-1]
+        by_mode = np.split(value[kept, None] * right[kept], ends, axis=1)
+        parts = tuple(Part(*both) for both in zip(by_mode, self.degrees_of_freedom, strict=True))
+        return Correlation(left[:, kept], value[kept] ** 2, parts, self.shared)

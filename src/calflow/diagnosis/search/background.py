@@ -1,0 +1,192 @@
+"""The background: what no cause explains, as random smooth functions of joints, place and time, whose sizes the data tell.
+
+The sizes are those of the greatest restricted likelihood (Patterson and Thompson 1971): the model's own parameters, its causes
+among them, are integrated out, so that only what they cannot imitate counts. They grow and shrink by the ratio of what is seen
+to what is expected (the MM algorithm of Zhou, Hu, Zhou and Lange 2019).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from calflow.diagnosis.screening.correlation import Background
+from calflow.diagnosis.screening.regressors import Products, Regressors
+from calflow.diagnosis.screening.screening import Screening
+from calflow.diagnosis.search.decoys import Decoy, InTime, JointField, Shift, placed
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.effects.cause import Cause
+
+ORDERS = 4  # of a joint's angle
+TURNS = 8  # half turns that a slow wander makes in the course of the measurement, at most
+MODES = 240  # directions in which all functions together are largest: the rest is lost in the noise
+STEPS = 24  # of the sizes
+START = 0.3  # of a decoy's size before any data
+GONE = 1e-6  # of a decoy's variance: nothing
+BELIEVED = 3.0  # in twice the logarithm of the likelihood: what a part must add to be kept
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """What a background may be made of, for the rows of one diagnosis: modes (n, n_modes), orthonormal over the noise.
+
+    parts hold each input's functions in these modes, (n_modes, n_waves), of a decoy's size. weight (n,) is what the rows'
+    residuals were multiplied by when they were worked out.
+    """
+
+    modes: np.ndarray
+    inputs: tuple[tuple[str, ...], ...]
+    parts: tuple[np.ndarray, ...]
+    weight: np.ndarray
+
+    @staticmethod
+    def of(fitted: Fitted) -> Basis:
+        """Work out all functions at a fitted model."""
+        kinds = functions(fitted)
+        regressors = replace(fitted, background=None).regressors([effect for _, effects in kinds for effect in effects])
+        spectrum = np.concatenate([effect.spectrum for _, effects in kinds for effect in effects])
+        waves = regressors.matrix * (regressors.prior_sd * spectrum)
+        ends = np.cumsum([0, *(sum(len(effect.declared) for effect in effects) for _, effects in kinds)])
+        left, value, right = np.linalg.svd(waves, full_matrices=False)
+        many = min(MODES, int(np.count_nonzero(value > 1e-9 * value[0])))
+        whole = value[:many, None] * right[:many]
+        parts = tuple(whole[:, i:j] for i, j in pairwise(ends))
+        return Basis(left[:, :many], tuple(inputs for inputs, _ in kinds), parts, fitted.problem.weight)
+
+    @cached_property
+    def shapes(self) -> np.ndarray:
+        """Each part's covariance along the modes, shape (n_parts, n_modes, n_modes)."""
+        return np.array([part @ part.T for part in self.parts])
+
+    def weighed(self, weight: np.ndarray) -> np.ndarray:
+        """Return the modes of residuals multiplied by other weights (n,), of the same noise but for its level."""
+        ratio = weight / self.weight
+        return np.asarray((ratio / np.median(ratio))[:, None] * self.modes)
+
+
+def functions(fitted: Fitted) -> list[tuple[tuple[str, ...], list[Decoy]]]:
+    """Return inputs and functions of what may be left: of each joint, two together, place, and time or the rows' order."""
+    robot, data = fitted.data.robot, fitted.data
+    turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
+    found: list[tuple[tuple[str, ...], list[Decoy]]] = [
+        ((f"q{i + 1}",), [JointField(robot, (i,), ORDERS), Shift(robot, (i,), ORDERS)]) for i in turning
+    ]
+    if len(turning) > 1:
+        found.append((("several joints",), [Shift(robot, pair) for pair in combinations(turning, 2)]))
+    found.append((("x", "y", "z"), [placed(fitted)]))
+    clock = next((clock for clock in ("time", "order") if clock in data.given), None)
+    if clock:
+        span = float(np.ptp(data.table[clock].to_numpy(float))) or 1.0
+        found.append(((clock,), [InTime(robot, np.pi * k / span, clock, 1 / k) for k in range(1, TURNS + 1)]))
+    return found
+
+
+def background(fitted: Fitted, basis: Basis) -> Background | None:
+    """Return the background that a fitted model leaves; none where the data show none."""
+    regressors = replace(fitted, background=None).regressors(())
+    return _named(Sizes.of(regressors, basis, fitted.problem.weight), basis, fitted, regressors.shared)
+
+
+def _named(sizes: Sizes, basis: Basis, fitted: Fitted, shared: float) -> Background | None:
+    variance = sizes.believed()
+    kept = np.flatnonzero(variance > 0)
+    if not len(kept):
+        return None
+    sure, gains = sizes.degrees_of_freedom(variance), sizes.gains(variance)
+    waves = tuple(sizes.modes @ basis.parts[k] * np.sqrt(variance[k]) for k in kept)
+    inputs = tuple(basis.inputs[k] for k in kept)
+    return Background(
+        inputs, waves, fitted.problem.weight, shared,
+        tuple(map(float, sure[kept])), tuple(map(float, gains[kept])),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Sizes:
+    """The likelihood of a background's variances, beside a linearised model.
+
+    Along the modes (n, n_modes), shown (n_modes, n_modes) is what they show beside the model's own parameters, plain the same
+    without these, score (n_modes,) what the residual shows of them; chi2 is what the model leaves, of n residuals, with total
+    degrees of freedom. shapes (n_parts, n_modes, n_modes) are the parts' covariances.
+    """
+
+    modes: np.ndarray
+    shown: np.ndarray
+    plain: np.ndarray
+    score: np.ndarray
+    chi2: float
+    n: int
+    total: float
+    shapes: np.ndarray
+
+    @staticmethod
+    def of(regressors: Regressors[Cause], basis: Basis, weight: np.ndarray) -> Sizes:
+        """Take the model's own parameters out of the modes."""
+        modes = basis.weighed(weight)
+        own = replace(regressors, matrix=modes, candidates=(), products=Products.of(regressors.jacobian, modes, ()))
+        seen = Screening(own)
+        columns = np.arange(modes.shape[1])
+        return Sizes(modes, seen.information(columns), modes.T @ modes, seen.score, seen.chi2, len(modes),
+                     seen.degrees_of_freedom, basis.shapes)  # fmt: skip
+
+    def _solved(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """What is left of modes and score beside a background of these variances, and of chi²."""
+        covariance = np.tensordot(variance, self.shapes, axes=1)
+        both = np.linalg.solve(
+            np.eye(len(self.score)) + self.shown @ covariance, np.column_stack([self.shown, self.score])
+        )
+        left, along = both[:, :-1], both[:, -1]
+        return left, along, self.chi2 - float(self.score @ covariance @ along)
+
+    def cost(self, variance: np.ndarray) -> float:
+        """Twice minus the logarithm of the restricted likelihood, the noise's level at its best."""
+        covariance = np.tensordot(variance, self.shapes, axes=1)
+        _, _, chi2 = self._solved(variance)
+        determinant = np.linalg.slogdet(np.eye(len(self.score)) + self.shown @ covariance)[1]
+        return self.total * float(np.log(max(chi2, 1e-12) / self.total)) + float(determinant)
+
+    def evidence(self, variance: np.ndarray) -> float:
+        """Twice minus the logarithm of the likelihood, to be compared with models of other parameters."""
+        covariance = np.tensordot(variance, self.shapes, axes=1)
+        _, _, chi2 = self._solved(variance)
+        determinant = np.linalg.slogdet(np.eye(len(self.score)) + self.plain @ covariance)[1]
+        return self.n * float(np.log(max(chi2, 1e-12))) + float(determinant)
+
+    def most_likely(self, variance: np.ndarray, steps: int = STEPS) -> np.ndarray:
+        """Return the variances (n_parts,) of the greatest restricted likelihood, from these; zero stays zero."""
+        for _ in range(steps):
+            left, along, chi2 = self._solved(variance)
+            here = variance > 0
+            seen = np.einsum("i,pij,j->p", along, self.shapes[here], along, optimize=True) * self.total / chi2
+            expected = np.einsum("ij,pji->p", left, self.shapes[here], optimize=True)
+            variance = variance.copy()
+            variance[here] *= np.sqrt(np.maximum(seen, 0.0) / np.maximum(expected, 1e-300))
+            variance[variance < GONE] = 0.0
+        return variance
+
+    def believed(self) -> np.ndarray:
+        """Return the most likely variances (n_parts,), zero where a part adds too little to be believed."""
+        variance = self.most_likely(np.full(len(self.shapes), START**2))
+        while (variance > 0).any():
+            gains = np.where(variance > 0, self.gains(variance), np.inf)
+            weak = int(np.argmin(gains))
+            if gains[weak] >= BELIEVED:
+                break
+            variance[weak] = 0.0
+            variance = self.most_likely(variance, STEPS // 2)
+        return variance
+
+    def gains(self, variance: np.ndarray) -> np.ndarray:
+        """Return by how much each part lowers the cost, the others as they are, shape (n_parts,)."""
+        now = self.cost(variance)
+        without = [np.where(np.arange(len(variance)) == k, 0.0, variance) for k in range(len(variance))]
+        return np.array([self.cost(other) - now if variance[k] > 0 else 0.0 for k, other in enumerate(without)])
+
+    def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
+        """Return how well each part's variance is known, shape (n_parts,): that of as many squares of normals."""
+        left, _, _ = self._solved(variance)
+        known = [v * left @ shape for v, shape in zip(variance, self.shapes, strict=True)]
+        return np.maximum(np.array([float((part * part.T).sum()) for part in known]), 1.0)

@@ -1,0 +1,82 @@
+"""Cross-validation inside the training rows: whether a cause carries over to poses that were not fitted.
+
+Blocks of poses that are near each other, in joint space or in time, are left out in turn, and predicted by what the others
+tell (Roberts et al. 2017): a cause that stands for something else fits the rows that it was found on, and no others. Linear, from
+one Jacobian, without a refit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.cluster.vq import kmeans2
+from scipy.stats import t as student
+
+from calflow.diagnosis.screening.regressors import Regressors
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.effects.cause import Cause
+
+BLOCKS = 8  # of each kind
+WORSE = 0.05  # one-sided significance at which a cause makes blocks that were left out worse
+
+
+@dataclass(frozen=True)
+class CarriedOver:
+    """What a cause gains at blocks of training poses that were left out: in chi², and by the largest error.
+
+    gain is the sum over blocks, per kind of block; largest the mean logarithm of each block's largest error without the cause over
+    that with it, and p the chance that it is so much below zero by accident.
+    """
+
+    gain: tuple[float, ...]
+    largest: float
+    p: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether it does carry over."""
+        return max(self.gain) > 0 and self.p > WORSE
+
+
+def blocks(fitted: Fitted) -> list[np.ndarray]:
+    """Number the training rows by blocks of poses, near in joint space, and where the order is known in time; (n_rows,) each."""
+    data = fitted.data
+    number = fitted.poses
+    first = np.unique(number, return_index=True)[1]
+    angles = data.joints[first]
+    many = min(BLOCKS, len(first) // 2)
+    scaled = angles / np.maximum(angles.std(axis=0), 1e-9)
+    near = kmeans2(scaled, many, seed=1, minit="++")[1]
+    found = [near[number]]
+    if "order" in data.given:
+        rank = np.argsort(np.argsort(data.table["order"].to_numpy(float)[first]))
+        found.append((rank * many // len(first))[number])
+    return found
+
+
+def carried_over(fitted: Fitted, cause: Cause, kinds: list[np.ndarray]) -> CarriedOver:
+    """Predict each block (n_rows,) of each kind from the others, with a cause of the model and without it."""
+    regressors = replace(fitted, background=None).regressors(())
+    free = np.flatnonzero(~fitted.fit.at_bound)
+    own = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
+    value = fitted.fit.estimate[free][own]
+    effect = regressors.jacobian[:, own] @ value
+    without = regressors.without(own, effect, value * np.sqrt(regressors.precision[own]))
+    row = fitted.problem.stacking.row
+    gains, ratios = [], list[float]()
+    for kind in kinds:
+        left_out = [kind[row] == block for block in np.unique(kind)]
+        pairs = [(_missed(without, out), _missed(regressors, out)) for out in left_out]
+        gains.append(float(sum(a @ a - b @ b for a, b in pairs)))
+        ratios += [np.log(np.abs(a).max() / np.abs(b).max()) for a, b in pairs]
+    mean, spread = float(np.mean(ratios)), float(np.std(ratios, ddof=1)) / np.sqrt(len(ratios))
+    p = float(student.cdf(mean / spread, len(ratios) - 1)) if spread > 0 else 1.0
+    return CarriedOver(tuple(gains), mean, p)
+
+
+def _missed(regressors: Regressors[Cause], out: np.ndarray) -> np.ndarray:
+    """Whitened errors of the residuals that are left out (n,), the parameters fitted to the others."""
+    j, e = regressors.jacobian[~out], regressors.residual[~out]
+    change = np.linalg.solve(j.T @ j + np.diag(regressors.precision), j.T @ e + regressors.pull)
+    return np.asarray(regressors.residual[out] - regressors.jacobian[out] @ change)

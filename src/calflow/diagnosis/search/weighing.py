@@ -1,0 +1,103 @@
+"""Weighing: every cause that was found against what nobody can name, which is a rival of each.
+
+The search takes what it has not found yet for independent noise. Here it is a background (see `background`): what rows near each
+other share. A cause has to explain the data better than the background does that takes its place, to show more beside it than
+chance would in all its family, and to carry over to blocks of training poses that were left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.search.acceptance import Acceptance
+from calflow.diagnosis.search.background import Basis, background
+from calflow.diagnosis.search.cross_validation import blocks, carried_over
+from calflow.diagnosis.search.extension import Extended, extended
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.fitted_trial import FittedTrial
+from calflow.diagnosis.search.linearisation import Finding, Linearisation
+from calflow.diagnosis.search.stepwise import Stepwise, words
+from calflow.diagnosis.search.trial import Trial, same
+from calflow.diagnosis.search.unnamed import unnamed
+from calflow.effects.cause import Cause
+
+ROUNDS = 6  # in which causes and background settle
+
+
+def weighed(
+    start: Fitted,
+    found: Extended,
+    catalogue: Catalogue,
+    acceptance: Acceptance,
+    rng: np.random.Generator,
+    say: Callable[[str], None],
+) -> Extended:
+    """Drop and exchange causes that do not hold beside a background of the size that is left, until they agree with it."""
+    basis = Basis.of(start)
+    now = found
+    for _ in range(ROUNDS):
+        while weakest := _weakest(now.fitted, basis, catalogue):
+            say(f"{words(weakest)} gives way to what nobody can name")
+            fitted = replace(now.fitted, background=None)
+            fewer = fitted.with_causes([cause for cause in fitted.causes if cause != weakest])
+            now = replace(now, fitted=fewer)
+        left = background(now.fitted, basis)
+        if left is not None:
+            say(
+                f"left over, by {', '.join(' and '.join(inputs) for inputs in left.inputs)}: what is found is held against it"
+            )
+        beside = replace(now.fitted, background=left)
+        before = beside.causes
+        now = _searched(replace(start, background=left), beside, found, catalogue, acceptance, rng, say)
+        if same(now.fitted.causes, before):
+            break
+    kinds = blocks(now.fitted)
+    return replace(
+        now, findings=tuple(_judged(finding, now.fitted, basis, kinds, catalogue) for finding in now.findings)
+    )
+
+
+def _weakest(fitted: Fitted, basis: Basis, catalogue: Catalogue) -> Cause | None:
+    """The cause that a background explains best in its place, or that does not carry over, if there is one."""
+    against = {cause: unnamed(fitted, cause, basis, catalogue.variants.get(cause.place, 1)) for cause in fitted.causes}
+    if not against:
+        return None
+    weakest = min(against, key=lambda cause: against[cause])
+    if against[weakest] < 0:
+        return weakest
+    kinds = blocks(fitted)
+    failing = [cause for cause in against if not carried_over(fitted, cause, kinds).holds]
+    return min(failing, key=lambda cause: against[cause], default=None)
+
+
+def _searched(
+    start: Fitted,
+    beside: Fitted,
+    found: Extended,
+    catalogue: Catalogue,
+    acceptance: Acceptance,
+    rng: np.random.Generator,
+    say: Callable[[str], None],
+) -> Extended:
+    """Search on from a model with its background."""
+    family = found.first.family
+    first = found.first
+    if not beside.causes and start.background is not None:
+        first = Linearisation.at(start, catalogue).screened(rng, family)
+    tried: list[Trial[Cause]] = [FittedTrial(family, start, catalogue)]
+    if beside.causes:
+        tried.append(FittedTrial(family, beside, catalogue))
+    best = Stepwise(acceptance, first, rng, say, lambda share: None).settled(tried)
+    return replace(extended(best, tried, first), first=found.first)
+
+
+def _judged(
+    finding: Finding[Cause], fitted: Fitted, basis: Basis, kinds: list[np.ndarray], catalogue: Catalogue
+) -> Finding[Cause]:
+    cause = finding.cause
+    against = unnamed(fitted, cause, basis, catalogue.variants.get(cause.place, 1))
+    return replace(finding, unnamed=against, carries_over=carried_over(fitted, cause, kinds).holds)
