@@ -24,7 +24,7 @@ from calflow.robot.transforms import apply, placement
 
 # Each turn shrinks the distance to equilibrium by about the wind-up angle (some 1e-3), so three reach nanometres.
 EQUILIBRIUM_TURNS = 3
-BLOCK_ROWS, BLOCK_VALUES = 8192, 1 << 22  # rows and values of one output evaluated at once: they bound the memory
+BLOCK_ROWS, BLOCK_VALUES = 512, 1 << 15  # rows and values of one output evaluated at once: more take longer to prepare
 
 
 class Prediction(NamedTuple):
@@ -249,22 +249,27 @@ def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[n
     """Evaluate a function (p, row, ...) -> dense outputs over many rows, each (size, n_rows); outputs side by side."""
     n_rows = rows[0].shape[1]
     values = [np.empty((n_rows, function.numel_out(k))) for k in range(function.n_out())]
+    if n_rows:
+        _evaluate(function, p, [np.ascontiguousarray(row.T) for row in rows], values)
+    return [value.reshape(n_rows * function.size2_out(k), function.size1_out(k)).T for k, value in enumerate(values)]
+
+
+def _evaluate(function: ca.Function, p: np.ndarray, rows: Sequence[np.ndarray], values: Sequence[np.ndarray]) -> None:
+    """Fill values, each (n_rows, size), from rows, likewise, in blocks of one size: the last overlaps the one before."""
+    n_rows = len(values[0])
     per_row = max(map(function.numel_out, range(function.n_out())))
     size = max(1, min(n_rows, BLOCK_ROWS, BLOCK_VALUES // max(1, per_row)))
-    for first in range(0, n_rows, size):
-        part = slice(first, min(first + size, n_rows))
-        mapped = _mapped(function, part.stop - part.start)
-        buffer, evaluate = mapped.buffer()  # CasADi reads and writes NumPy's memory: no lists between
-        arguments = [
-            np.tile(np.asarray(p, dtype=float), (part.stop - part.start, 1)),
-            *(np.ascontiguousarray(row[:, part].T) for row in rows),
-        ]
-        for k, argument in enumerate(arguments):
-            buffer.set_arg(k, memoryview(argument.ravel()))  # type: ignore[call-arg, arg-type]
+    # CasADi reads and writes NumPy's memory: no lists between.
+    buffer, evaluate = _mapped(function, size).buffer()
+    every = np.tile(np.asarray(p, dtype=float), size)
+    buffer.set_arg(0, memoryview(every))  # type: ignore[call-arg, arg-type]
+    for start in [*range(0, n_rows - size, size), n_rows - size]:
+        part = slice(start, start + size)
+        for k, row in enumerate(rows, start=1):
+            buffer.set_arg(k, memoryview(row[part].reshape(-1)))  # type: ignore[call-arg, arg-type]
         for k, value in enumerate(values):
             buffer.set_res(k, memoryview(value[part].reshape(-1)))  # type: ignore[call-arg, arg-type]
         evaluate()
-    return [value.reshape(n_rows * function.size2_out(k), function.size1_out(k)).T for k, value in enumerate(values)]
 
 
 @lru_cache(maxsize=64)
