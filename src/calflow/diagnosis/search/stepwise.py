@@ -15,11 +15,12 @@ from calflow.diagnosis.screening.screening import Score, by_place
 from calflow.diagnosis.search.acceptance import Acceptance
 from calflow.diagnosis.search.exchange import COLUMNS, Exchange
 from calflow.diagnosis.search.linearisation import Finding, Screened
-from calflow.diagnosis.search.trial import Trial, is_new, swapped
+from calflow.diagnosis.search.trial import Trial, forget_all_but, is_worth_trying, swapped
 from calflow.diagnosis.search.verification import doubted
 
 CLEAR = 1e-3  # share of the acceptance below which the cost of the tests need not be worked out anew
 STEP = 0.2  # share of what is left of the search that a step counts as: how many there will be, nobody knows
+MOST_TRIALS = 60  # models that are fitted in all: a search that needs more goes round in circles
 ENTANGLED = 3  # causes, the last found, that are exchanged by two
 
 
@@ -54,6 +55,8 @@ class Stepwise(Generic[H]):
         best = self.settled(tried)
         while better := self.improved(best, tried):
             best = better
+        if len(tried) >= MOST_TRIALS:
+            self.say(f"the search ends after {MOST_TRIALS} models: there may be a better one")
         return best, tried
 
     def settled(self, tried: list[Trial[H]]) -> Trial[H]:
@@ -62,12 +65,21 @@ class Stepwise(Generic[H]):
         tried grows by the models on the way.
         """
         begin = len(tried) - 1
-        while step := next((step for step in self._steps(tried[-1]) if is_new(step.causes, tried)), None):
+        while step := self._next(tried):
             self.say(step.words)
             tried.append(tried[-1].with_causes(step.causes, step.added))
+            tried[-2].forget()
             self.advance(1 - (1 - STEP) ** len(tried))
         best_first = sorted([tried[0], *tried[begin:]], key=lambda trial: trial.bic)
-        return next(trial for trial in best_first if self._stand(trial))
+        best = next(trial for trial in best_first if self._stand(trial))
+        forget_all_but(best, tried)
+        return best
+
+    def _next(self, tried: Sequence[Trial[H]]) -> Proposal[H] | None:
+        """Return the next step from the last trial; none where there is no more, or where there were enough."""
+        if len(tried) >= MOST_TRIALS:
+            return None
+        return next((step for step in self._steps(tried[-1]) if is_worth_trying(step.causes, tried)), None)
 
     def improved(self, best: Trial[H], tried: list[Trial[H]]) -> Trial[H] | None:
         """Return a better model that an exchange leads to, or a rival in the place of a large cause, if there is one."""
@@ -81,7 +93,9 @@ class Stepwise(Generic[H]):
     ) -> Trial[H] | None:
         """Return the first better model that one of the steps leads to; what is promising need not be better at once."""
         for step in steps:
-            if not is_new(step.causes, tried):
+            if len(tried) >= MOST_TRIALS:
+                return None
+            if not is_worth_trying(step.causes, tried):
                 continue
             tried.append(best.with_causes(step.causes, step.added))
             if tried[-1].bic < best.bic or promising(tried[-1]):
@@ -89,6 +103,7 @@ class Stepwise(Generic[H]):
                 if (other := self.settled(tried)).bic < best.bic:
                     return other
                 self.say("that is no better")
+            forget_all_but(best, tried)
         return None
 
     def _stand(self, trial: Trial[H]) -> bool:

@@ -14,6 +14,9 @@ from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.screening import Family, Score, prior_cost
 from calflow.diagnosis.search.linearisation import Finding, Linearisation
 
+PATIENCE = 3  # models with causes at the same places that may be no better than one before them
+BETTER = 1.0  # of BIC: by how much one must be better to count as that
+
 
 @dataclass(frozen=True)
 class Trial(ABC, Generic[H]):
@@ -40,6 +43,10 @@ class Trial(ABC, Generic[H]):
     @abstractmethod
     def linearisation(self) -> Linearisation[H]:
         """The linearised model."""
+
+    def forget(self) -> None:
+        """Let go of the linearised model, the largest thing that a trial holds; it is worked out anew if it is asked for."""
+        vars(self).pop("linearisation", None)
 
     @abstractmethod
     def with_causes(self, causes: Sequence[H], added: Score[H] | None = None) -> Self:
@@ -70,6 +77,13 @@ def relief(offset: np.ndarray, prior_sd: np.ndarray) -> float:
     return pulled - float(prior_cost(np.array(pulled), len(offset)))
 
 
+def forget_all_but(best: Trial, tried: Sequence[Trial]) -> None:
+    """Let go of the linearised models of all but one."""
+    for trial in tried:
+        if trial is not best:
+            trial.forget()
+
+
 def same(causes: Sequence[H], others: Sequence[H]) -> bool:
     """Whether these are the same causes, in any order."""
     return len(causes) == len(others) and all(cause in others for cause in causes)
@@ -78,6 +92,18 @@ def same(causes: Sequence[H], others: Sequence[H]) -> bool:
 def is_new(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
     """Whether no trial had these causes."""
     return not any(same(causes, trial.causes) for trial in tried)
+
+
+def is_worth_trying(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
+    """Whether no trial had these causes, and trials with causes at the same places have not stopped getting better.
+
+    Variants between neighbours (an order of 7.31, then 7.32) make every set of causes a new one, so that a cause could be added
+    and dropped in turns for ever.
+    """
+    where = sorted(cause.place for cause in causes)
+    costs = [trial.bic for trial in tried if sorted(cause.place for cause in trial.causes) == where]
+    stuck = len(costs) > PATIENCE and min(costs[-PATIENCE:]) > min(costs[:-PATIENCE]) - BETTER
+    return not stuck and is_new(causes, tried)
 
 
 def swapped(causes: Sequence[H], gone: H, come: H) -> list[H]:
