@@ -107,8 +107,10 @@ def test_a_rival_is_excluded_as_often_as_is_said():
     true, rival = rng.standard_normal((2, 90))
     effect, dearer = 0.45 * true, -3.0  # the rival has fewer parameters
     nothing = np.zeros((1, 3))
-    criterion = TCriterion(np.array([[rival @ rival]]), np.array([rival @ effect]), effect @ effect, nothing, nothing[:, :, None],
-                      dearer)  # fmt: skip
+    moment = np.array([rival @ effect])
+    criterion = TCriterion.of(
+        np.array([[rival @ rival]]), moment, effect @ effect, nothing, nothing[:, :, None], dearer
+    )
     seen = effect + rng.standard_normal((4000, 90))
     left = [(seen**2).sum(axis=1) - (seen @ one) ** 2 / (one @ one) for one in (rival, true)]
     excluded = np.mean(left[0] - left[1] + dearer > WITHIN)

@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+import pytest
 
+from calflow.design import discrimination
 from calflow.design.candidates import pack
-from calflow.design.discrimination import THINNEST, NextPose, poses_table, question, separations_table
+from calflow.design.discrimination import MOST_RIVALS, THINNEST, NextPose, poses_table, question, separations_table
 from calflow.diagnosis.findings.verdict import Rival, Verdict
 from calflow.diagnosis.screening.screening import Family
 from calflow.diagnosis.search.fitted import Fitted
@@ -58,8 +60,8 @@ def at_a_point():
     return np.mean(ROBOT.limits, axis=1) + 0.3 + 1e-3 * np.random.default_rng(5).standard_normal((80, ROBOT.n_joints))
 
 
-def asked(readings):
-    """What to measure to tell the gear ratio, fitted at these readings, from an eccentricity, and the tables of it."""
+def fitted(readings):
+    """The gear ratio fitted at these readings."""
     rng = np.random.default_rng(2)
     table = pd.DataFrame(readings, columns=[f"q{i + 1}" for i in range(ROBOT.n_joints)])
     table[["x", "y", "z"]] = position(readings) + SIGMA * rng.standard_normal((len(readings), 3))
@@ -67,13 +69,21 @@ def asked(readings):
                          line=np.arange(len(table)) + 2)  # fmt: skip
     data = Measurements(ROBOT, table)
     fit, noise, lack, _ = fit_reweighted(MODEL, data, stated(data), MODEL.nominal[None], "linear")
-    fitted = Fitted(fit, data, noise, lack, "linear", noise)
-    scores = [replace(score(bic, cause.id, 2), estimate=np.full(cause.n_parameters, 2e-4))
-              for cause, bic in ((RATIO, -9.0), (ECCENTRIC, -7.0))]  # fmt: skip
+    return Fitted(fit, data, noise, lack, "linear", noise)
+
+
+def asked(readings, rivals=(ECCENTRIC,), size=2e-4, untestable=()):
+    """What to measure to tell the gear ratio, fitted at these readings, from rivals, and the tables of it."""
+    now = fitted(readings)
+    scores = [replace(score(bic, cause.id, cause.joint),
+                      estimate=np.full(cause.n_parameters, size))
+              for cause, bic in ((RATIO, -9.0), *((rival, -7.0) for rival in rivals))]  # fmt: skip
     finding = Finding(RATIO, tuple(scores), Family({}, 1.0))
-    verdict = Verdict(finding, "one_of", 0.7, (Rival(ECCENTRIC.id, 2, 2.0, scores[1]),))
-    one = question(verdict, fitted, 0.7, np.random.default_rng(1))
-    return one, poses_table([one], fitted), separations_table([one])
+    others = [Rival(one.cause.id, one.cause.joint, 2.0, one) for one in scores[1:]]
+    others += [Rival(name, 0, 0.0, None) for name in untestable]
+    verdict = Verdict(finding, "one_of", 0.7, tuple(others))
+    one = question(verdict, now, 0.7, np.random.default_rng(1))
+    return one, poses_table([one], now), separations_table([one])
 
 
 def test_points_in_a_slab_do_not_end_the_search():
@@ -101,3 +111,50 @@ def test_a_question_that_cannot_be_asked_is_said():
     assert poses.empty
     assert {column.name for column in columns(NextPose) if "{" not in column.name} <= set(poses)
     assert "q1_deg" in poses
+
+
+@pytest.mark.parametrize(
+    "failure",
+    [np.linalg.LinAlgError("singular matrix"), ValueError("bounds"), MemoryError("too large"), KeyError("mass")],
+)
+def test_a_question_that_fails_never_ends_the_diagnosis(monkeypatch, failure):
+    """Fails if what goes wrong where further poses are looked for loses the diagnosis, or is not said."""
+
+    def failing(*_):
+        raise failure
+
+    monkeypatch.setattr(discrimination, "candidates", failing)
+    one, poses, told = asked(at_a_point())
+    assert one.plan is None
+    assert poses.empty
+    (row,) = told.to_dict("records")
+    assert str(failure) in row["unasked"]
+    assert str(failure) in row["words"]
+    assert "wider region" not in row["words"]
+
+
+def test_figures_that_are_no_numbers_make_no_question():
+    """Fails if a cause whose size is not known is told from others by poses and chances of nothing."""
+    one, poses, told = asked(in_slab(), size=np.nan)
+    assert poses.empty
+    assert "not finite" in one.separations[0].unasked
+    assert np.isfinite(told["chance_after"]).all()
+
+
+def test_a_rival_that_is_no_effect_is_kept():
+    """Fails if a rival that nobody can name ends the diagnosis, or is lost."""
+    _, _, told = asked(at_a_point(), rivals=(), untestable=("unexplained",))
+    assert told["rival"].tolist() == ["unexplained"]
+    assert told["means"].iloc[0]
+
+
+def test_poses_are_asked_for_the_nearest_of_many_rivals():
+    """Fails if the pairs of many rivals, each of which takes its time, are all asked for, or rivals are lost."""
+    many = [Cause(ROBOT, catalogue()["joint-eccentricity"](ROBOT), f"joint{k + 1}") for k in range(6)]
+    many += [Cause(ROBOT, catalogue()["joint-backlash"](ROBOT), f"joint{k + 1}") for k in range(2)]
+    one, _, told = asked(in_slab(), rivals=many)
+    assert len(told) == len(many)
+    unasked = told["unasked"].fillna("")
+    assert (unasked != "").sum() == len(many) - MOST_RIVALS
+    assert (unasked[MOST_RIVALS:] != "").all()
+    assert all(asked.before > 0 for asked in one.separations[:MOST_RIVALS])

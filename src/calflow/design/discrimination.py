@@ -18,6 +18,7 @@ from calflow.design.t_optimality import Choices, Explanation, Pair, TCriterion, 
 from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.diagnosis.findings.verdict import Rival, Verdict, label
 from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.linearisation import Finding
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.progress import Draws
@@ -30,6 +31,8 @@ from calflow.observations import Observation
 POSES = 20
 THINNEST = 0.1  # m: a measured region is widened to it, since poses are drawn at random
 CANDIDATES = 600  # poses to choose from, for each payload
+MOST_CANDIDATES = 2400  # for all payloads together
+MOST_RIVALS = 6  # that poses are looked for, the nearest: every pair of them is told apart
 ANY_MEANS = "another sensor or another load is needed"
 Place = tuple[str, int]  # id and joint (0 for none) of a cause
 ENOUGH = 0.9  # chance of excluding a rival at which poses are worth measuring
@@ -84,7 +87,7 @@ class Separation:
     """How far a cause is apart from one rival [sd]: before, and after further poses, which are either proposed or its own.
 
     chance is that of excluding the rival then, or the cause if the rival is true; lacking is what a rival that could not be
-    tested needs, unasked why no further poses could be looked for.
+    tested needs, unasked why no further poses could be looked for, wider whether a wider region would let them be.
     """
 
     rival: Rival
@@ -94,15 +97,17 @@ class Separation:
     proposed: bool = False
     lacking: str = ""
     unasked: str = ""
+    wider: bool = False
 
     def means(self, cause: Cause) -> str:
         """Say what to do at the robot where no pose tells the cause from the rival; nothing where poses do."""
-        rival = catalogue()[self.rival.id]
-        else_ = ", or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, rival.told_by)))) or ANY_MEANS
+        known = catalogue().get(self.rival.id)  # what nobody can name is no effect of the catalogue
+        told_by = known.told_by if known else ""
+        else_ = ", or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, told_by)))) or ANY_MEANS
         if self.unasked:
-            return f"measure in a wider region, or {else_}"
+            return f"measure in a wider region, or {else_}" if self.wider else else_
         if self.rival.cause is None:
-            return f"it takes {self.lacking}" if self.lacking else rival.told_by or ANY_MEANS
+            return f"it takes {self.lacking}" if self.lacking else told_by or ANY_MEANS
         return else_ if self.chance < ENOUGH else ""
 
     def words(self, cause: Cause) -> str:
@@ -149,24 +154,49 @@ def questions(found: Diagnosis, data: Measurements, rng: Draws) -> list[Question
 
 
 def question(verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Generator) -> Question:
-    """Return how to tell a finding from each of its rivals; share is how many of the further poses will be fitted."""
-    finding = verdict.finding
-    data = fitted.data
-    untested = tuple(
-        Separation(rival, lacking=catalogue()[rival.id].lacking(data.robot, data))
-        for rival in verdict.rivals
-        if not rival.score
-    )
+    """Return how to tell a finding from each of its rivals; share is how many of the further poses will be fitted.
+
+    What cannot be asked is said in the separations: it is no reason to end a diagnosis.
+    """
+    cause = verdict.finding.cause
+    untested = tuple(Separation(rival, lacking=_lacking(rival, fitted)) for rival in verdict.rivals if not rival.score)
     rivals = [rival for rival in verdict.rivals if rival.score]
-    if not rivals:
-        return Question(finding.cause, untested)
+    asked, rest = rivals[:MOST_RIVALS], rivals[MOST_RIVALS:]
+    untested += tuple(
+        Separation(rival, unasked=f"only the {MOST_RIVALS} nearest rivals are asked for") for rival in rest
+    )
+    if not asked:
+        return Question(cause, untested)
+    try:
+        return _asked(verdict.finding, asked, untested, fitted, share, rng)
+    except Exception as error:  # whatever it is: the causes were found, and only advice is lost
+        wider = isinstance(error, InputError)
+        reason = error.problems[0].message if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+        return Question(cause, tuple(Separation(one, unasked=reason, wider=wider) for one in asked) + untested)
+
+
+def _lacking(rival: Rival, fitted: Fitted) -> str:
+    """What the data lack for a test of a rival."""
+    known = catalogue().get(rival.id)
+    return known.lacking(fitted.data.robot, fitted.data) if known else ""
+
+
+def _asked(
+    finding: Finding[Cause],
+    rivals: Sequence[Rival],
+    untested: tuple[Separation, ...],
+    fitted: Fitted,
+    share: float,
+    rng: np.random.Generator,
+) -> Question:
+    """Look for poses that tell a finding from some rivals.
+
+    Raises:
+        InputError: hardly any pose is there.
+    """
     explanations = [Explanation(finding.own, 0.0), *(Explanation(r.score, r.bic) for r in rivals if r.score)]
     planned = _planned(fitted, share)
-    try:
-        choices = _choices(fitted, planned.observation, rng)
-    except InputError as error:
-        unasked = tuple(Separation(rival, unasked=error.problems[0].message) for rival in rivals)
-        return Question(finding.cause, unasked + untested)
+    choices = _choices(fitted, planned.observation, rng)
     criteria = TCriterion.between(fitted, explanations, choices, planned)
     before = {pair: closest(criteria, pair) for pair in combinations(range(len(explanations)), 2)}
     alone = {pair: propose(criteria, [pair], POSES)[1][pair] for pair in before}
@@ -293,8 +323,10 @@ def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator)
     thin = np.maximum(0.0, THINNEST - np.ptp(region, axis=0)) / 2
     region += np.array([-thin, thin])
     readings, approach, payloads, packed = [], [], [], []
-    for payload in dict.fromkeys([*data.table["payload"], *data.robot.payloads]):
-        drawn, _ = candidates(model, CANDIDATES, payload, str(data.table["marker"].iloc[0]), region, rng, observation)
+    possible = list(dict.fromkeys([*data.table["payload"], *data.robot.payloads]))
+    number = min(CANDIDATES, max(1, MOST_CANDIDATES // len(possible)))
+    for payload in possible:
+        drawn, _ = candidates(model, number, payload, str(data.table["marker"].iloc[0]), region, rng, observation)
         came = rng.choice([-1.0, 1.0], drawn.shape)
         table = _rows_like(data, drawn, came, str(payload), rng)
         readings.append(drawn)

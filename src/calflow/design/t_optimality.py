@@ -7,10 +7,12 @@ it cannot imitate, in standard deviations of the noise, is the separation. Poses
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import permutations
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.stats import norm
 
 from calflow.design.planned import Planned
@@ -50,21 +52,82 @@ class Explanation:
         return float(self.bic - n * np.log1p(-self.score.share))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Imitation:
+    """What an explanation and all other parameters can imitate at further poses: slopes (n_poses, n_units, n) a part.
+
+    The parameters are turned so that the data know each as well as the next, with a standard deviation of 1.
+    """
+
+    parts: tuple[Slopes, ...]
+
+    @staticmethod
+    def of(information: np.ndarray, slopes: np.ndarray) -> Imitation:
+        """Turn slopes (n_poses, n_units, n) by parameters that the data know by an information (n, n)."""
+        return Imitation((Slopes(_turned(np.linalg.cholesky(information), slopes)),))
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Covariance of what each pose will show beside its own noise's, 1, shape (n_poses, n_units, n_units)."""
+        turned = [part.turned for part in self.parts]
+        return np.asarray(np.eye(turned[0].shape[1]) + sum(one @ one.transpose(0, 2, 1) for one in turned))
+
+    def shared(self, pose: int) -> np.ndarray:
+        """Return the covariance of what each pose will show with what one will, shape (n_poses, n_units, n_units)."""
+        return np.asarray(sum(part.shared(pose) for part in self.parts))
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Slopes (n_poses, n_units, n) by turned parameters, and what has been asked of them: many pairs ask for the same poses."""
+
+    turned: np.ndarray
+    asked: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def shared(self, pose: int) -> np.ndarray:
+        """Return their part of `Imitation.shared`."""
+        if pose not in self.asked:
+            self.asked[pose] = self.turned @ self.turned[pose].T
+        return self.asked[pose]
+
+
+@dataclass(frozen=True, eq=False)
 class TCriterion:
     """An explanation's effect, and how well another one and all other parameters can imitate it: in the data, and further on.
 
-    information (n, n), moment (n,) and energy are of the least squares problem in standard deviations of noise and priors;
-    new_effect (n_poses, n_units) and new_imitate (n_poses, n_units, n) what a further pose would add to it. cost is by how much
-    the other is dearer in BIC.
+    squared [sd²] is what they cannot imitate in the data, unexplained (n_poses, n_units) what the imitation that is best there
+    leaves at each further pose, spread (n_poses, n_units, n_units) how surely that is known. taken are the poses measured since:
+    what each of them has in common with every pose, its own spread being 1. cost is by how much the other is dearer in BIC.
     """
 
-    information: np.ndarray
-    moment: np.ndarray
-    energy: float
-    new_effect: np.ndarray
-    new_imitate: np.ndarray
+    squared: float
+    unexplained: np.ndarray
+    spread: np.ndarray
+    imitation: Imitation
     cost: float
+    taken: tuple[np.ndarray, ...] = ()
+
+    @staticmethod
+    def of(
+        information: np.ndarray,
+        moment: np.ndarray,
+        energy: float,
+        new_effect: np.ndarray,
+        new_imitate: np.ndarray,
+        cost: float,
+        imitation: Imitation | None = None,
+    ) -> TCriterion:
+        """Set up the criterion of a least squares problem in standard deviations of noise and priors.
+
+        information (n, n), moment (n,) and energy are those of the data, new_effect (n_poses, n_units) and new_imitate
+        (n_poses, n_units, n) what a further pose would add. Raises ArithmeticError where figures are not finite.
+        """
+        solved = np.linalg.solve(information, moment)
+        squared, unexplained = float(energy - moment @ solved), new_effect - new_imitate @ solved
+        if not (np.isfinite(squared) and np.isfinite(unexplained).all()):
+            raise ArithmeticError("what one cause does and another imitates is not finite")
+        imitation = imitation or Imitation.of(information, new_imitate)
+        return TCriterion(squared, unexplained, imitation.spread, imitation, cost)
 
     @staticmethod
     def between(
@@ -82,26 +145,37 @@ class TCriterion:
         rest = np.setdiff1d(np.arange(len(both.parameters)), np.concatenate(columns))
         rest = np.setdiff1d(rest, np.flatnonzero(fit.at_bound))
         point = np.concatenate([fit.estimate, both.nominal[len(fit.estimate) :]])
-        seen = LeastSquares.of(both, fitted.data, fitted.noise).screened(point)[1]
-        new = planned.whitened(both, point, choices.rows)
+        sd = both.prior_sd
+        seen = LeastSquares.of(both, fitted.data, fitted.noise).screened(point)[1] * sd
+        new = planned.whitened(both, point, choices.rows) * sd
+        effects = [score.estimate / sd[own] for score, own in zip(scores, columns, strict=True)]
+        products = seen.T @ seen
+        information = products + np.eye(len(sd))
+        factor = np.linalg.cholesky(information[np.ix_(rest, rest)])
+        common = Slopes(_turned(factor, new[..., rest]))
+
+        def imitation(other: int) -> Imitation:
+            """What is common to all explanations is turned once, then the other's own parameters beside it."""
+            own = columns[other]
+            mixed = solve_triangular(factor, information[np.ix_(rest, own)], lower=True)
+            left = np.linalg.cholesky(information[np.ix_(own, own)] - mixed.T @ mixed)
+            return Imitation((common, Slopes(_turned(left, new[..., own] - common.turned @ mixed))))
+
+        imitations = [imitation(k) for k in range(len(scores))]
 
         def criterion(true: int, other: int) -> TCriterion:
-            imitating = np.concatenate([rest, columns[other]])
-            sd = both.prior_sd[imitating]
-            effect, new_effect = (slopes[..., columns[true]] @ scores[true].estimate for slopes in (seen, new))
-            imitate, new_imitate = (slopes[..., imitating] * sd for slopes in (seen, new))
-            information = np.eye(len(sd)) + imitate.T @ imitate
-            moment = imitate.T @ effect
-            energy, dearer = float((effect**2).sum()), costs[other] - costs[true]
-            return TCriterion(information, moment, energy, new_effect, new_imitate, dearer)
+            imitating, effect = np.concatenate([rest, columns[other]]), effects[true]
+            moment = products[np.ix_(imitating, columns[true])] @ effect
+            energy = float(effect @ products[np.ix_(columns[true], columns[true])] @ effect)
+            return TCriterion.of(information[np.ix_(imitating, imitating)], moment, energy, new[..., columns[true]] @ effect,
+                                 new[..., imitating], costs[other] - costs[true], imitations[other])  # fmt: skip
 
         return {pair: criterion(*pair) for pair in permutations(range(len(explanations)), 2)}
 
     @property
     def separation(self) -> float:
         """What cannot be imitated [sd]."""
-        left = self.energy - float(self.moment @ np.linalg.solve(self.information, self.moment))
-        return float(np.sqrt(max(left, 0.0)))
+        return float(np.sqrt(max(self.squared, 0.0)))
 
     @property
     def lead(self) -> float:
@@ -114,21 +188,28 @@ class TCriterion:
         """The chance that the other explanation is excluded."""
         return float(norm.cdf(self.lead))
 
-    @property
+    @cached_property
     def growth(self) -> np.ndarray:
         """By how much each further pose would raise the separation's square, shape (n_poses,)."""
-        covariance = np.linalg.inv(self.information)
-        unexplained = self.new_effect - self.new_imitate @ (covariance @ self.moment)
-        spread = np.eye(self.new_effect.shape[1]) + np.einsum(
-            "rai,ij,rbj->rab", self.new_imitate, covariance, self.new_imitate, optimize=True
-        )
-        return np.einsum("ra,ra->r", unexplained, np.linalg.solve(spread, unexplained[..., None])[..., 0])
+        solved = np.linalg.solve(self.spread, self.unexplained[..., None])[..., 0]
+        return np.asarray((self.unexplained * solved).sum(axis=1))
 
     def measured(self, pose: int) -> TCriterion:
         """Return the criterion after one more pose."""
-        effect, imitate = self.new_effect[pose], self.new_imitate[pose]
-        return replace(self, information=self.information + imitate.T @ imitate, moment=self.moment + imitate.T @ effect,
-                       energy=self.energy + float((effect**2).sum()))  # fmt: skip
+        shared = self.imitation.shared(pose) - sum(taken @ taken[pose].T for taken in self.taken)
+        factor = np.linalg.cholesky(self.spread[pose])
+        half = np.linalg.solve(factor, shared.transpose(0, 2, 1)).transpose(0, 2, 1)
+        surprise = np.linalg.solve(factor, self.unexplained[pose])
+        return replace(
+            self, squared=self.squared + float(surprise @ surprise), unexplained=self.unexplained - half @ surprise,
+            spread=self.spread - half @ half.transpose(0, 2, 1), taken=(*self.taken, half),
+        )  # fmt: skip
+
+
+def _turned(factor: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Slopes (n_poses, n_units, n) by parameters that a triangular factor (n, n) of their information makes independent."""
+    flat = solve_triangular(factor, slopes.reshape(-1, slopes.shape[-1]).T, lower=True)
+    return np.asarray(flat.T.reshape(slopes.shape))
 
 
 def closest(criteria: Mapping[Pair, TCriterion], pair: Pair) -> TCriterion:
@@ -142,8 +223,8 @@ def propose(
     """Choose poses, each for the criterion that is then the hardest, and return the harder criterion of every pair after them."""
     now = {key: criteria[key] for pair in pairs for key in (pair, pair[::-1])}
     chosen = list[int]()
-    for _ in range(min(number, *(len(criterion.new_effect) for criterion in now.values()))):
-        growth = min(now.values(), key=lambda criterion: criterion.lead).growth
+    for _ in range(min(number, *(len(criterion.unexplained) for criterion in now.values()))):
+        growth = min(now.values(), key=lambda criterion: criterion.lead).growth.copy()
         growth[chosen] = -1.0
         chosen.append(int(np.argmax(growth)))
         now = {key: criterion.measured(chosen[-1]) for key, criterion in now.items()}
