@@ -16,10 +16,10 @@ from calflow.effects import Effect, catalogue
 from calflow.observations import Observation, Seen
 from calflow.robot.chain import Deflection, marker_point, pose
 from calflow.robot.conditions import Row
-from calflow.robot.dimensions import nominal_dimensions, nominal_loads
+from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import state
+from calflow.robot.statics import State, state
 from calflow.robot.transforms import apply, placement
 
 # Each turn shrinks the distance to equilibrium by about the wind-up angle (some 1e-3), so three reach nanometres.
@@ -32,6 +32,7 @@ class Prediction(NamedTuple):
 
     point (3,) [m] is where the marker is in the measuring frame and rotation (3, 3) how the tool is turned, position (3,) [m] what
     a device in the measuring frame reports of it, which `device` says of any frame; closure is the cosine of the loop's closure.
+    dims, loads and state are what the robot's effects made of it.
     """
 
     point: ca.SX
@@ -39,6 +40,9 @@ class Prediction(NamedTuple):
     rotation: ca.SX
     closure: ca.SX
     device: Callable[[ca.SX], ca.SX]
+    dims: Dimensions
+    loads: Loads
+    state: State
 
 
 @dataclass(frozen=True)
@@ -135,7 +139,7 @@ class Model:
         tool = nominal_turn @ placement(ca.vertcat(0, 0, 0, dims.tool_rotation))
         rotation = (stands @ at.flange @ tool)[:3, :3]
         cosine = at.closure.cosine if at.closure else ca.SX(0)
-        return Prediction(point, device(point), rotation, cosine, device)
+        return Prediction(point, device(point), rotation, cosine, device, dims, loads, now)
 
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, Prediction]:
@@ -143,11 +147,22 @@ class Model:
         p, c = ca.SX.sym("p", len(self.parameters)), ca.SX.sym("c", self.n_conditions)
         return p, c, self.expression(p, c)
 
-    def error(self, observation: Observation) -> tuple[ca.SX, ca.SX]:
-        """Return a symbol for what one row reports (see `Observation.reported`), and predicted minus reported (n_units,)."""
+    def error(
+        self, observation: Observation, told: Callable[[ca.SX], None] = lambda report: None
+    ) -> tuple[ca.SX, ca.SX]:
+        """Return a symbol for what one row reports (see `Observation.reported`), and predicted minus reported (n_units,).
+
+        told is told what the device is predicted to report (3,) of each point that it is asked for.
+        """
         p, _, predicted = self.symbols
+
+        def device(point: ca.SX) -> ca.SX:
+            report = predicted.device(point)
+            told(report)
+            return report
+
         reported = ca.SX.sym("y", observation.reports)
-        seen = Seen(predicted.point, predicted.rotation, predicted.device)
+        seen = Seen(predicted.point, predicted.rotation, device)
         return reported, observation.error(p[self._spans[self.parts.index(observation)]], seen, reported)
 
     def position(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:

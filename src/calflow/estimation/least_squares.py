@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -71,10 +71,13 @@ class SeriesBlock:
         """Number of residuals a row."""
         return len(self.observation.units)
 
-    def expression(self) -> tuple[list[ca.SX], ca.SX]:
-        """Return symbols (p, conditions, reported, whitening) and the whitened residual (n_units,) of one row."""
+    def expression(self, told: Callable[[ca.SX], None] = lambda report: None) -> tuple[list[ca.SX], ca.SX]:
+        """Return symbols (p, conditions, reported, whitening) and the whitened residual (n_units,) of one row.
+
+        told is as for `Model.error`.
+        """
         p, c, _ = self.model.symbols
-        y, error = self.model.error(self.observation)
+        y, error = self.model.error(self.observation, told)
         w = ca.SX.sym("w", len(self.whitening))
         n = self.n_units
         residual = error * w if len(self.whitening) == n else ca.reshape(w, n, n) @ error

@@ -15,6 +15,7 @@ from calflow.effects import Effect
 from calflow.effects.cause import Cause, parts
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares, Stacking
+from calflow.estimation.probing import probed
 
 USUAL = 1e-3  # m, per axis: what a model leaves of a usual robot at most
 SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
@@ -95,8 +96,7 @@ class Regressors(Generic[H]):
         model = fit.model
         large = replace(model, probes=tuple(effects))
         n = len(model.parameters)
-        point = np.concatenate([fit.estimate, large.nominal[n:]])
-        left, matrix = problem.on(large).screened(point)
+        left, matrix = probed(problem, fit.estimate, effects)
         shared = 1.0
         if poses is not None:
             group = shared_by(problem.stacking, poses)

@@ -1,0 +1,247 @@
+"""Probing: what very many effects would each do to the residuals, by the few inner quantities that all of them act through.
+
+An effect moves a residual through a quantity of the graph: a dimension, a mass, a torque, a joint, a bearing, a link's end,
+or what the device reports. So its slope is the residual's slope by that quantity, a lever, times the quantity's by the
+effect's parameter. Levers are few and the model's; the rest is a function of a row's state alone, the same for every model.
+Both are CasADi's derivatives. Thousands of columns then take one small graph and a product.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from itertools import groupby
+from typing import ClassVar, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from calflow.effects import Effect
+from calflow.estimation.least_squares import LeastSquares, SeriesBlock
+from calflow.model import over_rows
+from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
+from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads
+from calflow.robot.parameter import Parameter
+from calflow.robot.robot import Robot
+from calflow.robot.statics import State
+
+ROWS = 256  # whose columns are worked out at once
+
+Parts = TypeVar("Parts", bound=Dimensions | Loads | Deflection | State)
+
+
+@dataclass(frozen=True)
+class Inner:
+    """All that an effect can act through, as numbers or as expressions; reported is what the device says (3,) [m]."""
+
+    dims: Dimensions
+    loads: Loads
+    torque: ca.SX
+    deflection: Deflection
+    reported: ca.SX
+
+    @property
+    def packed(self) -> ca.SX:
+        """One column."""
+        return ca.vertcat(_packed(self.dims), _packed(self.loads), self.torque, _packed(self.deflection), self.reported)
+
+    @staticmethod
+    def unpacked(robot: Robot, column: ca.SX) -> Inner:
+        """Take a column apart."""
+        n = robot.n_joints
+        shapes = (nominal_dimensions(robot), nominal_loads(robot), Deflection.zero(n))
+        sizes = [_packed(shape).numel() for shape in shapes]
+        ends = [0, *np.cumsum([*sizes[:2], n, sizes[2], 3]).tolist()]
+        dims, loads, torque, deflection, reported = ca.vertsplit(column, ends)
+        return Inner(_like(shapes[0], dims), _like(shapes[1], loads), torque, _like(shapes[2], deflection), reported)
+
+    @staticmethod
+    def width(robot: Robot) -> int:
+        """Length of a column."""
+        nothing = ca.SX(robot.n_joints, 1)
+        still = Deflection.zero(robot.n_joints)
+        return int(Inner(nominal_dimensions(robot), nominal_loads(robot), nothing, still, ca.SX(3, 1)).packed.numel())
+
+
+@dataclass(frozen=True)
+class Levers(Effect):
+    """A parameter for each of some inner quantities (numbers of `Inner.packed`), which is added to it."""
+
+    which: tuple[int, ...] = ()
+
+    id: ClassVar[str] = "levers"
+    title: ClassVar[str] = "inner quantities"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return one for each quantity."""
+        return tuple(Parameter(self.id, str(k), "", "1", 1.0, -1.0, 1.0) for k in self.which)
+
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Add to the dimensions."""
+        return _sum(dims, self._inner(p).dims)
+
+    def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
+        """Add to the masses."""
+        return _sum(loads, self._inner(p).loads)
+
+    def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
+        """Add to the torques."""
+        return self._inner(p).torque
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Move joints, bearings and link ends."""
+        return self._inner(p).deflection
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Add to what is reported."""
+        return point + self._inner(p).reported
+
+    def _inner(self, p: ca.SX) -> Inner:
+        column = ca.SX(Inner.width(self.robot), 1)
+        column[list(self.which)] = p
+        return Inner.unpacked(self.robot, column)
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """What some effects at nothing do to inner quantities: the slopes that are not zero, as a function of a row's state.
+
+    quantity (n_slopes,) is the number of the quantity, column (n_slopes,) that of the parameter among all of these effects'.
+    """
+
+    function: ca.Function
+    quantity: np.ndarray
+    column: np.ndarray
+    width: int
+
+    @property
+    def layers(self) -> Iterator[np.ndarray]:
+        """Yield numbers of slopes, each parameter once in a layer."""
+        order = np.argsort(self.column, kind="stable")
+        first = np.searchsorted(self.column[order], self.column[order])
+        depth = np.arange(len(order)) - first
+        yield from (order[depth == k] for k in range(int(depth.max(initial=-1)) + 1))
+
+
+def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the stacked whitened residuals (n,) at p, and their Jacobian (n, n_parameters + n_columns).
+
+    Its columns are the model's parameters, then those of effects that the model does not have, at nothing.
+    """
+    robot, given, n = problem.model.robot, problem.model.given, len(p)
+    bases = [_basis(tuple(own), given) for _, own in groupby(effects, key=lambda one: (type(one), one.id))]
+    which = np.unique(np.concatenate([np.zeros(0, dtype=int), *(basis.quantity for basis in bases)]))
+    bases = [replace(basis, quantity=np.searchsorted(which, basis.quantity)) for basis in bases]
+    levers = problem.on(replace(problem.model, probes=(Levers(robot, tuple(map(int, which))),)))
+    graphs = [_graph(block, len(which)) for block in levers.blocks]
+    known = [graph for graph in graphs if graph]
+    if len(known) < len(graphs):
+        large = replace(problem.model, probes=tuple(effects))
+        return problem.on(large).screened(np.concatenate([p, large.nominal[n:]]))
+    residual, start = np.empty(problem.size), 0
+    matrix = np.zeros((problem.size, n + sum(basis.width for basis in bases)))
+    for block, graph in zip(levers.blocks, known, strict=True):
+        for first in range(0, len(block.rows), ROWS):
+            data = [values[:, first : first + ROWS] for values in block.data]
+            left, slopes, state = over_rows(graph, np.concatenate([p, np.zeros(len(which))]), *data)
+            rows = slice(start, start + left.size)
+            residual[rows] = left.T.ravel()
+            matrix[rows, :n] = slopes.T[:, :n]
+            shape = (left.shape[1], block.n_units, -1)
+            _fill(matrix[rows].reshape(shape)[..., n:], bases, slopes.T.reshape(shape)[..., n:], state, data[0])
+            start = rows.stop
+    return residual, matrix
+
+
+def _fill(
+    columns: np.ndarray, bases: Sequence[Basis], levers: np.ndarray, state: np.ndarray, conditions: np.ndarray
+) -> None:
+    """Add up levers (n_rows, n_units, n_quantities) times slopes in columns (n_rows, n_units, n_columns), which are zero."""
+    start = 0
+    for basis in bases:
+        slopes = over_rows(basis.function, np.zeros(0), state, conditions)[0].T
+        for layer in basis.layers:
+            moved = levers[:, :, basis.quantity[layer]] * slopes[:, None, layer]
+            columns[:, :, start + basis.column[layer]] += moved
+        start += basis.width
+
+
+def _graph(block: SeriesBlock, n_levers: int) -> ca.Function | None:
+    """Return the function of a row: whitened residual, its Jacobian by parameters and levers, transposed, and the row's state.
+
+    None where an observation asks the device for several points, so that there is no single thing that it reports.
+    """
+    reports: list[ca.SX] = []
+    inputs, residual = block.expression(reports.append)
+    if len(reports) > 1:
+        return None
+    p, _, predicted = block.model.symbols
+    state = ca.vertcat(
+        *(_packed(predicted.dims), _packed(predicted.loads), _packed(predicted.state)),
+        *reports,
+        *[ca.SX(3, 1)][len(reports) :],
+    )
+    outputs = [residual, ca.jacobian(residual, p).T, state]
+    levers = p[p.numel() - n_levers :]
+    outputs = ca.substitute(outputs, [levers], [ca.SX.zeros(n_levers, 1)])
+    return ca.Function("levers", inputs, [ca.densify(output) for output in outputs])
+
+
+@lru_cache(maxsize=256)
+def _basis(effects: tuple[Effect, ...], given: tuple[str, ...]) -> Basis:
+    """Return what effects, at nothing, do to inner quantities."""
+    robot = effects[0].robot
+    n = robot.n_joints
+    shapes = (nominal_dimensions(robot), nominal_loads(robot), State.symbols(robot))
+    sizes = [_packed(shape).numel() for shape in shapes]
+    known = ca.SX.sym("state", sum(sizes) + 3)
+    c = ca.SX.sym("c", sum(Row.sizes(robot, given).values()))
+    ends = [0, *np.cumsum([*sizes, 3]).tolist()]
+    *parts, point = ca.vertsplit(known, ends)
+    dims, loads, state = _like(shapes[0], parts[0]), _like(shapes[1], parts[1]), _like(shapes[2], parts[2])
+    row, still = Row.unpack(robot, c, given), Deflection.zero(n)
+    moved = Inner(dims, loads, ca.SX(n, 1), still, point)
+    own = [ca.SX.sym("p", len(effect.declared)) for effect in effects]
+    for effect, p in zip(effects, own, strict=True):
+        moved = Inner(
+            _with_change(moved.dims, effect.dimensions(p, dims, row), dims),
+            _with_change(moved.loads, effect.loads(p, loads, row), loads),
+            moved.torque + effect.torque(p, state, row),
+            _with_change(moved.deflection, effect.deflection(p, state, row, still), still),
+            moved.reported + (effect.device(p, point, row) - point),
+        )
+    every = ca.vertcat(*own)
+    nominal = ca.SX(ca.DM([parameter.nominal for effect in effects for parameter in effect.declared]))
+    slope = ca.sparsify(ca.substitute(ca.jacobian(moved.packed, every), every, nominal))
+    quantity, column = (np.array(which, dtype=int) for which in slope.sparsity().get_triplet())
+    function = ca.Function("basis", [ca.SX.sym("p", 0), known, c], [ca.densify(slope.nz[:])])
+    return Basis(function, quantity, column, every.numel())
+
+
+def _with_change(parts: Parts, after: Parts, before: Parts) -> Parts:
+    """Return parts with what changed from before to after, which most effects leave as it is."""
+    if after is before:
+        return parts
+    changed = {one.name: getattr(parts, one.name) + getattr(after, one.name) - getattr(before, one.name)
+               for one in fields(parts) if getattr(after, one.name) is not getattr(before, one.name)}  # fmt: skip
+    return replace(parts, **changed)
+
+
+def _packed(parts: Parts) -> ca.SX:
+    return ca.densify(ca.vertcat(*(ca.vec(getattr(parts, one.name)) for one in fields(parts))))
+
+
+def _like(shape: Parts, column: ca.SX) -> Parts:
+    """Take a column apart into what has the same fields and sizes."""
+    sizes = [getattr(shape, one.name).shape for one in fields(shape)]
+    own = ca.vertsplit(column, [0, *np.cumsum([rows * columns for rows, columns in sizes]).tolist()])
+    return replace(
+        shape,
+        **{one.name: ca.reshape(part, *size) for one, part, size in zip(fields(shape), own, sizes, strict=True)},  # type: ignore[arg-type]
+    )
+
+
+def _sum(one: Parts, other: Parts) -> Parts:
+    return replace(one, **{part.name: getattr(one, part.name) + getattr(other, part.name) for part in fields(one)})
