@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 from calflow.estimation.fit import fit
+from calflow.estimation.lack_of_fit import lack_of_fit
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.noise import lack_of_fit
 from calflow.estimation.repeats import averaged, measured_noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.files.problems import InputError

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from calflow.diagnosis.findings.remainder import remainder
 from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.diagnosis.findings.verdict import verdict
@@ -11,9 +13,10 @@ from calflow.diagnosis.search.extension import extend, weighed_against
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.noise_growth import growth
 from calflow.diagnosis.search.weighing import weighed
+from calflow.estimation.accuracy import errors
 from calflow.estimation.calibrated import Identified
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
-from calflow.estimation.repeats import averaged
+from calflow.estimation.repeats import averaged, repeats_scatter
 from calflow.measurements.measurements import Measurements
 
 BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
@@ -44,7 +47,9 @@ def diagnose(
         say: is told what is tried.
         advance: is told the share of work done.
     """
-    train, noise = averaged(data.only(data.train), known.noise(data).only(data.train))
+    train = data.only(data.train)
+    scattered = repeats_scatter(train, errors(known.model, known.estimate, train))
+    train, noise = averaged(train, replace(known.noise(train), scatter=scattered))
     start = Fitted.of(known, train, noise)
     alarm = SHARES["noise"] * false_alarm
     plain = start.device.sigma

@@ -16,8 +16,9 @@ from calflow.estimation.extrapolation import extrapolation
 from calflow.estimation.fit import Fit, draw_starts
 from calflow.estimation.fit_summary import IdentifySummary, Solver
 from calflow.estimation.identifiability import Identifiability, identifiability
+from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.noise import LackOfFit, Noise
+from calflow.estimation.noise import Noise
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered
 from calflow.estimation.repeats import conditions, measured_noise

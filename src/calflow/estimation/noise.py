@@ -1,4 +1,4 @@
-"""The noise of a measurement, and what the model leaves beyond it: its discrepancy."""
+"""The noise of a measurement, beside the discrepancy that the model leaves beyond it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import chi2
 
-SIGNIFICANT = 0.01  # p-value below which a lack of fit is believed
+from calflow.estimation.scatter import Scatter
+
 LEAST_SCATTER = 1e-7  # m; repeats that scatter less are one reading written twice, and no robot leaves less
-GROSS = 4.0  # robust standard deviations from which a robust fit takes an error for an outlier
-NORMAL_MEDIAN = 0.6745  # median of |x| of a standard normal
 
 Source = Literal["repeats", "file", "estimated"]
 
@@ -25,7 +22,7 @@ class Noise:
     Where lengths are not as sure in all directions, axes (n_rows, 3, 3) holds the principal directions (rows) of their
     covariance and ratios (n_rows, 3) the standard deviations along them over sigma. sources says of each series where its
     noise comes from, series (n_rows,) which one a row is of (None: all of the first). discrepancy [m] and
-    rotation_discrepancy [rad] are the model's.
+    rotation_discrepancy [rad] are the model's. scatter is that of the rows' repeats.
     """
 
     sigma: np.ndarray
@@ -36,6 +33,7 @@ class Noise:
     axes: np.ndarray | None = None
     ratios: np.ndarray | None = None
     series: np.ndarray | None = None
+    scatter: Scatter | None = None
 
     @property
     def known(self) -> bool:
@@ -104,7 +102,8 @@ class Noise:
             return None if part is None else np.asarray(part[rows])
 
         return replace(self, sigma=self.sigma[rows], rotation=own(self.rotation), axes=own(self.axes),
-                       ratios=own(self.ratios), series=own(self.series))  # fmt: skip
+                       ratios=own(self.ratios), series=own(self.series),
+                       scatter=None if self.scatter is None else self.scatter.only(rows))  # fmt: skip
 
     @property
     def words(self) -> str:
@@ -120,37 +119,3 @@ class Noise:
             "estimated": f"{level}, estimated from what the fit leaves; without repeats or a stated sigma a lack of fit "
             "cannot be told from noise",
         }[source]
-
-
-@dataclass(frozen=True)
-class LackOfFit:
-    """Errors of one kind against their noise: chi² per degree of freedom, its p-value, and the discrepancy."""
-
-    reduced_chi2: float
-    p: float
-    discrepancy: float
-
-
-def lack_of_fit(error: np.ndarray, sigma: np.ndarray, determined: float, rows: np.ndarray | None = None) -> LackOfFit:
-    """Compare errors (n,) with their noise (n,); determined is the number of parameters they fixed.
-
-    The discrepancy is what has to be added to the noise for chi² to equal its degrees of freedom; zero where the noise
-    explains the errors (p above 1 %). After a robust fit rows (n,) numbers the errors' rows: outlying ones are left out.
-    """
-    if rows is not None:
-        size = np.abs(error) / sigma
-        scale = max(1.0, float(np.median(size)) / NORMAL_MEDIAN)
-        kept = ~np.isin(rows, rows[size >= GROSS * scale])
-        error, sigma = error[kept], sigma[kept]
-    degrees_of_freedom = max(1.0, error.size - determined)
-
-    def chi_squared(discrepancy: float) -> float:
-        return float(((error / np.hypot(sigma, discrepancy)) ** 2).sum())
-
-    found = chi_squared(0.0)
-    p = float(chi2.sf(found, degrees_of_freedom))
-    if p > SIGNIFICANT or found <= degrees_of_freedom:
-        return LackOfFit(found / degrees_of_freedom, p, 0.0)
-    largest = 10 * float(np.abs(error).max())
-    added = brentq(lambda value: chi_squared(value) - degrees_of_freedom, 0.0, largest)
-    return LackOfFit(found / degrees_of_freedom, p, added)

@@ -9,15 +9,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.noise import LEAST_SCATTER, NORMAL_MEDIAN, Noise, Source
+from calflow.estimation.noise import LEAST_SCATTER, Noise, Source
 from calflow.estimation.nuisance import observing
+from calflow.estimation.scatter import Pooled, Scatter, pooled, scatter
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
 ESTIMATE_START = 1e-4  # m; only the weight of the data against the priors in the very first fit
 MIN_REPEATS = 10  # degrees of freedom below which repeats say too little
-BROKEN = 3.0  # times the median by which the mean square may exceed it: else a few rows are wrong, not the device bad
 
 
 def measured_noise(
@@ -26,9 +26,8 @@ def measured_noise(
     """Return the noise of each series by the best source there is, or by the one asked for.
 
     Repeats are pooled over training poses: sigma² is the sum of squares about each pose's mean over its degrees of
-    freedom, after the nominal robot's part is taken off, so that repeats need not stand at the very same readings. Where
-    a few gross errors make most of it, the median of the scatter stands for it, and those rows are flagged. nominal is the
-    robot as its maker says, with the data's observations.
+    freedom, after the nominal robot's part is taken off, so that repeats need not stand at the very same readings. Gross
+    errors are left out of it (see `scatter.pooled`). nominal is the robot as its maker says, with the data's observations.
 
     Raises:
         InputError: the source asked for is not in the data.
@@ -40,23 +39,23 @@ def measured_noise(
     for k, series in enumerate(data.series):
         own = data.of_series(k)
         there = not np.isnan(sigma[own]).any()
-        pooled, degrees_of_freedom = _pooled(data, error, own)
-        if source == "repeats" and not pooled > LEAST_SCATTER:
+        found = pooled_repeats(data, error, own)
+        if source == "repeats" and not found.sigma > LEAST_SCATTER:
             raise refuse('noise = "repeats" needs poses that were measured several times', key="stages.identify.noise")
         if source == "file" and not there:
             raise refuse(
                 'noise = "file" needs a column sigma_mm, or sigma_mm in the study', key="stages.identify.noise"
             )
-        enough = degrees_of_freedom >= MIN_REPEATS and pooled > LEAST_SCATTER and series.beam is None
+        enough = found.freedom >= MIN_REPEATS and found.sigma > LEAST_SCATTER and series.beam is None
         if source == "repeats" or (source == "auto" and enough):
-            sigma[own] = pooled
+            sigma[own] = found.sigma
             sources.append("repeats")
         elif there and source in ("auto", "file"):
             sources.append("file")
         else:
             sigma[own] = ESTIMATE_START
             sources.append("estimated")
-    return replace(stated, sigma=sigma, sources=tuple(sources))
+    return replace(stated, sigma=sigma, sources=tuple(sources), scatter=repeats_scatter(data, error))
 
 
 def stated_noise(data: Measurements) -> Noise:
@@ -97,7 +96,8 @@ def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
     def of_means(sigma: np.ndarray) -> np.ndarray:
         return np.asarray(np.sqrt(np.bincount(group, weights=sigma**2)) / count)
 
-    means = replace(noise.only(first), sigma=of_means(noise.sigma))
+    scattered = None if noise.scatter is None else noise.scatter.gathered(group)
+    means = replace(noise.only(first), sigma=of_means(noise.sigma), scatter=scattered)
     if data.rotation is not None and noise.rotation is not None:
         oriented = np.isfinite(data.rotation).all(axis=(1, 2))
         turns = Rotation.from_matrix(data.rotation[oriented])
@@ -126,22 +126,31 @@ def conditions(data: Measurements) -> np.ndarray:
     return data.table.groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
 
 
-def _pooled(data: Measurements, error: np.ndarray, own: np.ndarray) -> tuple[float, int]:
-    """Standard deviation of the repeats of some rows about their means, and its degrees of freedom."""
+def pooled_repeats(data: Measurements, error: np.ndarray, own: np.ndarray) -> Pooled:
+    """Pool the scatter of errors (n_rows, 3) [m] among the repeats of some training rows (n_rows,)."""
     kept = data.train & own
     if not kept.any():
-        return np.nan, 0
-    group = np.unique(conditions(data.only(kept)), return_inverse=True)[1]
-    error = error[kept]
-    error = error[:, ~np.isnan(error).all(axis=0)]
-    count = np.bincount(group)
-    degrees_of_freedom = error.shape[1] * (len(error) - len(count))
-    if not degrees_of_freedom:
-        return np.nan, 0
-    means = np.stack([np.bincount(group, weights=axis) / count for axis in error.T], axis=1)
-    apart = error - means[group]
-    pooled = float(np.sqrt((apart**2).sum() / degrees_of_freedom))
-    several = count[group] > 1
-    shrunk = np.sqrt(1 - 1 / count[group][several])  # what taking a mean of few leaves of the scatter
-    middle = float(np.median(np.abs(apart[several]) / shrunk[:, None])) / NORMAL_MEDIAN
-    return (middle if pooled > BROKEN * middle > 0 else pooled), degrees_of_freedom
+        return Pooled(float("nan"), 0.0, np.zeros(0, dtype=bool))
+    return pooled(_lengths(error[kept]), _groups(data, kept))
+
+
+def repeats_scatter(data: Measurements, error: np.ndarray) -> Scatter:
+    """Return what the errors (n_rows, 3) [m] of each row's repeats scatter; rows of no split have none."""
+    found = Scatter(np.zeros(len(data)), np.zeros(len(data)), np.zeros(len(data), dtype=bool))
+    for k in range(len(data.series)):
+        for split in (data.train, data.held_out):
+            own = data.of_series(k) & split
+            if own.any():
+                part = scatter(_lengths(error[own]), _groups(data, own))
+                found.squared[own], found.freedom[own], found.gross[own] = part.squared, part.freedom, part.gross
+    return found
+
+
+def _lengths(error: np.ndarray) -> np.ndarray:
+    """The lengths that were measured, of errors (n_rows, 3) that have nan elsewhere."""
+    return np.asarray(error[:, ~np.isnan(error).all(axis=0)])
+
+
+def _groups(data: Measurements, own: np.ndarray) -> np.ndarray:
+    """Number some rows by what their repeats have in common, from 0."""
+    return np.unique(conditions(data.only(own)), return_inverse=True)[1]

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from calflow.estimation.fit import Fit, fit, restated
+from calflow.estimation.lack_of_fit import Evidence, LackOfFit, lack_of_fit
 from calflow.estimation.least_squares import LeastSquares, Loss
-from calflow.estimation.noise import LEAST_SCATTER, LackOfFit, Noise, lack_of_fit
+from calflow.estimation.noise import LEAST_SCATTER, Noise
 from calflow.estimation.nuisance import observing
 from calflow.estimation.repeats import averaged
 from calflow.measurements.measurements import Measurements
@@ -35,9 +36,10 @@ def fit_reweighted(
     problem = LeastSquares.of(model, train, noise)
     if not some.all():
         result, _ = fit(problem, result.estimate[None], loss)
-    against_noise = _of_lengths(result, problem, noise, loss)
+    told = Evidence.of(train, noise)
+    against_noise = _of_lengths(result, problem, noise, told, loss)
     for _ in range(NOISE_PASSES):
-        before, noise = noise, _agreeing(result, problem, noise, loss)
+        before, noise = noise, _agreeing(result, problem, noise, told, loss)
         problem = LeastSquares.of(model, train, noise)
         if _alike(noise, before, tolerance):
             result = restated(result, problem, loss)
@@ -46,7 +48,7 @@ def fit_reweighted(
     return result, noise, against_noise, agree
 
 
-def _agreeing(result: Fit, problem: LeastSquares, noise: Noise, loss: Loss) -> Noise:
+def _agreeing(result: Fit, problem: LeastSquares, noise: Noise, told: Evidence, loss: Loss) -> Noise:
     """The noise that agrees with what the fit leaves."""
     stacking = problem.stacking
     estimated = noise.estimated
@@ -54,30 +56,30 @@ def _agreeing(result: Fit, problem: LeastSquares, noise: Noise, loss: Loss) -> N
     for k, source in enumerate(noise.sources):
         own = noise.of_series(k)
         if source == "estimated" and own.any():
-            lack = _lack(result, problem, stacking.of_row(own) & ~stacking.angular, loss)
+            lack = _lack(result, problem, stacking.of_row(own) & ~stacking.angular, told, loss)
             sigma[own] = np.maximum(sigma[own] * np.sqrt(lack.reduced_chi2), LEAST_SCATTER)
     changed = replace(noise, sigma=sigma)
     known = stacking.of_row(~estimated) & ~stacking.angular
     if known.any():
-        changed = replace(changed, discrepancy=_lack(result, problem, known, loss).discrepancy)
+        changed = replace(changed, discrepancy=_lack(result, problem, known, told, loss).discrepancy)
     if stacking.angular.any():
-        changed = replace(changed, rotation_discrepancy=_lack(result, problem, stacking.angular, loss).discrepancy)
+        turned = _lack(result, problem, stacking.angular, told.as_stated, loss)
+        changed = replace(changed, rotation_discrepancy=turned.discrepancy)
     return changed
 
 
-def _of_lengths(result: Fit, problem: LeastSquares, noise: Noise, loss: Loss) -> LackOfFit:
+def _of_lengths(result: Fit, problem: LeastSquares, noise: Noise, told: Evidence, loss: Loss) -> LackOfFit:
     """Lack of fit of the lengths whose noise is known, of all where none is."""
     stacking = problem.stacking
     known = stacking.of_row(~noise.estimated) & ~stacking.angular
-    return _lack(result, problem, known if known.any() else ~stacking.angular, loss)
+    return _lack(result, problem, known if known.any() else ~stacking.angular, told, loss)
 
 
-def _lack(result: Fit, problem: LeastSquares, which: np.ndarray, loss: Loss) -> LackOfFit:
+def _lack(result: Fit, problem: LeastSquares, which: np.ndarray, told: Evidence, loss: Loss) -> LackOfFit:
     """Lack of fit of some of the residuals, which bear their share of the parameters."""
     error = (result.residual * problem.total)[which]
     determined = result.effective_parameters * np.count_nonzero(which) / len(which)
-    rows = None if loss == "linear" else problem.stacking.row[which]
-    return lack_of_fit(error, problem.sigma[which], determined, rows)
+    return lack_of_fit(error, problem.sigma[which], determined, problem.stacking.row[which], told, loss != "linear")
 
 
 def _alike(one: Noise, other: Noise, tolerance: float) -> bool:

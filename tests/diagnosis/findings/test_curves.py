@@ -14,8 +14,9 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
+from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import Stacking
-from calflow.estimation.noise import LackOfFit, Noise
+from calflow.estimation.noise import Noise
 from calflow.files.tables import columns
 from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements

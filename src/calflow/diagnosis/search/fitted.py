@@ -14,8 +14,9 @@ from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated import Identified
 from calflow.estimation.fit import Fit
+from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
-from calflow.estimation.noise import LackOfFit, Noise
+from calflow.estimation.noise import Noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
