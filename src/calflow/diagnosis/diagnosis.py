@@ -11,7 +11,7 @@ from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES, Acceptance
 from calflow.diagnosis.search.extension import extend, weighed_against
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.noise_growth import growth
+from calflow.diagnosis.search.noise_growth import growth_of_repeats, growth_of_residuals
 from calflow.diagnosis.search.weighing import weighed
 from calflow.estimation.accuracy import errors
 from calflow.estimation.calibrated import Identified
@@ -52,8 +52,7 @@ def diagnose(
     train, noise = averaged(train, replace(known.noise(train), scatter=scattered))
     start = Fitted.of(known, train, noise)
     alarm = SHARES["noise"] * false_alarm
-    plain = start.device.sigma
-    if grown := growth(start, alarm):
+    if grown := growth_of_repeats(start, alarm):
         start = start.weighed(grown.sigma(train, start.device))
     have = [effect.id for effect in known.model.effects]
     wanted = Catalogue.of(train, have, catalogue, leave_out)
@@ -69,9 +68,10 @@ def diagnose(
     if catalogue or leave_out:
         extended = weighed_against(extended, Catalogue.of(train, have))
     advance(0.8)
-    last = extended.fitted
-    if again := growth(last.weighed(plain) if grown else last, alarm):
-        say(f"the noise grows with range: {1e6 * again.slope:.3g} um/m, p = {again.p:.2g}")
+    if not grown and (grown := growth_of_residuals(extended.fitted, alarm)):
+        extended = extended.weighed(grown.sigma(train, start.device))
+    if grown:
+        say(f"the noise grows with range: {1e6 * grown.slope:.3g} um/m, p = {grown.p:.2g}")
     verdicts = tuple(verdict(finding) for finding in extended.findings)
-    return Diagnosis(start, extended, verdicts, tuple(left), again, wanted.lacking, wanted.superseded,
+    return Diagnosis(start, extended, verdicts, tuple(left), grown, wanted.lacking, wanted.superseded,
                      acceptance.false_alarm)  # fmt: skip

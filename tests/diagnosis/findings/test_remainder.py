@@ -7,7 +7,7 @@ import pytest
 
 from calflow.diagnosis.findings.remainder import remainder
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.noise_growth import growth
+from calflow.diagnosis.search.noise_growth import growth_of_residuals
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.model import build
 from estimation.data import SIGMA, measured, stated
@@ -54,8 +54,8 @@ def test_structure_is_told_with_its_inputs(shift, inputs):
 
 def test_noise_that_grows_with_range_is_measured():
     """Breaks if the growth is missed, misjudged, or seen where the noise is even."""
-    seen = growth(fitted(sigma=lambda r: 1.5e-5 + 2e-5 * r, poses=300), 0.001)
+    seen = growth_of_residuals(fitted(sigma=lambda r: 1.5e-5 + 2e-5 * r, poses=300), 0.001)
     assert seen is not None
     assert abs(seen.slope - 2e-5) < 4 * seen.sd
     assert seen.floor < 4e-5
-    assert growth(fitted(), 0.001) is None
+    assert growth_of_residuals(fitted(), 0.001) is None

@@ -28,6 +28,11 @@ class Extended:
     path: tuple[Fitted, ...]
     first: Screened[Cause]
 
+    def weighed(self, sigma: np.ndarray) -> Extended:
+        """Fit the extended model anew with another noise (n_rows,) [m] of the rows."""
+        fitted = self.fitted.weighed(sigma)
+        return replace(self, fitted=fitted, path=(*self.path[:-1], fitted) if self.path else ())
+
 
 def extend(
     start: Fitted,

@@ -11,10 +11,13 @@ from scipy.stats import spearmanr
 
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.estimation.noise import Noise
+from calflow.estimation.repeats import MIN_REPEATS
 from calflow.measurements.measurements import Measurements
 
 RANGE = "range"  # the condition of a row that noise is tested to grow with
 MOST_LEVERAGE = 0.95
+STILL = 0.02  # p-value that the growth of what is not smooth must have
+ROWS_A_REGRESSOR = 4  # rows that there must be for every smooth function that is taken off
 
 
 @dataclass(frozen=True)
@@ -35,49 +38,109 @@ class Growth:
         return np.where(np.isfinite(distance), grown, device.sigma)
 
 
-def growth(fitted: Fitted, significance: float) -> Growth | None:
-    """Test whether what a fitted model leaves grows with range, by ranks, and fit the growth where it does.
+@dataclass(frozen=True)
+class Spread:
+    """Squared scatter (n,) [m²] of single measurements, its degrees of freedom, and the ranges [m] that it was seen at.
 
-    Ranks (Spearman 1904) keep their promise whatever the noise's tails are; residuals are freed of their leverage first.
+    stated [m] is the noise that the device is taken to have there.
     """
-    if RANGE not in fitted.data.given:
+
+    squared: np.ndarray
+    freedom: np.ndarray
+    stated: np.ndarray
+    distance: np.ndarray
+
+
+def growth_of_repeats(fitted: Fitted, significance: float) -> Growth | None:
+    """Test whether the scatter of repeats grows with range, and fit the growth where it does; no model's error is in that."""
+    spread = _of_repeats(fitted)
+    if spread is None or not (p := _rank_test(spread)) < significance:
         return None
-    found = [(np.zeros((0, 3)), np.zeros(0, dtype=int))]
+    return _fitted(spread, p)
+
+
+def growth_of_residuals(fitted: Fitted, significance: float) -> Growth | None:
+    """Test the same of what a model with its causes leaves, where there are no repeats to tell.
+
+    It must show, and be as large, in what is left without all that is smooth in the joints' readings and in place too: that is
+    a misfit, which the noise must not swallow.
+    """
+    if RANGE not in fitted.data.given or _of_repeats(fitted):
+        return None
+    left = _of_residuals(fitted)
+    if not len(left.squared) or not _rank_test(left) < significance:
+        return None
+    rough = _of_residuals(fitted, smooth=False)
+    return _fitted(rough, _rank_test(left)) if _rank_test(rough) < STILL else None
+
+
+def _rank_test(spread: Spread) -> float:
+    """The chance of so much growth by ranks (Spearman 1904), which keep their promise whatever the noise's tails are."""
+    beyond = spread.squared / spread.freedom / spread.stated**2
+    return float(spearmanr(beyond, spread.distance, alternative="greater").pvalue)
+
+
+def _of_repeats(fitted: Fitted) -> Spread | None:
+    """The scatter of repeats that have a range; None where it is too little."""
+    noise, data = fitted.device, fitted.data
+    if noise.scatter is None or RANGE not in data.given:
+        return None
+    distance = data.table[RANGE].to_numpy()
+    own = (noise.scatter.freedom > 0) & ~noise.scatter.gross & np.isfinite(distance)
+    for k, series in enumerate(data.series):
+        own &= ~data.of_series(k) | (series.beam is None)
+    found = noise.scatter.only(own)
+    if found.freedom.sum() < MIN_REPEATS:
+        return None
+    return Spread(found.squared, found.freedom, (noise.sigma * np.sqrt(data.repeats))[own], distance[own])
+
+
+def _of_residuals(fitted: Fitted, smooth: bool = True) -> Spread:
+    """What the model leaves of positions seen from outside, freed of leverage; with what is smooth in it, or without."""
+    error, rows = [np.zeros((0, 3))], [np.zeros(0, dtype=int)]
     for block in fitted.problem.blocks:
-        if (
-            block.observation.units[:3] != ("m",) * 3
-            or not block.observation.from_outside
-            or block.observation.series.beam
-        ):
+        observation = block.observation
+        if observation.units[:3] != ("m",) * 3 or not observation.from_outside or observation.series.beam:
             continue  # no range, or one whose noise is stated already
-        for rows, residual, jacobian in block.linearised(fitted.fit.estimate):
+        for here, residual, jacobian in block.linearised(fitted.fit.estimate):
             predicted = np.einsum("rai,ij,raj->ra", jacobian, fitted.fit.covariance, jacobian, optimize=True)[:, :3]
-            found.append((residual[:, :3] / np.sqrt(np.maximum(1 - predicted, 1 - MOST_LEVERAGE)), rows))
-    error, rows = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    if not len(rows):
-        return None
-    distance = fitted.data.table[RANGE].to_numpy()[rows]
-    size = np.linalg.norm(error, axis=1)
-    p = float(spearmanr(size, distance, alternative="greater").pvalue)
-    if not p < significance:
-        return None
-    metres = error * (fitted.noise.total * np.sqrt(fitted.data.repeats))[rows, None]
-    return _fitted(metres, distance, p)
+            error.append(residual[:, :3] / np.sqrt(np.maximum(1 - predicted, 1 - MOST_LEVERAGE)))
+            rows.append(here)
+    row = np.concatenate(rows)
+    metres = np.concatenate(error) * (fitted.noise.total * np.sqrt(fitted.data.repeats))[row, None]
+    if not smooth and len(row):
+        metres = _without_what_is_smooth(metres, fitted.data.joints[row], fitted.data.position[row])
+    stated = (fitted.device.sigma * np.sqrt(fitted.data.repeats))[row]
+    return Spread((metres**2).sum(axis=1), np.full(len(row), 3.0), stated, fitted.data.table[RANGE].to_numpy()[row])
 
 
-def _fitted(error: np.ndarray, distance: np.ndarray, p: float) -> Growth:
-    """Maximum likelihood of floor and slope, in logarithms; error is that of single measurements."""
-    squared = (error**2).sum(axis=1)
-    middle = float(np.sqrt(np.median(squared) / 2.366))  # the median of chi² with 3 degrees of freedom
+def _without_what_is_smooth(error: np.ndarray, joints: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return errors (n_rows, 3) without their regression on waves of the joints' readings and squares of place (n_rows, 3)."""
+    place = place - place.mean(axis=0)
+    waves = [wave(order * q) for order in (1, 2) for q in joints.T for wave in (np.cos, np.sin)]
+    products = [place[:, i] * place[:, j] for i in range(3) for j in range(i, 3)]
+    smooth = [*place.T, *waves[: 2 * joints.shape[1]], *products, *waves[2 * joints.shape[1] :]]
+    regressors = np.stack([np.ones(len(error)), *smooth[: len(error) // ROWS_A_REGRESSOR]], axis=1)
+    basis, triangle = np.linalg.qr(regressors)
+    basis = basis[:, np.abs(np.diag(triangle)) > 1e-9 * np.abs(triangle).max()]
+    leverage = (basis**2).sum(axis=1)
+    return np.asarray(
+        (error - basis @ (basis.T @ error)) / np.sqrt(np.maximum(1 - leverage, 1 - MOST_LEVERAGE))[:, None]
+    )
+
+
+def _fitted(spread: Spread, p: float) -> Growth:
+    """Maximum likelihood of floor and slope, in logarithms."""
+    middle = float(np.sqrt(np.median(spread.squared / spread.freedom)))
     x = ca.SX.sym("x", 2)
-    variance = (ca.exp(x[0]) + ca.exp(x[1]) * ca.DM(distance)) ** 2
-    cost = ca.sum1(0.5 * ca.DM(squared) / variance + 1.5 * ca.log(variance))
+    variance = (ca.exp(x[0]) + ca.exp(x[1]) * ca.DM(spread.distance)) ** 2
+    cost = ca.sum1(0.5 * ca.DM(spread.squared) / variance + 0.5 * ca.DM(spread.freedom) * ca.log(variance))
     curvature, slope = ca.hessian(cost, x)
     function = ca.Function("likelihood", [x], [cost, slope, curvature])
-    start = np.log([middle / 2, middle / 2 / np.mean(distance)])
+    start = np.log([middle / 2, middle / 2 / np.mean(spread.distance)])
     found = minimize(
         lambda at: float(function(at)[0]), start, jac=lambda at: np.array(function(at)[1]).ravel(), method="BFGS"
     ).x
-    spread = np.linalg.pinv(np.array(function(found)[2]), hermitian=True)
-    sd = float(np.sqrt(max(spread[1, 1], 0.0)) * np.exp(found[1]))
+    inverse = np.linalg.pinv(np.array(function(found)[2]), hermitian=True)
+    sd = float(np.sqrt(max(inverse[1, 1], 0.0)) * np.exp(found[1]))
     return Growth(float(np.exp(found[0])), float(np.exp(found[1])), sd, p)
