@@ -61,6 +61,8 @@ def check(study: Path) -> None:
         click.echo("no measurements yet: 'calflow run --stage select' proposes poses")
         return
     data = checked.data
+    for doubt in checked.doubts:
+        click.echo(f"warning: {doubt.statement}")
     for note in data.notes:
         click.echo(f"note: {note}")
     for k, path in enumerate(loaded.measurement_paths):

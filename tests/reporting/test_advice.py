@@ -14,6 +14,7 @@ from calflow.diagnosis.findings.tables import CandidateRow, FindingRow
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.fit_summary import Extrapolation, FitSummary, IdentifySummary, Solver
 from calflow.estimation.identifiability import Statement
+from calflow.estimation.noise_doubt import NoiseDoubt
 from calflow.files.documents import to_document
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
@@ -40,6 +41,7 @@ SUMMARY = IdentifySummary(
     effective_parameters=3.0, training_poses=9, heldout_poses=4, converged=True, equilibrium_error_um=0.0, starts=3,
     starts_agreeing=3,
 )  # fmt: skip
+DOUBT = NoiseDoubt(series="", stated_mm=40.0, shown_mm=0.04, shown_by="residuals", believed=True, p=0.0)
 DIAGNOSED = DiagnosisSummary(
     **{field.name: getattr(SUMMARY, field.name) for field in fields(FitSummary)}, reduced_chi2_before=4.0, causes_tested=40,
     tests=30.0,
@@ -170,6 +172,8 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (accuracy.starts_disagree, summary(starts_agreeing=1), 2, "Only 1 of 3"),
     (accuracy.model_lacks, summary(reduced_chi2=9.0), 2, "leaves 3.0 times the noise"),
     (accuracy.noise_doubtful, summary(reduced_chi2=0.25), 3, "only 0.50 times"),
+    (accuracy.noise_contradicted, summary(noise_doubts=(DOUBT,)), 1, "Do not use this result. The stated noise, 40 mm"),
+    (accuracy.noise_contradicted, summary(noise_doubts=(replace(DOUBT, believed=False),)), 2, "1,000 times too large"),
     (accuracy.noise_unknown, summary(noise_sources=("estimated",)), 2, "several times"),
     (accuracy.nothing_held_out, {"identify/accuracy.csv": accuracies(holdout=None)}, 2, "split.holdout"),
     (accuracy.does_not_carry_over, {"identify/accuracy.csv": accuracies(holdout=0.2)}, 2, "4.0 times"),

@@ -8,6 +8,7 @@ import numpy as np
 
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import Source
+from calflow.estimation.noise_doubt import NoiseDoubt
 from calflow.files.tables import column
 
 
@@ -83,6 +84,9 @@ class IdentifySummary(FitSummary):
     starts: int = column("fits from different starting points")
     starts_agreeing: int = column("of which came to the same result")
     extrapolation: tuple[Extrapolation, ...] = column("joints held out beyond what was fitted: joint, rows", default=())
+    noise_doubts: tuple[NoiseDoubt, ...] = column(
+        "stated noises that repeats or the fit contradict: series, sizes, p", default=()
+    )
     time_origin_s: float | None = column(
         "reading of the clock that times count from; null: no times", "s", default=None
     )

@@ -19,6 +19,7 @@ from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import Noise
+from calflow.estimation.noise_doubt import NoiseDoubt, doubts_of_repeats, doubts_of_residuals
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered
 from calflow.estimation.repeats import conditions, measured_noise
@@ -38,7 +39,7 @@ class Identification:
 
     data are all rows, on the robot that the errors refer to; noise is that of single rows, with the discrepancy that the model
     left. steps is the accuracy of each model on the way, lack the fit's lack of fit, agreeing how many of the starts came to
-    the same result.
+    the same result, doubts what contradicts the stated noise.
     """
 
     data: Measurements
@@ -49,6 +50,7 @@ class Identification:
     loss: Loss
     starts: int
     agreeing: int
+    doubts: tuple[NoiseDoubt, ...] = ()
 
     @property
     def model(self) -> Model:
@@ -94,6 +96,7 @@ class Identification:
             starts=self.starts,
             starts_agreeing=self.agreeing,
             extrapolation=extrapolation(data),
+            noise_doubts=self.doubts,
             time_origin_s=data.time_origin,
         )
 
@@ -132,7 +135,11 @@ def identify(
     nominal = build(robot, (), data.given, observed)
     device = measured_noise(data, noise, nominal)
 
-    rows = accuracy("nominal", errors(nominal, nominal.nominal, data), data)
+    error = errors(nominal, nominal.nominal, data)
+    doubts = doubts_of_repeats(data, error, tuple(source == "file" for source in device.sources))
+    for doubt in doubts:
+        say(doubt.words)
+    rows = accuracy("nominal", error, data)
     for k in range(1, len(effects) + 1):
         model = build(robot, effects[:k], data.given, observed)
         if wrong := too_few_equations(model, train):
@@ -146,7 +153,11 @@ def identify(
 
     left = replace(device, discrepancy=reweighted.discrepancy, rotation_discrepancy=reweighted.rotation_discrepancy)
     left = replace(left, sigma=_of_single_rows(left, reweighted))
-    return Identification(data, result, left, tuple(rows), lack, loss, starts, agree)
+    if not doubts:
+        doubts = doubts_of_residuals(device.only(data.train), lack, tuple(series.name for series in data.series))
+        for doubt in doubts:
+            say(doubt.words)
+    return Identification(data, result, left, tuple(rows), lack, loss, starts, agree, doubts)
 
 
 def too_few_equations(model: Model, train: Measurements) -> str:

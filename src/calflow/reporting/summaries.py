@@ -37,6 +37,7 @@ def identified(found: IdentifySummary, noises: Sequence[DeviceNoise]) -> Facts:
         ("equilibrium error um", f"{found.equilibrium_error_um:.2g}"),
         ("starts agreeing", f"{found.starts_agreeing} of {found.starts}"),
         *(("extrapolation", joint.words) for joint in found.extrapolation),
+        *(("noise doubted", doubt.words) for doubt in found.noise_doubts),
     ]
 
 

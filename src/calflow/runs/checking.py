@@ -8,6 +8,7 @@ from functools import partial
 import pandas as pd
 
 from calflow.estimation.accuracy import accuracy, errors
+from calflow.estimation.noise_doubt import NoiseDoubt, doubts_of_repeats
 from calflow.estimation.registration import registered
 from calflow.files.problems import InputError, Problem, together
 from calflow.measurements.measurements import Measurements
@@ -22,12 +23,14 @@ from calflow.study import Study
 class Checked:
     """What a sound study has: its measurements, how many parameters, and the nominal robot's error [mm] a split.
 
-    nominal has the columns of accuracy.csv: the robot as its maker describes it, once base and tool are placed.
+    nominal has the columns of accuracy.csv: the robot as its maker describes it, once base and tool are placed. doubts say
+    which stated noises the repeats contradict.
     """
 
     data: Measurements
     n_parameters: int
     nominal: pd.DataFrame
+    doubts: tuple[NoiseDoubt, ...] = ()
 
 
 def check(study: Study) -> Checked | None:
@@ -67,5 +70,6 @@ def _checked(study: Study, data: Measurements) -> Checked:
     robot, observed = registered(study.robot, observations(train), train)
     nominal = build(robot, (), data.given, observed)
     error = errors(nominal, nominal.nominal, data.on(robot))
+    doubts = doubts_of_repeats(data.on(robot), error, tuple(False for _ in data.series))
     n_parameters = len(build(study.robot, study.file.effects, data.given).parameters)
-    return Checked(data, n_parameters, pd.DataFrame(accuracy("nominal", error, data)))
+    return Checked(data, n_parameters, pd.DataFrame(accuracy("nominal", error, data)), doubts)

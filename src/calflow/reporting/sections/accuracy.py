@@ -70,6 +70,14 @@ def not_converged(results: Results) -> list[Advice]:
     return [Advice(1, sentence)]
 
 
+def noise_contradicted(results: Results) -> list[Advice]:
+    """A stated noise that the measurements contradict is the first thing to know; a fit that believed it is worth nothing."""
+    return [
+        Advice(1 if doubt.useless else 2, f"{'Do not use this result. ' * doubt.useless}{doubt.words}")
+        for doubt in _identified(results).noise_doubts
+    ]
+
+
 def starts_disagree(results: Results) -> list[Advice]:
     """Fits from different starts should find the same optimum."""
     summary = _identified(results)
@@ -100,7 +108,7 @@ def model_lacks(results: Results) -> list[Advice]:
 def noise_doubtful(results: Results) -> list[Advice]:
     """A fit cannot leave much less than the noise."""
     times = latest_summary(results).lack_of_fit
-    if not times < TOO_GOOD:
+    if not times < TOO_GOOD or _identified(results).noise_doubts:
         return []
     sentence = (
         f"The model leaves only {times:.2f} times the noise: the measurements are better than that. Correct sigma, or "
@@ -182,6 +190,7 @@ SECTION = Section(
     ("identify/accuracy.csv", "identify/residuals.csv", "identify/summary.json"),
     write,
     (
+        noise_contradicted,
         nominal_far_off,
         not_converged,
         starts_disagree,
