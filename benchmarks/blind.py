@@ -13,74 +13,30 @@ the very robot, poses, noise and number of tests of each case. --out FILE.csv ke
 
 from __future__ import annotations
 
-import argparse
-import contextlib
-import io
-import multiprocessing
-import os
-import sys
-import tempfile
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # a process a core
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-import numpy as np
-import pandas as pd
-from scipy.stats import binomtest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import blind_cases as cases
 import blind_verdicts as verdicts
+import numpy as np
+import pandas as pd
 from blind_cases import Job
+from blind_run import Kind, Row, guarded, hidden_names, run_case, run_kind
+from scipy.stats import binomtest
 
 from calflow.design.discrimination import POSES
 from calflow.diagnosis.findings.verdict import label
 from calflow.runs.run import run
-from calflow.study import Study, load_study
-from hidden.case import Case, draw, write_case
+from calflow.study import load_study
+from hidden.case import Case, draw
 from hidden.causes import PAYLOADS, measured_points
-
-Row = dict[str, object]
-
-
-def main() -> None:
-    """Run what was asked for and print its table."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("what", choices=sorted(KINDS))
-    parser.add_argument("number", type=int)
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--processes", type=int, default=os.cpu_count())
-    asked = parser.parse_args()
-    kind = KINDS[asked.what]
-    jobs = list(kind.jobs(asked.number, np.random.default_rng([asked.seed, *asked.what.encode()])))
-    started, rows = time.time(), list[Row]()
-    with multiprocessing.get_context("spawn").Pool(asked.processes) as pool:
-        for row in pool.imap_unordered(kind.work, jobs):
-            rows.append(row)
-            if asked.out:
-                pd.DataFrame(rows).to_csv(asked.out, index=False)
-            if len(rows) % 50 == 0:
-                print(
-                    f"{len(rows)} of {asked.number} cases, {time.time() - started:.0f} s", file=sys.stderr, flush=True
-                )
-    table = pd.DataFrame(rows)
-    for message in table["failed"].dropna():
-        print("failed:", message)
-    print(kind.tell(table[table["failed"].isna()]))
-
 
 # --- One case ----------------------------------------------------------------------------------------
 
 
 def diagnosed(job: Job) -> Row:
     """Say what is found in the case as it is."""
-    return _guarded(lambda folder: verdicts.told(_run(folder, job.case, job.seed)[1]), job)
+    return guarded(lambda folder: verdicts.told(run_case(folder, job.case, job.seed)[1]), job)
 
 
 def one_cause(job: Job) -> Row:
@@ -89,17 +45,17 @@ def one_cause(job: Job) -> Row:
     def work(folder: Path) -> Row:
         drawn = cases.sized(job, folder / "bare")
         case = drawn.case
-        study, tables = _run(folder / "case", case, job.seed)
+        study, results = run_case(folder / "case", case, job.seed)
         (h,) = draw(case, np.random.default_rng(job.seed)).hidden
-        compared = verdicts.one(h, tables) | verdicts.gains(study, h, tables)
+        compared = verdicts.one(h, results) | verdicts.gains(study, h, results)
         expected = {
             "rms_mm": verdicts.effect_rms(folder / "case"),
             "set_by_calculation": drawn.set_size,
             "first_by_calculation": drawn.first,
         }
-        return _hidden(case) | verdicts.told(tables) | compared | expected
+        return hidden_names(case) | verdicts.told(results) | compared | expected
 
-    return _guarded(work, job)
+    return guarded(work, job)
 
 
 def two_causes(job: Job) -> Row:
@@ -107,11 +63,11 @@ def two_causes(job: Job) -> Row:
 
     def work(folder: Path) -> Row:
         drawn = cases.sized(job, folder / "bare")
-        _, tables = _run(folder / "case", drawn.case, job.seed)
-        compared = verdicts.several(drawn.case.hidden, tables)
-        return _hidden(drawn.case) | verdicts.told(tables) | compared | {"beside": min(drawn.beside)}
+        _, results = run_case(folder / "case", drawn.case, job.seed)
+        compared = verdicts.several(drawn.case.hidden, results)
+        return hidden_names(drawn.case) | verdicts.told(results) | compared | {"beside": min(drawn.beside)}
 
-    return _guarded(work, job)
+    return guarded(work, job)
 
 
 def measured_again(job: Job) -> Row:
@@ -120,12 +76,14 @@ def measured_again(job: Job) -> Row:
     def work(folder: Path) -> Row:
         case = cases.sized(job, folder / "bare").case
         folder = folder / "case"
-        _, tables = _run(folder, case, job.seed)
+        _, results = run_case(folder, case, job.seed)
         (h,) = case.hidden
-        asked = tables["diagnose/next_poses.csv"]
-        before = verdicts.told(tables) | verdicts.one(h, tables)
-        apart = tables["diagnose/separations.csv"]
-        known = _hidden(case) | {f"{name}_before": value for name, value in before.items()} | {"asked": len(asked) > 0}
+        asked = results.tables["diagnose/next_poses.csv"]
+        before = verdicts.told(results) | verdicts.one(h, results)
+        apart = results.tables["diagnose/separations.csv"]
+        known = (
+            hidden_names(case) | {f"{name}_before": value for name, value in before.items()} | {"asked": len(asked) > 0}
+        )
         known |= {"at_most": apart["chance_after"].min(), "rivals": len(apart)}
         if not len(asked):
             return known
@@ -133,23 +91,23 @@ def measured_again(job: Job) -> Row:
         open_ = str(first["leaves_open"]).replace(" or ", "; ").split("; ")
         known |= {"promised": label(h.cause, h.joint) not in open_, "chance": first["chance_after"]}
         _measure(folder, case, job.seed, asked)
-        again = run(load_study(folder), folder / "run").tables
+        again = run(load_study(folder), folder / "run").results
         return known | verdicts.told(again) | verdicts.one(h, again)
 
-    return _guarded(work, job)
+    return guarded(work, job)
 
 
 def without_masses(job: Job) -> Row:
     """Compare the diagnosis of compliant joints without masses with the identification that knows masses and springs."""
 
     def work(folder: Path) -> Row:
-        study, tables = _run(folder / "case", job.case, job.seed)
-        found = verdicts.told(tables) | verdicts.held_out(study, tables)
+        study, results = run_case(folder / "case", job.case, job.seed)
+        found = verdicts.told(results) | verdicts.held_out(study, results)
         known = replace(job.case, masses=True, effects=("geometry", "joint-compliance"))
-        study, tables = _run(folder / "known", known, job.seed)
-        return found | {"truth_mm": verdicts.held_out(study, tables)["before_mm"]}
+        study, results = run_case(folder / "known", known, job.seed)
+        return found | {"truth_mm": verdicts.held_out(study, results)["before_mm"]}
 
-    return _guarded(work, job)
+    return guarded(work, job)
 
 
 def _measure(folder: Path, case: Case, seed: int, asked: pd.DataFrame) -> None:
@@ -175,28 +133,6 @@ def _measure(folder: Path, case: Case, seed: int, asked: pd.DataFrame) -> None:
     for name in table.columns.intersection(list(given)):
         more[name] = given[name]
     pd.concat([table, more], ignore_index=True).to_csv(folder / "measurements.csv", index=False)
-
-
-def _guarded(work: Callable[[Path], Row], job: Job) -> Row:
-    started, case = time.time(), job.case
-    known: Row = {"kind": job.kind, "size": job.size, "seed": job.seed, "robot": case.robot, "poses": case.poses,
-                  "payloads": len(case.payloads), "markers": case.markers, "failed": None}  # fmt: skip
-    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
-        try:
-            known |= work(Path(folder))
-        except Exception as error:  # one bad case must not end the others
-            known["failed"] = f"{type(error).__name__}: {error} ({job})"
-    return known | {"seconds": time.time() - started}
-
-
-def _run(folder: Path, case: Case, seed: int) -> tuple[Study, dict[str, pd.DataFrame]]:
-    write_case(folder, case, np.random.default_rng(seed))
-    study = load_study(folder)
-    return study, run(study, folder / "run").tables
-
-
-def _hidden(case: Case) -> Row:
-    return {"hidden": " + ".join(f"{h.cause}:{h.joint}" for h in case.hidden)}
 
 
 # --- Tables ------------------------------------------------------------------------------------------
@@ -303,15 +239,6 @@ def spring_table(rows: pd.DataFrame) -> str:
     )
 
 
-@dataclass(frozen=True)
-class Kind:
-    """What is drawn, what is done with each case, and how it is told."""
-
-    jobs: Callable[[int, np.random.Generator], Iterator[Job]]
-    work: Callable[[Job], Row]
-    tell: Callable[[pd.DataFrame], str]
-
-
 KINDS = {
     "nulls": Kind(cases.nulls, diagnosed, null_table),
     "effects": Kind(cases.effects, one_cause, effect_table),
@@ -323,4 +250,4 @@ KINDS = {
 
 
 if __name__ == "__main__":
-    main()
+    run_kind(__doc__, KINDS)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import os
+import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # a process a core
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
 import numpy as np
-import pandas as pd
 from scipy.stats import chi2, norm
 
 from calflow.diagnosis.findings.verdict import verdict
@@ -21,6 +26,7 @@ from calflow.diagnosis.search.linearisation import Finding, Linearisation, Scree
 from calflow.estimation.calibrated import identified
 from calflow.estimation.repeats import averaged
 from calflow.faults import corrected
+from calflow.files.results import Results
 from calflow.runs.run import run
 from calflow.study import Study, load_study
 from hidden.case import Case, World, draw, write_case
@@ -98,26 +104,26 @@ class Job:
 def nulls(number: int, rng: np.random.Generator) -> Iterator[Job]:
     """Nothing hidden, under every kind of noise."""
     for k in range(number):
-        yield Job(replace(_design(rng), noise=NULLS[k % len(NULLS)]), _seed(rng), NULLS[k % len(NULLS)])
+        yield Job(replace(design(rng), noise=NULLS[k % len(NULLS)]), new_seed(rng), NULLS[k % len(NULLS)])
 
 
 def effects(number: int, rng: np.random.Generator) -> Iterator[Job]:
     """One cause, anywhere, at any size."""
     for k in range(number):
-        yield Job(_design(rng), _seed(rng), "effect", SIZES[k % len(SIZES)], 1)
+        yield Job(design(rng), new_seed(rng), "effect", SIZES[k % len(SIZES)], 1)
 
 
 def pairs(number: int, rng: np.random.Generator) -> Iterator[Job]:
     """Two causes of different kinds."""
     for _ in range(number):
-        yield Job(_design(rng), _seed(rng), "pair", 3.0, 2)
+        yield Job(design(rng), new_seed(rng), "pair", 3.0, 2)
 
 
 def alike(number: int, rng: np.random.Generator) -> Iterator[Job]:
     """Causes with near rivals."""
     for _ in range(number):
-        case = replace(_design(rng), payloads=("none", "half", "full"), markers=1)
-        yield Job(case, _seed(rng), "alike", 2.0, 1, frozenset(NEAR), 2)
+        case = replace(design(rng), payloads=("none", "half", "full"), markers=1)
+        yield Job(case, new_seed(rng), "alike", 2.0, 1, frozenset(NEAR), 2)
 
 
 def unknown(number: int, rng: np.random.Generator) -> Iterator[Job]:
@@ -125,20 +131,18 @@ def unknown(number: int, rng: np.random.Generator) -> Iterator[Job]:
     for k in range(number):
         hidden, cut = UNKNOWN[k % len(UNKNOWN)]
         settings = f"[stages.diagnose]\n{cut}\n" if cut else ""
-        case = replace(_design(rng), hidden=(hidden,), poses=160, columns=("approach", "time"), settings=settings)
-        yield Job(case, _seed(rng), hidden.cause)
+        case = replace(design(rng), hidden=(hidden,), poses=160, columns=("approach", "time"), settings=settings)
+        yield Job(case, new_seed(rng), hidden.cause)
 
 
 def springs(number: int, rng: np.random.Generator) -> Iterator[Job]:
     """Compliant joints, where the study knows neither them nor the masses."""
     for _ in range(number):
-        case = replace(
-            _design(rng), hidden=(Hidden("gravity-deflection", 0, 1.0),), masses=False, effects=("geometry",)
-        )
-        yield Job(case, _seed(rng), "gravity-deflection")
+        case = replace(design(rng), hidden=(Hidden("gravity-deflection", 0, 1.0),), masses=False, effects=("geometry",))
+        yield Job(case, new_seed(rng), "gravity-deflection")
 
 
-def _design(rng: np.random.Generator) -> Case:
+def design(rng: np.random.Generator) -> Case:
     """Draw a robot, 60 or 120 poses to fit and a third as many to hold out, payloads, markers and columns."""
     return Case(
         robot=str(rng.choice(["serial", "hh800"])),
@@ -149,7 +153,8 @@ def _design(rng: np.random.Generator) -> Case:
     )
 
 
-def _seed(rng: np.random.Generator) -> int:
+def new_seed(rng: np.random.Generator) -> int:
+    """Draw the seed of a case."""
     return int(rng.integers(2**31))
 
 
@@ -160,15 +165,16 @@ def _seed(rng: np.random.Generator) -> int:
 class Bare:
     """The same robot, poses and noise with nothing hidden, fitted and screened."""
 
+    fitted: Fitted
     linearisation: Linearisation
     screened: Screened
 
 
-def begun(study: Study, tables: Mapping[str, pd.DataFrame]) -> tuple[Fitted, Catalogue]:
+def begun(study: Study, results: Results) -> tuple[Fitted, Catalogue]:
     """Return the fit that diagnose begins with, and its catalogue."""
     data = study.measurements()
-    known = identified(study.robot, tables, data.given)
-    data = corrected(data.on(known.model.robot), tables["identify/faults.csv"])
+    known = identified(study.robot, results, data.given)
+    data = corrected(data.on(known.model.robot), results.tables["identify/faults.csv"])
     train, level = averaged(data.only(data.train), known.noise(data).only(data.train))
     return Fitted.of(known, train, level), Catalogue.of(train, [effect.id for effect in known.model.effects])
 
@@ -188,18 +194,19 @@ class Sized:
 
 
 def sized(job: Job, folder: Path) -> Sized:
-    """Draw a case's causes, each job.size times its detection limit.
+    """Draw a case's causes, each job.size times its detection limit without a background.
 
     Causes that these poses do not show at the catalogue's largest size are drawn anew.
     """
     rng = np.random.default_rng([job.seed, 1])
     nothing = tuple(Hidden("joint-backlash", 1, 0.0) for _ in range(job.several))
     once = "[stages.identify]\nstarts = 1\n"
-    write_case(folder, replace(job.case, hidden=nothing, settings=once), np.random.default_rng(job.seed))
+    alone = replace(job.case, hidden=nothing, settings=once, background=None)
+    write_case(folder, alone, np.random.default_rng(job.seed))
     study = load_study(folder)
-    fitted, catalogue = begun(study, run(study, folder / "run", stage="identify").tables)
+    fitted, catalogue = begun(study, run(study, folder / "run", stage="identify").results)
     linearisation = Linearisation.at(fitted, catalogue)
-    bare = Bare(linearisation, linearisation.screened(rng))
+    bare = Bare(fitted, linearisation, linearisation.screened(rng))
     units = [unit for unit in UNITS if set(unit.columns) <= set(job.case.columns)]
     units = [unit for unit in units if not job.among or unit.cause in job.among]
     if len(job.case.payloads) == 1:
@@ -236,8 +243,8 @@ def _shift(bare: Bare, world: World, which: int) -> np.ndarray:
     """What a cause does to the training rows at its largest size, in standard deviations; linear, from a tenth of it."""
     small = replace(world.hidden[which], size=0.1 * world.hidden[which].size)
     moved = measured_points(world.real, world.rows, (small,)) - measured_points(world.real, world.rows, ())
-    rows = bare.linearisation.fitted.data.table["line"].to_numpy(int) - 2
-    return (10 * moved[rows] / bare.linearisation.fitted.noise.total[:, None]).ravel()
+    rows = bare.fitted.data.table["line"].to_numpy(int) - 2
+    return (10 * moved[rows] / bare.fitted.noise.total[:, None]).ravel()
 
 
 def _limit(bare: Bare, h: Hidden, shift: np.ndarray, others: Sequence[np.ndarray] = ()) -> float:

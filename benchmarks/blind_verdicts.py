@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.refinement import finest
 from calflow.estimation.accuracy import errors
 from calflow.estimation.calibrated import calibrated, identified
+from calflow.files.results import Results
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.study import Study
@@ -35,13 +35,11 @@ SAME_FIGURE = {"joint-backlash", "torque-backlash", "joint-eccentricity", "gear-
                "wrist-coupling", "link-bending", "link-torsion", "base-compliance", "payload-mass", "link-mass",
                "payload-com", "thermal-growth", "frame-step"}  # fmt: skip
 
-Tables = Mapping[str, pd.DataFrame]
 
-
-def told(tables: Tables) -> dict[str, object]:
+def told(results: Results) -> dict[str, object]:
     """Count what was found."""
-    found = tables["diagnose/findings.csv"]
-    causes = _causes(tables)
+    found = results.tables["diagnose/findings.csv"]
+    causes = named_causes(results)
     noise = found["cause"] == "range-noise"
     return {
         "found": len(causes),
@@ -53,40 +51,40 @@ def told(tables: Tables) -> dict[str, object]:
     }
 
 
-def one(h: Hidden, tables: Tables) -> dict[str, object]:
+def one(h: Hidden, results: Results) -> dict[str, object]:
     """Compare the first finding with the one cause that is hidden."""
-    causes = _causes(tables)
+    causes = named_causes(results)
     if not len(causes):
         return {"detected": False}
     first = causes.iloc[0]
     return {
-        "detected": True, "right": _is(h, first), "up_to_class": _is_alike(h, first),
-        "in_set": any(_holds(h, row) for _, row in causes.iterrows()),
+        "detected": True, "right": is_exactly(h, first), "up_to_class": is_alike(h, first),
+        "in_set": any(holds(h, row) for _, row in causes.iterrows()),
         "set_size": 1 + len([x for x in first["cannot_tell_from"].split(";") if x]),
         "probability": first["probability"],
-    } | _interval(h, first)  # fmt: skip
+    } | off_by(h, first)  # fmt: skip
 
 
-def several(hidden: tuple[Hidden, ...], tables: Tables) -> dict[str, object]:
+def several(hidden: tuple[Hidden, ...], results: Results) -> dict[str, object]:
     """Say whether every hidden cause is among the findings."""
-    rows = [row for _, row in _causes(tables).iterrows()]
+    rows = [row for _, row in named_causes(results).iterrows()]
     return {
-        "right": all(any(_is(h, row) for row in rows) for h in hidden),
-        "up_to_class": all(any(_is_alike(h, row) for row in rows) for h in hidden),
+        "right": all(any(is_exactly(h, row) for row in rows) for h in hidden),
+        "up_to_class": all(any(is_alike(h, row) for row in rows) for h in hidden),
         "more": len(rows) - len(hidden),
     }
 
 
-def gains(study: Study, h: Hidden, tables: Tables) -> dict[str, float]:
+def gains(study: Study, h: Hidden, results: Results) -> dict[str, float]:
     """Return the held-out mean error [mm] before, with what was found, and with the true cause fitted to the same rows."""
     data = study.measurements()
-    truth = true_structure(study, h, tables)
-    return held_out(study, tables) | {"truth_mm": _mean(truth.model, truth.fit.estimate, data.only(data.held_out))}
+    truth = true_structure(study, h, results)
+    return held_out(study, results) | {"truth_mm": _mean(truth.model, truth.fit.estimate, data.only(data.held_out))}
 
 
-def true_structure(study: Study, h: Hidden, tables: Tables) -> Fitted:
+def true_structure(study: Study, h: Hidden, results: Results) -> Fitted:
     """Fit the identified model with the hidden cause, in the form of it that suits the training rows best."""
-    start, catalogue = begun(study, tables)
+    start, catalogue = begun(study, results)
     effects = [effect for effect in catalogue.effects if effect.id == h.cause]
     scores = Screening(start.regressors(effects)).scores
     best = finest(next(score for score in scores if score.cause.joint == h.joint), start)
@@ -94,11 +92,11 @@ def true_structure(study: Study, h: Hidden, tables: Tables) -> Fitted:
     return start.with_causes([best.cause], point, best.share)
 
 
-def held_out(study: Study, tables: Tables) -> dict[str, float]:
+def held_out(study: Study, results: Results) -> dict[str, float]:
     """Return the held-out mean error [mm] of the identified and of the extended model."""
     data = study.measurements()
     held = data.only(data.held_out)
-    base, best = identified(study.robot, tables, data.given), calibrated(study.robot, tables, data.given)
+    base, best = identified(study.robot, results, data.given), calibrated(study.robot, results, data.given)
     return {
         "before_mm": _mean(base.model, base.estimate, held),
         "after_mm": _mean(best.model, best.estimate, held),
@@ -115,32 +113,37 @@ def _mean(model: Model, estimate: np.ndarray, held: Measurements) -> float:
     return float(1e3 * np.linalg.norm(errors(model, estimate, held), axis=1).mean())
 
 
-def _causes(tables: Tables) -> pd.DataFrame:
-    found = tables["diagnose/findings.csv"].fillna({"cannot_tell_from": "", "rivals": "", "joint": 0, "cause": ""})
+def named_causes(results: Results) -> pd.DataFrame:
+    """Return the findings that name a cause or several, noise that grows apart."""
+    found = results.tables["diagnose/findings.csv"].fillna(
+        {"cannot_tell_from": "", "rivals": "", "joint": 0, "cause": ""}
+    )
     return found[found["status"].isin(["named", "one_of"]) & (found["cause"] != "range-noise")]
 
 
-def _is(h: Hidden, row: pd.Series) -> bool:
+def is_exactly(h: Hidden, row: pd.Series) -> bool:
+    """Whether a finding names the cause and its joint."""
     return bool(row["cause"] == h.cause and (row["joint"] == h.joint or not h.joint))
 
 
-def _holds(h: Hidden, row: pd.Series) -> bool:
+def holds(h: Hidden, row: pd.Series) -> bool:
     """Whether a finding is the cause, or names it among those that it cannot be told from."""
-    if _is(h, row):
+    if is_exactly(h, row):
         return True
     name = f"{h.cause} {h.joint}" if h.joint else h.cause
     listed = h.cause in row["cannot_tell_from"].split(";")
     return bool(listed and (row["joint"] in (h.joint, 0) or not h.joint or name in row["rivals"].split("; ")))
 
 
-def _is_alike(h: Hidden, row: pd.Series) -> bool:
+def is_alike(h: Hidden, row: pd.Series) -> bool:
+    """Whether a finding is the cause up to its class, or names it among others."""
     same_class = any({row["cause"], h.cause} <= group for group in CLASSES)
     near = row["joint"] == h.joint or not row["joint"] or not h.joint
-    return bool(_holds(h, row) or (same_class and near))
+    return bool(holds(h, row) or (same_class and near))
 
 
-def _interval(h: Hidden, row: pd.Series) -> dict[str, object]:
+def off_by(h: Hidden, row: pd.Series) -> dict[str, object]:
     """How many standard deviations an amplitude is off, where both are the same figure."""
-    if h.cause not in SAME_FIGURE or h.extra == "turning" or not _is(h, row):
+    if h.cause not in SAME_FIGURE or h.extra == "turning" or not is_exactly(h, row):
         return {}
     return {"z": (float(row["estimate"]) - h.size) / float(row["sd"])}

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from hidden.backgrounds import Background, displaced
 from hidden.causes import KNOWN, ON_TABLE, PAYLOADS, PHYSICAL, WIND_UP, XYZ, Hidden, measured_points
 from hidden.simulator import Array, Motion, Robot, Rows, frames, moved, read, worn
 
@@ -93,7 +94,7 @@ class Case:
     noise is "gauss", "heavy", "range" or "outliers"; columns may hold "approach", "travel", "time", "temperature" and
     "sigma"; effects are the study's. The real robot's joints are compliant where effects or hidden say so. base replaces
     the robot file's (origin in mm, rotation in degrees). relative_sd [m] is in the robot file where the markers keep their
-    places beside the first. settings is text at the end of study.toml.
+    places beside the first. settings is text at the end of study.toml. background is what no catalogue has.
     """
 
     name: str = "case"
@@ -113,6 +114,7 @@ class Case:
     workflow: str = "diagnose"
     seed: int = 0
     settings: str = ""
+    background: Background | None = None
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,8 @@ def write_case(folder: Path, case: Case, rng: np.random.Generator) -> None:
     """Write robot.toml, study.toml, measurements.csv and answer.json."""
     world = draw(case, rng)
     point = measured_points(world.real, world.rows, world.hidden)
-    table, faulty = measure(case, world, point, rng)
+    seen = point + displaced(case.background, world.real, world.rows) if case.background else point
+    table, faulty = measure(case, world, seen, rng)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.toml").write_text(toml(robot_file(world.tables, case.masses)), encoding="utf-8")
     (folder / "study.toml").write_text(_study(case), encoding="utf-8")

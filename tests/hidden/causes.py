@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
+from hidden.random_functions import random_function
 from hidden.simulator import Array, Motion, Robot, Rows, State, equilibrium, tool_point
 
 WIND_UP = np.deg2rad(5.0)  # travel over which friction winds a joint up
@@ -126,7 +126,7 @@ def third_order(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
 
 def joint_error_map(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
     """A smooth random function of the joint's angle, its rms over the joint's range as stated."""
-    smooth = _random_function(h.rng, inputs=1, outputs=1, length=0.3)
+    smooth = random_function(h.rng, inputs=1, outputs=1, length=0.3)
     grid = smooth(np.linspace(*robot.limits[h.joint - 1], 1000)[:, None])
     return h.size * (smooth(rows.q[:, [h.joint - 1]]) - grid.mean())[:, 0] / grid.std()
 
@@ -146,13 +146,6 @@ def cable_drag(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
     first, second = h.rng.uniform(0, 2 * np.pi, 2)
     q4, q6 = rows.q[:, 3], rows.q[:, 5]
     return h.size * (np.sin(q4 + first) * np.sin(q6 + second) + 0.5 * np.cos(q4 - q6 / 2))
-
-
-def _random_function(rng: np.random.Generator, inputs: int, outputs: int, length: float) -> Callable[[Array], Array]:
-    """A random function of rms about one (points, inputs) -> (points, outputs), a sum of 200 waves."""
-    waves = rng.normal(0, 1 / length, (outputs, inputs, 200))
-    phases = rng.uniform(0, 2 * np.pi, (outputs, 1, 200))
-    return lambda x: np.cos(x @ waves + phases).sum(axis=-1).T / 10
 
 
 # --- Links, bearings, base and tool ------------------------------------------------------------------
@@ -297,7 +290,7 @@ def floor_vibration(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
 
 def random_field(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
     """A smooth random displacement, a function of the first extra (3) joints' angles."""
-    smooth = _random_function(h.rng, inputs=int(h.extra or 3), outputs=3, length=1.0)
+    smooth = random_function(h.rng, inputs=int(h.extra or 3), outputs=3, length=1.0)
     return point + h.size / np.sqrt(3) * smooth(rows.q[:, : int(h.extra or 3)])
 
 
