@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from hidden import forms
 from hidden.random_functions import random_function
 from hidden.simulator import Array, Motion, Robot, Rows, State, equilibrium, tool_point
 
@@ -53,9 +54,7 @@ def measured_points(robot: Robot, rows: Rows, hidden: tuple[Hidden, ...]) -> Arr
 
 def response(robot: Robot, rows: Rows, state: State, hidden: tuple[Hidden, ...]) -> Motion:
     """What gives way under given loads."""
-    helped = sum(
-        (gravity_compensator(h, state) for h in hidden if h.cause == "gravity-compensator"), np.zeros(len(rows))
-    )
+    helped = sum((ON_TORQUE[h.cause](h, state) for h in hidden if h.cause in ON_TORQUE), np.zeros(len(rows)))
     torque = state.torque.copy()
     torque[:, 1] += helped
     motion = replace(Motion.none(len(rows), robot.n), joint=robot.compliance * torque)
@@ -374,12 +373,14 @@ ON_MOTION = {
     "link-bending": link_bending,
     "link-torsion": link_torsion,
     "tool-deflection": tool_deflection,
+    **forms.ON_MOTION,
 }
 ON_ROBOT = {
     "payload-mass": payload_mass,
     "payload-com": payload_com,
     "link-mass": link_mass,
     "thermal-growth": thermal_growth,
+    **forms.ON_ROBOT,
 }
 ON_DEVICE = {
     "frame-drift": frame_drift,
@@ -396,5 +397,6 @@ ON_TABLE = {
     "unit-mistake": unit_mistake,
     "row-misalignment": row_misalignment,
 }
-PHYSICAL = {*ON_JOINT, *ON_MOTION, *ON_ROBOT, *ON_DEVICE, "gravity-compensator"}
+ON_TORQUE = {"gravity-compensator": gravity_compensator, **forms.ON_TORQUE}  # Nm on joint 2
+PHYSICAL = {*ON_JOINT, *ON_MOTION, *ON_ROBOT, *ON_DEVICE, *ON_TORQUE}
 KNOWN = {*PHYSICAL, *ON_TABLE, "range-noise"}
