@@ -31,6 +31,25 @@ CLASSES = (  # names that count as right up to their class
     {"gravity-compensator", "joint-eccentricity"},
     {"link-bending", "joint-compliance", "nonlinear-joint-stiffness"},
 )
+# What another form of physics may be called (hidden/forms.py): names, and their joints from the hidden one's; no joint: any.
+FORM_CLASSES: dict[str, dict[str, tuple[int, ...]]] = {
+    # A bracket beyond the flange: a tool that gives way under the payload, or with one payload alone under its own weight; the
+    # last bearing and the last link, as a beam, turn the flange under the same moment.
+    "cantilever-bracket": {"tool-deflection": (), "tool-sag": (), "bearing-compliance": (0,), "link-bending": (0,)},
+    # The torque is a function of joint 2's angle alone, and so is, by the joint's linear spring, its error: a compensator in
+    # another form, or the family of errors of an angle. Its gear ratio is none: the torque is no straight line.
+    "spring-compensator": {"gravity-compensator": (0,), "joint-eccentricity": (0,), "periodic-joint-error": (0,),
+                           "joint-error-map": (0,)},
+    # A crooked beam twists as it bends; its end turns the next joint under that joint's own moment, as a bearing does there,
+    # and its foot, where most of the bending is, turns as the bearing that it begins at.
+    "oblique-beam": {"link-bending": (0,), "link-torsion": (0,), "bearing-compliance": (0, 1)},
+    # A bearing whose tilt also shifts: the twist of the link that it carries is declared its like (CLASSES), and the beam
+    # before it, which turns the bearing under the same moment about a place that lies beside the joint; so does a beam after.
+    "offset-bearing": {"bearing-compliance": (0,), "link-torsion": (0, -1), "link-bending": (0, -1)},
+    # One link's growth is what thermal growth is, of all links, of one, or of the housings at its ends; the growth of the upright
+    # first link (and of no other) lifts all that the device sees, as a device that wanders.
+    "warm-link": {"thermal-growth": (), "housing-growth": (0, 1), "frame-drift": (-1,)},
+}  # fmt: skip
 SAME_FIGURE = {"joint-backlash", "torque-backlash", "joint-eccentricity", "gear-transmission-error", "gear-ratio-error",
                "wrist-coupling", "link-bending", "link-torsion", "base-compliance", "payload-mass", "link-mass",
                "payload-com", "thermal-growth", "frame-step"}  # fmt: skip
@@ -140,6 +159,24 @@ def is_alike(h: Hidden, row: pd.Series) -> bool:
     same_class = any({row["cause"], h.cause} <= group for group in CLASSES)
     near = row["joint"] == h.joint or not row["joint"] or not h.joint
     return bool(holds(h, row) or (same_class and near))
+
+
+def in_form_class(h: Hidden, row: pd.Series) -> tuple[bool, bool]:
+    """Whether a finding's own name is of the class of the form that is hidden, and whether it or any that it leaves open is."""
+    rivals = zip(_texts(row["rival_causes"]), _texts(row["rival_joints"]), strict=True)
+    names = [(row["cause"], int(row["joint"])), *((cause, int(joint)) for cause, joint in rivals)]
+    alike = [_is_of_form(h, cause, joint) for cause, joint in names]
+    return alike[0], any(alike)
+
+
+def _is_of_form(h: Hidden, cause: str, joint: int) -> bool:
+    near = FORM_CLASSES[h.cause].get(cause)
+    return near is not None and (not near or joint - h.joint in near)
+
+
+def _texts(cell: object) -> list[str]:
+    text = "" if pd.isna(cell) else str(cell).removesuffix(".0")
+    return [part for part in text.split(";") if part]
 
 
 def off_by(h: Hidden, row: pd.Series) -> dict[str, object]:

@@ -24,9 +24,8 @@ import numpy as np
 import pandas as pd
 from blind_cases import Job
 from blind_run import Kind, Row, guarded, hidden_names, run_case, run_kind
+from imitated import left_over
 
-from calflow.estimation.accuracy import error_jacobian
-from calflow.estimation.calibrated import identified
 from calflow.files.results import Results
 from calflow.study import Study
 from hidden.backgrounds import KINDS as BACKGROUNDS
@@ -82,14 +81,7 @@ def background(case: Case, seed: int, study: Study, results: Results) -> Row:
     """State the background's size, and what the identified model cannot imitate of it, per axis over the noise."""
     assert case.background
     world = draw(case, np.random.default_rng(seed))
-    moved = displaced(case.background, world.real, world.rows)
-    data = study.measurements()
-    known = identified(study.robot, results, data.given)
-    train = data.on(known.model.robot).only(data.train)
-    moved = moved[train.table["line"].to_numpy(int) - 2].ravel()
-    slope = error_jacobian(known.model, known.estimate, train).reshape(len(moved), -1)
-    slope = slope / np.maximum(np.linalg.norm(slope, axis=0), 1e-12)
-    left = moved - slope @ np.linalg.lstsq(slope, moved, rcond=1e-9)[0]
+    left = left_over(study, results, displaced(case.background, world.real, world.rows))
     return {
         "background": case.background.kind,
         "background_size": case.background.size / case.sigma,

@@ -81,11 +81,16 @@ def _judged(rows: pd.DataFrame) -> pd.DataFrame:
         "certain_strictly": named,
         "certain_and_wrong": foreign & ~found["up_to_class"],
         "truth_in_set": found["in_set"],
+        "background_named": found["is_background"],
         "truth_up_to_class": found["up_to_class"],
     }
-    return rows.assign(**{
+    by_case = {
         name: values.groupby(level=0).any().reindex(rows.index, fill_value=False) for name, values in certain.items()
-    }, said=rows["unexplained"] > 0, any_cause=rows["found"] > 0)  # fmt: skip
+    }
+    said = rows["unexplained"] > 0
+    return rows.assign(
+        **by_case, said=said, said_or_named=said | by_case["background_named"], any_cause=rows["found"] > 0
+    )
 
 
 def _named(rows: pd.DataFrame, key: str) -> str:
@@ -109,6 +114,7 @@ def _alone(rows: pd.DataFrame, key: str) -> str:
         named_but_background=("certain", "mean"),
         any_cause=("any_cause", "mean"),
         unexplained=("said", "mean"),
+        unexplained_or_rightly_named=("said_or_named", "mean"),
         seconds=("seconds", "median"),
     )
     return table.round(3).to_string()
