@@ -163,8 +163,7 @@ def is_alike(h: Hidden, row: pd.Series) -> bool:
 
 def in_form_class(h: Hidden, row: pd.Series) -> tuple[bool, bool]:
     """Whether a finding's own name is of the class of the form that is hidden, and whether it or any that it leaves open is."""
-    rivals = zip(_texts(row["rival_causes"]), _texts(row["rival_joints"]), strict=True)
-    names = [(row["cause"], int(row["joint"])), *((cause, int(joint)) for cause, joint in rivals)]
+    names = [(row["cause"], int(row["joint"])), *rivals(row)]
     alike = [_is_of_form(h, cause, joint) for cause, joint in names]
     return alike[0], any(alike)
 
@@ -172,6 +171,12 @@ def in_form_class(h: Hidden, row: pd.Series) -> tuple[bool, bool]:
 def _is_of_form(h: Hidden, cause: str, joint: int) -> bool:
     near = FORM_CLASSES[h.cause].get(cause)
     return near is not None and (not near or joint - h.joint in near)
+
+
+def rivals(row: pd.Series) -> list[tuple[str, int]]:
+    """Return the causes that a finding leaves open, with their joints (0: none)."""
+    causes, joints = _texts(row["rival_causes"]), _texts(row["rival_joints"])
+    return [(cause, int(joint)) for cause, joint in zip(causes, joints, strict=True)]
 
 
 def _texts(cell: object) -> list[str]:
