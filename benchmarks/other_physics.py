@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import blind_cases as cases
@@ -31,8 +32,7 @@ from hidden.causes import Hidden, measured_points
 
 LIMIT = 6.0  # (sqrt of chi², 2 degrees of freedom, at 1 % over 100 tests: 4.3) + 1.645
 LIMITS = (2.0, 3.0, 5.0)
-LARGEST = 10.0  # rms per axis over the noise: a form that must be larger to be seen is drawn anew
-TRIES = 30
+LARGEST = 10.0  # rms per axis over the noise: where a form must be larger to be seen another place is tried, and the least taken
 
 
 @dataclass(frozen=True)
@@ -65,24 +65,30 @@ def forms(number: int, rng: np.random.Generator) -> Iterator[Job]:
 
 
 def sized(job: Job, folder: Path) -> tuple[Case, float]:
-    """Draw where the form acts and its figures; return the case with it, and its rms per axis over the noise."""
+    """Draw where the form acts; return the case with it, and its rms per axis over the noise."""
     (form,) = (form for form in FORMS if form.cause == job.kind)
     rng = np.random.default_rng([job.seed, 1])
     nothing = replace(job.case, hidden=(Hidden("joint-backlash", 1, 0.0),), settings="[stages.identify]\nstarts = 1\n")
     write_case(folder, nothing, np.random.default_rng(job.seed))
     study = load_study(folder)
     results = run(study, folder / "run", stage="identify").results
-    for _ in range(TRIES):
-        extra = form.extras[int(rng.integers(len(form.extras)))]
-        h = Hidden(form.cause, int(rng.choice(form.joints)), form.small, extra)
+    least, best = np.inf, None
+    places = list(product(form.joints, form.extras))
+    for k in rng.permutation(len(places)):
+        joint, extra = places[k]
+        h = Hidden(form.cause, joint, form.small, extra)
         world = draw(replace(job.case, hidden=(h,)), np.random.default_rng(job.seed))
         moved = measured_points(world.real, world.rows, world.hidden) - measured_points(world.real, world.rows, ())
-        seen = np.linalg.norm(left_over(study, results, moved)) / job.case.sigma
+        seen = max(np.linalg.norm(left_over(study, results, moved)) / job.case.sigma, 1e-12)
         factor = job.size * LIMIT / seen
         rms = factor * float(np.sqrt(np.mean((moved - moved.mean(axis=0)) ** 2))) / job.case.sigma
-        if rms < LARGEST:
-            return replace(job.case, hidden=(replace(h, size=h.size * factor),)), rms
-    raise ValueError(f"{form.cause} is imitated by the model in every place that was tried")
+        if rms < least:
+            least, best = rms, replace(h, size=h.size * factor)
+        if least < LARGEST:
+            break
+    if best is None:
+        raise ValueError(f"the poses do not show {form.cause} in any place that was tried")
+    return replace(job.case, hidden=(best,)), least
 
 
 def compared(job: Job) -> Row:
