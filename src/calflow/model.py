@@ -13,6 +13,7 @@ import numpy as np
 
 from calflow.compiled import WORTH_EVALUATIONS, compiled
 from calflow.effects import Effect, catalogue
+from calflow.measurements.measurements import Measurements
 from calflow.observations import Observation, Seen
 from calflow.robot.chain import Deflection, marker_point, pose
 from calflow.robot.conditions import Row
@@ -258,6 +259,13 @@ def build(
 ) -> Model:
     """Return the model of a robot with the effects of these ids."""
     return Model(robot, tuple(catalogue()[name](robot) for name in effects), given, observations)
+
+
+def stated(
+    robot: Robot, effects: Sequence[str], data: Measurements, observations: tuple[Observation, ...] = ()
+) -> Model:
+    """Return the model of a robot with the effects of these ids, in the forms that a study means for these rows."""
+    return Model(robot, tuple(catalogue()[name].stated(robot, data) for name in effects), data.given, observations)
 
 
 def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:

@@ -25,6 +25,7 @@ from calflow.faults import checks
 from calflow.measurements.columns import condition_columns, numbered
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import read_measurements
+from calflow.measurements.series import Series, Station
 from calflow.model import Model, over_rows
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
@@ -53,6 +54,7 @@ from hidden.simulator import Motion, Rows, equilibrium, statics
 ROBOTS = ("serial", "hh800")
 BASE = ((3500.0, -500.0, -800.0), (0.4, -0.3, 165.0))  # mm and degrees: away from the measuring device
 EVERYTHING = ("approach", "travel", "time", "temperature")
+SESSIONS = ("mon", "tue", "wed", "fri")
 DOCUMENT = Path(__file__).parents[2] / "docs" / "effects.md"
 
 
@@ -113,6 +115,7 @@ def benches(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Bench]:
         world = draw(case, np.random.default_rng(1))
         robot = Robot.from_toml(folder / "robot.toml")
         data = read_measurements(folder / "measurements.csv", robot)
+        data = Measurements(robot, data.table.assign(session=np.repeat(SESSIONS, 500 // len(SESSIONS))))
         few = np.arange(len(data)) % 8 == 0
         rows = Rows(**{part: values[few] for part, values in vars(world.rows).items()})
         rows = replace(rows, time=np.round(rows.time, 2) - world.rows.time.min().round(2))
@@ -251,6 +254,45 @@ def drift_by_rows(bench: Bench) -> Twin:
     return Twin(made(bench, "frame-drift", rows=float(order.max())), values, drifted)
 
 
+def drift_by_session(bench: Bench) -> Twin:
+    """The device warms up anew in each session."""
+    session, velocity = bench.table.table["session"], np.array([4e-8, 8e-8, -2e-8])
+    whole = bench.data.table
+    first = {name: float(whole.loc[whole["session"] == name, "time"].min()) for name in SESSIONS}
+    since = bench.rows.time - session.map(first).to_numpy()
+    drifted = lambda point, rows: point + since[:, None] * velocity  # noqa: E731
+    values = dict(zip(("device.vx", "device.vy", "device.vz"), velocity, strict=True))
+    effect = made(bench, "frame-drift", sessions=SESSIONS, starts=tuple(first.values()))
+    return Twin(effect, values, drifted, close=2e-3)
+
+
+def wander(bench: Bench) -> Twin:
+    """The third wave of a curve in time, tied to zero a twentieth of the time before the first row and after the last."""
+    end, shift = float(bench.data.table["time"].max()), np.array([1e-4, -2e-4, 5e-5])
+    values = dict(zip(("device.wave3x", "device.wave3y", "device.wave3z"), shift, strict=True))
+    curve = np.sin(3 * pi * (bench.rows.time / end + 0.05) / 1.1)
+    wandered = lambda point, rows: point + curve[:, None] * shift  # noqa: E731
+    return Twin(made(bench, "frame-drift", length=0.5, end=end), values, wandered)
+
+
+def frames_of_sessions(bench: Bench) -> Twin:
+    """Each session has a frame of its own; those left at zero are the first one's."""
+    shift, turn = np.array([2e-4, -1e-4, 3e-4]), np.array([5e-5, -3e-5, 2e-5])
+    names = [f"sessions.{symbol}{axis}-wed" for symbol in ("", "r") for axis in "xyz"]
+    moved = (bench.table.table["session"] == "wed").to_numpy()
+    stood = lambda point, rows: point + moved[:, None] * (shift + np.cross(turn, point))  # noqa: E731
+    return Twin(made(bench, "session-frame", sessions=SESSIONS), dict(zip(names, (*shift, *turn), strict=True)), stood)
+
+
+def frame_from_a_session_on(bench: Bench) -> Twin:
+    """The device was moved between two sessions and stayed."""
+    shift = np.array([2e-4, -1e-4, 3e-4])
+    moved = bench.table.table["session"].isin(["wed", "fri"]).to_numpy()
+    stood = lambda point, rows: point + moved[:, None] * shift  # noqa: E731
+    effect = made(bench, "session-frame", sessions=SESSIONS, turning=False, since=2)
+    return Twin(effect, dict(zip(("sessions.x", "sessions.y", "sessions.z"), shift, strict=True)), stood)
+
+
 def step(bench: Bench) -> Twin:
     """The simulator's moment is a time, calflow's a place in measuring order."""
     hidden = Hidden("frame-step", 0, 2e-4, seed=6)
@@ -309,6 +351,10 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     "frame-drift, shifting": drift,
     "frame-drift, turning": turning_drift,
     "frame-drift, by the order of the rows": drift_by_rows,
+    "frame-drift, anew in each session": drift_by_session,
+    "frame-drift, wandering": wander,
+    "session-frame, each session": frames_of_sessions,
+    "session-frame, from a session on": frame_from_a_session_on,
     "frame-step, shifting": step,
     "frame-step, turning": turning_step,
     "tracker-scale": one("tracker-scale", "device.s", Hidden("tracker-scale", 0, 3e-5)),
@@ -397,7 +443,8 @@ OF_ONE_CONVENTION = {
     "gravity-deflection",
     "joint-error-map",
     "range-noise",
-}  # their parameters are frames' own
+    "session-frame",
+}  # their parameters are frames' own, or sessions'
 
 
 @pytest.fixture(scope="module")
@@ -554,7 +601,8 @@ VARIANTS = {  # how many forms there are to try, where not one
     "joint-error-map": 3,
     "tool-deflection": 2,
     "thermal-growth": 5,
-    "frame-drift": 2,
+    "frame-drift": 6,
+    "session-frame": 8,
 }
 
 
@@ -690,7 +738,11 @@ def test_every_moment_of_a_step_is_within_reach(full: Measurements) -> None:
     assert min(fewest) >= 3
     for turning in (False, True):
         reached = {e.moment for variant in variants if variant.turning == turning for e in variant.finer(full)}
-        assert reached >= set(np.arange(order.min() + 2.5, order.max() - 2.5))
+        change = np.flatnonzero(full.table["session"].iloc[1:].to_numpy() != full.table["session"].iloc[:-1].to_numpy())
+        assert len(change) == 3
+        borders = {*(order[change] + 0.5)}
+        assert reached >= {*np.arange(order.min() + 2.5, order.max() - 2.5)} - borders
+        assert not reached & borders  # a change between sessions is a session's frame
     assert all(effect.turning == variant.turning for variant in variants for effect in variant.finer(full))
     short = full.only(np.arange(len(full)) < 20)
     every = catalogue()["frame-step"].variants(short.robot, short)
@@ -743,6 +795,9 @@ LACKING: list[tuple[str, Callable[[Measurements], Measurements], str]] = [
     ("joint-hysteresis", lambda data: without(data, "travel"), "travel1_deg"),
     ("thermal-growth", lambda data: without(data, "time", "temperature"), "temperature_degC .* time_s"),
     ("frame-drift", lambda data: without(data, "time", "order"), "time_s"),
+    ("session-frame", lambda data: without(data, "session"), "column session"),
+    ("session-frame", lambda data: data.only((data.table["session"] == "tue").to_numpy()), "two sessions"),
+    ("session-frame", lambda data: replace(data, series=(Series(station=Station(by_session=True)),)), "by_session"),
     ("frame-step", lambda data: without(data, "order"), "measuring order"),
     ("range-noise", lambda data: without(data, "range"), "tracker_mm"),
     ("joint-error-map", lambda data: data.only(np.arange(len(data)) < 50), "readings per 0.05 rad"),
@@ -792,7 +847,7 @@ AGAINST: dict[str, tuple[str, Callable[[Bench, int], np.ndarray]]] = {
     **dict.fromkeys(("payload-mass", "payload-com", "tool-deflection"), ("kg", LOAD)),
     "thermal-growth": ("K", lambda bench, joint: bench.rows.temperature - 20),
     "frame-drift": ("h", HOURS),
-    **dict.fromkeys(("frame-step", "tracker-scale", "range-noise", "geometry"), ("", PLACE)),
+    **dict.fromkeys(("frame-step", "session-frame", "tracker-scale", "range-noise", "geometry"), ("", PLACE)),
 }  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from calflow.estimation.nuisance import completed
 from calflow.estimation.registration import registered
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.measurements.series import Series, Station
-from calflow.model import build
+from calflow.model import stated
 from calflow.observations import observations
 from hidden.devices import Arm, Tracker, measured, seen, sockets
 from robots import ur10
@@ -26,11 +26,11 @@ def arm():
     return Arm.drawn(ur10(), np.random.default_rng(1))
 
 
-def fitted(data):
-    """The geometry of training rows."""
+def fitted(data, *more):
+    """The geometry of training rows, and more effects."""
     train = data.only(data.train)
     robot, observed = registered(data.robot, observations(train), train)
-    model = build(robot, ("geometry",), data.given, observed)
+    model = stated(robot, ("geometry", *more), train, observed)
     noise = Noise(np.full(len(train), SIGMA), ("file",))
     return fit_reweighted(model, train.on(robot), noise, model.nominal[None], "linear")[0]
 
@@ -79,3 +79,34 @@ def test_a_session_held_out_is_placed_by_its_own_rows(arm):
     assert held.mean() < 5 * SIGMA
     alone = data.only(data.train)
     np.testing.assert_array_equal(fitted(alone).estimate, fit.estimate)
+
+
+def test_frames_of_sessions_held_out_are_placed_by_their_own_rows(arm):
+    """Fails if a session that no fit saw stands where the first did, or moves what was fitted."""
+    rng = np.random.default_rng(4)
+    q = arm.random(75, rng, 2.0)
+    at = {
+        "mon": np.zeros(6),
+        "tue": np.array([1e-3, -2e-3, 1e-3, 5e-4, 0, 1e-3]),
+        "wed": np.array([-1e-3, 2e-3, 0, 1e-3, 0, 0]),
+    }
+    seen_in = [
+        seen(arm, q[25 * k : 25 * k + 25], Tracker(place, SIGMA, 0.0, 1e-5), rng).assign(session=name)
+        for k, (name, place) in enumerate(at.items())
+    ]
+    table = pd.concat(seen_in, ignore_index=True)
+    data = measured(arm.robot, table, Series())
+    data.table["split"] = np.where(table["session"] == "wed", "holdout", "train")
+    fit = fitted(data, "session-frame")
+    found = {
+        p.symbol: value for p, value in zip(fit.model.parameters, fit.estimate, strict=True) if p.part == "sessions"
+    }
+    assert abs(found["rz-tue"] + 1e-3) < 1e-4  # what the device reports turns against it
+    held = distances(errors(fit.model, fit.estimate, data))[data.held_out]
+    assert held.mean() < 5 * SIGMA
+    model, estimate = completed(fit.model, fit.estimate, data)
+    assert model.effects[:-1] == fit.model.effects
+    np.testing.assert_array_equal(estimate[: len(fit.estimate)], fit.estimate)
+    assert {p.symbol for p in model.parameters[len(fit.estimate) :]} == {
+        f"{s}{a}-wed" for s in ("", "r") for a in "xyz"
+    }

@@ -14,6 +14,7 @@ import pandas as pd
 
 from hidden.backgrounds import Background, displaced
 from hidden.causes import KNOWN, ON_TABLE, PAYLOADS, PHYSICAL, WIND_UP, XYZ, Hidden, measured_points
+from hidden.frame_causes import session_names
 from hidden.simulator import Array, Motion, Robot, Rows, frames, moved, read, worn
 
 HH800 = Path(__file__).parents[2] / "studies" / "hh800" / "robot.toml"
@@ -91,10 +92,10 @@ point_mm = [150, 120, 180]
 class Case:
     """What is measured, and what is hidden in it; robot is "serial" or "hh800".
 
-    noise is "gauss", "heavy", "range" or "outliers"; columns may hold "approach", "travel", "time", "temperature" and
-    "sigma"; effects are the study's. The real robot's joints are compliant where effects or hidden say so. base replaces
-    the robot file's (origin in mm, rotation in degrees). relative_sd [m] is in the robot file where the markers keep their
-    places beside the first. settings is text at the end of study.toml. background is what no catalogue has.
+    noise is "gauss", "heavy", "range" or "outliers"; columns may hold "approach", "travel", "time", "temperature",
+    "session" and "sigma"; effects are the study's. The real robot's joints are compliant where effects or hidden say so.
+    base replaces the robot file's (origin in mm, rotation in degrees). relative_sd [m] is in the robot file where the
+    markers keep their places beside the first. settings is text at the end of study.toml. background is what no catalogue has.
     """
 
     name: str = "case"
@@ -281,6 +282,8 @@ def measure(case: Case, world: World, point: Array, rng: np.random.Generator) ->
         table["time_s"] = np.round(rows.time, 2)
     if "temperature" in options:
         table["temperature_degC"] = rows.temperature
+    if "session" in options:
+        table["session"] = session_names(rows)
     if "sigma" in options:
         table["sigma_mm"] = np.round(1e3 * sigma, 5)
     return _with_faults(case, world, table.round(dict.fromkeys(XYZ, 5)), rng)

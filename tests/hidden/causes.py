@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from hidden import forms
+from hidden import forms, frame_causes
 from hidden.random_functions import random_function
 from hidden.simulator import Array, Motion, Robot, Rows, State, equilibrium, tool_point
 
@@ -381,6 +381,7 @@ ON_ROBOT = {
     "link-mass": link_mass,
     "thermal-growth": thermal_growth,
     **forms.ON_ROBOT,
+    **frame_causes.ON_ROBOT,
 }
 ON_DEVICE = {
     "frame-drift": frame_drift,
@@ -388,6 +389,7 @@ ON_DEVICE = {
     "tracker-scale": tracker_scale,
     "floor-vibration": floor_vibration,
     "random-field": random_field,
+    **frame_causes.ON_DEVICE,
 }
 ON_TABLE = {
     "outlier": outlier,

@@ -87,6 +87,7 @@ class Effect(ABC):
     needs: ClassVar[tuple[str, ...]] = ()  # what it cannot do without: see `needs`
     family: ClassVar[str] = ""  # what to call it when the data do not tell it from others of its family
     alike: ClassVar[tuple[str, ...]] = ()  # ids that no pose tells from it: only another sensor or load would
+    like: ClassVar[tuple[str, ...]] = ()  # ids of what it would be taken for in data that cannot test it
     told_by: ClassVar[str] = ""  # what to do at the robot to tell it from its rivals where no pose does
     words: ClassVar[Words | None] = None  # for reports; without them they show the title
     readable: ClassVar[Readable] = {}  # for units that reports would turn into others
@@ -115,6 +116,11 @@ class Effect(ABC):
     def variant(self) -> str:
         """Name the variant in short, e.g. `order 2`: its figures other than zero; empty where there are none."""
         return " ".join(said for name, value in self.figures.items() if (said := _figure(name, value)))
+
+    @classmethod
+    def stated(cls, robot: Robot, data: Measurements) -> Self:
+        """Return the form that a study means by its id, for these rows; it may be of what the rows are of."""
+        return cls(robot)
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
@@ -153,6 +159,10 @@ class Effect(ABC):
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return variants between this one and its neighbours."""
+        return ()
+
+    def completing(self, data: Measurements) -> tuple[Effect, ...]:
+        """Return effects that place what these rows are of and the fit had no row of (a session, say) by the rows themselves."""
         return ()
 
     def same_as(self, other: Self) -> bool:

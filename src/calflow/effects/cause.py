@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -15,6 +15,9 @@ from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions, Loads
 from calflow.robot.parameter import Parameter
 from calflow.robot.statics import State
+
+if TYPE_CHECKING:
+    from calflow.measurements.measurements import Measurements
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,10 @@ class Cause(Effect):
         """Whether another is this cause, in this variant or one that cannot act beside it."""
         return self.place == other.place and self.effect.same_as(other.effect)
 
+    def completing(self, data: Measurements) -> tuple[Effect, ...]:
+        """Return what the effect does."""
+        return self.effect.completing(data)
+
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the part's parameters."""
         return self.declared
@@ -133,6 +140,10 @@ class Carried(Effect):
     values: tuple[float, ...]
 
     title: ClassVar[str] = "known beforehand"
+
+    def completing(self, data: Measurements) -> tuple[Effect, ...]:
+        """Return what the cause does."""
+        return self.cause.completing(data)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return none."""

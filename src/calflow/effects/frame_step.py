@@ -9,6 +9,8 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Effect, Words, displaced
+from calflow.effects.frame_drift import OF_THE_FRAME
+from calflow.measurements.sessions import borders
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
@@ -23,7 +25,10 @@ FEWEST = 3  # rows before the first moment and after the last
 
 @dataclass(frozen=True)
 class FrameStep(Effect):
-    """Reported position + (x, y, z), and with turning + r x position (about the measuring frame's origin), from a row on."""
+    """Reported position + (x, y, z), and with turning + r x position (about the measuring frame's origin), from a row on.
+
+    Where rows are of several sessions, what changes between two of them is the frame of a session (see `session_frame`).
+    """
 
     moment: float = 0.5
     turning: bool = False
@@ -34,6 +39,7 @@ class FrameStep(Effect):
         "step of the measuring device", "the device, or the robot's foot, was moved once", "step"
     )
     whole: ClassVar[str] = "device"
+    family: ClassVar[str] = OF_THE_FRAME
     needs: ClassVar[tuple[str, ...]] = ("order",)
     told_by: ClassVar[str] = "measure points fixed to the floor from time to time"
 
@@ -79,9 +85,10 @@ class FrameStep(Effect):
 
 
 def _moments(data: Measurements) -> np.ndarray:
-    """All moments between the rows that leave FEWEST before and after."""
+    """All moments between the rows of a session that leave FEWEST before and after."""
     places = np.unique(data.table["order"].to_numpy())
-    return np.asarray(((places[1:] + places[:-1]) / 2)[FEWEST - 1 : len(places) - FEWEST])
+    between = ((places[1:] + places[:-1]) / 2)[FEWEST - 1 : len(places) - FEWEST]
+    return np.asarray(between[~np.isin(between, borders(data))])
 
 
 def _spread(moments: np.ndarray, most: int) -> np.ndarray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import gamma, pi, sqrt
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
@@ -12,6 +11,7 @@ import numpy as np
 
 from calflow.effects.base import Words
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term
+from calflow.effects.smooth_curve import RMS, waves
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State
@@ -22,17 +22,14 @@ if TYPE_CHECKING:
 AMPLITUDE = 2e-4  # rad rms, before any data
 LENGTHS = (0.06, 0.15, 0.5)  # rad: how far along the travel neighbouring errors are alike
 FINEST = 0.05  # rad, resolved at best
-NEGLIGIBLE = 1e-3  # share of the largest prior standard deviation below which a wave is left out
-MARGIN = 1.1  # times half the travel at which the waves are tied to zero
 DENSE = 2  # readings that each finest step of the travel must hold
 
 
 @dataclass(frozen=True)
 class JointErrorMap(JointError):
-    """dq = f(q), f a Gaussian process (Matern 5/2) written in sine waves over the joint's travel.
+    """dq = f(q), f a smooth curve over the joint's travel (see `smooth_curve`).
 
-    The waves' amplitudes are independent, with the process's spectrum as their priors (Solin and Saerkkae 2020), so that
-    smoothness is a prior like any other. low and high are the travels that the data cover [rad].
+    low and high are the travels that the data cover [rad].
     """
 
     low: tuple[float, ...] = ()
@@ -75,27 +72,14 @@ class JointErrorMap(JointError):
 
     def size(self, p: ca.SX) -> ca.SX:
         """Return the curve's root mean square: a wave of amplitude 1 has 1/sqrt(2)."""
-        return super().size(p) / sqrt(2)
+        return super().size(p) * RMS
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the waves, the longest first."""
         if not self.low or self.high[joint] <= self.low[joint]:
             return []
-        middle, half = (self.high[joint] + self.low[joint]) / 2, MARGIN * (self.high[joint] - self.low[joint]) / 2
-        number = np.arange(1, int(2 * half / FINEST) + 1)
-        sd = np.sqrt(_spectrum(pi * number / (2 * half), self.length) / half)
-        angle = pi * (state.q[joint] - middle + half) / (2 * half)
-        return [
-            Term(f"wave{k}", "rad", float(AMPLITUDE * s), 0.05, ca.sin(float(k) * angle))
-            for k, s in zip(number, sd, strict=True)
-            if s > NEGLIGIBLE * sd[0]
-        ]
-
-
-def _spectrum(omega: np.ndarray, length: float) -> np.ndarray:
-    """Spectral density of a Matern 5/2 process of variance 1 (Rasmussen and Williams 2006, equation 4.15)."""
-    rate = 5 / length**2
-    return np.asarray(2 * sqrt(pi) * gamma(3) / gamma(2.5) * rate**2.5 * (rate + omega**2) ** -3)
+        curve = waves(state.q[joint], self.low[joint], self.high[joint], self.length, FINEST)
+        return [Term(f"wave{one.number}", "rad", AMPLITUDE * one.sd, 0.05, one.value) for one in curve]
 
 
 def _dense(robot: Robot, data: Measurements) -> np.ndarray:

@@ -47,6 +47,11 @@ NEEDS = {
     "time": Need("a column time_s", _given("time")),
     "temperature": Need("a column temperature_degC", _given("temperature")),
     "order": Need("rows in measuring order", _given("order")),
+    "session": Need("a column session", _given("session")),
+    "slide": Need(
+        "a prismatic joint in the robot file",
+        lambda robot, given: any(joint.kind == "prismatic" for joint in robot.joints),
+    ),
     "range": Need("the device's place, tracker_mm in the study's [measurements]", _given("range")),
 }
 

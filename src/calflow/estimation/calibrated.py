@@ -34,7 +34,7 @@ NOT_TURNED = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class ModelEffect:
-    """An effect of the extended model, in its order."""
+    """An effect of the model, in its order."""
 
     effect: str = column("its id")
     part: str = column("the part of the robot that it is a cause of; empty: all")
@@ -127,10 +127,9 @@ class Identified:
 def identified(robot: Robot, results: Results, given: tuple[str, ...]) -> Identified:
     """Rebuild the model that identify fitted, for rows with these optional conditions."""
     robot = placed(robot, results)
-    names = tuple(dict.fromkeys(results.tables["identify/parameters.csv"]["effect"]))
     observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
-    known = tuple(_kind(name)(robot) for name in names if name not in observation_kinds())
-    return _read("identify", Model(robot, known, given, observed), results)
+    effects = read_effects(results.rows("identify/effects.csv", ModelEffect), robot)
+    return _read("identify", Model(robot, effects, given, observed), results)
 
 
 def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> Identified:

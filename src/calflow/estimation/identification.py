@@ -26,7 +26,7 @@ from calflow.estimation.repeats import conditions, measured_noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model, build
+from calflow.model import Model, build, stated
 from calflow.observations import observations
 
 EQUILIBRIUM_ROWS = 2000  # rows at which the equilibrium is checked
@@ -141,7 +141,7 @@ def identify(
         say(doubt.words)
     rows = accuracy("nominal", error, data)
     for k in range(1, len(effects) + 1):
-        model = build(robot, effects[:k], data.given, observed)
+        model = stated(robot, effects[:k], train, observed)
         if wrong := too_few_equations(model, train):
             raise refuse(wrong, source)
         say(f"{' + '.join(effects[:k])}: {len(model.parameters)} parameters, {len(train)} rows")

@@ -26,7 +26,8 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
     """
     model = observing(model, data)
     lacking = [o.lacks(data.table[data.of_series(k)]) for k, o in enumerate(model.observations)]
-    if not any(lacking):
+    further = tuple(more for effect in model.effects for more in effect.completing(data))
+    if not any(lacking) and not further:
         return model, estimate
     points = model.point(estimate, data.rows)
     turned = model.rotation(estimate, data.rows)
@@ -34,7 +35,7 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
     for k, (observation, new) in enumerate(zip(model.observations, lacking, strict=True)):
         own = data.of_series(k)
         every.append(_extended(observation, points[own], turned[own], data, own) if new else observation)
-    wider = replace(model, observations=tuple(every))
+    wider = replace(model, observations=tuple(every), effects=(*model.effects, *further))
     known = dict(zip((parameter.name for parameter in model.parameters), estimate, strict=True))
     start = np.array([known.get(parameter.name, parameter.nominal) for parameter in wider.parameters])
     unknown = np.array([parameter.name not in known for parameter in wider.parameters])
@@ -42,21 +43,35 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
 
 
 def _settled(model: Model, point: np.ndarray, new: np.ndarray, data: Measurements) -> np.ndarray:
-    """Return the parameters with the new ones (a mask) where the rows of each series put them, all others held."""
+    """Return the parameters with the new ones (a mask) where the rows put them, all others held.
+
+    First are those of each series, then those of the effects, which all series share.
+    """
     point = point.copy()
-    for k, observation in enumerate(model.observations):
-        own = data.of_series(k)
-        columns = np.intersect1d(model.columns(observation), np.flatnonzero(new))
-        if not len(columns) or not own.any():
+    every = range(len(model.observations))
+    of_series = [np.intersect1d(model.columns(observation), np.flatnonzero(new)) for observation in model.observations]
+    of_effects = np.setdiff1d(np.flatnonzero(new), np.concatenate(of_series))
+    for columns, series in (*zip(of_series, ([k] for k in every), strict=True), (of_effects, list(every))):
+        if not len(columns) or not any(data.of_series(k).any() for k in series):
             continue
-        rows, reported = data.rows[:, own], observation.reported(data.table[own])
         sd = model.prior_sd[columns]
         for _ in range(TURNS):
-            error = model.observed_error(observation, point, rows, reported).ravel()
-            slope = model.observed_jacobian(observation, point, rows, reported)[:, :, columns].reshape(len(error), -1)
+            parts = [_linearised(model, point, data, k, columns) for k in series]
+            error, slope = (np.concatenate(of) for of in zip(*parts, strict=True))
             there = np.isfinite(error)
             point[columns] -= sd * np.linalg.lstsq(slope[there] * sd, error[there], rcond=1e-9)[0]
     return point
+
+
+def _linearised(
+    model: Model, point: np.ndarray, data: Measurements, series: int, columns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the errors of a series' rows (n,), and their derivatives by some parameters (n, n_columns)."""
+    observation, own = model.observations[series], data.of_series(series)
+    rows, reported = data.rows[:, own], observation.reported(data.table[own])
+    error = model.observed_error(observation, point, rows, reported).ravel()
+    slope = model.observed_jacobian(observation, point, rows, reported)[:, :, columns]
+    return error, slope.reshape(len(error), len(columns))
 
 
 def _extended(

@@ -114,7 +114,7 @@ def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
 def conditions(data: Measurements) -> np.ndarray:
     """Number the rows by what repeats have in common; (n_rows,).
 
-    That is series, pose, marker, payload, what was touched, approach and applied wrench.
+    That is series, session, pose, marker, payload, what was touched, approach and applied wrench.
     """
     given = {
         "approach": [f"approach{i + 1}" for i in range(data.robot.n_joints)],
@@ -122,7 +122,7 @@ def conditions(data: Measurements) -> np.ndarray:
     }
     keys = ["pose", "marker", "payload", *(name for kind in given if kind in data.given for name in given[kind])]
     labels = [name for series in data.series for name in series.labels]
-    keys += [name for name in dict.fromkeys(["series", *labels]) if name in data.table]
+    keys += [name for name in dict.fromkeys(["series", "session", *labels]) if name in data.table]
     return data.table.groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
 
 

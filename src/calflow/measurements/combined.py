@@ -12,7 +12,7 @@ from calflow.measurements.columns import condition_columns, numbered
 from calflow.measurements.measurements import Measurements
 from calflow.robot.conditions import OPTIONAL
 
-DERIVED = ("order", "range")  # conditions that a series may lack, or that are worked out anew
+DERIVED = ("order", "range", "session")  # conditions that a series may lack, or that are worked out anew
 SAME = 0.02  # rad or m by which readings of one pose may differ
 
 
@@ -49,7 +49,7 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
                 f"{parts[k].series[0].name or k + 1}: no column 'split', as others have: all rows are to be fitted"
             )
     whole = pd.concat(_named_apart(tables, numbered("q", first.robot.n_joints)), ignore_index=True)
-    for label in [name for part in parts for name in part.series[0].labels]:
+    for label in ["session", *(name for part in parts for name in part.series[0].labels)]:
         if label in whole:
             whole[label] = whole[label].fillna("")
     whole["order"] = whole["time"].rank(method="dense") if origin is not None else np.arange(1.0, len(whole) + 1)

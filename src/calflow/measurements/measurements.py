@@ -18,7 +18,7 @@ from calflow.measurements.columns import ANGLES, POSITION, QUATERNION, blocks_of
 from calflow.measurements.layout import Layout
 from calflow.measurements.rows import Rows, read_rows
 from calflow.measurements.series import Series
-from calflow.robot.conditions import OPTIONAL, Row
+from calflow.robot.conditions import OPTIONAL, Row, session_number
 from calflow.robot.robot import Robot
 
 
@@ -186,6 +186,8 @@ class Measurements:
                 parts += [self.table["payload"] == known for known in self.robot.payloads]
             elif name == "marker":
                 parts += [self.table["marker"] == known for known in self.robot.markers]
+            elif name == "session":
+                parts.append(self.table["session"].astype(str).map(session_number))
             else:
                 parts += [self.table[column] for column in condition_columns(name, self.robot)]
         return np.array([part.to_numpy(dtype=float) for part in parts])

@@ -68,7 +68,7 @@ class Found:
 
     @property
     def of_family(self) -> bool:
-        """Whether it is an angular error of one joint whose order, or finer form, is not resolved."""
+        """Whether its family is sure but not which of it: an error of one joint's angle, say, whose order is not resolved."""
         return bool(_family(self.cause)) and self.status == "one_of" and (bool(self.kin) or not self.rivals)
 
     @property
@@ -91,7 +91,7 @@ class Found:
     def name(self) -> str:
         """Its name with its place, as far as it is sure."""
         if self.of_family:
-            return f"{_family(self.cause)} of joint {self.joint}"
+            return f"{_family(self.cause)} of joint {self.joint}" if self.joint else _family(self.cause)
         return cause_name(self.cause, self.joint)
 
     @property

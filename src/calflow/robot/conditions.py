@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from hashlib import sha256
 
 import casadi as ca
 
 from calflow.robot.robot import Robot
 
-OPTIONAL = ("approach", "travel", "wrench", "torque", "time", "temperature", "order", "range")
+OPTIONAL = ("approach", "travel", "wrench", "torque", "time", "temperature", "order", "range", "session")
+
+
+def session_number(name: str) -> float:
+    """Return a whole number that stands for a session's name in whatever rows; 0, which no name has, is no session.
+
+    It is 52 bits of the name's SHA-256, so that no two names ever meet.
+    """
+    return 1.0 + int(sha256(name.encode()).hexdigest()[:13], 16)
 
 
 @dataclass(frozen=True)
@@ -19,7 +28,7 @@ class Row:
     one-hot over the robot's names; approach is the direction each joint came from (-1, 0, +1) and travel how far since it
     last turned back; wrench (force, moment) acts at the marker, in the base frame; torque are measured motor torques, which
     replace the computed ones; time counts from the first row, order is the row's place in measuring order, range the
-    distance from the measuring device.
+    distance from the measuring device; session is a number that stands for the session's name (see `session_number`).
     """
 
     reading: ca.SX
@@ -33,6 +42,7 @@ class Row:
     temperature: ca.SX
     order: ca.SX
     range: ca.SX
+    session: ca.SX
     q: ca.SX
 
     @staticmethod

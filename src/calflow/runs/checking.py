@@ -12,7 +12,7 @@ from calflow.estimation.noise_doubt import NoiseDoubt, doubts_of_repeats
 from calflow.estimation.registration import registered
 from calflow.files.problems import InputError, Problem, together
 from calflow.measurements.measurements import Measurements
-from calflow.model import build
+from calflow.model import build, stated
 from calflow.observations import observations
 from calflow.runs.planning import stages_of
 from calflow.stages import STAGES
@@ -71,5 +71,5 @@ def _checked(study: Study, data: Measurements) -> Checked:
     nominal = build(robot, (), data.given, observed)
     error = errors(nominal, nominal.nominal, data.on(robot))
     doubts = doubts_of_repeats(data.on(robot), error, tuple(False for _ in data.series))
-    n_parameters = len(build(study.robot, study.file.effects, data.given).parameters)
+    n_parameters = len(stated(study.robot, study.file.effects, train).parameters)
     return Checked(data, n_parameters, pd.DataFrame(accuracy("nominal", error, data)), doubts)

@@ -8,8 +8,10 @@ from calflow.deployment.needed_conditions import NeededCondition, needed_conditi
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated import (
     DeviceNoise,
+    ModelEffect,
     ModelObservation,
     Placed,
+    effect_table,
     noise_table,
     observation_table,
     placement_table,
@@ -28,7 +30,7 @@ from calflow.files.results import Results
 from calflow.files.tables import to_frame
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
-from calflow.model import build
+from calflow.model import build, stated
 from calflow.observations import observations
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
@@ -73,6 +75,7 @@ def results(found: Identification, faults: tuple[Fault, ...]) -> Results:
         "identify/identifiability.csv": found.identifiability.statements,
         "identify/correlations.csv": correlations(fit),
         "identify/covariance.csv": covariance_table(fit),
+        "identify/effects.csv": effect_table(found.model.effects),
         "identify/observations.csv": observation_table(observed),
         "identify/noise.csv": noise_table(found.noise, observed),
         "identify/placement.csv": placement_table(found.data.robot, observed),
@@ -87,7 +90,7 @@ def problems(study: Study, settings: IdentifySettings, data: Measurements | None
     if data is None:
         return found
     observed = observations(data)
-    model = build(study.robot, study.file.effects, data.given, observed)
+    model = stated(study.robot, study.file.effects, data.only(data.train), observed)
     try:
         measured_noise(data, settings.noise, build(study.robot, (), data.given, observed))
     except InputError as error:
@@ -124,6 +127,7 @@ STAGE = Stage(
         "identify/identifiability.csv": Statement,
         "identify/correlations.csv": Correlation,
         "identify/covariance.csv": Covariances,
+        "identify/effects.csv": ModelEffect,
         "identify/observations.csv": ModelObservation,
         "identify/noise.csv": DeviceNoise,
         "identify/placement.csv": Placed,

@@ -219,14 +219,14 @@ def _statement(verdict: Verdict, left: Remainder | None) -> str:
     cause = verdict.finding.cause
     where = f", {_place(cause)}" if cause.joint else ""
     detail = f" ({cause.detail})" if cause.detail else ""
+    form = "order" if cause.joint else "course"
     if left and cause.effect.family:
-        return (
-            f"{cause.effect.family}{where}: order not resolved, more of it is left than {cause.title}{detail} explains"
-        )
+        more = f"more of it is left than {cause.title}{detail} explains"
+        return f"{cause.effect.family}{where}: {form} not resolved, {more}"
     if left:
         return f"{cause.title}{where}{detail}, or what stays unexplained ({' and '.join(left.inputs)})"
     if verdict.family:
-        return f"{verdict.family}{where}: order not resolved, best {cause.title}{detail}"
+        return f"{verdict.family}{where}: {form} not resolved, best {cause.title}{detail}"
     if verdict.rivals:
         return (
             f"{cause.title}{where}{detail}, or {', or '.join(label(rival.id, rival.joint) for rival in verdict.rivals)}"

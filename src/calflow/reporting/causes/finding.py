@@ -17,6 +17,7 @@ from calflow.reporting.findings import Found, cause_name, cause_words, chance, s
 from calflow.reporting.material import Material
 from calflow.reporting.words import first_up, listed
 
+WANDERED = "What the device reports shifts in the course of the measurement"
 DRAWN = 700  # arrows in the workspace
 
 
@@ -34,7 +35,8 @@ def _what(one: Found) -> str:
     size = f"{words.size} {one.amount}" if one.unit else ""
     if one.of_family:
         best = f"{words.name} ({one.detail})" if one.detail else words.name
-        return f"The angle of joint {one.joint} is off by an amount that goes with the angle; best described as {best}: {size}."
+        off = f"The angle of joint {one.joint} is off by an amount that goes with the angle" if one.joint else WANDERED
+        return f"{off}; best described as {best}: {size}."
     said = first_up(words.what or words.name)
     return f"{said}: {size} (1 sd)." if size and "±" in size else f"{said}{f': {size}' if size else ''}."
 
@@ -44,7 +46,8 @@ def how_sure(one: Found) -> str:
     said = [f"The chance that noise alone makes any cause look like this is {chance(one.p)}."]
     if one.of_family:
         kin = first_up(listed([cause_words(name).name for name in one.kin]))
-        said.append("That it goes with the joint's angle is sure; its order, or finer form, is not.")
+        sure = "That it goes with the joint's angle is sure; its order, or finer form, is not."
+        said.append(sure if one.joint else "That it goes with the time is sure; its course is not.")
         said += [f"{kin} would do as well."] if one.kin else []
     if one.others:
         verb = "explains" if len(one.others) == 1 else "explain"

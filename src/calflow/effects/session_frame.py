@@ -1,0 +1,125 @@
+"""Session frame: a device, or a robot, that was set up anew between sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import casadi as ca
+
+from calflow.effects.base import Effect, Words, displaced
+from calflow.measurements.sessions import borders, sessions_of
+from calflow.robot.conditions import Row, session_number
+from calflow.robot.parameter import Parameter
+from calflow.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from calflow.measurements.measurements import Measurements
+
+SHIFT_SD, TURN_SD = 2e-3, 1e-3  # m and rad: what setting up anew by the old marks leaves
+BOUND = 100.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class SessionFrame(Effect):
+    """Reported position + (x, y, z), and with turning + r x position (about the measuring frame's origin), session by session.
+
+    sessions are in measuring order; in the first the measuring frame is where it is. since is the one (counted from 0) from
+    which on all stands elsewhere alike; 0: each has a frame of its own.
+    """
+
+    sessions: tuple[str, ...] = ()
+    turning: bool = True
+    since: int = 0
+
+    id: ClassVar[str] = "session-frame"
+    title: ClassVar[str] = "frame of a session"
+    words: ClassVar[Words] = Words(
+        "frame of a session", "the device, or the robot, was set up anew between sessions", "largest shift"
+    )
+    whole: ClassVar[str] = "sessions"
+    needs: ClassVar[tuple[str, ...]] = ("session",)
+    like: ClassVar[tuple[str, ...]] = ("frame-step", "frame-drift")
+    told_by: ClassVar[str] = "measure points fixed to the floor, and some poses again, in each session"
+
+    @classmethod
+    def stated(cls, robot: Robot, data: Measurements) -> Self:
+        """Return a whole frame for each session."""
+        return cls(robot, sessions_of(data))
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return a frame for each session, and one from a session on, without and with turning."""
+        sessions = sessions_of(data)
+        later = range(1, len(sessions)) if len(sessions) > 2 and len(borders(data)) else ()
+        return tuple(cls(robot, sessions, turning, since) for since in (0, *later) for turning in (False, True))
+
+    @classmethod
+    def lacking(cls, robot: Robot, data: Measurements) -> str:
+        """Say that there is one session, or that its frames are found anyway."""
+        if any(series.station.by_session for series in data.series):
+            return "nothing: the station's frames are found session by session already (by_session = true)"
+        if len(sessions_of(data)) == 1:
+            return "two sessions or more with rows to fit"
+        return super().lacking(robot, data)
+
+    @property
+    def detail(self) -> str:
+        """Say which sessions, and whether it turned."""
+        which = f"from session {self.sessions[self.since]} on" if self.since else "each session"
+        return f"{which}, {'shifted and turned' if self.turning else 'shifted'}"
+
+    @property
+    def variant(self) -> str:
+        """Name its form; which sessions there are is the data's."""
+        return " ".join(
+            filter(None, ("turning" if self.turning else "", f"since {self.since + 1}" if self.since else ""))
+        )
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return a shift, and a turn, a frame."""
+        kinds = [("", "m", SHIFT_SD, "shift along"), *([("r", "rad", TURN_SD, "turn about")] if self.turning else [])]
+        return tuple(
+            Parameter(self.id, "sessions", f"{symbol}{axis}{self._suffix(name)}", unit, sd, -BOUND * sd, BOUND * sd,
+                      meaning=f"frame of session {name}: {meaning} {axis}")
+            for name in self._moved for symbol, unit, sd, meaning in kinds for axis in "xyz"
+        )  # fmt: skip
+
+    @property
+    def _moved(self) -> tuple[str, ...]:
+        """The sessions that have a frame of their own; that of the first after a move stands for all after it."""
+        return self.sessions[self.since : self.since + 1] if self.since else self.sessions[1:]
+
+    def _suffix(self, session: str) -> str:
+        return "" if self.since else f"-{session}"
+
+    def size(self, p: ca.SX) -> ca.SX:
+        """Return the largest shift of a session."""
+        each = self._frames(p)
+        largest = ca.SX(0)
+        for frame in each:
+            largest = ca.fmax(largest, super().size(frame[:3]))
+        return largest
+
+    def _frames(self, p: ca.SX) -> Iterator[ca.SX]:
+        return iter(ca.vertsplit(p, 6 if self.turning else 3)) if p.numel() else iter(())
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Shift what is reported."""
+        if not row.session.nnz():
+            return point
+        return point + sum(
+            (self._within(name, row) * displaced(frame, point) for name, frame in zip(self._moved, self._frames(p), strict=True)),
+            ca.SX(3, 1),
+        )  # fmt: skip
+
+    def _within(self, session: str, row: Row) -> ca.SX:
+        """Whether a row is of a session, or of one after it where all these stand alike."""
+        alike = self.sessions[self.since :] if self.since else (session,)
+        return sum((row.session == session_number(name) for name in alike), ca.SX(0))
+
+    def completing(self, data: Measurements) -> tuple[Effect, ...]:
+        """Return the frames of sessions that no fitted row was of."""
+        new = tuple(name for name in sessions_of(data) if name not in self.sessions)
+        return (type(self)(self.robot, ("", *new)),) if new and self.sessions else ()

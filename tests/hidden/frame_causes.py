@@ -1,0 +1,70 @@
+"""Hidden causes of frames in time: sessions, a device that wanders, single parts that warm up. SI units."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hidden.simulator import Array, Robot, Rows
+
+if TYPE_CHECKING:
+    from hidden.causes import Hidden
+
+SESSIONS = 4
+WARM_UP = 3600.0  # s
+
+
+def sessions(rows: Rows) -> Array:
+    """Number of the session (from 0) that each row is of: equally long ones, one after the other."""
+    return np.minimum(SESSIONS * rows.time / rows.time.max(), SESSIONS - 1).astype(int)
+
+
+def session_names(rows: Rows) -> list[str]:
+    """What a file calls them."""
+    return [f"day {k + 1}" for k in sessions(rows)]
+
+
+def session_frame(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
+    """Each session but the first has the device elsewhere, by size and turned by a quarter of it a metre, at random;
+    with extra a number, it was moved once, before that session, and not turned."""
+    shift = h.rng.normal(size=(2, SESSIONS, 3)) / np.sqrt(3) * h.size
+    shift[:, 0] = 0.0
+    own = sessions(rows)
+    if h.extra:
+        return point + (own >= h.number - 1)[:, None] * shift[0, 1]
+    return point + shift[0][own] + np.cross(shift[1][own] / 4, point)
+
+
+def wander(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
+    """A smooth random walk of size (rms) that turns around some five times while measuring."""
+    rate, phase = h.rng.normal(0, 6, (3, 40)), h.rng.uniform(0, 2 * np.pi, (3, 40))
+    share = rows.time / rows.time.max()
+    walk = np.cos(share[:, None, None] * rate + phase).sum(axis=2)
+    return point + h.size / np.sqrt(3) * (walk - walk.mean(axis=0)) / walk.std(axis=0)
+
+
+def link_growth(h: Hidden, robot: Robot, rows: Rows) -> Robot:
+    """One link grows by size a kelvin above 20 degC, or with extra "warm-up" by size in the end."""
+    grown = 1 + h.size * _warm(h, rows)
+    a, d = (np.tile(lengths, (len(rows), 1)) for lengths in (robot.a, robot.d))
+    d[:, h.joint - 1] *= grown
+    if h.joint < robot.n:
+        a[:, h.joint] *= grown
+    return replace(robot, a=a, d=d)
+
+
+def housing_growth(h: Hidden, robot: Robot, rows: Rows) -> Robot:
+    """One joint's housing grows along its axis by size [m] a kelvin, or with extra "warm-up" by size in the end."""
+    d = np.tile(robot.d, (len(rows), 1))
+    d[:, h.joint - 1] += h.size * _warm(h, rows)
+    return replace(robot, d=d)
+
+
+def _warm(h: Hidden, rows: Rows) -> Array:
+    return 1 - np.exp(-rows.time / WARM_UP) if h.extra == "warm-up" else rows.temperature - 20
+
+
+ON_ROBOT = {"link-growth": link_growth, "housing-growth": housing_growth}
+ON_DEVICE = {"session-frame": session_frame, "wander": wander}

@@ -1,0 +1,58 @@
+"""Causes of frames in time are hidden in data of the independent simulator, and `calflow run` has to find them."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from conftest import in_process
+from hidden.case import Case
+from hidden.causes import Hidden
+from hidden.test_hidden import CLOCK, case, found
+
+DAYS = (*CLOCK, "session")
+ONE_MOVE = Hidden("session-frame", 0, 2e-4, 3)
+EVERY: dict[str, tuple[Case, str]] = {
+    "session-frame": (case("serial", Hidden("session-frame", 0, 3e-4), columns=DAYS, poses=90), "each session"),
+    "session-frame of one move": (case("hh800", ONE_MOVE, columns=DAYS, poses=90), "from session day 3 on"),
+    "frame-drift that wanders": (case("serial", Hidden("wander", 0, 1.2e-4), columns=CLOCK), "wandering"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_every_cause_of_frames_is_found(name, tmp_path):
+    """Fails if a session's frame or a wandering device is missed, taken for something else, or found in pieces."""
+    hidden, detail = EVERY[name]
+    seen = found(tmp_path, hidden, 21)
+    assert len(seen.causes) == 1, seen.causes
+    first = seen.causes.iloc[0]
+    assert first["cause"] == name.split()[0]
+    assert detail in first["statement"]
+    assert first["gain_mean_mm"] > 0
+
+
+def test_sessions_alone_are_no_cause(tmp_path):
+    """Fails if frames of sessions, or anything else, are seen where each session stood as the first."""
+    assert found(tmp_path, case("serial", columns=DAYS, poses=90), 22).table.empty
+
+
+def test_a_session_that_was_not_named_is_taken_for_a_step_of_its_family(tmp_path):
+    """Fails if a device that was moved once is called anything but its family's, where no session is told."""
+    seen = found(tmp_path, case("hh800", ONE_MOVE, columns=CLOCK, poses=90), 21)
+    assert "frame-step" in seen.could_be(0), seen.causes
+    tested = pd.read_csv(seen.folder / "diagnose" / "candidates.csv").set_index("cause")
+    assert "column session" in tested.loc["session-frame", "note"]
+
+
+def test_a_study_may_state_that_sessions_have_frames(tmp_path):
+    """Fails if a study's own frames of sessions are not fitted, or a later stage cannot read them back."""
+    only = '[stages.diagnose]\ncatalogue = ["frame-step", "session-frame"]\n'
+    effects = ("geometry", "joint-compliance", "session-frame")
+    stated = case("serial", Hidden("session-frame", 0, 3e-4), columns=DAYS, poses=60, effects=effects, settings=only)
+    seen = found(tmp_path, stated, 23)
+    assert seen.table.empty
+    fitted = pd.read_csv(seen.folder / "identify" / "parameters.csv")
+    assert (fitted["part"] == "sessions").sum() == 18
+    rows = pd.read_csv(tmp_path / "case" / "measurements.csv").drop(columns=["x_mm", "y_mm", "z_mm"])
+    rows[:3].drop(columns=["session", "time_s"]).to_csv(tmp_path / "rows.csv", index=False)
+    assert in_process("predict", seen.folder, tmp_path / "rows.csv", "--out", tmp_path / "told.csv").code == 0
