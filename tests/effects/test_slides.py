@@ -37,6 +37,7 @@ UNITS = {  # of a slide's parameters and of a turning joint's
     "nonlinear-joint-stiffness": ({"m"}, {"rad"}),
     "gear-transmission-error": ({"m"}, {"rad"}),
     "gear-ratio-error": ({"m/m"}, {"1"}),
+    "housing-growth": (set(), {"m/K"}),
     "joint-compliance": ({"m/N"}, {"rad/Nm"}),
     "joint-eccentricity": (set(), {"rad"}),
     "periodic-joint-error": (set(), {"rad"}),

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
-import numpy as np
 
-from calflow.effects.base import Effect, Readable, Variable, Words, around
+from calflow.effects.base import Readable, Words
+from calflow.effects.link_bending import spans
+from calflow.effects.warming import Warming
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions
 from calflow.robot.parameter import Parameter
@@ -17,73 +19,81 @@ from calflow.robot.robot import Robot
 if TYPE_CHECKING:
     from calflow.measurements.measurements import Measurements
 
-REFERENCE = 293.15  # K, at which drawings hold (ISO 1)
-WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s, time constants to look for
-SPREAD = 0.2  # K: less than this a thermometer's column says nothing
+EXPANSION_SD, GROWTH_SD = 2e-5, 2e-4  # 1/K, and share of the length when warm
+BOUNDS = 10.0, 25.0  # standard deviations of either
 
 
 @dataclass(frozen=True)
-class ThermalGrowth(Effect):
-    """All links' lengths times 1 + alpha (T - 20 degC), or 1 + e (1 - exp(-t / constant)) while a robot warms up.
+class ThermalGrowth(Warming):
+    """Lengths times 1 + alpha (T - 20 degC), or 1 + e (1 - exp(-t / constant)): of all links alike, or apart of each long one."""
 
-    constant is the warm-up's time constant [s]; 0 stands for a measured temperature.
-    """
-
-    constant: float = 0.0
+    apart: bool = False
 
     id: ClassVar[str] = "thermal-growth"
     title: ClassVar[str] = "thermal growth"
     words: ClassVar[Words] = Words("thermal growth", "the links grow as the robot warms up", "growth")
     readable: ClassVar[Readable] = {"1": (1e6, "µm/m")}
+    place_word: ClassVar[str] = "link"
     whole: ClassVar[str] = "links"
-    told_by: ClassVar[str] = "measure some poses again when the robot is cold"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return growth with the temperature, or a choice of time constants."""
-        found = (cls(robot),) if _measured(data) else ()
-        return (*found, *(cls(robot, constant) for constant in WARM_UPS)) if "time" in data.given else found
-
-    @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
-        """Say that neither temperature nor time is there."""
-        known = _measured(data) or "time" in data.given
-        return "" if known else "a column temperature_degC (that changes), or time_s"
-
-    def finer(self, data: Measurements) -> tuple[Self, ...]:
-        """Return time constants about this one."""
-        if not self.constant:
-            return ()
-        return tuple(replace(self, constant=float(np.exp(log))) for log in around(np.log(self.constant), np.log(2)))
+        """Return growth of all links and of each, with the temperature or a choice of time constants."""
+        together = super().variants(robot, data)
+        return (*together, *(replace(one, apart=True) for one in together))
 
     @property
     def detail(self) -> str:
-        """Say what it grows with."""
-        return f"warming up in {self.constant / 3600:.2g} h" if self.constant else "with the temperature"
+        """Say what it grows with, and whether all links do."""
+        return f"alone, {super().detail}" if self.apart else super().detail
+
+    @property
+    def _figure(self) -> tuple[str, str, float, float, str]:
+        """Symbol, unit, prior standard deviation and bound of a growth, and what it is."""
+        if self.constant:
+            return "e", "1", GROWTH_SD, BOUNDS[1] * GROWTH_SD, "growth when warm"
+        return "alpha", "1/K", EXPANSION_SD, BOUNDS[0] * EXPANSION_SD, "thermal expansion"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the expansion."""
-        if self.constant:
-            return (Parameter(self.id, "links", "e", "1", 2e-4, -5e-3, 5e-3, meaning="growth when warm"),)
-        return (Parameter(self.id, "links", "alpha", "1/K", 2e-5, -2e-4, 2e-4, meaning="thermal expansion"),)
+        """Return the expansion of all links, or of each."""
+        symbol, unit, sd, bound, meaning = self._figure
+        if not self.apart:
+            return (Parameter(self.id, "links", symbol, unit, sd, -bound, bound, meaning=meaning),)
+        return tuple(
+            Parameter(self.id, f"link{link + 1}", symbol, unit, sd, -bound, bound, meaning=f"{meaning}, link {link + 1}",
+                      joint=link + 1)
+            for link in self._links
+        )  # fmt: skip
+
+    @property
+    def _links(self) -> tuple[int, ...]:
+        """The links that are long enough to show it on their own, by their index."""
+        return tuple(beam.link for beam in spans(self.robot))
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Lengthen all links."""
-        if self.constant:
-            growth = 1 + p * (1 - ca.exp(-row.time / self.constant)) if row.time.nnz() else ca.SX(1)
-        else:
-            growth = 1 + p * (row.temperature - REFERENCE) if row.temperature.nnz() else ca.SX(1)
-        steps = ca.SX(dims.steps)
-        lengths = [k for k, step in enumerate(self.robot.steps) if step.is_length]
-        steps[lengths] = dims.steps[lengths] * growth
-        return replace(dims, steps=steps, bars=dims.bars * growth)
-
-    def variable(self, joint: int) -> Variable:
-        """Return the temperature, or the time."""
-        if self.constant:
-            return Variable("time", "h", lambda state, row: row.time, 1 / 3600)
-        return Variable("temperature above 20 degC", "K", lambda state, row: row.temperature - REFERENCE)
+        """Lengthen links."""
+        warmth = self.warmth(row)
+        if not warmth.nnz():
+            return dims
+        if self.apart:
+            for k, link in enumerate(self._links):
+                dims = _grown(dims, _lengths(self.robot, link), 1 + p[k] * warmth)
+            return dims
+        growth = 1 + p * warmth
+        every = [k for k, step in enumerate(self.robot.steps) if step.is_length]
+        return replace(_grown(dims, every, growth), bars=dims.bars * growth)
 
 
-def _measured(data: Measurements) -> bool:
-    return "temperature" in data.given and float(data.table["temperature"].std()) > SPREAD
+def _lengths(robot: Robot, link: int) -> list[int]:
+    """The steps that are a link's lengths: from its joint's axis to the next joint's."""
+    own = [(link, step) for step in robot.frames[link].body]
+    if link + 1 < robot.n_joints:
+        own += [(link + 1, step) for step in robot.frames[link + 1].reach]
+    return [robot.step_index(joint, step.symbol) for joint, step in own if step.is_length]
+
+
+def _grown(dims: Dimensions, lengths: Iterable[int], growth: ca.SX) -> Dimensions:
+    steps = ca.SX(dims.steps)
+    for k in lengths:
+        steps[k] = dims.steps[k] * growth
+    return replace(dims, steps=steps)

@@ -1,0 +1,134 @@
+"""Axis straightness: a rail that is neither straight nor even, as smooth curves over its length."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from calflow.effects.base import Effect, Variable, Words, joint_variable
+from calflow.effects.smooth_curve import RMS, Wave, waves
+from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
+from calflow.robot.parameter import Parameter
+from calflow.robot.robot import Robot
+from calflow.robot.statics import State
+
+if TYPE_CHECKING:
+    from calflow.measurements.measurements import Measurements
+
+SHIFT_SD, TURN_SD = 1e-4, 5e-5  # m and rad rms, of each axis
+BOUND = 0.02  # m and rad
+LENGTHS = (0.3, 0.1)  # of the travel: how far apart errors are alike
+RESOLVED = 0.5  # of a length
+DENSE = 2  # different positions that each length of the travel must hold
+
+
+@dataclass(frozen=True)
+class AxisStraightness(Effect):
+    """A prismatic joint's carriage is off by (x, y, z), and with turning by (rx, ry, rz), smooth curves of its position.
+
+    z is along the rail, x and y across it, in the joint's frame; a turn is about the carriage. low and high are the travels
+    that the data cover densely [m], alike for joints that are not looked at; length is a share of the travel.
+    """
+
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+    length: float = LENGTHS[0]
+    turning: bool = False
+
+    id: ClassVar[str] = "axis-straightness"
+    title: ClassVar[str] = "straightness of an axis"
+    words: ClassVar[Words] = Words(
+        "straightness error",
+        "the rail leads the carriage off a straight line, by a smooth curve over its travel",
+        "rms",
+    )
+    needs: ClassVar[tuple[str, ...]] = ("slide",)
+    told_by: ClassVar[str] = "move the carriage alone over all its travel, and measure closely on the way"
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return smooth and rough curves of every rail that is covered densely, without and with turning."""
+        q = data.joints @ robot.reading_matrix.T
+        found = []
+        for length in LENGTHS:
+            dense = _dense(robot, data, length)
+            low, high = (tuple(map(float, np.where(dense, side, 0.0))) for side in (q.min(axis=0), q.max(axis=0)))
+            if dense.any():
+                found += [cls(robot, low, high, length, turning) for turning in (False, True)]
+        return tuple(found)
+
+    @classmethod
+    def lacking(cls, robot: Robot, data: Measurements) -> str:
+        """Say that no rail is there, or that it was measured in too few places."""
+        few = f"at least {DENSE / max(LENGTHS):.0f} different positions of a prismatic joint"
+        return super().lacking(robot, data) or ("" if _dense(robot, data, max(LENGTHS)).any() else few)
+
+    @property
+    def detail(self) -> str:
+        """Say how smooth it is, and whether it turns."""
+        return f"alike over {self.length:.0%} of the travel, {'shifted and turned' if self.turning else 'shifted'}"
+
+    @property
+    def variant(self) -> str:
+        """Name its form; the travels are those of the data."""
+        return f"length {self.length:g}{' turning' if self.turning else ''}"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the waves of each rail's curves."""
+        kinds = [("", "m", SHIFT_SD), *([("r", "rad", TURN_SD)] if self.turning else [])]
+        return tuple(
+            Parameter(self.id, f"joint{i + 1}", f"wave{one.number}{symbol}{axis}", unit, sd * one.sd, -BOUND, BOUND, joint=i + 1,
+                      meaning=f"{self.title}, joint {i + 1}")
+            for i in self._rails for one in self._curve(ca.SX.sym("q"), i) for symbol, unit, sd in kinds for axis in "xyz"
+        )  # fmt: skip
+
+    @property
+    def _rails(self) -> tuple[int, ...]:
+        """The joints that are looked at, by index."""
+        travels = enumerate(zip(self.low, self.high, strict=True))
+        return tuple(i for i, (low, high) in travels if high > low)
+
+    def _curve(self, position: ca.SX, joint: int) -> list[Wave]:
+        share = (position - self.low[joint]) / (self.high[joint] - self.low[joint])
+        return waves(share, 0.0, 1.0, self.length, RESOLVED * self.length)
+
+    def size(self, p: ca.SX) -> ca.SX:
+        """Return the root mean square of the shift."""
+        return super().size(p) * RMS
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Move the carriages."""
+        bearing = ca.SX(still.bearing)
+        for i, amplitudes in zip(self._rails, self._split(p), strict=True):
+            curve = ca.vertcat(*(one.value for one in self._curve(state.q[i], i)))
+            off = ca.reshape(amplitudes, 6 if self.turning else 3, curve.numel()) @ curve
+            bearing[: off.numel(), i] = self._about_carriage(off, i, state)
+        return replace(still, bearing=bearing)
+
+    def _split(self, p: ca.SX) -> Iterator[ca.SX]:
+        return iter(ca.vertsplit(p, p.numel() // len(self._rails)) if self._rails else ())
+
+    def _about_carriage(self, off: ca.SX, joint: int, state: State) -> ca.SX:
+        """Return a twist where the rail begins that turns about the carriage."""
+        slide = self.robot.frames[joint].slide
+        if not self.turning or slide is None:
+            return off
+        carriage = ca.vertcat(0, 0, state.q[joint] + slide.value)
+        return ca.vertcat(off[:3] - ca.cross(off[3:], carriage), off[3:])
+
+    def variable(self, joint: int) -> Variable:
+        """Return the rail's position."""
+        return joint_variable(self.robot, joint)
+
+
+def _dense(robot: Robot, data: Measurements, length: float) -> np.ndarray:
+    """Which joints are rails that were measured at enough places for curves of a length (a share of the travel)."""
+    q = data.joints @ robot.reading_matrix.T
+    different = np.array([len(np.unique(np.round(column, 4))) for column in q.T])
+    slides = np.array([joint.kind == "prismatic" for joint in robot.joints])
+    return slides & (different >= DENSE / length)

@@ -1,0 +1,72 @@
+"""Housing growth: a joint whose housing grows along its axis when the motor in it warms up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+import casadi as ca
+
+from calflow.effects.base import Readable, Words
+from calflow.effects.link_bending import SHORTEST
+from calflow.effects.warming import Warming
+from calflow.robot.conditions import Row
+from calflow.robot.dimensions import Dimensions
+from calflow.robot.frames import places
+from calflow.robot.parameter import Parameter
+from calflow.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from calflow.measurements.measurements import Measurements
+
+EXPANSION_SD, GROWTH_SD, BOUND = 1e-5, 1e-4, 50.0  # m/K, m when warm, and standard deviations
+
+
+@dataclass(frozen=True)
+class HousingGrowth(Warming):
+    """An offset along a joint's axis + h (T - 20 degC), or + h (1 - exp(-t / constant)).
+
+    A long offset is a link's own length (see `thermal_growth`), and along nearly parallel axes nobody can tell whose it is.
+    """
+
+    id: ClassVar[str] = "housing-growth"
+    title: ClassVar[str] = "growth of a joint's housing"
+    words: ClassVar[Words] = Words(
+        "growth of the housing", "the joint's housing grows along its axis as the motor in it warms up", "growth"
+    )
+
+    readable: ClassVar[Readable] = {"m": (1e6, "µm"), "m/K": (1e6, "µm per °C")}
+
+    @classmethod
+    def lacking(cls, robot: Robot, data: Measurements) -> str:
+        """Say that neither temperature nor time is there, or that no joint has such an offset."""
+        return super().lacking(robot, data) or ("" if _offsets(robot) else "an offset along a joint's axis")
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return each housing's growth."""
+        unit, sd = ("m", GROWTH_SD) if self.constant else ("m/K", EXPANSION_SD)
+        return tuple(
+            Parameter(self.id, f"joint{joint + 1}", "h", unit, sd, -BOUND * sd, BOUND * sd, joint=joint + 1,
+                      meaning=f"growth of the housing of joint {joint + 1}")
+            for joint in _offsets(self.robot)
+        )  # fmt: skip
+
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Lengthen the offsets."""
+        warmth = self.warmth(row)
+        if not warmth.nnz():
+            return dims
+        steps = ca.SX(dims.steps)
+        for k, (_, step) in enumerate(_offsets(self.robot).items()):
+            steps[step] = dims.steps[step] + p[k] * warmth
+        return replace(dims, steps=steps)
+
+
+def _offsets(robot: Robot) -> dict[int, int]:
+    """The short offsets along turning joints' axes that differ from all others in what they do: each joint's step, by index."""
+    found = {}
+    for i, (joint, place) in enumerate(zip(robot.joints, places(robot.n_joints), strict=True)):
+        offset = joint.frame.slide
+        if joint.kind == "revolute" and offset and place in offset.free and abs(offset.value) < SHORTEST:
+            found[i] = robot.step_index(i, offset.symbol)
+    return found

@@ -1,0 +1,72 @@
+"""Warming: what all effects share that go with a measured temperature, or with the time since the robot was started."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from calflow.effects.base import Effect, Variable, around
+from calflow.robot.conditions import Row
+from calflow.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from calflow.measurements.measurements import Measurements
+
+REFERENCE = 293.15  # K, at which drawings hold (ISO 1)
+WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s, time constants to look for
+SPREAD = 0.2  # K: less than this a thermometer's column says nothing
+
+
+@dataclass(frozen=True)
+class Warming(Effect):
+    """Something in proportion to T - 20 degC, or to 1 - exp(-t / constant) while a robot warms up.
+
+    constant is the warm-up's time constant [s]; 0 stands for a measured temperature.
+    """
+
+    constant: float = 0.0
+
+    like: ClassVar[tuple[str, ...]] = ("frame-drift", "frame-step")
+    told_by: ClassVar[str] = "measure some poses again when the robot is cold"
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return growth with the temperature, or a choice of time constants."""
+        found = (cls(robot),) if _measured(data) else ()
+        return (*found, *(cls(robot, constant) for constant in WARM_UPS)) if "time" in data.given else found
+
+    @classmethod
+    def lacking(cls, robot: Robot, data: Measurements) -> str:
+        """Say that neither temperature nor time is there."""
+        known = _measured(data) or "time" in data.given
+        return "" if known else "a column temperature_degC (that changes), or time_s"
+
+    def finer(self, data: Measurements) -> tuple[Self, ...]:
+        """Return time constants about this one."""
+        if not self.constant:
+            return ()
+        return tuple(replace(self, constant=float(np.exp(log))) for log in around(np.log(self.constant), np.log(2)))
+
+    @property
+    def detail(self) -> str:
+        """Say what it grows with."""
+        return f"warming up in {self.constant / 3600:.2g} h" if self.constant else "with the temperature"
+
+    def warmth(self, row: Row) -> ca.SX:
+        """Return the kelvins above 20 degC, or the share of a whole warm-up; structurally zero where a row has neither."""
+        if self.constant:
+            return 1 - ca.exp(-row.time / self.constant) if row.time.nnz() else ca.SX(1, 1)
+        return row.temperature - REFERENCE if row.temperature.nnz() else ca.SX(1, 1)
+
+    def variable(self, joint: int) -> Variable:
+        """Return the temperature, or the time."""
+        if self.constant:
+            return Variable("time", "h", lambda state, row: row.time, 1 / 3600)
+        return Variable("temperature above 20 degC", "K", lambda state, row: row.temperature - REFERENCE)
+
+
+def _measured(data: Measurements) -> bool:
+    return "temperature" in data.given and float(data.table["temperature"].std()) > SPREAD
