@@ -159,6 +159,33 @@ def knee(bench: Bench) -> Twin:
     return Twin(made(bench, hidden.cause, knee=0.5 / share), {"joint2.c": 2 * hidden.size * share}, hidden)
 
 
+def early_knee(bench: Bench) -> Twin:
+    """The simulator's break is at a tenth of the largest torque."""
+    hidden = Hidden("nonlinear-joint-stiffness", 2, 5e-4, 0.1)
+    share = bench.rated(2) / np.abs(bench.torque(2, hidden)).max()
+    return Twin(made(bench, hidden.cause, knee=0.1 / share), {"joint2.c": hidden.size / 0.9 * share}, hidden)
+
+
+def loaded_wave(way: str) -> Callable[[Bench], Twin]:
+    """The simulator's torque is over the largest of all rows, calflow's over the rated one; warmth is over 10 K in both."""
+    hidden = Hidden("loaded-transmission-error", 2, 3e-4, way, seed=3)
+    phase = hidden.rng.uniform(0, 2 * pi)
+
+    def twin(bench: Bench) -> Twin:
+        share = 1.0 if way == "warm" else bench.rated(2) / np.abs(bench.torque(2, hidden)).max()
+        values = {"joint2.cos": share * hidden.size * np.cos(phase), "joint2.sin": -share * hidden.size * np.sin(phase)}
+        return Twin(made(bench, hidden.cause, geared=way == "gear", warm=way == "warm"), values, hidden)
+
+    return twin
+
+
+def friction(bench: Bench) -> Twin:
+    """The simulator's torque is over the largest of all rows, calflow's over the rated one."""
+    hidden = Hidden("friction-wind-up", 2, 3e-4)
+    share = bench.rated(2) / np.abs(bench.torque(2, hidden)).max()
+    return Twin(made(bench, hidden.cause), {"joint2.h": hidden.size * share}, hidden)
+
+
 def torque_backlash(bench: Bench) -> Twin:
     """The simulator's flank changes at once, calflow's over a few per cent of the rated torque."""
     hidden = Hidden("torque-backlash", 3, 3e-4)
@@ -318,6 +345,9 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     "joint-compliance": one("joint-compliance", "joint2.s", Hidden("joint-compliance", 2, 5e-8)),
     "nonlinear-joint-stiffness, cubic": cubic,
     "nonlinear-joint-stiffness, knee": knee,
+    "nonlinear-joint-stiffness, early knee": early_knee,
+    **{f"loaded-transmission-error, {way}": loaded_wave(way) for way in ("", "gear", "warm")},
+    "friction-wind-up": friction,
     "joint-backlash": one("joint-backlash", "joint3.b", Hidden("joint-backlash", 3, 1.5e-4)),
     "torque-backlash": torque_backlash,
     "joint-hysteresis": hysteresis,
@@ -604,7 +634,8 @@ def test_range_noise_grows_with_distance(benches: dict[str, Bench], name: str) -
 
 VARIANTS = {  # how many forms there are to try, where not one
     "base-compliance": 2,
-    "nonlinear-joint-stiffness": 5,
+    "nonlinear-joint-stiffness": 6,
+    "loaded-transmission-error": 6,
     "torque-backlash": 2,
     "joint-eccentricity": 2,
     "gear-transmission-error": 2,
@@ -648,7 +679,7 @@ def test_variants_are_distinct_and_told_apart(full: Measurements, name: str) -> 
         names = [parameter.name for parameter in effect.declared]
         assert names
         assert len(set(names)) == len(names)
-    if name not in ("periodic-joint-error", "frame-step", "torque-backlash"):
+    if name not in ("periodic-joint-error", "frame-step", "torque-backlash", "loaded-transmission-error"):
         assert variants[0].finer(full) == ()
 
 
@@ -705,6 +736,20 @@ def test_a_knee_between_two_that_are_tried_is_reached(full: Measurements) -> Non
         assert np.diff(finer).max() < 0.05
         assert np.sort(np.abs(finer - variant.knee))[1] < 0.005
         assert all(np.abs(finer - other).min() < 0.05 for other in knees if abs(other - variant.knee) < 0.16)
+
+
+def test_a_load_is_what_the_data_tell(full: Measurements) -> None:
+    """Breaks if a wave is tried against a torque or a temperature that nobody knows, or a warm one keeps a loaded one out."""
+    kind = catalogue()["loaded-transmission-error"]
+    assert [effect.warm for effect in kind.variants(full.robot, full)] == [False] * 3 + [True] * 3
+    cold, weightless = without(full, "temperature"), bare(full)
+    assert not any(effect.warm for effect in kind.variants(cold.robot, cold))
+    assert all(effect.warm for effect in kind.variants(weightless.robot, weightless))
+    loaded = kind(full.robot, 1)
+    assert loaded.same_as(kind(full.robot, 1))
+    assert not any(loaded.same_as(other) for other in (kind(full.robot, 1, warm=True), kind(full.robot, 2)))
+    assert [effect.order for effect in loaded.finer(full)] == [2]
+    assert [effect.order for effect in kind(full.robot, 2, geared=True).finer(full)] == [1]
 
 
 def test_backlash_does_not_become_a_stiffness(full: Measurements) -> None:
@@ -806,6 +851,7 @@ def gearless(data: Measurements) -> Measurements:
 OF_MASSES = (
     "joint-compliance", "nonlinear-joint-stiffness", "torque-backlash", "bearing-compliance", "link-bending",
     "link-torsion", "base-compliance", "gravity-compensator", "payload-mass", "payload-com", "link-mass",
+    "friction-wind-up",
 )  # fmt: skip
 LACKING: list[tuple[str, Callable[[Measurements], Measurements], str]] = [
     *((name, bare, "mass_kg and com_mm") for name in OF_MASSES),
@@ -813,6 +859,8 @@ LACKING: list[tuple[str, Callable[[Measurements], Measurements], str]] = [
     ("gear-transmission-error", gearless, "gear_ratio"),
     ("joint-backlash", lambda data: without(data, "approach"), "approach1"),
     ("joint-hysteresis", lambda data: without(data, "approach"), "approach1"),
+    ("friction-wind-up", lambda data: without(data, "approach"), "approach1"),
+    ("loaded-transmission-error", lambda data: bare(without(data, "temperature")), "torques tau1_Nm .* temperature_degC"),
     ("joint-hysteresis", lambda data: without(data, "travel"), "travel1_deg"),
     ("thermal-growth", lambda data: without(data, "time", "temperature"), "temperature_degC .* time_s"),
     ("housing-growth", lambda data: without(data, "time", "temperature"), "temperature_degC .* time_s"),
@@ -858,9 +906,11 @@ HOURS = lambda bench, joint: bench.rows.time / 3600  # noqa: E731
 END = lambda bench, joint: np.linalg.norm(bench.still.tip_moment[:, joint - 1], axis=1)  # noqa: E731
 AGAINST: dict[str, tuple[str, Callable[[Bench, int], np.ndarray]]] = {
     **dict.fromkeys(("joint-eccentricity", "periodic-joint-error", "gear-transmission-error", "joint-error-map",
+                     "loaded-transmission-error",
                      "gear-ratio-error", "gravity-deflection", "gravity-compensator"), ("deg", ANGLE)),
     "wrist-coupling": ("deg", lambda bench, joint: ANGLE(bench, joint - 1)),
     **dict.fromkeys(("joint-compliance", "nonlinear-joint-stiffness", "torque-backlash"), ("Nm", TORQUE)),
+    "friction-wind-up": ("Nm", lambda bench, joint: bench.rows.approach[:, joint - 1] * np.abs(TORQUE(bench, joint))),
     "link-mass": ("Nm", lambda bench, joint: TORQUE(bench, 2)),
     "joint-backlash": ("", lambda bench, joint: bench.rows.approach[:, joint - 1]),
     "joint-hysteresis": ("deg", lambda bench, joint: np.rad2deg(bench.rows.approach * bench.rows.travel)[:, joint - 1]),

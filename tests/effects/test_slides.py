@@ -34,6 +34,8 @@ UNITS = {  # of a slide's parameters and of a turning joint's
     "joint-backlash": ({"m"}, {"rad"}),
     "joint-hysteresis": ({"m"}, {"rad"}),
     "torque-backlash": ({"m"}, {"rad"}),
+    "friction-wind-up": ({"m"}, {"rad"}),
+    "loaded-transmission-error": (set(), {"rad"}),
     "nonlinear-joint-stiffness": ({"m"}, {"rad"}),
     "gear-transmission-error": ({"m"}, {"rad"}),
     "gear-ratio-error": ({"m/m"}, {"1"}),

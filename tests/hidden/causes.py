@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from hidden import forms, frame_causes
+from hidden import forms, frame_causes, joint_causes
 from hidden.random_functions import random_function
 from hidden.simulator import Array, Motion, Robot, Rows, State, equilibrium, tool_point
 
@@ -82,10 +82,11 @@ def joint_slip(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
 
 
 def nonlinear_stiffness(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
-    """A cubic part, or with extra "break" a stiffer branch past half the largest torque."""
+    """A cubic part, or a stiffer branch past some share (extra; "break" is half) of the largest torque."""
     load = torque[:, h.joint - 1] / np.abs(torque[:, h.joint - 1]).max()
-    if h.extra == "break":
-        return -h.size * np.sign(load) * np.maximum(2 * np.abs(load) - 1, 0)
+    if h.extra:
+        knee = 0.5 if h.extra == "break" else h.number
+        return -h.size * np.sign(load) * np.maximum(np.abs(load) - knee, 0) / (1 - knee)
     return h.size * load**3
 
 
@@ -364,6 +365,7 @@ ON_JOINT = {
     "wrist-coupling": wrist_coupling,
     "cable-drag": cable_drag,
     "joint-slip": joint_slip,
+    **joint_causes.ON_JOINT,
 }
 ON_MOTION = {
     "joint-compliance": joint_compliance,

@@ -19,8 +19,9 @@ from calflow.robot.statics import State, rated_torques
 if TYPE_CHECKING:
     from calflow.measurements.measurements import Measurements
 
-BREAKS = (0.2, 0.35, 0.5, 0.65)  # shares of the rated torque at which a stiffer branch may begin
+BREAKS = (0.05, 0.2, 0.35, 0.5, 0.65)  # shares of the rated torque at which a stiffer branch may begin
 REACH = 0.15  # about a break, to its neighbours
+EARLIEST = 0.02  # share: what gives way before it is play
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class NonlinearJointStiffness(JointError):
         """Return break torques about this one."""
         if not self.knee:
             return ()
-        return tuple(replace(self, knee=knee) for knee in around(self.knee, REACH) if knee > 0)
+        return tuple(replace(self, knee=knee) for knee in around(self.knee, REACH) if knee >= EARLIEST)
 
     @property
     def detail(self) -> str:

@@ -1,0 +1,53 @@
+"""Friction wind-up: a drive that friction leaves wound up against its last motion, the more the larger its load."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+
+from calflow.effects.base import Variable, Words, torque_variable
+from calflow.effects.joint_error import JointError, Term
+from calflow.robot.conditions import Row
+from calflow.robot.statics import State, rated_torques
+
+
+@dataclass(frozen=True)
+class FrictionWindUp(JointError):
+    """dq = h · direction of approach · |torque| / rated: what friction adds to `joint-backlash` as the load grows.
+
+    What it winds up without any load is backlash's and has no parameter here: both can act at one joint.
+    """
+
+    id: ClassVar[str] = "friction-wind-up"
+    title: ClassVar[str] = "wind-up by friction that grows with load"
+    words: ClassVar[Words] = Words(
+        "friction under load",
+        "friction leaves the drive wound up against its last motion, the more the larger its load is",
+        "wind-up to one side at the rated torque",
+    )
+    needs: ClassVar[tuple[str, ...]] = ("approach", "torques")
+    told_by: ClassVar[str] = "approach some poses from both sides, with and without a load"
+
+    @cached_property
+    def rated(self) -> np.ndarray:
+        """Rated torques [Nm, a slide's N], shape (n_joints,)."""
+        return rated_torques(self.robot)
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the wind-up on the side the joint came from."""
+        share = ca.fabs(state.torque[joint]) / self.rated[joint]
+        return [Term("h", self.unit(joint), 2e-4, 10e-3, row.approach[joint] * share)]
+
+    def variable(self, joint: int) -> Variable:
+        """Return the size of the joint's torque, by the direction of approach."""
+        torque = torque_variable(self.robot, joint)
+        return Variable(
+            f"{torque.label} by approach",
+            torque.unit,
+            lambda state, row: row.approach[joint - 1] * ca.fabs(torque.value(state, row)),
+        )

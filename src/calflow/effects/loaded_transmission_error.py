@@ -1,0 +1,106 @@
+"""Loaded transmission error: a gear's periodic error that grows with the torque it carries, or as it warms up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from calflow.effects.base import Words
+from calflow.effects.joint_error import TRANSMISSION, JointError, Term, phases
+from calflow.effects.needs import unmet
+from calflow.effects.thermal_growth import REFERENCE, SPREAD
+from calflow.robot.conditions import Row
+from calflow.robot.robot import Robot
+from calflow.robot.statics import State, rated_torques
+
+if TYPE_CHECKING:
+    from calflow.measurements.measurements import Measurements
+
+ORDERS = (1, 2)  # a turn of the joint, to look for
+MULTIPLES = 2  # of a turn of the motor, at most
+WARMER = 10.0  # K, to which a warm gear's amplitude refers
+
+
+@dataclass(frozen=True)
+class LoadedTransmissionError(JointError):
+    """dq = (A cos(order q) + B sin(order q)) · torque / rated, besides what the transmission errs by without load.
+
+    geared counts the order in turns of the motor instead of the joint. warm puts (T - 20 degC) / 10 K in the place of the
+    torque's share.
+    """
+
+    order: int = 1
+    geared: bool = False
+    warm: bool = False
+
+    id: ClassVar[str] = "loaded-transmission-error"
+    title: ClassVar[str] = "transmission error that grows with load or temperature"
+    words: ClassVar[Words] = Words(
+        "transmission error under load",
+        "the angle is off as the joint turns, the more the larger its torque is or the warmer the gear",
+        "amplitude at the rated torque, or 10 K above 20 degC",
+    )
+    family: ClassVar[str] = TRANSMISSION
+    told_by: ClassVar[str] = "move the joint alone over all its travel, with and without a load, and measure closely"
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return few orders, each with what it can grow with in these data."""
+        grows = [False] if not unmet(("torques",), robot, data.given) else []
+        grows += [True] if _measured(data) else []
+        orders = [(order, False) for order in ORDERS]
+        orders += [(1, True)] if any(joint.gear_ratio for joint in robot.joints) else []
+        return tuple(cls(robot, order, geared, warm) for warm in grows for order, geared in orders)
+
+    @classmethod
+    def lacking(cls, robot: Robot, data: Measurements) -> str:
+        """Say that neither torques nor temperatures are there."""
+        missing = unmet(("torques",), robot, data.given)
+        return f"{missing[0]}, or a column temperature_degC (that changes)" if missing and not _measured(data) else ""
+
+    def finer(self, data: Measurements) -> tuple[Self, ...]:
+        """Return the orders next to this one: what turns with a joint repeats a whole number of times."""
+        orders = (self.order - 1, self.order + 1)
+        return tuple(replace(self, order=k) for k in orders if k > 0 and not (self.geared and k > MULTIPLES))
+
+    def same_as(self, other: Self) -> bool:
+        """Return whether it repeats as often and grows with the same."""
+        return other == self
+
+    @property
+    def detail(self) -> str:
+        """Say the order, and what it grows with."""
+        order = f"{self.order} a motor turn" if self.geared else f"order {self.order}"
+        return f"{order}, by {'temperature' if self.warm else 'torque'}"
+
+    @cached_property
+    def rated(self) -> np.ndarray:
+        """Rated torques [Nm, a slide's N], shape (n_joints,)."""
+        return rated_torques(self.robot)
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the two phases, each times the load."""
+        ratio, of = 1.0, self.robot.joints[joint]
+        if self.geared:
+            ratio = of.gear_ratio or 0.0
+        elif of.kind == "prismatic":
+            ratio = 0.0
+        if not ratio:
+            return []
+        sd = 1.5e-4 if self.geared else 3e-4
+        waves = phases(self.order * ratio * state.q[joint], self.unit(joint), sd, 10e-3)
+        return [replace(wave, value=wave.value * self._load(joint, state, row)) for wave in waves]
+
+    def _load(self, joint: int, state: State, row: Row) -> ca.SX:
+        if self.warm:
+            return (row.temperature - REFERENCE) / WARMER if row.temperature.nnz() else ca.SX(0)
+        return state.torque[joint] / self.rated[joint]
+
+
+def _measured(data: Measurements) -> bool:
+    return "temperature" in data.given and float(data.table["temperature"].std()) > SPREAD

@@ -1,0 +1,36 @@
+"""What joints and links do that is not as textbooks draw it, hidden by the independent simulator: `calflow run` has to find it."""
+
+from __future__ import annotations
+
+import pytest
+
+from hidden.case import Case
+from hidden.causes import Hidden
+from hidden.test_hidden import case, found
+
+LOADED = {
+    "friction under load": (case("hh800", Hidden("friction-wind-up", 3, 2e-4)), "friction-wind-up"),
+    "wave under load": (case("serial", Hidden("loaded-transmission-error", 2, 4e-4, 2)), "loaded-transmission-error"),
+    "wave when warm": (
+        case("serial", Hidden("loaded-transmission-error", 1, 3e-4, "warm"), columns=("approach", "temperature")),
+        "loaded-transmission-error",
+    ),
+    "early knee": (case("serial", Hidden("nonlinear-joint-stiffness", 2, 1.5e-3, 0.1)), "nonlinear-joint-stiffness"),
+}
+
+
+@pytest.mark.parametrize("name", LOADED)
+def test_what_goes_with_the_load_is_found(name: str, tmp_path) -> None:
+    """Breaks if a cause that its load drives is missed, called something else with certainty, or found at another joint."""
+    hidden: Case = LOADED[name][0]
+    seen = found(tmp_path, hidden, 11)
+    assert len(seen.causes) == 1, seen.causes
+    assert seen.has(LOADED[name][1], hidden.hidden[0].joint), seen.causes
+    assert seen.unexplained.empty
+
+
+def test_friction_with_and_without_load_are_both_found(tmp_path) -> None:
+    """Breaks if wind-up that does not vanish without load is taken for one that does, or for backlash alone."""
+    seen = found(tmp_path, case("serial", Hidden("friction-wind-up", 3, 3e-4, 0.3)), 11)
+    assert sorted(seen.causes["cause"]) == ["friction-wind-up", "joint-backlash"], seen.causes
+    assert set(seen.causes["joint"]) == {3}
