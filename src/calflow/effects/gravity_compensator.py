@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Variable, Words, joint_variable
+from calflow.effects.base import Effect, Variable, Words, around, joint_variable
+from calflow.effects.thermal_growth import REFERENCE, SPREAD
 from calflow.robot.chain import Deflection, pose
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions
@@ -21,21 +22,27 @@ if TYPE_CHECKING:
     from calflow.measurements.measurements import Measurements
 
 SD, BOUND = 0.3, 2.0  # times joint 2's rated torque
-RATIOS = (0.2, 0.4)  # lever on the arm over the hinge's distance, of short cylinders
+RATIO = 0.3  # lever on the arm over the hinge's distance, of a short cylinder
 HINGES = (-90.0, 0.0, 90.0)  # deg from straight below the joint
+RATIOS = (0.15, 0.2, 0.25, 0.35, 0.4, 0.5, 0.6)  # to which the best one is refined
+TURN = 90.0  # deg about a hinge, to its neighbours
 
 
 @dataclass(frozen=True)
 class GravityCompensator(Effect):
-    """Torque on joint 2 = (Tc cos q2 + Ts sin q2) / sqrt(1 + r² + 2 r cos(q2 - q0 - hinge)).
+    """Torque on joint 2 = (Tc cos q2 + Ts sin q2) / l, of a spring + Kc cos q2 + Ks sin q2; l² = 1 + r² + 2 r cos(q2 - q0 - hinge).
 
-    A cylinder of constant force between a point of the arm and a hinge on the column has this lever: r is the point's
-    distance from the joint over the hinge's (0: the hinge is far away), q0 where the arm stands upright, hinge [deg] the
-    hinge's direction from straight below. It shows by the wind-up that it takes off the joint's compliance.
+    A cylinder of constant force between a point of the arm and a hinge on the column has the lever sin(…) / l: r is the
+    point's distance from the joint over the hinge's (0: the hinge is far away), q0 where the arm stands upright, hinge [deg]
+    the hinge's direction from straight below, l the cylinder's length over the hinge's distance. A spring's force grows with
+    l, and that part of its torque is free of l. A gas's force goes with its absolute temperature. All of it shows by the
+    wind-up that it takes off the joint's compliance.
     """
 
     ratio: float = 0.0
     hinge: float = 0.0
+    spring: bool = False
+    gas: bool = False
 
     id: ClassVar[str] = "gravity-compensator"
     title: ClassVar[str] = "gravity compensator"
@@ -47,26 +54,39 @@ class GravityCompensator(Effect):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return a far hinge, and near ones below the joint and on either side."""
-        return (cls(robot), *(cls(robot, ratio, hinge) for ratio in RATIOS for hinge in HINGES))
+        """Return a far hinge, near ones below the joint and on either side, and a spring to one below."""
+        near = (cls(robot, RATIO, hinge) for hinge in HINGES)
+        return (cls(robot), *near, cls(robot, RATIO, spring=True))
+
+    def finer(self, data: Measurements) -> tuple[Self, ...]:
+        """Return hinges about this one and other distances of it, a spring, and a gas where temperatures are known."""
+        found = [replace(self, spring=not self.spring)] if self.ratio else []
+        if self.ratio:
+            found += [replace(self, hinge=hinge) for hinge in around(self.hinge, TURN)[::2] if abs(hinge) <= 180]
+            found += [replace(self, ratio=ratio) for ratio in (*RATIOS, RATIO) if ratio != self.ratio]
+        if "temperature" in data.given and float(data.table["temperature"].std()) > SPREAD:
+            found.append(replace(self, gas=not self.gas))
+        return tuple(found)
 
     @property
     def detail(self) -> str:
-        """Say how long the cylinder is."""
+        """Say how long the cylinder is, and what drives it."""
+        what = ", spring" * self.spring + ", gas" * self.gas
         if not self.ratio:
-            return "far hinge"
+            return f"far hinge{what}"
         side = f", {self.hinge:+.0f} deg from below" if self.hinge else " below"
-        return f"hinge {1 / self.ratio:.3g} levers away{side}"
+        return f"hinge {1 / self.ratio:.3g} levers away{side}{what}"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the torque's two phases."""
+        """Return the torque's two phases, and those of the part that grows with a spring's length."""
         if not self._has_arm:
             return ()
         rated = float(rated_torques(self.robot)[1])
+        of = {"T": "torque"} | ({"K": "torque by the spring's rate"} if self.spring else {})
         return tuple(
-            Parameter(self.id, "joint2", f"T{phase}", "Nm", SD * rated, -BOUND * rated, BOUND * rated,
-                      meaning=f"compensator's torque, {wave} part", joint=2)
-            for phase, wave in (("c", "cosine"), ("s", "sine"))
+            Parameter(self.id, "joint2", f"{letter}{phase}", "Nm", SD * rated, -BOUND * rated, BOUND * rated,
+                      meaning=f"compensator's {what}, {wave} part", joint=2)
+            for letter, what in of.items() for phase, wave in (("c", "cosine"), ("s", "sine"))
         )  # fmt: skip
 
     @property
@@ -89,13 +109,21 @@ class GravityCompensator(Effect):
         if not self._has_arm:
             return 0.0
         q = state.q[1]
-        length = 1.0
+        length = ca.SX(1)
         if self.ratio:
             angle = q - self.upright - np.deg2rad(self.hinge)
             length = ca.sqrt(1 + self.ratio**2 + 2 * self.ratio * ca.cos(angle))
+        wave = ca.vertcat(ca.cos(q), ca.sin(q))
+        push = ca.dot(p[:2], wave) / length + (ca.dot(p[2:], wave) if self.spring else 0)
+        if self.gas and row.temperature.nnz():
+            push *= row.temperature / REFERENCE
         torque = ca.SX(self.robot.n_joints, 1)
-        torque[1] = (p[0] * ca.cos(q) + p[1] * ca.sin(q)) / length
+        torque[1] = push
         return torque
+
+    def size(self, p: ca.SX) -> ca.SX:
+        """Return the torque where the cylinder is as long as its hinge is far, its lever the largest."""
+        return super().size(p[:2] + p[2:] if self.spring else p)
 
     def variable(self, joint: int) -> Variable:
         """Return joint 2's angle."""

@@ -2,16 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 import pytest
 
 from calflow.diagnosis.findings.verdict import verdict
 from calflow.diagnosis.screening.screening import Family, by_place
 from calflow.diagnosis.search.linearisation import Finding
-from calflow.diagnosis.search.verification import corrected, doubtful
+from calflow.diagnosis.search.verification import corrected, doubted, doubtful, verified
 from diagnosis.findings.test_verdict import score
 
 N = 300
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A trial as verification sees it: what was found, what it costs, and the best form of every rival."""
+
+    findings: tuple
+    bic: float = 0.0
+    forms: dict = field(default_factory=dict)
+    n_residuals: int = N
+
+    @property
+    def causes(self):
+        """Its causes."""
+        return tuple(one.cause for one in self.findings)
+
+    def in_place(self, gone, cause):
+        """The best form in the place of what is gone."""
+        return self.forms.get((cause.id, len(gone)), cause)
 
 
 def finding(*scores):
@@ -42,3 +63,24 @@ def test_a_fitted_rival_is_as_near_as_its_fit_says():
     before, after = (next(s for s in one.scores if s.cause == rivals[0].cause) for one in (seen, now))
     assert N * np.log1p(-after.share) - N * np.log1p(-before.share) == pytest.approx(after.delta_bic - before.delta_bic)
     assert after.drop / after.share == pytest.approx(before.drop / before.share)
+
+
+def test_a_rival_is_fitted_in_its_best_form():
+    """Breaks if a rival is excluded in the form that the scan tried, or its fit in a better one does not count."""
+    own, rival = score(-1000.0, "gear-ratio-error", 2), score(-960.0, "gravity-compensator", 2)
+    best = score(-990.0, "gravity-compensator", 2, ratio=0.3, hinge=40.0).cause
+    trial = Seen((finding(own, rival),), forms={("gravity-compensator", 1): best})
+    assert list(doubted(trial)) == [[best]]
+    (seen,) = verified(trial, [trial, Seen((finding(score(-990.0, best.id, 2, ratio=0.3, hinge=40.0)),), bic=-2.0)])
+    assert by_place(seen.scores)[best.place][0] == pytest.approx(-1002.0)
+
+
+def test_two_of_a_joint_may_be_one_in_another_form():
+    """Breaks if what is left of two causes of a joint keeps the form that it had beside the other."""
+    first, second = score(-90.0, "joint-eccentricity", 2), score(-80.0, "gravity-compensator", 2)
+    best = score(-150.0, "gravity-compensator", 2, ratio=0.3, hinge=40.0).cause
+    trial = Seen((finding(first), finding(second)), forms={("gravity-compensator", 2): best})
+    tried = list(doubted(trial))
+    assert [best] in tried
+    assert [second.cause] in tried
+    assert [first.cause] in tried

@@ -12,7 +12,7 @@ from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.screening.screening import Score
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Linearisation
-from calflow.diagnosis.search.refinement import finest, refined
+from calflow.diagnosis.search.refinement import finest, in_place, refined
 from calflow.diagnosis.search.trial import Trial, bic, relief
 from calflow.effects.cause import Cause
 
@@ -63,6 +63,10 @@ class FittedTrial(Trial[Cause]):
     def refined(self) -> Iterator[list[Cause]]:
         """Yield the causes with one in a variant between its neighbours that is clearly better."""
         return refined(self.fitted)
+
+    def in_place(self, gone: Sequence[Cause], cause: Cause) -> Cause:
+        """Return the form of a cause that is best in the place of others."""
+        return in_place(self.fitted, gone, cause)
 
     def _at_bound(self, cause: Cause) -> int:
         """How many of a cause's parameters have no effect: they were there to be fitted, and count like the others."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 
@@ -15,6 +15,7 @@ from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.diagnosis.search.trial import swapped
 from calflow.effects.cause import Cause
 
+STEPS = 4  # at most, of one inner unknown each, when a rival is refined before it is fitted
 CLEARLY_FINER = 2.0  # of BIC: by how much a variant must be better than its neighbour for another fit
 
 
@@ -39,6 +40,20 @@ def refined(now: Fitted) -> Iterator[list[Cause]]:
         own = next((score.delta_bic for score in near if score.cause == cause), np.inf)
         if near and near[0].delta_bic < own - CLEARLY_FINER:
             yield swapped(now.causes, cause, near[0].cause)
+
+
+def in_place(now: Fitted, gone: Sequence[Cause], cause: Cause) -> Cause:
+    """Return the form of a cause that is best in the place of others, from the best that was tried by steps that are better."""
+    for _ in range(STEPS):
+        finer = _finer(cause, now)
+        if not finer:
+            return cause
+        scores = Linearisation.at(now, Catalogue((cause, *finer), {})).apart(gone).scores
+        best = next((score.cause for score in scores if score.cause.place == cause.place), cause)
+        if best == cause:
+            return cause
+        cause = best
+    return cause
 
 
 def _finer(cause: Cause, now: Fitted) -> list[Cause]:

@@ -13,7 +13,7 @@ from calflow.diagnosis.findings.verdict import WITHIN
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.screening import Score, by_place
 from calflow.diagnosis.search.acceptance import Acceptance
-from calflow.diagnosis.search.exchange import COLUMNS, Exchange
+from calflow.diagnosis.search.exchange import COLUMNS, SPLIT, Exchange
 from calflow.diagnosis.search.linearisation import Finding, Screened
 from calflow.diagnosis.search.trial import Trial, forget_all_but, is_worth_trying, swapped
 from calflow.diagnosis.search.verification import doubted
@@ -98,9 +98,9 @@ class Stepwise(Generic[H]):
             if not is_worth_trying(step.causes, tried):
                 continue
             tried.append(best.with_causes(step.causes, step.added))
-            if tried[-1].bic < best.bic or promising(tried[-1]):
+            if _cost(tried[-1]) < _cost(best) or promising(tried[-1]):
                 self.say(step.words)
-                if (other := self.settled(tried)).bic < best.bic:
+                if _cost(other := self.settled(tried)) < _cost(best):
                     return other
                 self.say("that is no better")
             forget_all_but(best, tried)
@@ -175,6 +175,11 @@ def second_thoughts(findings: Sequence[Finding[H]], acceptance: Acceptance) -> l
         if usual[best.cause.place] < usual[finding.cause.place] and acceptance.accepts(best, finding.family):
             return swapped(causes, finding.cause, best.cause)
     return causes
+
+
+def _cost(trial: Trial[H]) -> float:
+    """BIC, where two causes must explain the data clearly better than one does."""
+    return trial.bic + SPLIT * len(trial.causes)
 
 
 def _own_bic(finding: Finding[H]) -> float:

@@ -56,6 +56,10 @@ class Trial(ABC, Generic[H]):
         """Return the best form of a cause that is not in the model yet: a scan may have steps between its variants."""
         return score
 
+    def in_place(self, gone: Sequence[H], cause: H) -> H:
+        """Return the form of a cause that is best in the place of others: a rival is judged by its best one."""
+        return cause
+
     def refined(self) -> Iterator[list[H]]:
         """Yield the causes with one in a form that is clearly better, now that the others are in the model."""
         yield from ()

@@ -12,7 +12,7 @@ from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.screening import Score, by_place
 from calflow.diagnosis.search.exchange import COLUMNS
 from calflow.diagnosis.search.linearisation import Finding
-from calflow.diagnosis.search.trial import Trial, same, swapped
+from calflow.diagnosis.search.trial import Trial, swapped
 
 DOUBT = 0.05  # share of a cause's evidence by which the linear comparison with a rival may err
 WORTH = WITHIN  # of BIC: smaller doubts do not decide anything
@@ -32,26 +32,41 @@ def doubtful(finding: Finding[H]) -> list[Score[H]]:
 
 
 def doubted(best: Trial[H]) -> Iterator[list[H]]:
-    """Yield the causes with a rival of a large one in its place, or without one that has another at its joint."""
+    """Yield the causes with a rival of a large one in its place, or without one that has another at its joint.
+
+    Rivals, and what is left at a joint, are taken in the form that is best there.
+    """
     small = [finding for finding in best.findings if finding.cause.n_parameters <= COLUMNS]
     for finding in small:
         cause = finding.cause
-        yield from (swapped(best.causes, cause, score.cause) for score in doubtful(finding))
-        if cause.joint and any(other.cause != cause and other.cause.joint == cause.joint for other in small):
-            yield [other for other in best.causes if other != cause]
+        for score in doubtful(finding):
+            yield swapped(best.causes, cause, best.in_place([cause], score.cause))
+        for other in (
+            one.cause for one in small if one.cause != cause and cause.joint and one.cause.joint == cause.joint
+        ):
+            stay = [one for one in best.causes if one != cause]
+            yield stay
+            yield swapped(stay, other, best.in_place([cause, other], other))
 
 
 def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Finding[H], ...]:
     """Return the findings, with the rivals' evidence from the fits that there were with one of them in a cause's place."""
     found = []
     for finding in best.findings:
+        stay = [cause for cause in best.causes if cause != finding.cause]
         above = {
-            score.cause.place: other.bic - best.bic
+            score.cause.place: min(fitted)
             for score in doubtful(finding)
-            for other in tried if same(other.causes, swapped(best.causes, finding.cause, score.cause))
-        }  # fmt: skip
+            if (fitted := [other.bic - best.bic for other in tried if _has(other, stay, score.cause)])
+        }
         found.append(corrected(finding, above, best.n_residuals))
     return tuple(found)
+
+
+def _has(trial: Trial[H], stay: Sequence[H], rival: H) -> bool:
+    """Whether a trial had these causes and a rival besides, in any form."""
+    others = [cause for cause in trial.causes if cause not in stay]
+    return len(trial.causes) == len(stay) + 1 and [cause.place for cause in others] == [rival.place]
 
 
 def corrected(finding: Finding[H], above: Mapping[Place, float], n: int) -> Finding[H]:
