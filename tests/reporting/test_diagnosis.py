@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from calflow.effects import catalogue
+from calflow.files.results import Results
 from calflow.reporting import document
 from calflow.reporting.causes.finding import how_sure
 from calflow.reporting.causes.first_page import lacked, unsure
@@ -42,6 +43,7 @@ from reporting.case import (
     BACKLASH,
     COUPLED,
     CURVE,
+    MISFIT,
     OR_HYSTERESIS,
     ORDER_OPEN,
     OUTLIERS,
@@ -142,6 +144,56 @@ def test_the_unexplained_is_told_by_its_inputs_and_never_as_a_cause(small: Conte
     assert "a part of it depends on" not in named
     alone, _ = told(with_diagnosis(small, COUPLED))
     assert "No cause explains what is left: 41 causes were tested." in alone
+
+
+def test_a_lack_of_fit_is_the_first_thing_said(small: Context) -> None:
+    """Fails if the model's lack of fit stands behind what was found, without its place, or reads as nothing found."""
+    first, section = told(with_diagnosis(small, BACKLASH, MISFIT))
+    said = "The model leaves 1.80 times the noise; largest where joint 2 is between 20 and 45 deg"
+    assert said in first
+    assert first.index(said) < first.index("Backlash of joint 2:")
+    assert "more than noise, most where joint 2 is between 20 and 45 deg" in section
+    assert "The model as a whole:" in section
+    alone, section = told(with_diagnosis(small, MISFIT))
+    assert "No cause explains what is left: 41 causes were tested." in alone
+    assert "Usable where it was measured, but something unexplained is left." in alone
+    assert "coming back to some poses from elsewhere" in alone
+    assert "Nothing was found" not in alone + section
+    both, _ = told(with_diagnosis(small, MISFIT, COUPLED))
+    assert "a part of the error depends on the angles of joints 2 and 3:" in both
+
+
+def test_a_cause_without_gain_is_not_credited(small: Context) -> None:
+    """Fails if what gains nothing stands among what explains the error, or a larger gain hides behind a smaller one."""
+    vain = replace(STEP, gain=(0.03, -0.01, 0.07))
+    small_gain = replace(BACKLASH, gain=(0.01, 0.005, 0.015))
+    large = Found("named", "gear-ratio-error", 3, 1e-4, 1e-6, "1", gain=(0.2, 0.1, 0.3))
+    results = with_diagnosis(small, vain, small_gain, large).results
+    assert lacked(results) == [
+        ("Gear ratio error of joint 3:", "100.0 ± 1.0 µrad/rad; it takes 0.200 mm off the mean error."),
+        ("Backlash of joint 2:", "100.0 ± 4.0 µrad; it takes 0.010 mm off the mean error."),
+        ("In the model without measurable gain at held-out poses:", "step of the measuring device."),
+    ]
+    assert lacked(results, 1)[:2] == [
+        ("Gear ratio error of joint 3:", "100.0 ± 1.0 µrad/rad; it takes 0.200 mm off the mean error."),
+        ("And 1 more cause:", "backlash of joint 2."),
+    ]
+
+
+def test_a_search_that_ended_at_its_most_causes_says_so(small: Context) -> None:
+    """Fails if the cap of causes is reached in silence."""
+    results = with_diagnosis(small, BACKLASH).results
+    document_ = dict(results.documents["diagnose/summary.json"]) | {"capped": True}
+    capped = results | Results({}, {"diagnose/summary.json": document_})
+    assert "As many causes were found as were allowed" in lacked(capped)[-1]
+    assert len(lacked(results)) == 1
+
+
+def test_nothing_found_without_a_known_noise_says_what_could_not_be_seen(tmp_path: Path) -> None:
+    """Fails if silence about a lack of fit that nobody could test reads as there being none."""
+    first, section = told(with_diagnosis(context(tmp_path, Case(stated=False))))
+    for text in (first, section):
+        assert "the noise was estimated from the fit, so a lack of fit cannot be told from it" in text.lower()
 
 
 def test_a_name_beside_the_unexplained_along_its_input_is_not_told_as_sure(small: Context) -> None:

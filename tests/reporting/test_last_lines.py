@@ -6,7 +6,7 @@ import pytest
 
 from calflow.files.results import Results
 from calflow.reporting.last_lines import last_lines
-from reporting.case import BACKLASH, COUPLED, OUTLIERS, context, with_diagnosis
+from reporting.case import BACKLASH, COUPLED, MISFIT, OUTLIERS, context, with_diagnosis
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +26,12 @@ def test_findings_are_told_with_cause_joint_size_and_gain(given):
         "found: 2 rows are far off (lines 12, 31)",
     ]
     assert "Usable where it was measured, but something unexplained is left." in lines
+
+
+def test_a_lack_of_fit_is_told_with_its_place(given):
+    """Fails if a misfit that no input explains ends without a word, or as a dependence on nothing."""
+    (found,) = (line for line in last_lines(with_diagnosis(given, MISFIT).results) if line.startswith("found: "))
+    assert found == f"found: {MISFIT.statement}"
 
 
 def test_accuracy_goes_on_after_diagnosis(given):

@@ -15,6 +15,7 @@ from calflow.files.results import Results
 from calflow.reporting import document
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section, chosen, sections
+from calflow.reporting.sections.verdict import certainty
 from calflow.reporting.style import style
 from calflow.stages.report import STAGE
 from calflow.stages.stage import Context
@@ -177,6 +178,16 @@ def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> No
     centre = known.model.position(known.estimate, rows)
     moved = np.array([known.model.position(draw, rows) - centre for draw in draws])
     assert material.model_sd == pytest.approx(1e3 * np.sqrt((moved**2).sum(axis=2).mean()), rel=0.1)
+
+
+def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small: Context) -> None:
+    """Fails if page one gives the parameters' certainty for that of predictions."""
+    material = Material.of(small.study, small.results, small.run_folder)
+    off = replace(material, known=replace(material.known, discrepancy=1e-4))
+    assert off.prediction_sd == pytest.approx(np.hypot(material.model_sd, 0.1 * np.sqrt(3)))
+    left = f"{off.distance[off.judged].mean():.3f} mm are left on average"
+    assert f"certain to {off.prediction_sd:.3f} mm (1 sd, its own error included" in certainty(off)
+    assert left in certainty(off)
 
 
 def test_flagged_rows_are_listed_by_their_line(small: Context) -> None:

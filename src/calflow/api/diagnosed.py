@@ -17,6 +17,7 @@ from calflow.api.rows import Rows
 from calflow.deployment.needed_conditions import NeededCondition
 from calflow.design.discrimination import NextPose, SeparationRow, questions
 from calflow.diagnosis.diagnosis import diagnose as diagnosed
+from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.diagnosis.findings.extended_model import extended_model
 from calflow.diagnosis.findings.tables import CandidateRow, FindingRow
 from calflow.diagnosis.search.acceptance import FALSE_ALARM
@@ -109,9 +110,9 @@ class Diagnosis:
 
     @property
     def _said(self) -> list[str]:
-        return [f"{one.status.replace('_', ' ')}: {one.statement}" for one in self.findings] or [
-            "nothing was found that the model lacks"
-        ]
+        said = [f"{one.status.replace('_', ' ')}: {one.statement}" for one in self.findings]
+        unseen = self.results.document("diagnose/summary.json", DiagnosisSummary).unseen
+        return said or [f"nothing was found that the model lacks{f'; {unseen}' if unseen else ''}"]
 
 
 def diagnose(

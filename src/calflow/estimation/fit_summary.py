@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.noise import Source
+from calflow.estimation.noise import SIGNIFICANT, Source
 from calflow.estimation.noise_doubt import NoiseDoubt
 from calflow.files.tables import column
 
@@ -54,6 +54,11 @@ class FitSummary:
         if not self.noise_known or self.reduced_chi2 is None:
             return float("nan")
         return float(np.sqrt(self.reduced_chi2))
+
+    @property
+    def lacks_fit(self) -> bool:
+        """Whether the model leaves more than its noise, beyond chance."""
+        return self.lack_of_fit_p is not None and self.lack_of_fit_p < SIGNIFICANT and self.lack_of_fit > 1
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -60,6 +60,7 @@ class Found:
     alike: tuple[str, ...]
     depends_on: tuple[str, ...]
     order: int
+    statement: str
 
     @property
     def told(self) -> bool:
@@ -107,6 +108,11 @@ class Found:
         return amount(self.cause, self.estimate, self.sd, self.unit)
 
     @property
+    def is_misfit(self) -> bool:
+        """Whether it is a lack of fit as such, told whether an input explains it or not."""
+        return self.status == "unexplained" and not self.depends_on
+
+    @property
     def inputs(self) -> str:
         """What something unexplained depends on, in words."""
         joints = [name[1:] for name in self.depends_on if name not in OTHER_INPUTS]
@@ -143,6 +149,7 @@ def findings(results: Results) -> list[Found]:
                 alike=row.cannot_tell_from,
                 depends_on=row.inputs,
                 order=order,
+                statement=row.statement,
             )
         )
     return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.diagnosis.findings.tables import FindingRow
 from calflow.estimation.accuracy import Accuracy
 from calflow.files.results import Results
@@ -44,14 +45,15 @@ def _findings(results: Results) -> list[str]:
         return []
     rows = results.rows("diagnose/findings.csv", FindingRow)
     told = [f"found: {_told(one, row)}" for one, row in zip(findings(results), rows, strict=True)]
-    return told or ["found: nothing that the model lacks"]
+    unseen = results.document("diagnose/summary.json", DiagnosisSummary).unseen
+    return told or [f"found: nothing that the model lacks{f'; {unseen}' if unseen else ''}"]
 
 
 def _told(one: Found, row: FindingRow) -> str:
     """A finding with its cause, joint, size and gain."""
     if one.told:
         said = f"{one.names}, {one.amount}"
-    elif one.status == "unexplained":
+    elif one.status == "unexplained" and not one.is_misfit:
         said = f"something unexplained that depends on {one.inputs}"
     else:
         return row.statement

@@ -136,10 +136,16 @@ class Material:
 
     @cached_property
     def model_sd(self) -> float:
-        """How sure the calibrated model's own position is: root mean square over the judged rows [mm]."""
+        """How sure the parameters make the model's position: root mean square over the judged rows [mm]."""
         jacobian = self.known.model.point_jacobian(self.known.estimate, self.data.rows[:, self.judged])
         variance = np.einsum("nai,ij,naj->n", jacobian, self.known.covariance, jacobian, optimize=True)
         return 1e3 * float(np.sqrt(variance.mean()))
+
+    @property
+    def prediction_sd(self) -> float:
+        """How sure predicted positions are, with the model's own error: see `predict_positions` [mm]."""
+        own = self.known.discrepancy if self.known.noise_known else self.known.sigma
+        return float(np.sqrt(self.model_sd**2 + 3 * (1e3 * own) ** 2))
 
 
 def _errors(residuals: pd.DataFrame) -> np.ndarray:

@@ -62,6 +62,8 @@ def summary(found: Diagnosis, known: Identified) -> DiagnosisSummary:
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
         causes_tested=len({score.cause.place for score in found.extended.first.scores}),
         tests=found.extended.first.family.places,
+        worst=found.misfit.region if found.misfit else None,
+        capped=found.capped,
     )
 
 

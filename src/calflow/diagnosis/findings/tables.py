@@ -12,6 +12,7 @@ import pandas as pd
 from calflow.diagnosis.findings.amplitude import amplitude, found_amplitude
 from calflow.diagnosis.findings.gain import gain
 from calflow.diagnosis.findings.gaussian_process import predicted
+from calflow.diagnosis.findings.misfit import Misfit
 from calflow.diagnosis.findings.remainder import Remainder
 from calflow.diagnosis.findings.verdict import Verdict, label
 from calflow.diagnosis.screening.detection_limit import detection_limit
@@ -60,7 +61,9 @@ class FindingRow:
     rival_causes: tuple[str, ...] = column("ids of the rivals, in their order", default=())
     rival_joints: tuple[int, ...] = column("their joints; 0: none", default=())
     inputs: tuple[str, ...] = column(
-        "what something unexplained depends on: q1 … (joints), x, y, z, order, time", default=()
+        "what something unexplained depends on: q1 … (joints), x, y, z, order, time; empty: a lack of fit that is told whether "
+        "an input explains it or not, with where it is largest in `detail`",
+        default=(),
     )
 
 
@@ -94,7 +97,8 @@ class Diagnosis:
     """All that was found: the model to start from, its extension, a verdict a finding, and what is left.
 
     growth is the noise's with range where there is one; lacking and superseded say by id why an effect was not tested;
-    false_alarm is what causes were allowed.
+    false_alarm is what causes were allowed; misfit is the extended model's lack of fit where that is significant; capped
+    says that as many causes were found as were allowed.
     """
 
     start: Fitted
@@ -105,6 +109,8 @@ class Diagnosis:
     lacking: Mapping[str, str]
     superseded: Mapping[str, str]
     false_alarm: float
+    misfit: Misfit | None = None
+    capped: bool = False
 
     @property
     def causes(self) -> list[Cause]:
@@ -126,6 +132,8 @@ def findings_table(
         before = after
     if found.growth:
         rows.append(_growth(found.growth))
+    if found.misfit:
+        rows.append(_misfit(found.misfit, found.left))
     for remainder in found.left:
         after = before + predicted(final, remainder.score.cause, heldout)
         rows.append(_gained(_left(remainder), before, after, heldout, rng))
@@ -257,6 +265,17 @@ def _growth(grown: Growth) -> FindingRow:
         status="named", cause=kind.id, estimate=grown.slope, sd=grown.sd, unit="m/m", p_family=grown.p,
         probability=1 - grown.p, statement=f"{kind.title}: {1e6 * grown.floor:.3g} um and {1e6 * grown.slope:.3g} um/m",
     )  # fmt: skip
+
+
+def _misfit(misfit: Misfit, left: tuple[Remainder, ...]) -> FindingRow:
+    why = (
+        "only a part of it depends on an input" if left else "no cause of the catalogue and no single input explains it"
+    )
+    where = misfit.region.words if misfit.region else "about alike everywhere"
+    said = f"the model leaves {misfit.times:.2f} times the noise (chance of so much: {misfit.p:.2g}); {why}; {where}"
+    return FindingRow(
+        status="unexplained", p_family=misfit.p, detail=misfit.region.where if misfit.region else "", statement=said
+    )
 
 
 def _left(remainder: Remainder) -> FindingRow:

@@ -8,33 +8,57 @@ from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.diagnosis.findings.tables import UNEXPLAINED
 from calflow.files.results import Results
 from calflow.reporting.causes.gain import labels
-from calflow.reporting.causes.unexplained import structure, unexplained_findings
+from calflow.reporting.causes.unexplained import lack_of_fit, structure, unexplained_findings
 from calflow.reporting.findings import Found, findings
 from calflow.reporting.words import first_up, listed, mm, plural
 
+CAPPED = (
+    "As many causes were found as were allowed (stages.diagnose.causes): there may be more, and what they would explain is "
+    "left over or put down to those."
+)
+
+
+def foremost(results: Results) -> list[str]:
+    """Say what a reader must know before any cause: that the model leaves more than its noise, and where."""
+    return [said for said in (lack_of_fit(results),) if said]
+
 
 def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
-    """Say for the first page in a line each what the model lacked."""
+    """Say for the first page in a line each what the model lacked: what gains most first, what gains nothing last, as such."""
     causes = [one for one in findings(results) if one.told]
+    summary = results.document("diagnose/summary.json", DiagnosisSummary)
     if not causes:
-        told = "No cause explains what is left" if unexplained_findings(results) else "Nothing was found"
-        tested = results.document("diagnose/summary.json", DiagnosisSummary).causes_tested
-        return [f"{told}: {tested} causes were tested."]
-    names = labels(causes)
-    said: list[str | tuple[str, str]] = [
-        (f"{first_up(label)}:", _in_short(one)) for label, one in zip(names[:most], causes[:most], strict=True)
-    ]
-    if len(causes) > most:
-        rest = listed(list(dict.fromkeys(one.name for one in causes[most:])))
-        said.append((f"And {plural(len(causes) - most, 'more cause')}:", f"{rest}."))
+        more = unexplained_findings(results) or lack_of_fit(results)
+        told = "No cause explains what is left" if more else "Nothing was found"
+        unseen = f" {first_up(summary.unseen)}." if summary.unseen else ""
+        return [f"{told}: {summary.causes_tested} causes were tested.{unseen}"]
+    names = dict(zip((one.order for one in causes), labels(causes), strict=True))
+    worth = sorted((one for one in causes if not _in_vain(one)), key=lambda one: -_gain(one))
+    vain = [names[one.order] for one in causes if _in_vain(one)]
+    said: list[str | tuple[str, str]] = [(f"{first_up(names[one.order])}:", _in_short(one)) for one in worth[:most]]
+    if len(worth) > most:
+        rest = listed(list(dict.fromkeys(one.name for one in worth[most:])), len(worth))
+        said.append((f"And {plural(len(worth) - most, 'more cause')}:", f"{rest}."))
+    if vain:
+        said.append(("In the model without measurable gain at held-out poses:", f"{listed(vain, len(vain))}."))
+    if summary.capped:
+        said.append(CAPPED)
     return said
 
 
+def _in_vain(one: Found) -> bool:
+    """Whether the step that added a cause shows no gain at poses that no fit has seen."""
+    return math.isfinite(one.gain[0]) and not one.gain[1] > 0
+
+
+def _gain(one: Found) -> float:
+    """What a cause takes off the mean error; nothing where that is not known."""
+    return one.gain[0] if math.isfinite(one.gain[0]) else 0.0
+
+
 def _in_short(one: Found) -> str:
-    gain, low, _ = one.gain
-    gained = f"; it takes {mm(gain)} mm off the mean error" if math.isfinite(gain) and low > 0 else ""
-    unproven = "; the step that added it shows no gain at held-out poses" if math.isfinite(gain) and low <= 0 else ""
-    return f"{one.amount}{gained}{unproven}."
+    gained = f"; it takes {mm(one.gain[0])} mm off the mean error" if math.isfinite(one.gain[0]) else ""
+    return f"{one.amount}{gained}."
 
 
 def unsure(results: Results) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.files.results import Results
 from calflow.reporting.causes.gain import worth
 from calflow.reporting.document import Block, bullets, heading, paragraph
@@ -17,6 +18,7 @@ def still_unexplained(left: Sequence[Found]) -> list[Block]:
     if not left:
         return []
     items = [
+        ("The model as a whole:", f"{one.statement}.") if one.is_misfit else
         (f"{first_up(one.inputs)}:", f"part of the error depends on it, and no cause of the catalogue explains it. The chance "
          f"that noise looks like this is {chance(one.p)}.{worth(one)}")
         for one in left
@@ -35,16 +37,32 @@ def structure(results: Results) -> str:
 
 
 def unexplained_findings(results: Results) -> list[Found]:
-    """Return what stays unexplained."""
-    return [one for one in findings(results) if one.status == "unexplained"]
+    """Return what stays unexplained and depends on an input."""
+    return [one for one in findings(results) if one.status == "unexplained" and not one.is_misfit]
+
+
+def lack_of_fit(results: Results) -> str:
+    """Say that the extended model leaves more than its noise, and where most; empty where it does not."""
+    return next((f"{first_up(one.statement)}." for one in findings(results) if one.is_misfit), "")
 
 
 def unexplained(results: Results) -> list[Advice]:
     """Structure without a cause is to be looked for at the robot."""
     if not unexplained_findings(results):
-        return []
+        return [_look_there(results)] if lack_of_fit(results) else []
     sentence = (
         f"Something depends on {structure(results)} that no cause of the catalogue explains. Look at the robot for what changes "
         "with it (hoses and cables, loose bolts, collisions, the device's support), and measure again."
     )
     return [Advice(2, sentence)]
+
+
+def _look_there(results: Results) -> Advice:
+    """What to do about a lack of fit that no input explains."""
+    worst = results.document("diagnose/summary.json", DiagnosisSummary).worst
+    where = f"where {worst.where}" if worst else "at the poses with the largest errors (diagnose/residuals.csv)"
+    sentence = (
+        f"More is left than noise, and nothing that was tested explains it. Measure again {where}, coming back to some poses from "
+        "elsewhere: what repeats is the robot's, what does not is the device's or the set-up's."
+    )
+    return Advice(2, sentence)

@@ -49,16 +49,17 @@ def write(material: Material) -> list[Block]:
 
 
 def _opening(material: Material, every: Sequence[Found]) -> list[Block]:
-    tested = material.results.document(SUMMARY, DiagnosisSummary).causes_tested
+    summary = material.results.document(SUMMARY, DiagnosisSummary)
     searched = (
-        f"What the study's model leaves was searched for {tested} causes, each at its place in the robot or its "
+        f"What the study's model leaves was searched for {summary.causes_tested} causes, each at its place in the robot or its "
         f"surroundings. A cause counts as found where, with nothing hidden, fewer than {100 * threshold(material):.2g} % of such "
         f"searches would find anything.{_mended(every)}"
     )
     found = [one for one in every if one.status != FAULT]
     if not found:
         best = strongest(candidates(material.results))
-        return [paragraph(NOTHING, bold=True), paragraph(f"{searched}{best}")]
+        unseen = f" But {summary.unseen}." if summary.unseen else ""
+        return [paragraph(NOTHING + unseen, bold=True), paragraph(f"{searched}{best}")]
     rows = [
         (str(one.order or "–"), _title(one), one.amount if one.told and one.unit else "–", STATUS.get(one.status, one.status),
          chance_figure(one.p), sureness(one.probability), *gain_cells(one))
@@ -97,6 +98,8 @@ def _mended(every: Sequence[Found]) -> str:
 
 
 def _title(one: Found) -> str:
+    if one.is_misfit:
+        return f"more than noise{f', most where {one.detail}' if one.detail else ''}"
     if one.status == "unexplained":
         return f"depends on {one.inputs}"
     return one.names

@@ -6,7 +6,7 @@ import math
 
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.files.results import Results
-from calflow.reporting.causes.first_page import lacked, structure, unsure
+from calflow.reporting.causes.first_page import foremost, lacked, structure, unsure
 from calflow.reporting.document import Block, bullets, card, gap, heading, paragraph, picture, side_by_side
 from calflow.reporting.figures.error_budget import before_after
 from calflow.reporting.findings import findings
@@ -15,7 +15,7 @@ from calflow.reporting.section import Section, advice, sections
 from calflow.reporting.sections.accuracy import LACKS
 from calflow.reporting.sections.identifiability import open_questions
 from calflow.reporting.sections.predictive import coverage_words
-from calflow.reporting.words import listed, mm, plural, ratio
+from calflow.reporting.words import first_up, listed, mm, plural, ratio
 
 ENOUGH = 1.1  # times the noise up to which a model counts as complete
 USELESS = 0.95  # share of the nominal error above which calibration gained nothing
@@ -40,10 +40,12 @@ def write(material: Material) -> list[Block]:
         ("What the data cannot tell", [*unsure(material.results), *open_questions(material.results)] or [TOLD]),
         ("What to do next", [*next_steps(material)] or [FINE]),
     ]
-    size = TEXT
+    size, first = TEXT, foremost(material.results)
     if "diagnose/findings.csv" in material.results:
         lists.insert(0, ("What the study's model lacked", lacked(material.results)))
-        size = fitting([" ".join(line) if isinstance(line, tuple) else line for _, lines in lists for line in lines])
+        size = fitting(
+            [" ".join(line) if isinstance(line, tuple) else line for _, lines in lists for line in lines] + first
+        )
     return [
         paragraph("Calibration report", 10),
         paragraph(material.title, 21, bold=True),
@@ -51,6 +53,7 @@ def write(material: Material) -> list[Block]:
         gap(20),
         paragraph(judgement(material.results, found), 14, bold=True),
         gap(6),
+        *(paragraph(said, 11, bold=True) for said in first),
         paragraph(headline(found, split), 12),
         gap(16),
         side_by_side(cards, [1] * len(cards), 8),
@@ -70,12 +73,13 @@ def judgement(results: Results, found: list[ModelAccuracy]) -> str:
     urgent = any(found.urgency == 1 for found in advice(sections(), results))
     if urgent or last.mean > USELESS * first.mean:
         return "Do not use this model: see what to do next."
-    times = latest_summary(results).lack_of_fit
+    summary = latest_summary(results)
+    times = summary.lack_of_fit
     if any(found.status == "unexplained" for found in findings(results)):
         return "Usable where it was measured, but something unexplained is left."
     if math.isnan(times):
         return "Usable where it was measured; how much better it could be is not known."
-    if times <= ENOUGH:
+    if times <= ENOUGH and not summary.lacks_fit:
         return "Calibrated: as good as the measuring device can tell."
     return "Usable where it was measured, but the model lacks something."
 
@@ -98,27 +102,40 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     alone = material.noise_floor
     floor = f" Noise alone would give a mean error of {mm(alone)} mm." if alone else ""
     summary = latest_summary(material.results)
-    sure = f"where it was tested, its predicted positions are certain to {mm(material.model_sd)} mm (1 sd)."
     said = [
         ("Noise:", f"{material.known.noise(material.data).words}.{floor}"),
-        ("Left over:", leftover(summary.lack_of_fit, summary.discrepancy_mm, structure(material.results))),
-        ("Calibrated model:", sure),
+        (
+            "Left over:",
+            leftover(summary.lack_of_fit, summary.discrepancy_mm, structure(material.results), summary.lacks_fit),
+        ),
+        ("Calibrated model:", certainty(material)),
     ]
     if "sample/predictive.csv" in material.results:
         said.append(("Tested:", coverage_words(material.results)))
     return said
 
 
-def leftover(times: float, discrepancy: float = 0.0, structure: str = "") -> str:
+def certainty(material: Material) -> str:
+    """Say how sure the model's predictions are, its own error included, and what is left where it was tested."""
+    own = "its own error" if material.known.noise_known else "what the fit leaves, noise or not,"
+    where = "at held-out poses" if material.held.any() else "at the poses that were fitted"
+    left = float(material.distance[material.judged].mean())
+    return (
+        f"where it was tested, its predicted positions are certain to {mm(material.prediction_sd)} mm (1 sd, {own} included; from "
+        f"its parameters alone: {mm(material.model_sd)} mm). {first_up(where)} {mm(left)} mm are left on average."
+    )
+
+
+def leftover(times: float, discrepancy: float = 0.0, structure: str = "", significant: bool = False) -> str:
     """Say what a lack-of-fit factor and the model's own error [mm] mean; nan is a factor that cannot be known.
 
-    structure is what an unexplained part of the error depends on, if there is one.
+    structure is what an unexplained part of the error depends on, if there is one; significant says that so much is no chance.
     """
     if structure and not times > ENOUGH:
         return f"more than noise: a part of it depends on {structure}, and no cause explains that."
     if math.isnan(times):
         return "whether the model leaves more than noise cannot be told: the noise was estimated from the fit itself."
-    if times <= ENOUGH:
+    if times <= ENOUGH and not significant:
         return f"the model leaves {times:.2f} times the noise, so the noise explains all that is left."
     own = (
         f" Its own error of {mm(discrepancy)} mm per axis is counted in every standard deviation."

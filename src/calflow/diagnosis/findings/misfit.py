@@ -1,0 +1,204 @@
+"""Misfit: that a model leaves more than its noise, and where in the robot's space it leaves most.
+
+A lack of fit is told whether any input explains it or not. Where it is largest is sought one input at a time: in the range of
+each between two eighths of the poses, and at each value of what has few.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.estimation.accuracy import distances, errors
+from calflow.estimation.noise import SIGNIFICANT
+from calflow.files.tables import column
+from calflow.measurements.measurements import Measurements
+
+PARTS = 8  # of an input's poses, between whose ends regions reach
+MOST = 0.5  # share of the poses that a region may hold: what is larger is no place
+FEWEST = 4  # poses of a region, and beside it
+DRAWS = 499  # permutations of the poses
+BY_CHANCE = 0.05  # chance, over all inputs, above which a region is not told: the misfit is then about alike everywhere
+MOST_LEVERAGE = 0.95
+LABELS = ("payload", "marker")  # what has few values
+
+
+@dataclass(frozen=True, kw_only=True)
+class Region:
+    """Where a model leaves more than elsewhere: a range of one input, or one of its few values."""
+
+    input: str = column("q1 … (joints), x, y, z, time, order, payload, marker")
+    low: float | None = column("where the range begins", "as `unit` says", default=None)
+    high: float | None = column("where it ends", "as `unit` says", default=None)
+    unit: str = column("of the range", default="")
+    value: str = column("the payload or marker", default="")
+    there_mm: float = column("mean error of the training rows there", "mm")
+    elsewhere_mm: float = column("mean error of the others", "mm")
+
+    @property
+    def where(self) -> str:
+        """Name the place."""
+        if self.value:
+            return f"{self.input} is {self.value}"
+        joint = self.input[0] == "q" and self.input[1:].isdigit()
+        name = (
+            f"joint {self.input[1:]}"
+            if joint
+            else "the row's place in measuring order"
+            if self.input == "order"
+            else self.input
+        )
+        return f"{name} is between {_said(self.low)} and {_said(self.high)}{f' {self.unit}' if self.unit else ''}"
+
+    @property
+    def words(self) -> str:
+        """Say where, with the figures."""
+        return f"largest where {self.where}: {self.there_mm:.3g} mm against {self.elsewhere_mm:.3g} mm elsewhere"
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """A significant lack of fit: chi² per degree of freedom, its p-value, and where it is largest, if it is not everywhere."""
+
+    reduced_chi2: float
+    p: float
+    region: Region | None
+
+    @property
+    def times(self) -> float:
+        """How many times the noise the model leaves."""
+        return float(np.sqrt(self.reduced_chi2))
+
+
+@dataclass(frozen=True)
+class _Input:
+    """An input by which regions are made: its values in units that people read, or its labels, one a row."""
+
+    name: str
+    values: np.ndarray
+    unit: str = ""
+
+    def regions(self) -> Iterator[np.ndarray]:
+        """Yield which rows lie in each region."""
+        if self.values.dtype == object:
+            yield from (self.values == value for value in dict.fromkeys(self.values))
+            return
+        ends = np.unique(np.quantile(self.values, np.linspace(0, 1, PARTS + 1)))
+        for low, high in combinations(ends, 2):
+            yield (self.values >= low) & (self.values <= high)
+
+
+@dataclass(frozen=True)
+class _Worst:
+    """The region of an input in which most is left: its rows (n_rows,), its likelihood ratio, and the chance of it."""
+
+    of: _Input
+    inside: np.ndarray
+    ratio: float
+    chance: float
+
+
+def misfit(fitted: Fitted, rng: np.random.Generator) -> Misfit | None:
+    """Return a fitted model's lack of fit; None where the noise explains what is left, or nobody knows the noise."""
+    lack = fitted.lack
+    if not (fitted.noise.known and lack.p < SIGNIFICANT and lack.reduced_chi2 > 1):
+        return None
+    return Misfit(lack.reduced_chi2, lack.p, largest(fitted, rng))
+
+
+def largest(fitted: Fitted, rng: np.random.Generator) -> Region | None:
+    """Return where a fitted model leaves most; None where that is no more than chance makes of an even misfit.
+
+    The regions' mean squared whitened residuals are compared as variances are, by their likelihood ratio; its chance is that of
+    the poses in any other order (a permutation test: Fisher 1935), times the number of inputs.
+    """
+    squared, number = _studentised(fitted)
+    inputs = _inputs(fitted)
+    tried = [_worst(one, squared, number, fitted.poses, rng) for one in inputs]
+    found = [one for one in tried if one and one.chance * len(inputs) <= BY_CHANCE]
+    if not found:
+        return None
+    worst = min(found, key=lambda one: (one.chance, -one.ratio))
+    return _region(worst.of, worst.inside, fitted)
+
+
+def _worst(
+    one: _Input, squared: np.ndarray, number: np.ndarray, poses: np.ndarray, rng: np.random.Generator
+) -> _Worst | None:
+    """Return the region of an input in which most is left; None where it has none. What a pose's rows share is moved together."""
+    groups = poses if _constant(one.values, poses) else np.arange(len(squared))
+    _, first, group = np.unique(groups, return_index=True, return_inverse=True)
+    inside = np.array([region[first] for region in one.regions()])
+    size = inside.sum(axis=1)
+    inside = inside[(size >= FEWEST) & (size <= MOST * len(first))]
+    if not len(inside):
+        return None
+    total, count = np.bincount(group, squared), np.bincount(group, number)
+    orders = np.array([np.arange(len(first)), *(rng.permutation(len(first)) for _ in range(DRAWS))]).T
+    ratio = _likelihood_ratio(inside, total[orders], count[orders])  # (n_regions, 1 + DRAWS)
+    best = ratio.max(axis=0)
+    return _Worst(one, inside[int(ratio[:, 0].argmax())][group], float(best[0]), float((best >= best[0]).mean()))
+
+
+def _studentised(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
+    """Return the sum of each row's squared whitened residuals, freed of their leverage, and how many they are, both (n_rows,)."""
+    squared, number = np.zeros(len(fitted.data)), np.zeros(len(fitted.data))
+    for rows, residual, jacobian in fitted.problem.linearised(fitted.fit.estimate):
+        leverage = np.einsum("rai,ij,raj->ra", jacobian, fitted.fit.covariance, jacobian, optimize=True)
+        squared[rows] = (residual**2 / np.maximum(1 - leverage, 1 - MOST_LEVERAGE)).sum(axis=1)
+        number[rows] = residual.shape[1]
+    return squared, number
+
+
+def _likelihood_ratio(inside: np.ndarray, total: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """Return for regions (n_regions, n_groups) how much two variances explain better than one; zero where less is left inside.
+
+    total and count (n_groups, n_orders) are the groups' sums of squares and numbers of residuals.
+    """
+    within, n = inside @ total, inside @ count
+    beside, m = total.sum(axis=0) - within, count.sum(axis=0) - n
+    even = (within + beside) / (n + m)
+    ratio = (n + m) * np.log(even) - n * np.log(within / n) - m * np.log(beside / m)
+    return np.where(within / n > beside / m, ratio, 0.0)
+
+
+def _inputs(fitted: Fitted) -> list[_Input]:
+    """What regions are sought along: joints, place, time or order, payloads and markers."""
+    data: Measurements = fitted.data
+    angles = data.joints @ data.robot.reading_matrix.T
+    found = []
+    for i, joint in enumerate(data.robot.joints):
+        shown, factor = joint.shown
+        found.append(_Input(f"q{i + 1}", factor * angles[:, i], shown))
+    place = 1e3 * fitted.model.point(fitted.fit.estimate, data.rows)
+    found += [_Input(axis, place[:, i], "mm") for i, axis in enumerate("xyz")]
+    for name, unit in (("time", "s"), ("order", "")):
+        if name in data.given:
+            found.append(_Input(name, data.table[name].to_numpy(float), unit))
+            break
+    labels = [_Input(name, data.table[name].astype(str).to_numpy(object)) for name in LABELS if name in data.table]
+    return found + [one for one in labels if len(set(one.values)) > 1]
+
+
+def _constant(values: np.ndarray, groups: np.ndarray) -> bool:
+    """Whether all rows of a group have one value."""
+    _, first, group = np.unique(groups, return_index=True, return_inverse=True)
+    return bool((values == values[first][group]).all())
+
+
+def _region(one: _Input, inside: np.ndarray, fitted: Fitted) -> Region:
+    size = 1e3 * distances(errors(fitted.model, fitted.fit.estimate, fitted.data))
+    there, elsewhere = float(size[inside].mean()), float(size[~inside].mean())
+    if one.values.dtype == object:
+        return Region(input=one.name, value=str(one.values[inside][0]), there_mm=there, elsewhere_mm=elsewhere)
+    low, high = float(one.values[inside].min()), float(one.values[inside].max())
+    return Region(input=one.name, low=low, high=high, unit=one.unit, there_mm=there, elsewhere_mm=elsewhere)
+
+
+def _said(value: float | None) -> str:
+    """Return a figure with as many digits as a place needs."""
+    return "" if value is None else f"{value:.0f}" if abs(value) >= 10 else f"{value:.2g}"
