@@ -66,13 +66,14 @@ def diagnose(
     advance(SEARCHED)
     significance = SHARES["remainder"] * false_alarm
     left = remainder(extended.fitted, significance, rng("decoys"), say)
+    every = Catalogue.of(train, have)
     if catalogue or leave_out:
-        extended = weighed_against(extended, Catalogue.of(train, have))
+        extended = weighed_against(extended, every)
     advance(0.8)
     if not grown and (grown := growth_of_residuals(extended.fitted, alarm)):
         extended = extended.weighed(grown.sigma(train, start.device))
     if grown:
         say(f"the noise grows with range: {1e6 * grown.slope:.3g} um/m, p = {grown.p:.2g}")
-    verdicts = tuple(verdict(finding) for finding in extended.findings)
+    verdicts = tuple(verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings)
     return Diagnosis(start, extended, verdicts, tuple(left), grown, wanted.lacking, wanted.superseded,
                      acceptance.false_alarm, misfit(extended.fitted, rng("misfit")), capped=len(verdicts) >= causes)  # fmt: skip

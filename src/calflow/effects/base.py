@@ -87,7 +87,7 @@ class Effect(ABC):
     needs: ClassVar[tuple[str, ...]] = ()  # what it cannot do without: see `needs`
     family: ClassVar[str] = ""  # what to call it when the data do not tell it from others of its family
     alike: ClassVar[tuple[str, ...]] = ()  # ids that no pose tells from it: only another sensor or load would
-    like: ClassVar[tuple[str, ...]] = ()  # ids of what it would be taken for in data that cannot test it
+    taken_for: ClassVar[tuple[str, ...]] = ()  # ids of causes that it may be behind where data lack what would test it
     told_by: ClassVar[str] = ""  # what to do at the robot to tell it from its rivals where no pose does
     words: ClassVar[Words | None] = None  # for reports; without them they show the title
     readable: ClassVar[Readable] = {}  # for units that reports would turn into others

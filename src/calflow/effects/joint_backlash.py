@@ -23,6 +23,7 @@ class JointBacklash(JointError):
     )
     needs: ClassVar[tuple[str, ...]] = ("approach",)
     alike: ClassVar[tuple[str, ...]] = ("joint-hysteresis",)  # where it has fully developed at every pose
+    taken_for: ClassVar[tuple[str, ...]] = ("torque-backlash",)  # gravity decides the flank as often as not
     told_by: ClassVar[str] = REVERSALS
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:

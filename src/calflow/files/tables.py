@@ -210,7 +210,7 @@ def _stored(cells: pd.Series, one: Column) -> pd.Series:
     if one.kind is float:
         return cells.astype(float)
     if one.gaps:
-        return cells.astype("Int64")
+        return cells.astype("boolean" if one.kind is bool else "Int64")
     return cells.astype(one.kind)
 
 

@@ -61,6 +61,8 @@ class Found:
     depends_on: tuple[str, ...]
     order: int
     statement: str
+    not_tested: tuple[str, ...] = ()
+    carries_over: bool | None = None
 
     @property
     def told(self) -> bool:
@@ -150,6 +152,8 @@ def findings(results: Results) -> list[Found]:
                 depends_on=row.inputs,
                 order=order,
                 statement=row.statement,
+                not_tested=row.not_tested,
+                carries_over=row.carries_over,
             )
         )
     return found

@@ -117,6 +117,18 @@ def test_what_was_tested_there_is_judged_by_its_score():
     assert names(elsewhere) == [("joint-hysteresis", 3)]
 
 
+def test_what_the_data_could_not_test_is_not_excluded():
+    """Fails if a drift without a clock is named for certain though the robot may have warmed up, or the reason is lost."""
+    drift = score(-50.0, "frame-drift")
+    lone = Finding(drift.cause, (drift,), Family({}, 1.0))
+    found = verdict(lone, {"thermal-growth": "a column time_s"})
+    assert (found.status, found.probability) == ("one_of", pytest.approx(0.5))
+    assert [(rival.id, rival.needs, rival.score) for rival in found.rivals] == [
+        ("thermal-growth", "a column time_s", None)
+    ]
+    assert verdict(lone).status == "named"
+
+
 TRANSMISSION = "angular transmission error"
 
 

@@ -14,7 +14,7 @@ from calflow.diagnosis.findings.gain import gain
 from calflow.diagnosis.findings.gaussian_process import predicted
 from calflow.diagnosis.findings.misfit import Misfit
 from calflow.diagnosis.findings.remainder import Remainder
-from calflow.diagnosis.findings.verdict import Verdict, label
+from calflow.diagnosis.findings.verdict import Rival, Verdict, label
 from calflow.diagnosis.screening.detection_limit import detection_limit
 from calflow.diagnosis.screening.screening import Score, by_place
 from calflow.diagnosis.search.extension import Extended
@@ -48,7 +48,9 @@ class FindingRow:
     p_family: float = column("chance that noise alone makes any of all tests look like this", default=NAN)
     probability: float = column("that it is this cause rather than a rival", default=NAN)
     cannot_tell_from: tuple[str, ...] = column(
-        "ids of what it may be instead; `unexplained` where what nobody can name depends on the same input", default=()
+        "ids of what it may be instead, also of what these data could not test; `unexplained` where what nobody can name "
+        "depends on the same input",
+        default=(),
     )
     gain_mean_mm: float = column("what it takes off the mean error at held-out poses", "mm", default=NAN)
     gain_low_mm: float = column("lower end of the gain's 95 % interval", "mm", default=NAN)
@@ -64,6 +66,12 @@ class FindingRow:
         "what something unexplained depends on: q1 … (joints), x, y, z, order, time; empty: a lack of fit that is told whether "
         "an input explains it or not, with where it is largest in `detail`",
         default=(),
+    )
+    not_tested: tuple[str, ...] = column(
+        "ids of `cannot_tell_from` that these data could not test; `statement` says what that would take", default=()
+    )
+    carries_over: bool | None = column(
+        "whether it holds in blocks of the training poses that it was not fitted to; empty: not looked at", default=None
     )
 
 
@@ -219,7 +227,9 @@ def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None) -> FindingR
         cannot_tell_from=tuple(others), detail=cause.detail,
         rivals=tuple(label(rival.id, rival.joint) for rival in verdict.rivals),
         rival_causes=tuple(rival.id for rival in verdict.rivals),
-        rival_joints=tuple(rival.joint for rival in verdict.rivals), statement=_statement(verdict, left),
+        rival_joints=tuple(rival.joint for rival in verdict.rivals), statement=_statement(verdict, left) + _carried(verdict),
+        not_tested=tuple(dict.fromkeys(rival.id for rival in verdict.rivals if rival.score is None)),
+        carries_over=verdict.carries_over,
     )  # fmt: skip
 
 
@@ -236,10 +246,18 @@ def _statement(verdict: Verdict, left: Remainder | None) -> str:
     if verdict.family:
         return f"{verdict.family}{where}: {form} not resolved, best {cause.title}{detail}"
     if verdict.rivals:
-        return (
-            f"{cause.title}{where}{detail}, or {', or '.join(label(rival.id, rival.joint) for rival in verdict.rivals)}"
-        )
+        return f"{cause.title}{where}{detail}, or {', or '.join(map(_told, verdict.rivals))}"
     return f"{cause.title}{where}{detail}"
+
+
+def _carried(verdict: Verdict) -> str:
+    return "; it does not carry over to poses that were left out" if verdict.carries_over is False else ""
+
+
+def _told(rival: Rival) -> str:
+    """Name a rival; one that the data could not test with what that would take."""
+    said = label(rival.id, rival.joint)
+    return f"{said} (not tested: needs {rival.needs})" if rival.needs else said
 
 
 def _place(cause: Cause) -> str:

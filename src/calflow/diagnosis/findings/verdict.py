@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Generic, Literal
 
 import numpy as np
@@ -22,13 +24,14 @@ Status = Literal["named", "one_of"]
 class Rival(Generic[H]):
     """What else could explain the data: an effect's id and its joint (0 for none); bic is relative to the finding's.
 
-    score is of its best variant in the finding's place, None where the data could not test it.
+    score is of its best variant in the finding's place, None where the data could not test it; needs is what that would take.
     """
 
     id: str
     joint: int
     bic: float
     score: Score[H] | None
+    needs: str = ""
 
     @property
     def cause(self) -> H | None:
@@ -38,12 +41,16 @@ class Rival(Generic[H]):
 
 @dataclass(frozen=True)
 class Verdict(Generic[H]):
-    """A finding with its status, probability and rivals, the nearest first."""
+    """A finding with its status, probability and rivals, the nearest first.
+
+    carries_over says whether it holds in blocks of the training poses that it was not fitted to; None: not looked at.
+    """
 
     finding: Finding[H]
     status: Status
     probability: float
     rivals: tuple[Rival[H], ...]
+    carries_over: bool | None = None
 
     @property
     def family(self) -> str:
@@ -57,8 +64,11 @@ class Verdict(Generic[H]):
         return own if own and self.rivals and same else ""
 
 
-def verdict(finding: Finding[H]) -> Verdict[H]:
-    """Weigh a finding against all rivals in its place by their BIC, the variants of each taken together."""
+def verdict(finding: Finding[H], untestable: Mapping[str, str] = MappingProxyType({})) -> Verdict[H]:
+    """Weigh a finding against all rivals in its place by their BIC, the variants of each taken together.
+
+    untestable are ids of what may be behind it and could not be tested, with what that would take: as likely as the finding.
+    """
     evidence = by_place(finding.scores)
     cause = finding.cause
     own = evidence[cause.place][0]
@@ -68,7 +78,8 @@ def verdict(finding: Finding[H]) -> Verdict[H]:
         if place != cause.place and bic - own < WITHIN
     ]
     tested = {(score.cause.id, score.cause.joint) for score in finding.scores}
-    rivals += [Rival(other, cause.joint, 0.0, None) for other in cause.alike if (other, cause.joint) not in tested]
+    untested = [other for other in dict.fromkeys([*cause.alike, *untestable]) if (other, cause.joint) not in tested]
+    rivals += [Rival(other, cause.joint, 0.0, None, untestable.get(other, "")) for other in untested]
     weights = [np.exp(-(bic - own) / 2) for place, (bic, _) in evidence.items() if place != cause.place]
     if finding.unnamed < WITHIN:
         rivals.append(Rival(UNEXPLAINED, 0, finding.unnamed, None))

@@ -28,6 +28,12 @@ class Catalogue:
         """How many forms there are for each place."""
         return dict(Counter((effect.id, part) for effect in self.effects for part in parts(effect)))
 
+    def untestable(self, cause: str) -> dict[str, str]:
+        """Return what the data could not test though it may be behind a cause (id) that was found: ids, and what each needs."""
+        known = catalogue()
+        alike = known[cause].alike if cause in known else ()
+        return {name: why for name, why in self.lacking.items() if name in alike or cause in known[name].taken_for}
+
     @staticmethod
     def of(data: Measurements, have: Sequence[str], only: Sequence[str] = (), without: Sequence[str] = ()) -> Catalogue:
         """Collect what can be tested on these training data: all, or only some, but what the model has already."""

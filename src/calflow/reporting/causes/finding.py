@@ -50,11 +50,14 @@ def how_sure(one: Found) -> str:
         said.append(sure if one.joint else "That it goes with the time is sure; its course is not.")
         said += [f"{kin} would do as well."] if one.kin else []
     if one.others:
-        verb = "explains" if len(one.others) == 1 else "explain"
-        names = listed([other.name for other in one.others], 5)
+        tested = [other.name for other in one.others if other.cause not in one.not_tested]
+        untested = [other.name for other in one.others if other.cause in one.not_tested]
+        verb = "explains" if len(tested) == 1 else "explain"
+        why = [f"{listed(tested, 5)} {verb} these data as well, or nearly so"] if tested else []
+        why += [f"{listed(untested, 5)} could not be tested with these data"] if untested else []
         said.append(
-            f"Its name is less sure: {names} {verb} these data as well, or nearly so (probability of "
-            f"{cause_name(one.cause, one.joint)}: {sureness(one.probability)})."
+            f"Its name is less sure: {', and '.join(why)} (probability of {cause_name(one.cause, one.joint)}: "
+            f"{sureness(one.probability)})."
         )
     elif UNEXPLAINED in one.alike:
         said.append(
@@ -64,6 +67,8 @@ def how_sure(one: Found) -> str:
         said.append(
             f"Nothing else that was tested explains the data nearly as well (probability {sureness(one.probability)})."
         )
+    if one.carries_over is False:
+        said.append("It does not hold in blocks of the fitted poses that were left out: do not rely on its name.")
     return " ".join(said)
 
 
