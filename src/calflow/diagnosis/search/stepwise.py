@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Generic
 
 import numpy as np
@@ -15,6 +15,7 @@ from calflow.diagnosis.screening.screening import Score, by_place
 from calflow.diagnosis.search.acceptance import Acceptance
 from calflow.diagnosis.search.exchange import COLUMNS, SPLIT, Exchange
 from calflow.diagnosis.search.linearisation import Finding, Screened
+from calflow.diagnosis.search.merging import merged
 from calflow.diagnosis.search.trial import Trial, forget_all_but, is_worth_trying, swapped
 from calflow.diagnosis.search.verification import doubted
 
@@ -82,9 +83,10 @@ class Stepwise(Generic[H]):
         return next((step for step in self._steps(tried[-1]) if is_worth_trying(step.causes, tried)), None)
 
     def improved(self, best: Trial[H], tried: list[Trial[H]]) -> Trial[H] | None:
-        """Return a better model that an exchange leads to, or a rival in the place of a large cause, if there is one."""
+        """Return a better model that a merger, an exchange, or a rival in the place of a large cause leads to, if there is one."""
         others = (_replaced(best, causes) for causes in doubted(best))
-        return self._led_to(best, tried, self.exchanges(best), lambda _: False) or self._led_to(
+        at_once = chain((_replaced(best, causes) for causes in merged(best)), self.exchanges(best))
+        return self._led_to(best, tried, at_once, lambda _: False) or self._led_to(
             best, tried, others, lambda trial: trial.bic < best.bic + WITHIN and not self._stand(trial)
         )
 
