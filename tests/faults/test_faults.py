@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from calflow import faults
-from calflow.faults import Correction, Fault, as_table, checks, corrected, search
+from calflow.faults import Correction, Fault, as_table, checks, corrected, plain_checks, search
 from calflow.faults.base import correct, lines_in_words
 from calflow.faults.outlier import limit_of
 from calflow.faults.reference import NORMAL_LENGTH, Models, Reference
@@ -245,7 +245,9 @@ def test_every_check_has_its_place():
     assert {check.id for check in checks()} == {
         "outlier", "marker-swap", "joint-sign", "encoder-turn", "unit-mistake", "row-misalignment"
     }  # fmt: skip
-    assert all(before.order < after.order for before, after in pairwise(checks()))
+    assert {check.id for check in plain_checks()} == {"duplicate", "torque-sign", "torque-scale"}
+    for every in (checks(), plain_checks()):
+        assert all(before.order < after.order for before, after in pairwise(every))
     files = {path.stem for path in Path(faults.__path__[0]).glob("*.py")} - {
         "__init__",
         "base",
@@ -253,7 +255,7 @@ def test_every_check_has_its_place():
         "reference",
         "segments",
     }
-    assert {check.__module__.rpartition(".")[2] for check in checks()} == files
+    assert {check.__module__.rpartition(".")[2] for check in (*checks(), *plain_checks())} == files
 
 
 def test_segments_are_the_cheapest():

@@ -10,23 +10,37 @@ from functools import lru_cache
 import numpy as np
 import pandas as pd
 
-from calflow.faults.base import Check, Correction, Fault, FaultyRow, correct
+from calflow.faults.base import Check, Correction, Fault, FaultyRow, PlainCheck, correct
 from calflow.faults.elsewhere import gross_rows, is_position
 from calflow.faults.reference import Models, Reference
 from calflow.files.problems import refuse
 from calflow.files.tables import to_frame
 from calflow.measurements.measurements import Measurements
 
-__all__ = ["Check", "Correction", "Fault", "FaultyRow", "as_table", "checks", "corrected", "search"]
+__all__ = [
+    "Check", "Correction", "Fault", "FaultyRow", "PlainCheck", "as_table", "checks", "corrected", "plain_checks", "search",
+]  # fmt: skip
 
 
 @lru_cache
 def checks() -> tuple[Check, ...]:
-    """Return every check in its order; a new file in this folder is enough to add one."""
-    for module in pkgutil.iter_modules(__path__):
-        importlib.import_module(f"{__name__}.{module.name}")
+    """Return every check against a rough robot in its order; a new file in this folder is enough to add one."""
+    _import_all()
     here = [kind() for kind in Check.__subclasses__() if kind.__module__.startswith(f"{__name__}.")]
     return tuple(sorted(here, key=lambda check: check.order))
+
+
+@lru_cache
+def plain_checks() -> tuple[PlainCheck, ...]:
+    """Return every check of the rows by themselves in its order; a new file in this folder is enough to add one."""
+    _import_all()
+    here = [kind() for kind in PlainCheck.__subclasses__() if kind.__module__.startswith(f"{__name__}.")]
+    return tuple(sorted(here, key=lambda check: check.order))
+
+
+def _import_all() -> None:
+    for module in pkgutil.iter_modules(__path__):
+        importlib.import_module(f"{__name__}.{module.name}")
 
 
 def search(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
@@ -34,15 +48,20 @@ def search(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
 
     What has one clear correction is corrected; rows that nothing puts right are left out of fit and judgement.
     """
+    faults: list[Fault] = []
+    for check in plain_checks():
+        for fault in check.find(data):
+            data = correct(data, fault)
+            faults.append(fault)
     positions = is_position(data)
     if positions.all():
-        return _of_positions(data)
-    faults: list[Fault] = []
+        data, found = _of_positions(data)
+        return data, (*faults, *found)
     if positions.any():
-        found = _of_positions(data.only(positions))[1]
-        faults += [fault.among(np.flatnonzero(positions)) for fault in found]
-    for fault in faults:
-        data = correct(data, fault)
+        for fault in _of_positions(data.only(positions))[1]:
+            moved = fault.among(np.flatnonzero(positions))
+            data = correct(data, moved)
+            faults.append(moved)
     for fault in gross_rows(data, ~positions):
         data = correct(data, fault)
         faults.append(fault)

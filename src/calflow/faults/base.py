@@ -16,7 +16,7 @@ from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.sequence import IN_ORDER, approach_and_travel
 
-Action = Literal["corrected", "left out"]
+Action = Literal["corrected", "left out", "told"]
 POSITION = "position"  # the quantity x, y, z
 OF_DEVICE = ("x", "y", "z", "rx", "ry", "rz", "qw", "qx", "qy", "qz", "sigma", "sigma_rotation", "range")
 
@@ -29,7 +29,7 @@ class FaultyRow:
     joint: int = column("number of the joint; 0: none")
     line: int | None = column("line of the file; empty: the whole column")
     pose: str = column("as in the measurements", default="")
-    action: Literal["corrected", "left out"] = column("what was done")
+    action: Literal["corrected", "left out", "told"] = column("what was done; told: nothing, it is said alone")
     statement: str = column("what is wrong, in words")
     row: int = column("number of the row, from 1; 0: every row")
     quantity: str = column("what was corrected: position, or a measured quantity; empty: nothing", default="")
@@ -54,7 +54,10 @@ class Correction:
 
 @dataclass(frozen=True)
 class Fault:
-    """Something wrong with the data: its cause, joint (0: none), lines of the file (none: a whole column), what to do."""
+    """Something wrong with the data: its cause, joint (0: none), lines of the file (none: a whole column), what to do.
+
+    Where nobody can say what is right, it is told and nothing is changed.
+    """
 
     cause: str
     joint: int
@@ -93,6 +96,18 @@ class Fault:
         return typed(made, FaultyRow)
 
 
+class PlainCheck(ABC):
+    """The search for one kind of fault that the rows show without a rough robot; these checks run first, in their order."""
+
+    id: ClassVar[str]
+    title: ClassVar[str]
+    order: ClassVar[int]
+
+    @abstractmethod
+    def find(self, data: Measurements) -> tuple[Fault, ...]:
+        """Return the faults of this kind."""
+
+
 class Check(ABC):
     """The search for one kind of fault. Checks run in the order of their number, each on what those before it mended."""
 
@@ -106,7 +121,12 @@ class Check(ABC):
 
 
 def fault(
-    check: Check, data: Measurements, joint: int, corrections: Sequence[Correction], action: Action, statement: str
+    check: Check | PlainCheck,
+    data: Measurements,
+    joint: int,
+    corrections: Sequence[Correction],
+    action: Action,
+    statement: str,
 ) -> Fault:
     """Return a fault with the lines of its rows; LINES stands in the statement for these in words."""
     rows = [correction.row - 1 for correction in corrections if correction.row]

@@ -92,6 +92,30 @@ def gravity_torque(robot: Robot) -> ca.Function:
     return ca.Function("gravity_torque", [q, row.payload], [ca.densify(-loads.torque)])
 
 
+def moment_torques(robot: Robot) -> ca.Function:
+    """Return the nominal robot's function (q) -> derivatives of the holding motor torques by all that the links may weigh.
+
+    These are the links' and bars' masses [kg] and first moments [kg m], in which torques are linear whatever the masses are
+    (Khalil and Dombre 2002); (n_joints, 4 times the number of bodies), without payload.
+    """
+    q, known = ca.SX.sym("q", robot.n_joints), nominal_loads(robot)
+    free = Loads(
+        ca.SX.sym("mass", known.mass.shape), ca.SX.sym("com", known.com.shape), ca.SX.sym("bar", known.bar_mass.shape),
+        ca.SX.sym("bar_com", known.bar_com.shape), 0 * known.payload_mass, known.payload_com,
+    )  # fmt: skip
+    masses = ca.vertcat(free.mass, free.bar_mass)
+    places = ca.vertcat(ca.vec(free.com), ca.vec(free.bar_com))
+    packed = ca.SX.sym("row", sum(Row.sizes(robot).values()))
+    row = replace(Row.unpack(robot, packed), q=q, payload=ca.SX(len(robot.payloads), 1))
+    torque = -state(robot, nominal_dimensions(robot), free, row, Deflection.zero(robot.n_joints)).torque
+    slopes = ca.substitute(
+        ca.jacobian(torque, ca.vertcat(masses, places)),
+        ca.vertcat(masses, places),
+        ca.vertcat(ca.SX.ones(masses.shape), ca.SX.zeros(places.shape)),
+    )
+    return ca.Function("moment_torques", [q], [ca.densify(slopes)])
+
+
 @lru_cache(maxsize=16)
 def rated_torques(robot: Robot) -> np.ndarray:
     """Return each joint's rated torque [Nm], shape (n_joints,), read-only: the maker's, else what gravity asks of it.

@@ -76,6 +76,5 @@ def _written_as(folder: Path) -> tuple[str, str]:
 
 def _columns_mended(faults: pd.DataFrame) -> list[str]:
     """Say which columns of the measurements were wrong throughout: rows to predict are taken as they stand."""
-    return [
-        f"{said}; the rows to predict are taken to be right" for said in faults.loc[faults["row"] == 0, "statement"]
-    ]
+    whole = faults[(faults["row"] == 0) & (faults["action"] == "corrected")]
+    return [f"{said}; the rows to predict are taken to be right" for said in whole["statement"]]

@@ -1,0 +1,90 @@
+"""Duplicate: one observation that was written several times, to the last digit, and is no repeat."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calflow.faults.base import Correction, Fault, PlainCheck, fault, lines_in_words
+from calflow.measurements.columns import SIGMAS, condition_columns, numbered
+from calflow.measurements.measurements import Measurements
+from calflow.measurements.sequence import IN_ORDER
+
+LABELS = ("marker", "payload", "session", "series")
+OF_THE_ROW = ("pose", "repeat", "line", "split", "order", "time", "temperature", "range", "of_repeats", *SIGMAS)
+CHANCE = 0.01  # of any honest repeats being alike to the last digit: a device that rounds coarsely has many such
+BEST = 1e-5  # m or rad: scatter of a good device, where neither repeats nor the file tell it
+FINEST = 9  # decimals
+
+
+class Duplicate(PlainCheck):
+    """Find rows that hold what an earlier row holds, and count each observation once."""
+
+    id: ClassVar[str] = "duplicate"
+    title: ClassVar[str] = "an observation was written several times"
+    order: ClassVar[int] = 10
+
+    def find(self, data: Measurements) -> tuple[Fault, ...]:
+        """Return one fault with all copies."""
+        setting, values = _setting(data), _measured(data)
+        if not values:
+            return ()
+        keys = [*setting, *values]
+        again = data.table.duplicated(keys).to_numpy()
+        if not again.any() or _by_chance(data, setting, values, again) > CHANCE:
+            return ()
+        copies = np.flatnonzero(again)
+        group = data.table.groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
+        first = np.unique(group, return_index=True)[1]
+        lines = data.table["line"].to_numpy()
+        written = lines_in_words(sorted({int(lines[first[group[row]]]) for row in copies}))
+        statement = (
+            f"LINES hold to the last digit what {written} held before: one observation written several times; it counts "
+            "once, take the copies out of the file"
+        )
+        return (fault(self, data, 0, [Correction(int(row) + 1) for row in copies], "left out", statement),)
+
+
+def _setting(data: Measurements) -> list[str]:
+    """Return the columns that say under what a row was measured."""
+    joints = numbered("q", data.robot.n_joints)
+    stated = [name for name in ("approach", "wrench") if name in data.given]
+    if IN_ORDER in data.notes:  # then approach is only the way from the row before
+        stated = [name for name in stated if name != "approach"]
+    touched = [name for series in data.series for name in series.labels]
+    there = [name for name in dict.fromkeys((*LABELS, *touched)) if name in data.table]
+    return [*joints, *there, *(column for name in stated for column in condition_columns(name, data.robot))]
+
+
+def _measured(data: Measurements) -> list[str]:
+    """Return the columns that hold what the device reported."""
+    conditions = {column for name in data.given for column in condition_columns(name, data.robot)}
+    known = conditions | set(numbered("q", data.robot.n_joints)) | set(OF_THE_ROW)
+    return [str(name) for name in data.table if name not in known and data.table[name].dtype.kind == "f"]
+
+
+def _by_chance(data: Measurements, setting: list[str], values: list[str], again: np.ndarray) -> float:
+    """Return how many pairs of honest repeats would be alike to the last digit, by the device's scatter and last digit."""
+    table = data.table
+    distinct = table[~again].groupby(setting, sort=False, dropna=False)[values]
+    size = distinct.transform("size").to_numpy()
+    apart = (table.loc[~again, values] - distinct.transform("mean")).to_numpy()[size > 1]
+    shrunk = np.sqrt(1 - 1 / size[size > 1])[:, None]
+    stated = BEST if data.sigma is None else float(np.nanmedian(data.sigma))
+    alike = 1.0
+    for k, name in enumerate(values):
+        own = table[name].to_numpy()[~np.isnan(table[name].to_numpy())]
+        scatter = float(np.sqrt(np.nanmean((apart[:, k] / shrunk[:, 0]) ** 2))) if len(apart) else stated
+        alike *= min(1.0, _last_digit(own) / max(2 * np.sqrt(np.pi) * scatter, 1e-12))
+    sizes = table.groupby(setting, sort=False, dropna=False).size().to_numpy()
+    return float(alike * (sizes * (sizes - 1) / 2).sum())
+
+
+def _last_digit(values: np.ndarray) -> float:
+    """Return the unit of the last digit [m, or rad], in which values of a file in mm (or mrad) were written."""
+    for decimals in range(FINEST):
+        scaled = values * 10.0 ** (3 + decimals)
+        if np.allclose(scaled, np.rint(scaled), rtol=0, atol=1e-3):
+            return float(10.0 ** -(3 + decimals))
+    return float(10.0 ** -(3 + FINEST))

@@ -1,0 +1,160 @@
+"""Measured torque: torque columns whose sign or scale is not that of the robot file's masses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from calflow.faults.base import Correction, Fault, PlainCheck, fault
+from calflow.measurements.columns import numbered
+from calflow.measurements.measurements import Measurements
+from calflow.robot.loop import reachable
+from calflow.robot.statics import gravity_torque, moment_torques
+
+FEWEST = 12  # rows more than figures that are fitted to a joint's torques
+LOADED = 0.02  # of the most loaded joint's gravity load: less says nothing
+OPEN = 0.05  # share of the payload's load that is left where links of unknown masses imitate it
+AGAINST = -0.9  # correlation from which a sign is surely wrong
+ALONG = 0.95  # correlation from which a scale can be told
+SCALE = 1.15  # times too large or too small: masses from a drawing are better than that
+SURE = 5.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A joint's measured torques (index from 0) against those that masses ask for, offset and friction taken off."""
+
+    joint: int
+    correlation: float
+    slope: float
+    sd: float
+    against: str
+
+
+class TorqueSign(PlainCheck):
+    """Measured torques that count the other way than those that hold the robot's weight."""
+
+    id: ClassVar[str] = "torque-sign"
+    title: ClassVar[str] = "measured torques have the wrong sign"
+    order: ClassVar[int] = 20
+
+    def find(self, data: Measurements) -> tuple[Fault, ...]:
+        """Return a fault a joint; it is corrected where all joints, or all whose readings count the other way, agree."""
+        compared = comparisons(data)
+        turned = {one.joint for one in compared if one.correlation < AGAINST}
+        if not turned:
+            return ()
+        backwards = {j for j, joint in enumerate(data.robot.joints) if joint.sign == -1}
+        loaded = {one.joint for one in compared}
+        clear = {one.joint for one in compared if abs(one.correlation) > -AGAINST}
+        # Columns of the motors' torques as the controller counts them: all alike, those of unloaded joints too.
+        for alike in (set(range(data.robot.n_joints)), backwards):
+            if turned == alike & loaded == alike & clear:
+                return tuple(self._fault(data, one, compared) for one in sorted(alike))
+        return tuple(self._fault(data, one, compared, False) for one in sorted(turned))
+
+    def _fault(self, data: Measurements, joint: int, compared: tuple[Comparison, ...], clear: bool = True) -> Fault:
+        own = next((one for one in compared if one.joint == joint), None)
+        why = (
+            "as those of the joints that gravity loads"
+            if own is None
+            else f"correlation {own.correlation:.3f} with {own.against}"
+        )
+        do = (
+            f"turned here, turn the sign of column tau{joint + 1}"
+            if clear
+            else f"not changed, since other joints' are right: find out which way tau{joint + 1} counts"
+        )
+        factor = Correction(0, f"tau{joint + 1}", factor=-1.0) if clear else Correction(0)
+        statement = f"joint {joint + 1}: measured torques have the wrong sign ({why}); {do}"
+        return fault(self, data, joint + 1, [factor], "corrected" if clear else "told", statement)
+
+
+class TorqueScale(PlainCheck):
+    """Measured torques that are several times what the robot's weight asks for, or a part of it."""
+
+    id: ClassVar[str] = "torque-scale"
+    title: ClassVar[str] = "measured torques have the wrong scale"
+    order: ClassVar[int] = 30
+
+    def find(self, data: Measurements) -> tuple[Fault, ...]:
+        """Return a fault a joint; nothing is changed, since torques or masses may be wrong."""
+        found = []
+        for one in comparisons(data):
+            times = abs(one.slope)
+            off = max(times - SCALE, 1 / SCALE - times)
+            if abs(one.correlation) < ALONG or off <= SURE * one.sd:
+                continue
+            statement = (
+                f"joint {one.joint + 1}: measured torques are {times:.2g} times {one.against} (correlation "
+                f"{abs(one.correlation):.3f}); not changed: check the unit of tau{one.joint + 1}, whether it is the motor's "
+                "side of the gear, the masses, and whether a spring or cylinder carries a part"
+            )
+            found.append(fault(self, data, one.joint + 1, [Correction(0)], "told", statement))
+        return tuple(found)
+
+
+def comparisons(data: Measurements) -> tuple[Comparison, ...]:
+    """Compare the torque columns with computed loads, joint by joint where gravity loads it enough.
+
+    Where masses are not known, known payloads tell the scale: the links' own part, linear in unknown first moments, is
+    fitted beside theirs.
+    """
+    robot = data.robot
+    if "torque" not in data.given:
+        return ()
+    angles = data.joints @ robot.reading_matrix.T
+    there = reachable(robot, angles)
+    angles, payload = angles[there], _payload(data)[there]
+    if not len(angles):
+        return ()
+    measured = data.table[numbered("tau", robot.n_joints)].to_numpy()[there]
+    came = data.table[numbered("approach", robot.n_joints)].to_numpy()[there] if "approach" in data.given else None
+    held = _mapped(gravity_torque(robot), angles, payload)
+    moments = None
+    if robot.has_masses:
+        against = "what the robot file's masses ask for"
+    elif any(load.mass for load in robot.payloads.values()):
+        held = held - _mapped(gravity_torque(robot), angles, 0 * payload)
+        moments = np.array(moment_torques(robot).map(len(angles))(angles.T)).T.reshape(len(angles), -1, robot.n_joints)
+        against = "what the known payloads ask for"
+    else:
+        return ()
+    spread = held.std(axis=0)
+    found = []
+    for j in np.flatnonzero(spread > LOADED * spread.max(initial=0.0)):
+        other = [np.ones(len(angles)), *([] if came is None else [came[:, j]])]
+        beside = np.column_stack([*other, *(() if moments is None else moments[:, :, j].T)])
+        one = _compared(int(j), measured[:, j], held[:, j], beside, against)
+        found += [] if one is None else [one]
+    return tuple(found)
+
+
+def _compared(
+    joint: int, measured: np.ndarray, held: np.ndarray, beside: np.ndarray, against: str
+) -> Comparison | None:
+    """Compare torques (n,) with loads (n,), both freed of other terms (n, k); None where the loads are not to be seen."""
+    u, s, _ = np.linalg.svd(beside / np.maximum(np.linalg.norm(beside, axis=0), 1e-12), full_matrices=False)
+    u = u[:, s > 1e-9 * s[0]]
+    y, x = (values - u @ (u.T @ values) for values in (measured, held))
+    free = len(y) - u.shape[1] - 1
+    xx, yy = float(x @ x), float(y @ y)
+    if free < FEWEST or xx < OPEN**2 * float(held @ held) or not yy > 0:
+        return None
+    slope = float(x @ y) / xx
+    left = y - slope * x
+    return Comparison(joint, float(x @ y) / np.sqrt(xx * yy), slope, float(np.sqrt(left @ left / free / xx)), against)
+
+
+def _payload(data: Measurements) -> np.ndarray:
+    """Which payload each row carries, one-hot, shape (n_rows, n_payloads)."""
+    n = len(data.robot.payloads)
+    carried = [(data.table["payload"] == name).to_numpy(dtype=float) for name in data.robot.payloads]
+    return np.column_stack(carried) if n else np.zeros((len(data), 0))
+
+
+def _mapped(function: object, angles: np.ndarray, payload: np.ndarray) -> np.ndarray:
+    """Evaluate holding torques, shape (n_rows, n_joints) [Nm]."""
+    return np.array(function.map(len(angles))(angles.T, payload.T)).T  # type: ignore[attr-defined]
