@@ -67,6 +67,8 @@ def check(study: Path) -> None:
         click.echo(f"note: {note}")
     for k, path in enumerate(loaded.measurement_paths):
         click.echo(_counted(path, data.only(data.of_series(k))))
+    for fault in checked.faults:
+        click.echo(f"fault: {fault.said}")
     source = "as the robot file says" if loaded.robot.base.known else "placed by the poses to fit"
     click.echo(f"the nominal robot's position error, base and tool {source}:")
     for row in checked.nominal.itertuples():

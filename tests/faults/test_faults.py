@@ -252,6 +252,8 @@ def test_every_check_has_its_place():
         "__init__",
         "base",
         "elsewhere",
+        "joint_limits",
+        "misfit",
         "reference",
         "segments",
     }

@@ -19,7 +19,7 @@ from calflow.estimation.identification import Identification, NoiseSource
 from calflow.estimation.identification import identify as identified
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.progress import Say, draws, nobody
-from calflow.faults import Fault, search
+from calflow.faults import Fault, examined
 from calflow.files.results import Results
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
@@ -122,7 +122,7 @@ class Fit:
         bound = list(self.parameters.loc[self.parameters["at_bound"], "parameter"])
         left = [one.statement for one in self.left_open if one.kind != "bound"]
         return [
-            *(f"{fault.cause.replace('-', ' ')}: {fault.statement}" for fault in self.faults),
+            *(fault.said for fault in self.faults),
             *([] if self.summary.converged else [f"the fit did not converge ({self.summary.solver.words})"]),
             f"at bounds: {', '.join(bound) or 'none'}",
             *(left[:OPEN_SHOWN] or ["the data tell every parameter"]),
@@ -157,6 +157,6 @@ def identify(
         InputError: robot or measurements lack what an effect needs, or the measurements are too few.
     """
     named = effects_of(effects, robot, data)
-    rows, faults = search(split_rows(data).on(robot))
+    rows, faults = examined(split_rows(data).on(robot))
     found = identified(rows, named, starts=starts, loss=loss, noise=noise, rng=draws(seed), say=say)
     return Fit(found, data.on(robot), faults, named, seed)

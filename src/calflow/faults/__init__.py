@@ -6,19 +6,23 @@ import importlib
 import pkgutil
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from calflow.faults.base import Check, Correction, Fault, FaultyRow, PlainCheck, correct
 from calflow.faults.elsewhere import gross_rows, is_position
+from calflow.faults.joint_limits import past_limits
+from calflow.faults.misfit import nominal_misfit
 from calflow.faults.reference import Models, Reference
-from calflow.files.problems import refuse
+from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import to_frame
 from calflow.measurements.measurements import Measurements
 
 __all__ = [
-    "Check", "Correction", "Fault", "FaultyRow", "PlainCheck", "as_table", "checks", "corrected", "plain_checks", "search",
+    "Check", "Correction", "Fault", "FaultyRow", "PlainCheck", "as_table", "checks", "corrected", "examined", "plain_checks",
+    "search",
 ]  # fmt: skip
 
 
@@ -41,6 +45,25 @@ def plain_checks() -> tuple[PlainCheck, ...]:
 def _import_all() -> None:
     for module in pkgutil.iter_modules(__path__):
         importlib.import_module(f"{__name__}.{module.name}")
+
+
+def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measurements, tuple[Fault, ...]]:
+    """Return what `search` does of measurements from these files, one a series (none: from arrays).
+
+    Raises:
+        InputError: what is left cannot be of this robot: poses past its limits, or positions far from where it can be.
+    """
+    data, faults = search(data)
+    problems = []
+    for past, said in past_limits(data):
+        series = data.series_number[past]
+        problems += [Problem(said, paths[k] if paths else None) for k in dict.fromkeys(map(int, series))]
+    positions = is_position(data)
+    if not problems and positions.any() and (said := nominal_misfit(data.only(positions))):
+        problems.append(Problem(said, paths[int(data.series_number[positions][0])] if paths else None))
+    if problems:
+        raise InputError(problems)
+    return data, faults
 
 
 def search(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:

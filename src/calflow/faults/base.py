@@ -66,6 +66,11 @@ class Fault:
     action: Action
     corrections: tuple[Correction, ...] = ()
 
+    @property
+    def said(self) -> str:
+        """Its kind and what is wrong, on one line."""
+        return f"{self.cause.replace('-', ' ')}: {self.statement}"
+
     def among(self, rows: np.ndarray) -> Fault:
         """Return the fault with its rows, found in a part of the data, as those of all; rows (n,) are the part's, from 0."""
 

@@ -53,8 +53,8 @@ class Part:
 class Joint(Part):
     """One joint and the link that it moves.
 
-    limits are of the joint's own variable [rad, or m for a prismatic joint], rated_torque [Nm, or N], mass [kg] and com [m]
-    in the link's frame; a reading counts sign times.
+    limits are of the joint's own variable, after sign and couplings [rad, or m for a prismatic joint], rated_torque [Nm, or
+    N], mass [kg] and com [m] in the link's frame; a reading counts sign times.
     """
 
     frame: Frame

@@ -10,6 +10,7 @@ import pandas as pd
 from calflow.estimation.accuracy import accuracy, errors
 from calflow.estimation.noise_doubt import NoiseDoubt, doubts_of_repeats
 from calflow.estimation.registration import registered
+from calflow.faults import Fault, examined
 from calflow.files.problems import InputError, Problem, together
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated
@@ -21,13 +22,14 @@ from calflow.study import Study
 
 @dataclass(frozen=True)
 class Checked:
-    """What a sound study has: its measurements, how many parameters, and the nominal robot's error [mm] a split.
+    """What a sound study has: its measurements, what is wrong in them, how many parameters, the nominal robot's error [mm].
 
-    nominal has the columns of accuracy.csv: the robot as its maker describes it, once base and tool are placed. doubts say
-    which stated noises the repeats contradict.
+    nominal has the columns of accuracy.csv: the robot as its maker describes it, once base and tool are placed, and what is
+    wrong is put right. doubts say which stated noises the repeats contradict.
     """
 
     data: Measurements
+    faults: tuple[Fault, ...]
     n_parameters: int
     nominal: pd.DataFrame
     doubts: tuple[NoiseDoubt, ...] = ()
@@ -66,10 +68,11 @@ def _settings(study: Study, data: Measurements | None) -> None:
 
 
 def _checked(study: Study, data: Measurements) -> Checked:
-    train = data.only(data.train)
-    robot, observed = registered(study.robot, observations(train), train)
+    mended, faults = examined(data, study.measurement_paths)
+    train = mended.only(mended.train)
+    robot, observed = registered(mended.robot, observations(train), train)
     nominal = build(robot, (), data.given, observed)
-    error = errors(nominal, nominal.nominal, data.on(robot))
-    doubts = doubts_of_repeats(data.on(robot), error, tuple(False for _ in data.series))
+    error = errors(nominal, nominal.nominal, mended.on(robot))
+    doubts = doubts_of_repeats(mended.on(robot), error, tuple(False for _ in data.series))
     n_parameters = len(stated(study.robot, study.file.effects, train).parameters)
-    return Checked(data, n_parameters, pd.DataFrame(accuracy("nominal", error, data)), doubts)
+    return Checked(data, faults, n_parameters, pd.DataFrame(accuracy("nominal", error, mended)), doubts)

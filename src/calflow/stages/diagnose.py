@@ -28,7 +28,7 @@ from calflow.estimation.accuracy import Accuracy, Residual, errors, residuals
 from calflow.estimation.calibrated import DeviceNoise, Identified, ModelEffect, effect_table, identified
 from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
 from calflow.estimation.progress import Draws, Say
-from calflow.faults import FaultyRow, as_table, corrected, search
+from calflow.faults import FaultyRow, as_table, corrected, examined
 from calflow.files.documents import to_document
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
@@ -92,9 +92,9 @@ def results(
 
 def _confirmed(found: Fitted, other: Study, say: Say) -> dict[str, pd.DataFrame]:
     """What an independent series says of the joint errors found, once its own faults are seen to."""
-    data, faults = search(other.measurements())
+    data, faults = examined(other.measurements(), other.measurement_paths)
     for fault in faults:
-        say(f"{other.name}: {fault.cause.replace('-', ' ')}: {fault.statement}")
+        say(f"{other.name}: {fault.said}")
     told = confirm(found, data)
     say(f"{other.name}: " + "; ".join(told.table["words"].unique()))
     return {

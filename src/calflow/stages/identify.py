@@ -23,7 +23,7 @@ from calflow.estimation.judgement import JudgedResidual, judged
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
 from calflow.estimation.repeats import measured_noise
-from calflow.faults import Fault, FaultyRow, as_table, search
+from calflow.faults import Fault, FaultyRow, as_table, examined
 from calflow.files.documents import to_document
 from calflow.files.problems import InputError, Problem, nearest
 from calflow.files.results import Results
@@ -53,9 +53,9 @@ def run(context: Context) -> Results:
     data = study.measurements()
     for note in data.notes:
         context.say(note)
-    data, faults = search(data)
+    data, faults = examined(data, study.measurement_paths)
     for fault in faults:
-        context.say(f"{fault.cause.replace('-', ' ')}: {fault.statement}")
+        context.say(fault.said)
     found = identify(
         data, study.file.effects, starts=settings.starts, loss=settings.loss, noise=settings.noise, rng=context.rng,
         say=context.say, advance=context.advance, source=study.measurement_path,

@@ -1,0 +1,59 @@
+"""Joint limits: measured poses where no joint can be, once all that can be put right is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calflow.faults.base import lines_in_words
+from calflow.measurements.measurements import Measurements
+
+TOLERANCE = {"rad": np.deg2rad(0.5), "m": 1e-3}  # past a limit: less may be rounding, or a stop that gives way
+
+
+def past_limits(data: Measurements) -> Iterator[tuple[np.ndarray, str]]:
+    """Yield for each joint that is past its limits in rows that are used which rows (n_rows,), and what is wrong in words.
+
+    Limits are of the joint's own variable, after sign and couplings; it is said where they seem to be the reading's.
+    """
+    used = data.train | data.held_out
+    angles = data.joints @ data.robot.reading_matrix.T
+    for i, joint in enumerate(data.robot.joints):
+        if joint.limits is None:
+            continue
+        unit, factor = joint.shown
+        low, high = (factor * limit for limit in joint.limits)
+        by = _past(angles[:, i], joint.limits)
+        past = used & (by > TOLERANCE[joint.unit])
+        if past.any():
+            lines = lines_in_words([int(line) for line in data.table["line"][past]])
+            yield (
+                past,
+                (
+                    f"joint {i + 1}: in {lines} its {joint.noun} is past the limits {low:.6g} to {high:.6g} {unit}, "
+                    f"by up to {factor * by[past].max():.3g} {unit}; {_hint(data, i, angles[used, i], data.joints[used, i])}"
+                ),
+            )
+
+
+def _hint(data: Measurements, i: int, angle: np.ndarray, reading: np.ndarray) -> str:
+    """Say what may be meant by limits that a joint (from 0) is past at these angles and readings (n,)."""
+    joint, slack = data.robot.joints[i], TOLERANCE[data.robot.joints[i].unit]
+    limits, (unit, factor) = joint.range, joint.shown
+    coupled = any(own.joint == i + 1 for own in data.robot.couplings)
+    if (_past(reading, limits) < slack).all() and (joint.sign == -1 or coupled):
+        low, high = -factor * limits[1], -factor * limits[0]
+        before, here = ("its coupling", "") if coupled else ("`sign`", f", here {low:.6g} to {high:.6g} {unit}")
+        return (
+            f"the readings themselves are inside, so the limits seem to be given before {before}: expected the joint's own, after "
+            f"`sign` and couplings{here}"
+        )
+    if (_past(-angle, limits) < slack).all():
+        return f"with the sign turned all would be inside: expected sign = {-joint.sign}, or limits of the angle after `sign`"
+    return "correct these readings, or the limits in the robot file"
+
+
+def _past(values: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
+    """Return how far values (n,) are past limits; below zero inside."""
+    return np.asarray(np.maximum(limits[0] - values, values - limits[1]))
