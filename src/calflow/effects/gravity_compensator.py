@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Effect, Variable, Words, around, joint_variable
-from calflow.effects.thermal_growth import REFERENCE, SPREAD
+from calflow.effects.warming import REFERENCE, SPREAD
 from calflow.robot.chain import Deflection, pose
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions

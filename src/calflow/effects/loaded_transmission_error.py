@@ -13,7 +13,7 @@ import numpy as np
 from calflow.effects.base import Words
 from calflow.effects.joint_error import TRANSMISSION, JointError, Term, phases
 from calflow.effects.needs import unmet
-from calflow.effects.thermal_growth import REFERENCE, SPREAD
+from calflow.effects.warming import REFERENCE, SPREAD
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calflow.estimation.lack_of_fit import SIGNIFICANT
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.noise import SIGNIFICANT, Source
+from calflow.estimation.noise import Source
 from calflow.estimation.noise_doubt import NoiseDoubt
 from calflow.files.tables import column
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.estimation.accuracy import distances, errors
-from calflow.estimation.noise import SIGNIFICANT
+from calflow.estimation.lack_of_fit import SIGNIFICANT
 from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
 
