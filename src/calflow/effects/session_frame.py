@@ -40,7 +40,6 @@ class SessionFrame(Effect):
     )
     whole: ClassVar[str] = "sessions"
     needs: ClassVar[tuple[str, ...]] = ("session",)
-    taken_for: ClassVar[tuple[str, ...]] = ("frame-step", "frame-drift")
     told_by: ClassVar[str] = "measure points fixed to the floor, and some poses again, in each session"
 
     @classmethod

@@ -29,7 +29,7 @@ class Warming(Effect):
 
     constant: float = 0.0
 
-    taken_for: ClassVar[tuple[str, ...]] = ("frame-drift", "frame-step")
+    taken_for: ClassVar[tuple[str, ...]] = ("frame-drift",)
     told_by: ClassVar[str] = "measure some poses again when the robot is cold"
 
     @classmethod

@@ -22,7 +22,7 @@ def bare():
 @pytest.mark.parametrize(
     ("cause", "untestable"),
     [
-        ("frame-drift", {"thermal-growth"}),
+        ("frame-drift", {"thermal-growth", "housing-growth"}),
         ("torque-backlash", {"joint-backlash"}),
         ("joint-eccentricity", set()),
         ("gear-ratio-error", set()),
