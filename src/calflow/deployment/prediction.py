@@ -10,6 +10,7 @@ import numpy as np
 
 from calflow.deployment.needed_conditions import NeededCondition, check_stated
 from calflow.estimation.calibrated import Identified
+from calflow.estimation.certainty import position_variance
 from calflow.measurements.measurements import Measurements
 
 Missing = Literal["refuse", "widen"]
@@ -48,9 +49,7 @@ def predict_positions(
     stated = tuple(one.condition for one in needed if one.condition in data.given)
     model, rows = replace(known.model, given=stated), data.stating(stated).rows
     position = model.point(known.estimate, rows)
-    jacobian = model.point_jacobian(known.estimate, rows)
-    variance = np.einsum("nai,ij,naj->na", jacobian, known.covariance, jacobian)
-    variance += (known.discrepancy if known.noise_known else known.sigma) ** 2
+    variance = position_variance(replace(known, model=model), rows)
     variance += sum((one.spread_mm / 1e3) ** 2 for one in lacking)
     notes = (
         f"without {one.columns} nothing is predicted of {', '.join(one.effects)}: the standard deviations are wider by "

@@ -12,6 +12,7 @@ import pandas as pd
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy, errors
 from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
+from calflow.estimation.certainty import unexplained
 from calflow.estimation.fit_summary import FitSummary
 from calflow.estimation.registration import in_measuring_frame
 from calflow.faults import corrected
@@ -144,8 +145,7 @@ class Material:
     @property
     def prediction_sd(self) -> float:
         """How sure predicted positions are, with the model's own error: see `predict_positions` [mm]."""
-        own = self.known.discrepancy if self.known.noise_known else self.known.sigma
-        return float(np.sqrt(self.model_sd**2 + 3 * (1e3 * own) ** 2))
+        return float(np.sqrt(self.model_sd**2 + 3 * (1e3 * unexplained(self.known)) ** 2))
 
 
 def _errors(residuals: pd.DataFrame) -> np.ndarray:

@@ -1,0 +1,39 @@
+"""What a position is said to be certain to holds all that the model is known to err by."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calflow.estimation.certainty import position_variance
+from calflow.estimation.identification import identify
+from calflow.model import build
+from estimation.data import SIGMA, measured
+from robots import industrial
+
+
+@pytest.fixture(scope="module")
+def data():
+    """Poses of the nominal robot whose points are off by 0.2 mm that nothing explains."""
+    model = build(industrial(), ("geometry",))
+    rng = np.random.default_rng(71)
+    data = measured(model, model.nominal, 120, rng)
+    data.table[["x", "y", "z"]] += 2e-4 * rng.standard_normal((120, 3))
+    return data
+
+
+def test_what_the_model_leaves_is_in_its_certainty(data):
+    """Fails if positions are said to be certain to the parameters alone where the fit leaves ten times the noise."""
+    known = identify(replace(data, table=data.table.assign(sigma=SIGMA)), ("geometry",), starts=1).known
+    sd = np.sqrt(position_variance(known, data.rows))
+    assert known.discrepancy == pytest.approx(2e-4, rel=0.2)
+    assert (sd > known.discrepancy).all()
+    assert (sd < 2 * known.discrepancy).all()
+
+
+def test_a_noise_that_only_the_fit_tells_is_in_it_too(data):
+    """Fails if an incomplete model looks certain because its errors pass for noise."""
+    known = identify(data, ("geometry",), starts=1).known
+    assert (np.sqrt(position_variance(known, data.rows)) > 1.5e-4).all()
