@@ -211,6 +211,14 @@ def test_check_says_what_it_assumed(small):
     assert "note: no column 'payload': no row counts as carrying light or heavy" in out
 
 
+def test_check_says_first_that_repeats_contradict_a_stated_noise(small):
+    """Fails if a sigma a thousand times too large passes the check without a word, or after all else."""
+    small.measure(small.rows.assign(sigma_mm=40.0))
+    lines = small.calflow("check").out.splitlines()
+    assert lines[1].startswith("warning: The stated noise, 40 mm per axis, is ")
+    assert "times too large: repeats of one pose scatter by" in lines[1]
+
+
 def test_status_tells_each_stage(finished, tmp_path, monkeypatch):
     """Fails if a run folder and its study tell differently, or a stage's state, time or reason is missing."""
     by_run = finished.calflow("status", finished / "runs")
