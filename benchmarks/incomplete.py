@@ -2,6 +2,7 @@
 
     python benchmarks/incomplete.py causes 120    one cause at 2, 3 or 5 detection limits, and a background
     python benchmarks/incomplete.py alone 60      a background, and no cause
+    python benchmarks/incomplete.py loud 12       the same at five times the noise
 
 Backgrounds (tests/hidden/backgrounds.py): smooth errors of two joints that depend on other joints too, a hose that drags, a
 device that wanders, and errors that the markers of a pose share. Their size is the rms displacement of the tool per axis over
@@ -34,6 +35,7 @@ from hidden.case import Case, draw
 
 SIZES = (0.3, 0.5, 1.0)  # of a background, over the noise
 LIMITS = (2.0, 3.0, 5.0)  # of a cause
+LOUD = 5.0  # as SIZES
 JOINTS = 6
 
 
@@ -47,6 +49,12 @@ def alone(number: int, rng: np.random.Generator) -> Iterator[Job]:
     """A background of each kind and size equally often, and no cause."""
     for kind, size in _in_turn(number, rng, list(BACKGROUNDS), SIZES):
         yield Job(_with_background(kind, size, rng), cases.new_seed(rng), kind)
+
+
+def loud(number: int, rng: np.random.Generator) -> Iterator[Job]:
+    """A background that nobody should miss, and no cause."""
+    for (kind,) in _in_turn(number, rng, list(BACKGROUNDS)):
+        yield Job(_with_background(kind, LOUD, rng), cases.new_seed(rng), kind)
 
 
 def _in_turn(number: int, rng: np.random.Generator, *choices: Sequence) -> Iterator[tuple]:
@@ -71,6 +79,7 @@ def compared(job: Job) -> Row:
         rows = [row for _, row in verdicts.named_causes(results).iterrows()]
         offs = [off for h in case.hidden for row in rows for off in verdicts.off_by(h, row).values()]
         known = hidden_names(case) | background(case, job.seed, study, results) | verdicts.told(results)
+        known |= {"lack_of_fit_p": results.documents["diagnose/summary.json"]["lack_of_fit_p"]}
         known |= each_finding(case, rows) | {"z": offs[0] if offs else None}
         return known | held_out.errors(results) | held_out.covered(folder / "run", folder / "measurements.csv", results)
 
@@ -112,7 +121,11 @@ def names_background(case: Case, row: pd.Series) -> bool:
     return bool(case.background.kind == "drift" and row["cause"] == "frame-drift")
 
 
-KINDS = {"causes": Kind(causes, compared, tables.with_causes), "alone": Kind(alone, compared, tables.alone)}
+KINDS = {
+    "causes": Kind(causes, compared, tables.with_causes),
+    "alone": Kind(alone, compared, tables.alone),
+    "loud": Kind(loud, compared, tables.alone),
+}
 
 
 if __name__ == "__main__":
