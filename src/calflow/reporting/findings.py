@@ -43,7 +43,7 @@ class Alternative:
 
 @dataclass(frozen=True)
 class Found:
-    """A row of findings.csv; nan where a figure is not known. order counts what is in the extended model, from 1."""
+    """A row of findings.csv; nan where a figure is not known. order counts what is told, from 1."""
 
     status: str
     cause: str
@@ -63,6 +63,7 @@ class Found:
     statement: str
     not_tested: tuple[str, ...] = ()
     carries_over: bool | None = None
+    numbers: tuple[int, ...] = ()
 
     @property
     def told(self) -> bool:
@@ -154,6 +155,7 @@ def findings(results: Results) -> list[Found]:
                 statement=row.statement,
                 not_tested=row.not_tested,
                 carries_over=row.carries_over,
+                numbers=row.numbers or (order,),
             )
         )
     return found

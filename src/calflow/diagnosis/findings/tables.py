@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -19,6 +19,7 @@ from calflow.diagnosis.screening.detection_limit import detection_limit
 from calflow.diagnosis.screening.screening import Score, by_place
 from calflow.diagnosis.search.extension import Extended
 from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.merging import kindred
 from calflow.diagnosis.search.noise_growth import RANGE, Growth
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Cause
@@ -72,6 +73,12 @@ class FindingRow:
     )
     carries_over: bool | None = column(
         "whether it holds in blocks of the training poses that it was not fitted to; empty: not looked at", default=None
+    )
+    numbers: tuple[int, ...] = column(
+        "its numbers among the causes of the extended model, as in `curves.csv`: several where several of one family at one place "
+        "(orders of a joint, moves of the device) are told as one finding, whose gain is that of all of them and whose size the "
+        "root of their squares' sum",
+        default=(),
     )
 
 
@@ -132,19 +139,23 @@ def findings_table(
     """Return diagnose/findings.csv: data faults, causes, the noise's growth and what nobody can name."""
     heldout, final = data.only(data.held_out), found.extended.fitted
     rows = [_fault(group) for _, group in faults.groupby(["cause", "joint"], sort=False)]
-    before = errors(found.start.model, found.start.fit.estimate, heldout)
-    for verdict, fitted in zip(found.verdicts, found.extended.path, strict=True):
-        after = errors(fitted.model, fitted.fit.estimate, heldout)
-        row = _cause(verdict, final, _overlapping(verdict, found.left))
+    steps = [errors(one.model, one.fit.estimate, heldout) for one in (found.start, *found.extended.path)]
+    for members in _kept_together(found.causes):
+        own = [_cause(found.verdicts[k], final, _overlapping(found.verdicts[k], found.left), k + 1) for k in members]
+        row = own[0] if len(own) == 1 else _together(own, [found.verdicts[k] for k in members])
+        before = steps[members[0]]
+        after = before + sum(steps[k + 1] - steps[k] for k in members)
         rows.append(_gained(row, before, after, heldout, rng))
-        before = after
+    if found.capped and found.verdicts:
+        more = f"; with it as many causes were found as were allowed ({len(found.verdicts)}): there may be more"
+        rows[-1] = replace(rows[-1], statement=rows[-1].statement + more)
     if found.growth:
         rows.append(_growth(found.growth))
     if found.misfit:
         rows.append(_misfit(found.misfit, found.left))
     for remainder in found.left:
-        after = before + predicted(final, remainder.score.cause, heldout)
-        rows.append(_gained(_left(remainder), before, after, heldout, rng))
+        after = steps[-1] + predicted(final, remainder.score.cause, heldout)
+        rows.append(_gained(_left(remainder), steps[-1], after, heldout, rng))
     return to_frame(rows, FindingRow)
 
 
@@ -212,7 +223,40 @@ def _score(score: Score) -> CandidateRow:
     )  # fmt: skip
 
 
-def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None) -> FindingRow:
+def _kept_together(causes: Sequence[Cause]) -> list[list[int]]:
+    """Number the causes (from 0) in the order found, those of one family at one place together."""
+    kin = {id(cause): members for members in kindred(causes).values() for cause in members}
+    told = [[causes.index(one) for one in kin.get(id(cause), [cause])] for cause in causes]
+    return [members for k, members in enumerate(told) if members[0] == k]
+
+
+def _together(rows: Sequence[FindingRow], verdicts: Sequence[Verdict]) -> FindingRow:
+    """One row of several causes of a family at one place: named by the family, best described as the one that explains most."""
+    order = sorted(range(len(rows)), key=lambda k: verdicts[k].finding.own.delta_bic)
+    lead, causes = rows[order[0]], [verdicts[k].finding.cause for k in order]
+    family, where = causes[0].effect.family, f", {_place(causes[0])}" if causes[0].joint else ""
+    kin = {(name, causes[0].joint) for name in (causes[0].id, *_relatives(causes[0]))}
+    rivals = {(rival.id, rival.joint): rival for verdict in verdicts for rival in verdict.rivals}
+    others = [rival for place, rival in rivals.items() if place not in kin]
+    alike = dict.fromkeys([*(name for row in rows for name in row.cannot_tell_from), *_relatives(causes[0])])
+    same = [row for row in rows if row.unit == lead.unit]
+    size = float(np.sqrt(sum(row.estimate**2 for row in same)))
+    sd = float(np.sqrt(sum((row.estimate * row.sd) ** 2 for row in same))) / size
+    said = [f"{cause.title} ({cause.detail})" if cause.detail else cause.title for cause in causes]
+    carried = [row.carries_over for row in rows]
+    return replace(
+        lead, status="one_of", estimate=size, sd=sd, p_family=min(row.p_family for row in rows),
+        probability=min(row.probability for row in rows), cannot_tell_from=tuple(name for name in alike if name != lead.cause),
+        detail=", with ".join([lead.detail or causes[0].title, *said[1:]]),
+        rivals=tuple(label(rival.id, rival.joint) for rival in others), rival_causes=tuple(rival.id for rival in others),
+        rival_joints=tuple(rival.joint for rival in others), statement=f"{family}{where}: {', and '.join(said)}",
+        not_tested=tuple(dict.fromkeys(name for row in rows for name in row.not_tested)),
+        carries_over=False if False in carried else None if None in carried else True,
+        numbers=tuple(number for row in rows for number in row.numbers),
+    )  # fmt: skip
+
+
+def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int) -> FindingRow:
     """One finding's row; left is what nobody can name along the same input, which makes a certain name uncertain."""
     cause = verdict.finding.cause
     estimate, sd = found_amplitude(verdict.finding, fitted)
@@ -229,7 +273,7 @@ def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None) -> FindingR
         rival_causes=tuple(rival.id for rival in verdict.rivals),
         rival_joints=tuple(rival.joint for rival in verdict.rivals), statement=_statement(verdict, left) + _carried(verdict),
         not_tested=tuple(dict.fromkeys(rival.id for rival in verdict.rivals if rival.score is None)),
-        carries_over=verdict.carries_over,
+        carries_over=verdict.carries_over, numbers=(number,),
     )  # fmt: skip
 
 

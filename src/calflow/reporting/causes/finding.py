@@ -27,7 +27,7 @@ def finding(material: Material, one: Found) -> list[Block]:
     text = " ".join(
         part for part in (_what(one), how_sure(one), *apart(one, material.results), _gain(material, one)) if part
     )
-    return [heading(head), paragraph(text), *_curve(material, one)]
+    return [heading(head), paragraph(text), *_curves(material, one)]
 
 
 def _what(one: Found) -> str:
@@ -80,26 +80,25 @@ def _gain(material: Material, one: Found) -> str:
 
 def moves(material: Material, one: Found) -> bool:
     """Whether a finding is in the model of the position, and not in that of the noise."""
-    return one.told and bool((material.tables["diagnose/curves.csv"]["finding"] == one.order).any())
+    return one.told and bool((material.tables["diagnose/curves.csv"]["finding"].isin(one.numbers)).any())
 
 
-def _curve(material: Material, one: Found) -> list[Block]:
-    rows = material.tables["diagnose/curves.csv"]
-    rows = rows[(rows["finding"] == one.order) & rows["split"].isin(["train", "holdout"])]
-    if rows.empty:
-        return []
+def _curves(material: Material, one: Found) -> list[Block]:
+    every = material.tables["diagnose/curves.csv"]
+    drawn = [every[(every["finding"] == number) & every["split"].isin(["train", "holdout"])] for number in one.numbers]
+    return [_curve(one, rows, number) for rows, number in zip(drawn, one.numbers, strict=True) if not rows.empty]
+
+
+def _curve(one: Found, rows: pd.DataFrame, number: int) -> Block:
     x, before, after, fitted = rows[["x", "before_mm", "after_mm", "fitted_mm"]].to_numpy(dtype=float).T
     unit = "" if pd.isna(rows["variable_unit"].iloc[0]) else str(rows["variable_unit"].iloc[0])
     drawn = explained(
         x, before, after, fitted, (rows["split"] != "train").to_numpy(), str(rows["variable"].iloc[0]), unit
     )
-    return [
-        plot(
-            f"cause_{one.order}",
-            drawn,
-            f"{first_up(one.name)}: errors without it, with it, and against what it explains.",
-        )
-    ]
+    said = one.name if len(one.numbers) == 1 else cause_name(str(rows["cause"].iloc[0]), one.joint)
+    return plot(
+        f"cause_{number}", drawn, f"{first_up(said)}: errors without it, with it, and against what it explains."
+    )
 
 
 def space(material: Material, causes: Sequence[Found]) -> list[Block]:
