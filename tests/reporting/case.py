@@ -13,6 +13,7 @@ from calflow.design.candidates import candidates
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.diagnosis.findings.curves import CurvePoint
 from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
+from calflow.diagnosis.findings.misfit import Region
 from calflow.diagnosis.findings.tables import CandidateRow, FindingRow
 from calflow.diagnosis.findings.verdict import label
 from calflow.effects import catalogue
@@ -145,6 +146,7 @@ WAVING = Found(
     statement="it depends on time",
     inputs=("time",),
 )
+WORST = Region(input="q2", low=20.0, high=45.0, unit="deg", there_mm=0.2, elsewhere_mm=0.1)
 MISFIT = Found(
     "unexplained",
     detail="joint 2 is between 20 and 45 deg",
@@ -190,7 +192,11 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
     residuals = tables["identify/residuals.csv"].drop(columns=["whitened", "flagged"])
     residuals[["dx_mm", "dy_mm", "dz_mm"]] *= 0.5 ** len(told)
     summary = given.results.document("identify/summary.json", FitSummary)
-    more = DiagnosisSummary(**vars(summary), reduced_chi2_before=None, causes_tested=41, tests=33.0)
+    misfit = {"reduced_chi2": 3.24, "lack_of_fit_p": 1e-9} if MISFIT in found else {}
+    facts = vars(summary) | misfit
+    more = DiagnosisSummary(
+        **facts, reduced_chi2_before=None, causes_tested=41, tests=33.0, worst=WORST if misfit else None
+    )
     made = {
         "findings": _findings(found),
         "candidates": _candidates(told),

@@ -10,7 +10,7 @@ from calflow.reporting.causes.gain import worth
 from calflow.reporting.document import Block, bullets, heading, paragraph
 from calflow.reporting.findings import Found, chance, findings
 from calflow.reporting.section import Advice
-from calflow.reporting.words import first_up, listed
+from calflow.reporting.words import first_up, listed, ratio
 
 
 def still_unexplained(left: Sequence[Found]) -> list[Block]:
@@ -18,7 +18,7 @@ def still_unexplained(left: Sequence[Found]) -> list[Block]:
     if not left:
         return []
     items = [
-        ("The model as a whole:", f"{one.statement}.") if one.is_misfit else
+        ("The model as a whole:", f"{first_up(one.statement)}.") if one.is_misfit else
         (f"{first_up(one.inputs)}:", f"part of the error depends on it, and no cause of the catalogue explains it. The chance "
          f"that noise looks like this is {chance(one.p)}.{worth(one)}")
         for one in left
@@ -43,7 +43,12 @@ def unexplained_findings(results: Results) -> list[Found]:
 
 def lack_of_fit(results: Results) -> str:
     """Say that the extended model leaves more than its noise, and where most; empty where it does not."""
-    return next((f"{first_up(one.statement)}." for one in findings(results) if one.is_misfit), "")
+    p = next((one.p for one in findings(results) if one.is_misfit), None)
+    if p is None:
+        return ""
+    summary = results.document("diagnose/summary.json", DiagnosisSummary)
+    where = summary.worst.words if summary.worst else "about alike everywhere"
+    return f"The model leaves {ratio(summary.lack_of_fit)} times the noise (chance of so much: {chance(p)}), {where}."
 
 
 def unexplained(results: Results) -> list[Advice]:
