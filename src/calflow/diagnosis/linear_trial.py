@@ -208,7 +208,7 @@ class LinearTrial(Trial[Block]):
         found, problem, n = self.solution, self.problem, self.solution.design.shape[1]
         residual, both = found.residual, np.hstack([found.design, problem.matrix / found.level])
         if problem.group is not None:
-            shared = shared_error(residual, problem.group, found.effective_parameters)
+            shared, _ = shared_error(residual, problem.group, found.effective_parameters)
             residual, both = counted_once(residual, both, problem.group, shared)
         free = np.flatnonzero(~found.at_bound)
         precision = found.prior_sd**-2.0

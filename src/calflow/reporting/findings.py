@@ -15,7 +15,12 @@ from calflow.reporting.words import effect_words, listed, number, percent, with_
 TOLD = ("named", "one_of")  # statuses of what is in the extended model, or in its noise
 CERTAIN = 0.99  # probability beyond which only this is said
 PLACE = {"x", "y", "z"}  # inputs that say where the tool is
-OTHER_INPUTS = {*PLACE, "order", "time"}  # than joints
+IN_WORDS = {
+    "pose": "the pose (its markers err alike)",
+    "joints": "the angles of several joints together",
+    "payload": "the payload",
+}
+OTHER_INPUTS = {*PLACE, *IN_WORDS, "order", "time"}  # than single joints
 SMALL = 1e-6  # chance below which only this is said
 
 
@@ -121,6 +126,8 @@ class Found:
         joints = [name[1:] for name in self.depends_on if name not in OTHER_INPUTS]
         if len(joints) == len(self.depends_on):
             return f"the {'angle of joint' if len(joints) == 1 else 'angles of joints'} {listed(joints)}"
+        if self.depends_on[0] in IN_WORDS:
+            return IN_WORDS[self.depends_on[0]]
         if set(self.depends_on) >= PLACE:
             return "where the tool is (x, y and z)"
         detail = f" ({self.detail})" if self.detail else ""

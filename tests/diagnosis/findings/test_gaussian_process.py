@@ -29,14 +29,14 @@ def test_unnamed_structure_is_predicted_where_it_was_not_measured():
     """Breaks if the process acts with the wrong sign or size, or repeats the rows it was fitted to."""
     known, other = fitted(wave), fitted(wave, seed=9, poses=60)
     before = errors(known.model, known.fit.estimate, other.data)
-    after = before + predicted(known, by_joint1(known), other.data)
+    after = before + predicted(known, [by_joint1(known)], other.data)
     assert np.linalg.norm(after, axis=1).mean() < 0.6 * np.linalg.norm(before, axis=1).mean()
 
 
 def test_noise_is_not_predicted():
     """Breaks if the size of the process is not judged by the data."""
     known = fitted()
-    assert np.abs(predicted(known, by_joint1(known), known.data)).max() < SIGMA
+    assert np.abs(predicted(known, [by_joint1(known)], known.data)).max() < SIGMA
 
 
 def test_the_process_is_the_gaussian_process_of_its_covariance():
@@ -60,6 +60,6 @@ def test_the_process_is_the_gaussian_process_of_its_covariance():
     weights = np.linalg.solve(base + size**2 * kernel, left)
     settled = model.nominal - model.prior_sd**2 * (own.T @ weights) - fit.estimate
     expected = SIGMA * (own @ settled - size**2 * kernel @ weights)
-    found = predicted(known, decoy, known.data).ravel()
+    found = predicted(known, [decoy], known.data).ravel()
     assert 0 < size < SIZES[-1]
     assert found == pytest.approx(expected, abs=0.1 * np.abs(expected).max())

@@ -7,31 +7,32 @@ noise's level integrated out.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from calflow.diagnosis.screening.screening import Screening
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.effects.cause import Cause
+from calflow.effects import Effect
 from calflow.estimation.accuracy import error_jacobian
 from calflow.measurements.measurements import Measurements
 
 SIZES = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 61)])  # over the prior's, that are tried
 
 
-def predicted(fitted: Fitted, decoy: Cause, data: Measurements) -> np.ndarray:
+def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> np.ndarray:
     """Return by how much the process moves what is predicted of rows, shape (n_rows, 3) [m]: see `errors`.
 
     The model's own parameters settle beside it, as far as their priors let them.
     """
-    regressors = replace(fitted, background=None).regressors((decoy,))
+    regressors = replace(fitted, background=None).regressors(decoys)
     amplitudes = _amplitudes(Screening(regressors)) * regressors.prior_sd
     own = regressors.jacobian
     imitated = own.T @ (regressors.matrix @ amplitudes)
     settled = -np.linalg.solve(own.T @ own + np.diag(regressors.precision), imitated)
     model, fit = fitted.model, fitted.fit
-    both = replace(model, probes=(decoy,))
+    both = replace(model, probes=tuple(decoys))
     change = np.zeros(len(both.parameters))
     change[np.flatnonzero(~fit.at_bound)] = settled
     change[len(fit.estimate) :] = amplitudes
@@ -40,7 +41,7 @@ def predicted(fitted: Fitted, decoy: Cause, data: Measurements) -> np.ndarray:
 
 
 def _amplitudes(screening: Screening) -> np.ndarray:
-    """The most probable amplitudes of the only candidate's columns, over their priors."""
+    """The most probable amplitudes of all columns, over their priors."""
     sd = screening.regressors.prior_sd
     shown = screening.information(np.arange(len(sd))) * sd[:, None] * sd
     values, vectors = np.linalg.eigh(shown)

@@ -10,41 +10,71 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
-from calflow.diagnosis.screening.screening import Family, Score, Screening
+from calflow.diagnosis.screening.screening import Screening
+from calflow.diagnosis.search.background import functions
 from calflow.diagnosis.search.decoys import Decoy, decoys
 from calflow.diagnosis.search.fitted import Fitted
+from calflow.effects import Effect
 
 MOST_PARTS = 3  # unexplained dependences that are told
+POSE = "pose"  # as an input: what changes from pose to pose in no way that another input explains
 
 
 @dataclass(frozen=True)
 class Remainder:
-    """A dependence that no cause explains: its inputs, its score among the decoys, and their family."""
+    """A dependence that no cause explains: its inputs, the chance of anything like it where nothing is left, and its functions."""
 
     inputs: tuple[str, ...]
-    score: Score
-    family: Family
-
-    @property
-    def p(self) -> float:
-        """The chance of anything like this among the decoys where nothing is left."""
-        return self.family.p(self.score)
+    p: float
+    functions: tuple[Effect, ...]
+    detail: str = ""
 
 
 def remainder(
     fitted: Fitted, significance: float, rng: np.random.Generator, say: Callable[[str], None]
 ) -> list[Remainder]:
-    """Return what the fitted model leaves that depends on inputs, the strongest first."""
+    """Return what the fitted model leaves that depends on inputs, the strongest first.
+
+    Single functions are tested first, which a sharp dependence shows best; then all functions of an input together, as the
+    background has them.
+    """
+    found: list[Remainder] = []
+    for one in (*_single(fitted, rng), *_together(fitted), *_of_poses(fitted)):
+        if one.p >= significance or len(found) == MOST_PARTS:
+            continue
+        if not any(set(one.inputs) & set(other.inputs) for other in found):
+            found.append(one)
+            say(f"left over, by {' and '.join(one.inputs)}: p = {one.p:.2g}")
+    return found
+
+
+def _single(fitted: Fitted, rng: np.random.Generator) -> list[Remainder]:
     screening = Screening(replace(fitted, background=None).regressors(decoys(fitted)))
     family = screening.family(rng)
-    found: list[Remainder] = []
-    for score in sorted(screening.scores, key=family.p):
-        assert isinstance(score.cause.effect, Decoy)
-        inputs = score.cause.effect.inputs
-        if family.p(score) >= significance or len(found) == MOST_PARTS:
-            break
-        if not any(set(inputs) & set(other.inputs) for other in found):
-            found.append(Remainder(inputs, score, family))
-            say(f"left over, by {' and '.join(inputs)}: p = {found[-1].p:.2g}")
-    return found
+    tested = []
+    for score in screening.scores:
+        decoy = score.cause.effect
+        assert isinstance(decoy, Decoy)
+        tested.append(Remainder(decoy.inputs, family.p(score), (score.cause,), score.cause.detail))
+    return sorted(tested, key=lambda one: one.p)
+
+
+def _together(fitted: Fitted) -> list[Remainder]:
+    """The parts of the background: twice the logarithm of the likelihood is chi² or nothing, as often (Self and Liang 1987)."""
+    left = fitted.background
+    if left is None:
+        return []
+    known = dict(functions(fitted))
+    tested = [
+        Remainder(inputs, min(1.0, left.tried * 0.5 * float(chi2.sf(gain, 1))), tuple(known[inputs]))
+        for inputs, gain in zip(left.inputs, left.gains, strict=True)
+    ]
+    return sorted(tested, key=lambda one: one.p)
+
+
+def _of_poses(fitted: Fitted) -> list[Remainder]:
+    """What the rows of a pose share: its markers err alike."""
+    regressors = replace(fitted, background=None).regressors(())
+    return [Remainder((POSE,), regressors.shared_p, ())] if regressors.shared < 1 else []

@@ -13,7 +13,7 @@ from calflow.diagnosis.findings.amplitude import amplitude, found_amplitude
 from calflow.diagnosis.findings.gain import gain
 from calflow.diagnosis.findings.gaussian_process import predicted
 from calflow.diagnosis.findings.misfit import Misfit
-from calflow.diagnosis.findings.remainder import Remainder
+from calflow.diagnosis.findings.remainder import POSE, Remainder
 from calflow.diagnosis.findings.verdict import Rival, Verdict, label
 from calflow.diagnosis.screening.detection_limit import detection_limit
 from calflow.diagnosis.screening.screening import Score, by_place
@@ -154,7 +154,7 @@ def findings_table(
     if found.misfit:
         rows.append(_misfit(found.misfit, found.left))
     for remainder in found.left:
-        after = steps[-1] + predicted(final, remainder.score.cause, heldout)
+        after = steps[-1] + predicted(final, remainder.functions, heldout)
         rows.append(_gained(_left(remainder), steps[-1], after, heldout, rng))
     return to_frame(rows, FindingRow)
 
@@ -341,8 +341,10 @@ def _misfit(misfit: Misfit, left: tuple[Remainder, ...]) -> FindingRow:
 
 
 def _left(remainder: Remainder) -> FindingRow:
-    inputs, detail = " and ".join(remainder.inputs), remainder.score.cause.detail
+    inputs, detail = " and ".join(remainder.inputs), remainder.detail
     said = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it"
+    if remainder.inputs == (POSE,):
+        said = "the rows of a pose share an error that changes from pose to pose, more than their own scatter explains"
     return FindingRow(
         status="unexplained", p_family=remainder.p, detail=detail, statement=said, inputs=remainder.inputs
     )

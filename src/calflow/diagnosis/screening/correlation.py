@@ -70,7 +70,7 @@ class Background:
 
     weight (n,) is what the rows' residuals were multiplied by when the waves were worked out, shared the factor of what rows of
     a pose have in common; degrees_of_freedom (n_parts,) are those of the sizes' estimates, gains (n_parts,) twice the logarithm
-    of the likelihood that each part adds.
+    of the likelihood that each part adds; tried is how many parts there might have been.
     """
 
     inputs: tuple[tuple[str, ...], ...]
@@ -79,6 +79,7 @@ class Background:
     shared: float
     degrees_of_freedom: tuple[float, ...]
     gains: tuple[float, ...]
+    tried: int
 
     def correlation(self, weight: np.ndarray) -> Correlation:
         """Return the correlation of residuals that are multiplied by other weights (n,), of the same noise but for its level."""

@@ -61,8 +61,8 @@ class Regressors(Generic[H]):
 
     residual (n,) and jacobian (n, n_free) are the fit's, pull (n_free,) the priors' part of the gradient; matrix is
     (n, n_columns), prior_sd (n_columns,). determined is how many parameters the residual has lost. scale is by how much the
-    candidates' priors are wider than they state, shared the factor of what the rows of a pose have in common. All are
-    whitened by the correlation, where there is one.
+    candidates' priors are wider than they state, shared the factor of what the rows of a pose have in common, shared_p the chance
+    of as much by accident. All are whitened by the correlation, where there is one.
     """
 
     residual: np.ndarray
@@ -77,6 +77,7 @@ class Regressors(Generic[H]):
     determined: float = 0.0
     scale: float = 1.0
     shared: float = 1.0
+    shared_p: float = 1.0
     correlation: Correlation | None = None
 
     @staticmethod
@@ -97,10 +98,11 @@ class Regressors(Generic[H]):
         large = replace(model, probes=tuple(effects))
         n = len(model.parameters)
         left, matrix = probed(problem, fit.estimate, effects)
-        shared = 1.0
+        shared = chance = 1.0
         if poses is not None:
             group = shared_by(problem.stacking, poses)
-            shared = correlation.shared if correlation else shared_error(left, group, fit.effective_parameters)
+            shared, chance = shared_error(left, group, fit.effective_parameters)
+            shared = correlation.shared if correlation else shared
             left, matrix = counted_once(left, matrix, group, shared)
         if correlation is not None:
             left, matrix = correlation.whitened(left), correlation.whitened(matrix)
@@ -122,6 +124,7 @@ class Regressors(Generic[H]):
             fit.effective_parameters,
             scale,
             shared,
+            chance,
             correlation,
         )
 
@@ -160,8 +163,8 @@ def shared_by(stacking: Stacking, poses: np.ndarray) -> np.ndarray:
     return np.asarray(poses[stacking.row] * (int(stacking.unit.max(initial=0)) + 1) + stacking.unit)
 
 
-def shared_error(residual: np.ndarray, group: np.ndarray, determined: float) -> float:
-    """Return the factor at which what a pose's rows have in common spreads as what they have apart; 1 where it does.
+def shared_error(residual: np.ndarray, group: np.ndarray, determined: float) -> tuple[float, float]:
+    """Return the factor at which what a pose's rows have in common spreads as what they have apart, 1 where it does, and its p.
 
     Markers of one pose share the robot's error of repeating it, so they are not as many pieces of evidence as rows. group (n,)
     numbers the residuals (n,) by what they may share; determined is the number of parameters that the residual has lost,
@@ -170,12 +173,11 @@ def shared_error(residual: np.ndarray, group: np.ndarray, determined: float) -> 
     groups = len(np.unique(group))
     apart, common = len(residual) - groups, groups - determined
     if apart == 0 or common < 3:
-        return 1.0
+        return 1.0, 1.0
     means = _group_means(residual, group)
     between, within = float(means @ means) / common, float(((residual - means) ** 2).sum()) / apart
-    if f_distribution.sf(between / within, common, apart) > SHARED:
-        return 1.0
-    return float(np.sqrt(within / between))
+    p = float(f_distribution.sf(between / within, common, apart))
+    return (1.0, p) if p > SHARED else (float(np.sqrt(within / between)), p)
 
 
 def _group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:

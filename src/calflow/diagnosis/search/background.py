@@ -1,8 +1,8 @@
 """The background: what no cause explains, as random smooth functions of joints, place and time, whose sizes the data tell.
 
 The sizes are those of the greatest restricted likelihood (Patterson and Thompson 1971): the model's own parameters, its causes
-among them, are integrated out, so that only what they cannot imitate counts. They grow and shrink by the ratio of what is seen
-to what is expected (the MM algorithm of Zhou, Hu, Zhou and Lange 2019).
+among them, are integrated out, so that only what they cannot imitate counts. They grow and shrink by the ratio of what is seen to
+what is expected; a part is taken in where that ratio is beyond chance (a score test) and the likelihood gains by it.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from calflow.effects.cause import Cause
 ORDERS = 4  # of a joint's angle
 TURNS = 8  # half turns that a slow wander makes in the course of the measurement, at most
 MODES = 240  # directions in which all functions together are largest: the rest is lost in the noise
-STEPS = 24  # of the sizes
-START = 0.3  # of a decoy's size before any data
+STEPS = 30  # of the sizes
+SETTLED = 0.03  # relative change of the sizes' squares below which they stay
+PROMISING = 1.0  # standard deviations beyond what is expected, from which a part is tried
 GONE = 1e-6  # of a decoy's variance: nothing
 BELIEVED = 3.0  # in twice the logarithm of the likelihood: what a part must add to be kept
 
@@ -75,7 +76,7 @@ def functions(fitted: Fitted) -> list[tuple[tuple[str, ...], list[Decoy]]]:
         ((f"q{i + 1}",), [JointField(robot, (i,), ORDERS), Shift(robot, (i,), ORDERS)]) for i in turning
     ]
     if len(turning) > 1:
-        found.append((("several joints",), [Shift(robot, pair) for pair in combinations(turning, 2)]))
+        found.append((("joints",), [Shift(robot, pair) for pair in combinations(turning, 2)]))
     found.append((("x", "y", "z"), [placed(fitted)]))
     clock = next((clock for clock in ("time", "order") if clock in data.given), None)
     if clock:
@@ -100,7 +101,7 @@ def _named(sizes: Sizes, basis: Basis, fitted: Fitted, shared: float) -> Backgro
     inputs = tuple(basis.inputs[k] for k in kept)
     return Background(
         inputs, waves, fitted.problem.weight, shared,
-        tuple(map(float, sure[kept])), tuple(map(float, gains[kept])),
+        tuple(map(float, sure[kept])), tuple(map(float, gains[kept])), len(variance),
     )  # fmt: skip
 
 
@@ -155,28 +156,44 @@ class Sizes:
         determinant = np.linalg.slogdet(np.eye(len(self.score)) + self.plain @ covariance)[1]
         return self.n * float(np.log(max(chi2, 1e-12))) + float(determinant)
 
-    def most_likely(self, variance: np.ndarray, steps: int = STEPS) -> np.ndarray:
+    def _expected(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What is seen of each part's functions, what is expected of them, and the information on its variance, (n_parts,)."""
+        left, along, chi2 = self._solved(variance)
+        seen = np.einsum("i,pij,j->p", along, self.shapes, along, optimize=True) * self.total / chi2
+        each = left @ self.shapes
+        return seen, np.trace(each, axis1=1, axis2=2), np.einsum("pij,pji->p", each, each)
+
+    def most_likely(self, variance: np.ndarray) -> np.ndarray:
         """Return the variances (n_parts,) of the greatest restricted likelihood, from these; zero stays zero."""
-        for _ in range(steps):
-            left, along, chi2 = self._solved(variance)
-            here = variance > 0
-            seen = np.einsum("i,pij,j->p", along, self.shapes[here], along, optimize=True) * self.total / chi2
-            expected = np.einsum("ij,pji->p", left, self.shapes[here], optimize=True)
-            variance = variance.copy()
-            variance[here] *= np.sqrt(np.maximum(seen, 0.0) / np.maximum(expected, 1e-300))
-            variance[variance < GONE] = 0.0
+        for _ in range(STEPS):
+            seen, expected, _ = self._expected(variance)
+            grown = variance * np.maximum(seen, 0.0) / np.maximum(expected, 1e-300)
+            settled = np.allclose(grown, variance, rtol=SETTLED, atol=GONE)
+            variance = np.where(grown < GONE, 0.0, grown)
+            if settled:
+                break
         return variance
 
     def believed(self) -> np.ndarray:
-        """Return the most likely variances (n_parts,), zero where a part adds too little to be believed."""
-        variance = self.most_likely(np.full(len(self.shapes), START**2))
-        while (variance > 0).any():
-            gains = np.where(variance > 0, self.gains(variance), np.inf)
-            weak = int(np.argmin(gains))
-            if gains[weak] >= BELIEVED:
+        """Return the most likely variances (n_parts,), part by part while one adds enough to be believed."""
+        variance = np.zeros(len(self.shapes))
+        out = np.zeros(len(variance), dtype=bool)
+        while not out.all():
+            seen, expected, information = self._expected(variance)
+            beyond = np.where(out | (variance > 0), -np.inf, (seen - expected) / np.sqrt(2 * information))
+            best = int(np.argmax(beyond))
+            if beyond[best] < PROMISING:
                 break
-            variance[weak] = 0.0
-            variance = self.most_likely(variance, STEPS // 2)
+            larger = variance.copy()
+            larger[best] = (seen - expected)[best] / information[best]
+            larger = self.most_likely(larger)
+            if self.cost(variance) - self.cost(larger) < BELIEVED:
+                out[best] = True
+            else:
+                variance = larger
+        for k in np.flatnonzero(variance > 0):
+            if self.gains(variance)[k] < BELIEVED:
+                variance = self.most_likely(np.where(np.arange(len(variance)) == k, 0.0, variance))
         return variance
 
     def gains(self, variance: np.ndarray) -> np.ndarray:
