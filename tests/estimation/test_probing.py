@@ -65,6 +65,8 @@ def test_levers_give_the_slopes_of_the_whole_graph(problem):
         matrix / np.abs(wanted).max(axis=0).clip(1e-9), wanted / np.abs(wanted).max(axis=0).clip(1e-9), atol=1e-9
     )
     assert (np.abs(matrix).max(axis=0) > 0).mean() > 0.8
+    alone = probed(problem, p, ())[1]
+    assert_allclose(alone, matrix[:, : len(p)], rtol=1e-9, atol=1e-9 * np.abs(alone).max())
 
 
 @dataclass(frozen=True)

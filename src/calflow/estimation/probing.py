@@ -130,6 +130,8 @@ def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> t
 
     Its columns are the model's parameters, then those of effects that the model does not have, at nothing.
     """
+    if not effects:
+        return problem.screened(p)  # by the graph that the fit has made
     robot, given, n = problem.model.robot, problem.model.given, len(p)
     bases = [_basis(tuple(own), given) for _, own in groupby(effects, key=lambda one: (type(one), one.id))]
     which = np.unique(np.concatenate([np.zeros(0, dtype=int), *(basis.quantity for basis in bases)]))
