@@ -20,6 +20,7 @@ from calflow.files.results import Results
 from calflow.files.tables import to_frame
 from calflow.reporting.causes import gain, search, separation
 from calflow.reporting.causes import unexplained as unexplained_part
+from calflow.reporting.causes.first_page import foremost
 from calflow.reporting.material import ModelAccuracy
 from calflow.reporting.section import Advice, Rule, advice, sections
 from calflow.reporting.sections import (
@@ -326,3 +327,9 @@ def test_headline_says_where_the_error_was_measured() -> None:
     )
     assert "none were held out" in headline(steps, "train")
     assert "reduces" not in headline(steps[::-1], "holdout")
+
+
+def test_a_contradicted_noise_is_the_first_thing_said() -> None:
+    """Fails if page one begins with what was found although the noise that it rests on is contradicted."""
+    assert foremost(results(summary(noise_doubts=(DOUBT,)))) == [DOUBT.statement]
+    assert foremost(results(summary())) == []

@@ -6,6 +6,7 @@ import math
 
 from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.diagnosis.findings.tables import UNEXPLAINED
+from calflow.estimation.fit_summary import IdentifySummary
 from calflow.files.results import Results
 from calflow.reporting.causes.gain import labels
 from calflow.reporting.causes.unexplained import lack_of_fit, structure, unexplained_findings
@@ -19,8 +20,10 @@ CAPPED = (
 
 
 def foremost(results: Results) -> list[str]:
-    """Say what a reader must know before any cause: that the model leaves more than its noise, and where."""
-    return [said for said in (lack_of_fit(results),) if said]
+    """Say what a reader must know before any cause: a contradicted noise, and that the model leaves more than its noise."""
+    doubts = results.document("identify/summary.json", IdentifySummary).noise_doubts
+    said = (*(doubt.statement for doubt in doubts), lack_of_fit(results))
+    return [sentence for sentence in said if sentence]
 
 
 def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
