@@ -342,12 +342,19 @@ def test_a_faulty_line_is_told_once(side_by_side):
 
 
 def test_rows_without_a_measured_value_are_left_out_where_the_study_says_so(small):
-    """Fails if such rows are dropped in silence or unasked, or others, with a missing reading or text, go with them."""
+    """Fails if such rows are dropped in silence, against the study's will, or others, with a missing reading or text, with them."""
     rows = small.rows
     rows.loc[[3, 8], ["x_mm", "y_mm", "z_mm", "sigma_mm"]] = ["", "NaN", "", ""]
-    small.measure(put("y_mm", 5, "")(rows))
+    small.measure(put("y_mm", 5, "")(rows.copy()))
+    assert [problem.split(":")[1] for problem in small.refused("check")] == ["7"]  # a part of a point is none
+    small.measure(rows)
+    answer = small.calflow("check")
+    assert answer.code == 0
+    assert "note: 2 of 80 rows have no measured value and are left out (line 5, 10)" in answer.out
+    small.measure(put("y_mm", 5, "")(rows.copy()))
+    small.edit("study.toml", ("[split]", 'missing = "refuse"\n[split]'))
     assert len(small.refused("check")) == 9
-    small.edit("study.toml", ("[split]", 'missing = "skip"\n[split]'))
+    small.edit("study.toml", ('missing = "refuse"', 'missing = "skip"'))
     answer = small.calflow("check")
     assert answer.code == 0
     assert 'note: missing = "skip": 3 of 80 rows have no measured value and are left out' in answer.out

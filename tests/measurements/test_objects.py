@@ -132,3 +132,16 @@ def test_the_table_needs_no_pydantic():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "calflow.measurements.source" not in done.stdout
+
+
+def test_points_that_were_not_measured_are_counted(robot):
+    """Fails if a row without any position is refused or dropped in silence, or one with a part of a position is taken."""
+    rng = np.random.default_rng(2)
+    q, position = rng.uniform(-1, 1, (20, robot.n_joints)), rng.uniform(-1, 1, (20, 3))
+    position[[4, 9]] = np.nan
+    data = Measurements.from_arrays(robot, q, position, in_order=True)
+    assert data.table["line"].tolist() == [i for i in range(1, 21) if i not in (5, 10)]
+    assert "2 of 20 rows have no measured value and are left out (line 5, 10)" in data.notes
+    position[4, 0] = 0.1
+    with pytest.raises(InputError, match="row 5: y: expected a finite number"):
+        Measurements.from_arrays(robot, q, position)

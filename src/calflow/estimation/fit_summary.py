@@ -96,3 +96,6 @@ class IdentifySummary(FitSummary):
     time_origin_s: float | None = column(
         "reading of the clock that times count from; null: no times", "s", default=None
     )
+    notes: tuple[str, ...] = column(
+        "what was assumed of the measurements, and which rows have no measured value", default=()
+    )

@@ -98,6 +98,7 @@ class Identification:
             extrapolation=extrapolation(data),
             noise_doubts=self.doubts,
             time_origin_s=data.time_origin,
+            notes=data.notes,
         )
 
 

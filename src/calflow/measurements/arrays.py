@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from calflow.files.problems import InputError, Problem, nearest
 from calflow.measurements.checks import at_rows, check_values
-from calflow.measurements.columns import ANGLES, LABELS, POSITION, column_names, condition_columns
+from calflow.measurements.columns import ANGLES, LABELS, POSITION, SIGMAS, column_names, condition_columns
 from calflow.measurements.labels import labelled
 from calflow.measurements.layout import Layout
-from calflow.measurements.rows import Rows, beyond, beyond_words, placed_in_time
+from calflow.measurements.rows import Rows, beyond, beyond_words, kept, placed_in_time
 from calflow.robot.robot import Robot
 
 CONDITIONS = ("approach", "travel", "wrench", "torque", "time", "temperature")
@@ -44,15 +44,19 @@ def rows_of(
     if problems:
         raise InputError(problems)
     table = pd.DataFrame(columns)
-    problems = _not_finite(table, robot)
+    measured = [name for name in (*POSITION, *ANGLES) if name in table]
+    gone = table[measured].isna().all(axis=1) if measured else pd.Series(False, table.index)
+    gone &= not gone.all()  # nothing at all is no gap
+    problems = _not_finite(table, robot, gone)
     if problems:
         raise InputError(problems)
     table, notes = labelled(table, robot)
     problems = check_values(table, robot, None)
     if problems:
         raise InputError(problems)
-    rows = placed_in_time(table, robot, layout, position is None, time_origin)
-    return Rows(rows.table, (*notes, *rows.notes), rows.time_origin)
+    rows = placed_in_time(table.assign(missing=gone), robot, layout, position is None, time_origin)
+    table, left_out = kept(rows.table, layout, None)
+    return Rows(table, (*notes, *rows.notes, *left_out), rows.time_origin)
 
 
 def _labels(name: str, values: ArrayLike, n_rows: int) -> dict[str, pd.Series]:
@@ -82,12 +86,14 @@ def _numbers(name: str, values: ArrayLike, n_rows: int, robot: Robot) -> dict[st
     return dict(zip(names, array.T, strict=True))
 
 
-def _not_finite(table: pd.DataFrame, robot: Robot) -> list[Problem]:
+def _not_finite(table: pd.DataFrame, robot: Robot, gone: pd.Series) -> list[Problem]:
+    """Find what is no number, besides the device's values in rows (n_rows,) where nothing was measured."""
     known = column_names(robot)
     problems: list[Problem] = []
     for name in (name for name in table if name != "line" and name not in LABELS):
         values = table[name].to_numpy(dtype=float)
-        problems += at_rows(~np.isfinite(values), table, None, f"{name}: expected a finite number")
+        excused = gone.to_numpy() if name in (*POSITION, *ANGLES, *SIGMAS) else False
+        problems += at_rows(~np.isfinite(values) & ~np.array(excused), table, None, f"{name}: expected a finite number")
         large = beyond(np.where(np.isfinite(values), values, 0.0), known[str(name)])
         problems += at_rows(large, table, None, f"{name}: {beyond_words(known[str(name)])}")
     return problems

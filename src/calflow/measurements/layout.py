@@ -8,7 +8,7 @@ from typing import Literal
 
 from calflow.measurements.columns import POSES, Reported
 
-Missing = Literal["refuse", "skip"]
+Missing = Literal["whole", "refuse", "skip"]
 
 
 @dataclass(frozen=True)
@@ -18,8 +18,9 @@ class Layout:
     columns maps calflow's names to a foreign file's; markers does so for files with several markers side by side.
     sigma [m] and sigma_rotation [rad] are one number for all rows. in_order says that the rows stand in the order of
     measuring, so that each pose's approach is known from the one before. tracker [m] is where the device stands in the
-    measuring frame, if not at its origin. missing says what is done with rows without measured values, reports
-    which columns hold them.
+    measuring frame, if not at its origin. missing says which rows are left out and counted: "whole", those without any
+    measured value, while one that lacks some is at fault; "skip", those that lack any; "refuse", none. reports says which
+    columns hold measured values.
 
     Raises:
         ValueError: separator or decimal cannot be.
@@ -33,7 +34,7 @@ class Layout:
     sigma_rotation: float | None = None
     in_order: bool = False
     tracker: tuple[float, float, float] | None = None
-    missing: Missing = "refuse"
+    missing: Missing = "whole"
     reports: Reported = POSES
 
     def __post_init__(self) -> None:

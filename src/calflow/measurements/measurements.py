@@ -77,7 +77,8 @@ class Measurements:
         Args:
             robot: says which joints, payloads and markers there are.
             q: joint readings, shape (n_rows, n_joints) [rad, or m].
-            position: measured positions, shape (n_rows, 3) [m]; None for rows to be predicted.
+            position: measured positions, shape (n_rows, 3) [m], all nan where nothing was measured, which leaves the row out;
+                None for rows to be predicted.
             in_order: the rows stand in measuring order, so that approach and travel follow from the row before.
             tracker: where the device stands in the measuring frame [m], if not at its origin.
             time_origin: the time [s] from which time counts; the earliest row's where it is None.

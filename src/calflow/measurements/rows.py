@@ -11,7 +11,7 @@ import pandas as pd
 from calflow.files.problems import InputError, Problem, shortened
 from calflow.files.units import LARGEST, SUFFIXES, to_si
 from calflow.measurements.cells import EMPTY, read_cells
-from calflow.measurements.checks import at_rows, check_header, check_values
+from calflow.measurements.checks import MAX_ROWS_TOLD, at_rows, check_header, check_values
 from calflow.measurements.columns import SIGMAS, column_names
 from calflow.measurements.header import ReadColumn, columns_read
 from calflow.measurements.labels import labelled
@@ -76,8 +76,8 @@ def read_rows(
     if problems:
         raise InputError(problems)
     rows = placed_in_time(table, robot, layout, conditions_only, time_origin)
-    kept, left_out = _kept(rows.table, path)
-    return Rows(kept, (*notes, *rows.notes, *left_out), rows.time_origin, tuple(sorted({c.unit for c in read})))
+    table, left_out = kept(rows.table, layout, path)
+    return Rows(table, (*notes, *rows.notes, *left_out), rows.time_origin, tuple(sorted({c.unit for c in read})))
 
 
 def placed_in_time(
@@ -154,7 +154,7 @@ def _no_number(wrong: pd.Series, column: ReadColumn, layout: Layout) -> str:
 
 
 def _without_measurement(read: dict[ReadColumn, _Values], layout: Layout) -> dict[str, pd.Series]:
-    """Return for each marker ('' where markers have no columns of their own) which lines lack a measured value."""
+    """Return for each marker ('' where markers have no columns of their own) which lines are left out for want of values."""
     gone = {}
     for marker in dict.fromkeys([column.marker for column in read if column.marker] or [""]):
         own = [
@@ -162,8 +162,12 @@ def _without_measurement(read: dict[ReadColumn, _Values], layout: Layout) -> dic
             for column, values in read.items()
             if column.name in layout.reports.values and column.marker in ("", marker)
         ]
-        nowhere = pd.Series(False, own[0].index) if own else pd.Series(dtype=bool)
-        gone[marker] = pd.concat(own, axis=1).any(axis=1) if own and layout.missing == "skip" else nowhere
+        if not own:
+            gone[marker] = pd.Series(dtype=bool)
+            continue
+        empty = pd.concat(own, axis=1)
+        left_out = {"whole": empty.all(axis=1), "skip": empty.any(axis=1)}
+        gone[marker] = left_out.get(layout.missing, pd.Series(False, empty.index))
     return gone
 
 
@@ -191,8 +195,8 @@ def _assembled(read: dict[ReadColumn, _Values], gone: dict[str, pd.Series], layo
     return pd.concat(blocks).sort_values("line", kind="stable").reset_index(drop=True)
 
 
-def _kept(table: pd.DataFrame, path: Path) -> tuple[pd.DataFrame, list[str]]:
-    """Leave out the rows without measured values, and say how many they are.
+def kept(table: pd.DataFrame, layout: Layout, path: Path | None) -> tuple[pd.DataFrame, list[str]]:
+    """Leave out the rows without measured values (a column `missing` says which), and say how many and which they are.
 
     They count in the order of measuring, since the robot was there.
     """
@@ -202,7 +206,11 @@ def _kept(table: pd.DataFrame, path: Path) -> tuple[pd.DataFrame, list[str]]:
         raise InputError([Problem(f"{EMPTY}; no row has a measured value", path)])
     if not missing.any():
         return table, []
-    said = f'missing = "skip": {missing.sum()} of {len(missing)} rows have no measured value and are left out'
+    lines = list(dict.fromkeys(table["line"][missing]))
+    named = ", ".join(map(str, lines[:MAX_ROWS_TOLD]))
+    more = f" and {len(lines) - MAX_ROWS_TOLD} more" if len(lines) > MAX_ROWS_TOLD else ""
+    asked = 'missing = "skip": ' if layout.missing == "skip" else ""
+    said = f"{asked}{missing.sum()} of {len(missing)} rows have no measured value and are left out (line {named}{more})"
     return table[~missing].reset_index(drop=True), [said]
 
 

@@ -57,7 +57,7 @@ class MeasurementSource(FileModel):
     sigma_rotation: Angle | None = Field(default=None, gt=0)
     in_order: bool = False
     tracker: Lengths3 | None = None
-    missing: Missing = "refuse"
+    missing: Missing = "whole"
 
     @model_validator(mode="after")
     def _fetched_is_checked(self) -> MeasurementSource:
