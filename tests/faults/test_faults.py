@@ -254,6 +254,7 @@ def test_every_check_has_its_place():
         "elsewhere",
         "joint_limits",
         "misfit",
+        "odd_row",
         "reference",
         "segments",
     }

@@ -38,7 +38,7 @@ class Outlier(Check):
         miss, used = reference.miss, data.train | data.held_out
         limit = limit_of(miss[used], fit.scale, fit.gross)
         off = used & (miss > limit)
-        off &= ~_together(data, error, off)
+        off &= ~together(data, error, off)
         if not 0 < off.sum() <= MOST * used.sum() or _of_a_joint(data, fit, error, np.flatnonzero(off)):
             return ()
         rows = np.flatnonzero(off)
@@ -62,7 +62,7 @@ def limit_of(miss: np.ndarray, scale: float, gross: float) -> float:
     return max(gross, float(usual / TAIL_LENGTH * largest))
 
 
-def _together(data: Measurements, error: np.ndarray, off: np.ndarray) -> np.ndarray:
+def together(data: Measurements, error: np.ndarray, off: np.ndarray) -> np.ndarray:
     """Return the rows that are off together with others: of one payload or marker, or in a row and the same way."""
     groups = np.zeros(len(off), dtype=bool)
     for label in ("payload", "marker"):

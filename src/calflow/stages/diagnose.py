@@ -23,12 +23,14 @@ from calflow.diagnosis.findings.extended_model import accuracy_table, extended_m
 from calflow.diagnosis.findings.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint, confirm
 from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, FindingRow, candidates_table, findings_table
 from calflow.diagnosis.search.acceptance import FALSE_ALARM
-from calflow.diagnosis.search.fitted import Fitted
-from calflow.estimation.accuracy import Accuracy, Residual, errors, residuals
+from calflow.diagnosis.search.fitted import FAR, Fitted
+from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated import DeviceNoise, Identified, ModelEffect, effect_table, identified
+from calflow.estimation.judgement import JudgedResidual, Studentised, judged_table
 from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
 from calflow.estimation.progress import Draws, Say
 from calflow.faults import FaultyRow, as_table, corrected, examined
+from calflow.faults.odd_row import odd_rows
 from calflow.files.documents import to_document
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
@@ -70,8 +72,12 @@ def results(
     found: Diagnosis, known: Identified, data: Measurements, asked: Sequence[Question], before: Results, rng: Draws
 ) -> Results:
     """Return what was found as the run folder keeps it; before are the results of identify, known what these say."""
-    final, faults = found.extended.fitted, before.tables["identify/faults.csv"]
+    final = found.extended.fitted
     extended = extended_model(found, known, data)
+    studentised = Studentised.of(final.fit, data, extended.noise(data), FAR)
+    odd, told = odd_rows(final.fit, data, studentised)
+    own = as_table(told, data)
+    faults = pd.concat([table for table in (before.tables["identify/faults.csv"], own) if len(table)] or [own])
     steps = before.rows("identify/accuracy.csv", Accuracy)
     tables = {
         "diagnose/findings.csv": findings_table(found, data, faults, rng("resamples")),
@@ -83,7 +89,8 @@ def results(
         "diagnose/covariance.csv": covariance_table(final.fit),
         "diagnose/effects.csv": effect_table(final.model.effects),
         "diagnose/noise.csv": extended_noise(found, known, data),
-        "diagnose/residuals.csv": residuals(errors(final.model, final.fit.estimate, data), data),
+        "diagnose/faults.csv": own,
+        "diagnose/residuals.csv": judged_table(final.fit, data, studentised, odd),
         "diagnose/curves.csv": curves(final, found.causes, data),
         "diagnose/needed_conditions.csv": to_frame(needed_conditions(extended, data), NeededCondition),
     }
@@ -121,7 +128,8 @@ STAGE = Stage(
         "diagnose/covariance.csv": Covariances,
         "diagnose/effects.csv": ModelEffect,
         "diagnose/noise.csv": DeviceNoise,
-        "diagnose/residuals.csv": Residual,
+        "diagnose/faults.csv": FaultyRow,
+        "diagnose/residuals.csv": JudgedResidual,
         "diagnose/curves.csv": CurvePoint,
         "diagnose/needed_conditions.csv": NeededCondition,
         "diagnose/confirmation.csv": ConfirmedCause,

@@ -138,7 +138,7 @@ def findings_table(
 ) -> pd.DataFrame:
     """Return diagnose/findings.csv: data faults, causes, the noise's growth and what nobody can name."""
     heldout, final = data.only(data.held_out), found.extended.fitted
-    rows = [_fault(group) for _, group in faults.groupby(["cause", "joint"], sort=False)]
+    rows = [_fault(group) for _, group in faults.groupby(["cause", "joint", "action", "statement"], sort=False)]
     steps = [errors(one.model, one.fit.estimate, heldout) for one in (found.start, *found.extended.path)]
     for members in _kept_together(found.causes):
         own = [_cause(found.verdicts[k], final, _overlapping(found.verdicts[k], found.left), k + 1) for k in members]

@@ -1,0 +1,57 @@
+"""Outliers by the final model: told with their lines, and never left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calflow.diagnosis.search.fitted import FAR, Fitted
+from calflow.estimation.identification import identify
+from calflow.estimation.judgement import Studentised, judged_table
+from calflow.faults import as_table, corrected
+from calflow.faults.odd_row import odd_rows
+from calflow.measurements.measurements import Measurements
+from calflow.study import load_study
+from hidden.case import Case, write_case
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """A robot whose study has all that it does."""
+    folder = tmp_path_factory.mktemp("odd")
+    write_case(folder, Case(poses=90, columns=(), workflow="paper-table"), np.random.default_rng(21))
+    return load_study(folder).measurements()
+
+
+def judged(data):
+    """Which rows are odd by the model that a robust fit identifies, the fault, and the table of residuals."""
+    found = identify(data, ("geometry", "joint-compliance"), starts=1)
+    known, data = found.known, found.data
+    final = Fitted.of(known, data.only(data.train), known.noise(data).only(data.train))
+    noise = replace(known.noise(data), discrepancy=final.noise.discrepancy)
+    studentised = Studentised.of(final.fit, data, noise, FAR)
+    odd, told = odd_rows(final.fit, data, studentised)
+    return odd, told, judged_table(final.fit, data, studentised, odd)
+
+
+def test_a_row_fifteen_standard_deviations_off_is_told_and_stays(measured):
+    """Fails if rows below what is gross before the fit are passed over, others are named, or a row is left out."""
+    table = measured.table.copy()
+    rows = [np.flatnonzero(measured.train)[7], np.flatnonzero(measured.held_out)[3]]
+    table.loc[rows, "y"] += 15 * 4e-5 * np.array([1.0, -1.4])
+    data = Measurements(measured.robot, table, measured.notes)
+    odd, told, residuals = judged(data)
+    assert np.flatnonzero(odd).tolist() == sorted(rows)
+    assert [(one.cause, one.action) for one in told] == [("outlier", "told")]
+    assert told[0].lines == tuple(table["line"].iloc[sorted(rows)])
+    assert residuals["flagged"].sum() == 2
+    assert corrected(data, as_table(told, data)).table.equals(data.table)
+
+
+def test_good_rows_are_not_odd(measured):
+    """Fails if noise is called an outlier."""
+    odd, told, _ = judged(measured)
+    assert not odd.any()
+    assert told == ()
