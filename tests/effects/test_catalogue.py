@@ -640,6 +640,7 @@ VARIANTS = {  # how many forms there are to try, where not one
     "joint-eccentricity": 2,
     "gear-transmission-error": 2,
     "gravity-compensator": 5,
+    "link-bending": 2,
     "joint-hysteresis": 5,
     "joint-error-map": 3,
     "tool-deflection": 2,

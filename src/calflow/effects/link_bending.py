@@ -1,9 +1,9 @@
-"""Link bending: links that bend like cantilevers from one joint's axis to the next."""
+"""Link bending: links that bend like cantilevers from one joint's axis to the next, straight or oblique."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 
@@ -16,8 +16,19 @@ from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques
 
+if TYPE_CHECKING:
+    from calflow.measurements.measurements import Measurements
+
 SOFT_SD, SOFT_BOUND = 2e-3, 40e-3  # rad of slope per metre at the largest rated torque
 SHORTEST = 0.2  # m: stubs do not bend
+PAIRS = (
+    (0, 0),
+    (1, 1),
+    (2, 2),
+    (0, 1),
+    (0, 2),
+    (1, 2),
+)  # of axes, as the symbols of an oblique link's curvatures name them
 
 
 @dataclass(frozen=True)
@@ -41,13 +52,27 @@ def spans(robot: Robot) -> tuple[Span, ...]:
     return tuple(beam for beam in beams if beam.length >= SHORTEST)
 
 
+def bent(beam: Span, soft: ca.SX, force: ca.SX, moment: ca.SX) -> ca.SX:
+    """Return the twist (6,) of a beam's far end under force and moment there, all in that end's axes (Euler-Bernoulli).
+
+    soft (3, 3) [1/Nm²] is the curvature per moment, the same all along: at every point it takes the moment at the end and that of
+    the force on its lever, and what it turns there moves the end by the same lever.
+    """
+    lever = ca.cross(ca.SX(beam.span), force)
+    turn = beam.length * (soft @ (moment + lever / 2))
+    shift = beam.length * ca.cross(soft @ (moment / 2 + lever / 3), ca.SX(beam.span))
+    return ca.vertcat(shift, turn)
+
+
 @dataclass(frozen=True)
 class LinkBending(Effect):
-    """Deflection and slope of a cantilever's tip under the force and moment there (Euler-Bernoulli), 1/EI a link.
+    """A cantilever from its joint's axis to the next one's, 1/EI a link: curvature per moment alike across their line.
 
-    Slope = L²/2EI · u x F + L/EI · M, deflection = L³/3EI · F + L²/2EI · M x u for the parts of F and M across the
-    link's direction u.
+    An oblique link, whose section lies askew or which does not follow that line, has a symmetric matrix of curvatures in place of
+    1/EI, in the axes of its end: it bends to the side too, and twists as it bends.
     """
+
+    oblique: bool = False
 
     id: ClassVar[str] = "link-bending"
     title: ClassVar[str] = "link bending"
@@ -56,26 +81,46 @@ class LinkBending(Effect):
     needs: ClassVar[tuple[str, ...]] = ("masses",)
     told_by: ClassVar[str] = "put markers on both ends of the link, and watch them while the load changes"
 
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return straight links, and oblique ones."""
+        return cls(robot), cls(robot, oblique=True)
+
+    @property
+    def detail(self) -> str:
+        """Say which."""
+        return "oblique" if self.oblique else "straight"
+
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return one flexibility a long link."""
+        """Return one flexibility a long link, or its curvatures."""
         largest = float(rated_torques(self.robot).max())
+        sd, bound = SOFT_SD / largest, SOFT_BOUND / largest
+        symbols = {"1/EI": 0.0}
+        if self.oblique:
+            symbols = {f"c{'xyz'[a]}{'xyz'[b]}": 0.0 if a == b else -bound for a, b in PAIRS}
         return tuple(
-            Parameter(self.id, f"link{span.link + 1}", "1/EI", "1/Nm2", SOFT_SD / largest, 0.0, SOFT_BOUND / largest,
+            Parameter(self.id, f"link{span.link + 1}", symbol, "1/Nm2", sd, low, bound,
                       meaning=f"bending of link {span.link + 1}", joint=span.link + 1)
-            for span in spans(self.robot)
+            for span in spans(self.robot) for symbol, low in symbols.items()
         )  # fmt: skip
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Move each link's far end."""
         link = ca.SX(still.link)
-        for k, beam in enumerate(spans(self.robot)):
+        for beam, own in zip(spans(self.robot), ca.vertsplit(p, len(PAIRS) if self.oblique else 1), strict=True):
             force, moment = state.link[:3, beam.link + 1], state.link[3:, beam.link + 1]
-            u, length = beam.span / beam.length, beam.length
-            across, bends = force - u * ca.dot(u, force), moment - u * ca.dot(u, moment)
-            slope = p[k] * (length**2 / 2 * ca.cross(u, force) + length * bends)
-            shift = p[k] * (length**3 / 3 * across + length**2 / 2 * ca.cross(bends, u))
-            link[:, beam.link + 1] = ca.vertcat(shift, slope)
+            link[:, beam.link + 1] = bent(beam, self._soft(beam, own), force, moment)
         return replace(still, link=link)
+
+    def _soft(self, beam: Span, p: ca.SX) -> ca.SX:
+        """The curvature per moment of a link (3, 3)."""
+        if not self.oblique:
+            u = beam.span / beam.length
+            return p * (ca.DM.eye(3) - u @ u.T)
+        soft = ca.SX(3, 3)
+        for k, (a, b) in enumerate(PAIRS):
+            soft[a, b] = soft[b, a] = p[k]
+        return soft
 
     def variable(self, joint: int) -> Variable:
         """Return the moment at the link's end."""

@@ -1,0 +1,59 @@
+"""Link bending: an oblique link bends as its section and its line say, whatever axes it is written in."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.testing import assert_allclose
+
+import robots
+from calflow.effects.link_bending import LinkBending, Span, bent, spans
+from calflow.model import Model, build, over_rows
+
+FORCE, MOMENT = np.array([120.0, -300.0, 500.0]), np.array([80.0, 150.0, -60.0])
+
+
+def summed(span: np.ndarray, soft: np.ndarray, parts: int = 2000) -> np.ndarray:
+    """A beam's end (6,) from many short pieces, each turned by the moment that it carries."""
+    shift, turn = np.zeros(3), np.zeros(3)
+    for k in range(parts):
+        lever = (1 - (k + 0.5) / parts) * span
+        curved = np.linalg.norm(span) / parts * soft @ (MOMENT + np.cross(lever, FORCE))
+        turn, shift = turn + curved, shift + np.cross(curved, lever)
+    return np.concatenate([shift, turn])
+
+
+def test_an_oblique_beam_is_the_sum_of_its_pieces() -> None:
+    """Breaks if force and moment at the end do not add up along the beam, or its section has axes of its own choice only."""
+    span = np.array([0.9, -0.2, 0.4])
+    root = np.random.default_rng(3).normal(size=(3, 3)) * 1e-4
+    soft = root @ root.T
+    found = np.array(ca.DM(bent(Span(1, ca.DM(span)), ca.SX(ca.DM(soft)), ca.SX(ca.DM(FORCE)), ca.SX(ca.DM(MOMENT)))))
+    assert_allclose(found.ravel(), summed(span, soft), rtol=1e-5)
+
+
+def test_an_oblique_link_that_is_round_bends_as_a_straight_one() -> None:
+    """Breaks if the two forms differ where they describe the same link."""
+    robot = robots.industrial()
+    straight, oblique = LinkBending(robot), LinkBending(robot, oblique=True)
+    (first, *_) = [parameter.part for parameter in straight.parameters()]
+    model = build(robot, ())
+    rows = robots.rows(model, robots.poses(robot, 20), "load")
+    size = 1e-7
+
+    def points(effect: LinkBending, values: dict[str, float]) -> np.ndarray:
+        whole = Model(robot, (effect,))
+        p, c = ca.SX.sym("p", len(whole.parameters)), ca.SX.sym("c", whole.n_conditions)
+        at = ca.Function("at", [p, c], [ca.densify(whole.expression(p, c).position)])
+        return over_rows(at, np.array([values.get(q.symbol, 0.0) * (q.part == first) for q in effect.declared]), rows)[
+            0
+        ]
+
+    span = spans(robot)[0]
+    u = np.array(span.span).ravel() / span.length
+    matrix = size * (np.eye(3) - np.outer(u, u))
+    round_one = {f"c{'xyz'[a]}{'xyz'[b]}": matrix[a, b] for a in range(3) for b in range(a, 3)}
+    plain = points(straight, {})
+    bends = points(straight, {"1/EI": size})
+    assert np.abs(bends - plain).max() > 1e-6
+    assert_allclose(points(oblique, round_one), bends, rtol=0, atol=1e-12)
