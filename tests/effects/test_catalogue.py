@@ -35,7 +35,7 @@ from calflow.robot.frames import modified_dh
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques, state
 from calflow.robot.transforms import rot_x
-from hidden import simulator
+from hidden import forms, simulator
 from hidden.case import Case, draw, robot_file, stated_tables, write_case
 from hidden.causes import (
     ARM,
@@ -207,6 +207,15 @@ def bearing(joint: int, size: float) -> Callable[[Bench], Twin]:
     return lambda bench: Twin(made(bench, hidden.cause), values, hidden)
 
 
+def bearing_beside(bench: Bench) -> Twin:
+    """A pivot beside the joint's frame: its lever counts to first order."""
+    hidden = Hidden("offset-bearing", 4, 4e-8, 0.1, seed=2)
+    pivot = 0.1 * forms.slanting(hidden.rng, np.array([0.0, 0.0, 1.0]), pi)
+    values = {"joint4.cx": hidden.size, "joint4.cy": hidden.size}
+    values |= {f"joint4.o{axis}": hidden.size * place for axis, place in zip("xyz", pivot, strict=True)}
+    return Twin(made(bench, "bearing-compliance", aside=True), values, hidden, close=0.05)
+
+
 def base_by_direction(bench: Bench) -> Twin:
     """A foundation that is softer in one direction."""
     hidden = Hidden("base-compliance", 0, 1e-8, 0.3)
@@ -367,6 +376,7 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
         for kind, key, sizes in (("bending", "EI", (3e-9, 5e-8, 1e-7, 5e-8)), ("torsion", "GJ", (3e-8, 3e-7, 3e-7, 3e-7)))
         for link, size in enumerate(sizes, start=1)
     },
+    "bearing-compliance, beside its joint": bearing_beside,
     "base-compliance, alike": one("base-compliance", "base.c", Hidden("base-compliance", 0, 1e-8)),
     "base-compliance, by direction": base_by_direction,
     "gravity-compensator": compensator,
@@ -641,6 +651,7 @@ VARIANTS = {  # how many forms there are to try, where not one
     "gear-transmission-error": 2,
     "gravity-compensator": 5,
     "link-bending": 2,
+    "bearing-compliance": 2,
     "joint-hysteresis": 5,
     "joint-error-map": 3,
     "tool-deflection": 2,

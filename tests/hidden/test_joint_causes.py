@@ -34,3 +34,19 @@ def test_friction_with_and_without_load_are_both_found(tmp_path) -> None:
     seen = found(tmp_path, case("serial", Hidden("friction-wind-up", 3, 3e-4, 0.3)), 11)
     assert sorted(seen.causes["cause"]) == ["friction-wind-up", "joint-backlash"], seen.causes
     assert set(seen.causes["joint"]) == {3}
+
+
+FORMS = {
+    "spring": (Hidden("spring-compensator", 2, 2e4), "gravity-compensator"),
+    "crooked link": (Hidden("oblique-beam", 2, 1e-7), "link-bending"),
+    "bearing aside": (Hidden("offset-bearing", 3, 2e-7, 0.3), "bearing-compliance"),
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_other_forms_than_textbooks_draw_are_known(name: str, tmp_path) -> None:
+    """Breaks if a spring is an eccentricity, a crooked link's twist another link's, or a bearing's pivot is its joint's frame."""
+    hidden, cause = FORMS[name]
+    seen = found(tmp_path, case("serial", hidden), 11)
+    assert len(seen.causes) == 1, seen.causes
+    assert seen.has(cause, hidden.joint), seen.causes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import casadi as ca
 
@@ -11,14 +11,26 @@ from calflow.effects.base import Effect, Variable, Words
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
+from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques
 
+if TYPE_CHECKING:
+    from calflow.measurements.measurements import Measurements
+
+ASIDE = 0.3  # m: usual distance of a bearing from the frame of its joint
 TILT_SD, TILT_BOUND = 2e-3, 20e-3  # rad at the largest rated torque of all joints
 
 
 @dataclass(frozen=True)
 class BearingCompliance(Effect):
-    """A turn by (cx Mx, cy My) at the joint's frame, M the moment of all that the joint carries."""
+    """A turn by (cx Mx, cy My) at the joint's frame, M the moment of all that the joint carries.
+
+    A bearing beside its joint's frame, at a place s, feels the moment M - s x F and shifts what it carries by s x turn: with
+    o = c s for a compliance c alike about x and y, which is small against the lever of F, a turn by (cx Mx, cy My) - o x F across
+    the axis and a shift by o x (Mx, My, 0).
+    """
+
+    aside: bool = False
 
     id: ClassVar[str] = "bearing-compliance"
     title: ClassVar[str] = "bearing compliance (tilt off the joint's axis)"
@@ -26,19 +38,39 @@ class BearingCompliance(Effect):
     needs: ClassVar[tuple[str, ...]] = ("masses",)
     told_by: ClassVar[str] = "watch a marker close behind the bearing while the load changes"
 
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return bearings at their joints' frames, and beside them."""
+        return cls(robot), cls(robot, aside=True)
+
+    @property
+    def detail(self) -> str:
+        """Say where the bearing is."""
+        return "beside its joint's frame" if self.aside else "at its joint's frame"
+
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return two compliances a joint."""
+        """Return two compliances a joint, and their products with the bearing's place."""
         largest = float(rated_torques(self.robot).max())
+        sd, bound = TILT_SD / largest, TILT_BOUND / largest
+        symbols = [("cx", "rad/Nm", sd, 0.0, bound), ("cy", "rad/Nm", sd, 0.0, bound)]
+        if self.aside:
+            symbols += [(f"o{axis}", "rad/N", ASIDE * sd, -ASIDE * bound, ASIDE * bound) for axis in "xyz"]
         return tuple(
-            Parameter(self.id, f"joint{i + 1}", symbol, "rad/Nm", TILT_SD / largest, 0.0, TILT_BOUND / largest,
+            Parameter(self.id, f"joint{i + 1}", symbol, unit, sd, low, high,
                       meaning=f"bearing compliance of joint {i + 1} about {symbol[1]}", joint=i + 1)
-            for i in range(self.robot.n_joints) for symbol in ("cx", "cy")
+            for i in range(self.robot.n_joints) for symbol, unit, sd, low, high in symbols
         )  # fmt: skip
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Tilt each bearing."""
         bearing = ca.SX(still.bearing)
-        bearing[3:5, :] = ca.reshape(p, 2, self.robot.n_joints) * state.bearing[3:5, :]
+        own = ca.reshape(p, len(self.declared) // self.robot.n_joints, self.robot.n_joints)
+        bearing[3:5, :] = own[:2, :] * state.bearing[3:5, :]
+        if self.aside:
+            for i in range(self.robot.n_joints):
+                force, moment = state.bearing[:3, i], ca.vertcat(state.bearing[3:5, i], 0)
+                bearing[3:5, i] -= ca.cross(own[2:, i], force)[:2]
+                bearing[:3, i] = ca.cross(own[2:, i], moment)
         return replace(still, bearing=bearing)
 
     def variable(self, joint: int) -> Variable:
