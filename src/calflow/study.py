@@ -132,17 +132,23 @@ def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
     needing = [effect for effect in effects if "torques" in catalogue()[effect].needs]
     measured = all(joint.rated_torque for joint in robot.joints)  # measured torques may then stand for masses
     if needing and not robot.has_masses and not measured:
-        origin = Origin.of(path)
-        raise InputError(
+        origin, otherwise = Origin.of(path), "or, where joint torques are measured, every joint's rated_torque_Nm"
+        links = [
             origin.problem(
-                f"missing: effect '{needing[0]}' needs the mass of every joint's link, mass_kg and com_mm (or, "
-                "where joint torques are measured, every joint's rated_torque_Nm)",
+                f"missing: effect '{needing[0]}' needs the mass of every joint's link, mass_kg and com_mm ({otherwise})",
                 "joints",
                 i,
             )
             for i, joint in enumerate(robot.joints)
             if joint.mass is None
-        )
+        ]
+        payloads = [
+            origin.problem(f"effect '{needing[0]}' needs the mass of every payload, which is unknown ({otherwise})",
+                           "payloads", name, "mass_kg")
+            for name, load in robot.payloads.items()
+            if load.mass is None
+        ]  # fmt: skip
+        raise InputError([*links, *payloads])
 
 
 def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> None:

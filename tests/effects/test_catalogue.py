@@ -50,6 +50,7 @@ from hidden.causes import (
     response,
 )
 from hidden.simulator import Motion, Rows, equilibrium, statics
+from hidden.tool_causes import LENGTH
 
 ROBOTS = ("serial", "hh800")
 BASE = ((3500.0, -500.0, -800.0), (0.4, -0.3, 165.0))  # mm and degrees: away from the measuring device
@@ -262,7 +263,33 @@ def tool_by_direction(bench: Bench) -> Twin:
     """A tool that is stiffer across x."""
     hidden = Hidden("tool-deflection", 0, 3e-7, "anisotropic")
     values = {"tool.cx": hidden.size, "tool.cy": 0.5 * hidden.size, "tool.cz": 0.1 * hidden.size}
-    return Twin(made(bench, hidden.cause, directions=3), values, hidden, soft=False)
+    return Twin(made(bench, hidden.cause, shape="direction"), values, hidden, soft=False)
+
+
+def bracket(bench: Bench) -> Twin:
+    """A cantilever along the flange's axis turns by 1.5 / length times what it gives way."""
+    hidden = Hidden("tool-bracket", 0, 3e-8)
+    values = {"tool.c": hidden.size, "tool.t": 1.5 / LENGTH * hidden.size}
+    return Twin(made(bench, "tool-deflection", shape="bracket"), values, hidden, soft=False)
+
+
+def sagging_bracket(bench: Bench) -> Twin:
+    """The same under its own weight."""
+    hidden = Hidden("tool-sag", 0, 1e-4)
+    values = {"tool.c": hidden.size, "tool.t": 1.5 / LENGTH * hidden.size}
+    return Twin(made(bench, hidden.cause), values, hidden, soft=False)
+
+
+def sagging_bar(bench: Bench) -> Twin:
+    """A bar in any direction; what it gives way alike in all directions moves the base, and is no parameter."""
+    hidden = Hidden("tool-sag", 0, 1e-4, "bar", seed=7)
+    along = direction(hidden.rng)
+    matrix = hidden.size * (along[2] ** 2 * np.eye(3) - np.outer(along, along))  # zero in its last entry
+    alike = hidden.size * (1 - along[2] ** 2) * robots.base_frame(bench.robot)[:3, :3] @ [0.0, 0.0, -1.0]
+    values = {f"tool.c{'xyz'[i]}{'xyz'[j] if i != j else ''}": matrix[i, j] for i in range(3) for j in range(i, 3)}
+    del values["tool.cz"]
+    moved = lambda point, rows: bench.points(hidden, soft=False) - alike  # noqa: E731
+    return Twin(made(bench, hidden.cause, shape="symmetric"), values, moved, soft=False)
 
 
 def drift(bench: Bench) -> Twin:
@@ -386,6 +413,9 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     "link-mass": one("link-mass", "link3.e", Hidden("link-mass", 3, 0.3)),
     "tool-deflection, alike": tool_alike,
     "tool-deflection, by direction": tool_by_direction,
+    "tool-deflection, bracket": bracket,
+    "tool-sag, bracket": sagging_bracket,
+    "tool-sag, bar": sagging_bar,
     "thermal-growth, temperature": one("thermal-growth", "links.alpha", Hidden("thermal-growth", 0, 2.3e-5)),
     "thermal-growth, warm-up": one("thermal-growth", "links.e", Hidden("thermal-growth", 0, 2.5e-4, "warm-up"), constant=WARM_UP),
     "thermal-growth, one link": one("thermal-growth", "link2.alpha", Hidden("link-growth", 2, 2.3e-5), apart=True),
@@ -408,6 +438,7 @@ APART = {
     "geometry",
     "axis-straightness",
     "gravity-deflection",
+    "base-tilt",
     "joint-error-map",
     "range-noise",
 }  # compared in tests of their own
@@ -654,7 +685,9 @@ VARIANTS = {  # how many forms there are to try, where not one
     "bearing-compliance": 2,
     "joint-hysteresis": 5,
     "joint-error-map": 3,
-    "tool-deflection": 2,
+    "tool-deflection": 3,
+    "tool-sag": 3,
+    "base-tilt": 3,
     "thermal-growth": 10,
     "housing-growth": 5,
     "frame-drift": 6,
@@ -891,6 +924,7 @@ LACKING: list[tuple[str, Callable[[Measurements], Measurements], str]] = [
     ("joint-error-map", lambda data: data.only(np.arange(len(data)) < 50), "readings per 0.05 rad"),
     ("axis-straightness", lambda data: data, "prismatic joint"),
     ("gravity-deflection", lambda data: data, "joint-compliance"),
+    ("base-tilt", lambda data: data, "base-compliance"),
     ("tracker-scale", lambda data: data, "relative_sd_mm"),
 ]  # fmt: skip
 
@@ -903,7 +937,7 @@ def test_what_is_lacking_is_told_in_words(
     data = taken(full)
     kind = catalogue()[name]
     assert re.search(words, kind.superseded(data.robot) or kind.lacking(data.robot, data))
-    if name not in ("gravity-deflection", "tracker-scale", "axis-straightness"):
+    if name not in ("gravity-deflection", "base-tilt", "tracker-scale", "axis-straightness"):
         assert catalogue()[name].lacking(full.robot, full) == ""
 
 
@@ -922,6 +956,20 @@ PLACE = lambda bench, joint: bench.table.table["order"].to_numpy()  # noqa: E731
 LOAD = lambda bench, joint: bench.real.payload_mass[bench.rows.payload]  # noqa: E731
 HOURS = lambda bench, joint: bench.rows.time / 3600  # noqa: E731
 END = lambda bench, joint: np.linalg.norm(bench.still.tip_moment[:, joint - 1], axis=1)  # noqa: E731
+
+
+def by_rule(bench: Bench) -> np.ndarray:
+    """Overturning moment of links of half the mass of those before, each in the middle between its axis and its end."""
+    at, moment, most, beyond = bench.still.frames, 0.0, 0.0, sum(0.5**i for i in range(bench.real.n))
+    for i, (joint, tip) in enumerate(zip(at.joints, at.tips, strict=True)):
+        start, end = joint[:, :3, 3], tip[:, :3, 3]
+        length = np.linalg.norm(end - start, axis=1)[0]
+        moment = moment + 0.5**i * np.cross((start + end) / 2, [0.0, 0.0, -1.0])
+        beyond -= 0.5**i
+        most += 0.5**i * max(length, 0.1) / 2 + beyond * length
+    return np.linalg.norm(moment, axis=1) / most
+
+
 AGAINST: dict[str, tuple[str, Callable[[Bench, int], np.ndarray]]] = {
     **dict.fromkeys(("joint-eccentricity", "periodic-joint-error", "gear-transmission-error", "joint-error-map",
                      "loaded-transmission-error",
@@ -935,6 +983,8 @@ AGAINST: dict[str, tuple[str, Callable[[Bench, int], np.ndarray]]] = {
     "bearing-compliance": ("Nm", lambda bench, joint: np.linalg.norm(bench.still.moment[:, joint - 1, :2], axis=1)),
     "base-compliance": ("Nm", lambda bench, joint: np.linalg.norm(bench.still.base_moment[:, :2], axis=1)),
     **dict.fromkeys(("link-bending", "link-torsion"), ("Nm", END)),
+    "base-tilt": ("", lambda bench, joint: by_rule(bench)),
+    "tool-sag": ("deg", lambda bench, joint: np.rad2deg(np.arccos(-bench.still.frames.tips[-1][:, 2, 2]))),
     **dict.fromkeys(("payload-mass", "payload-com", "tool-deflection"), ("kg", LOAD)),
     **dict.fromkeys(("thermal-growth", "housing-growth"), ("K", lambda bench, joint: bench.rows.temperature - 20)),
     "frame-drift": ("h", HOURS),

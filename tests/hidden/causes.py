@@ -10,6 +10,7 @@ import pandas as pd
 from hidden import forms, frame_causes, joint_causes
 from hidden.random_functions import random_function
 from hidden.simulator import Array, Motion, Robot, Rows, State, equilibrium, tool_point
+from hidden.tool_causes import ON_TOOL
 
 WIND_UP = np.deg2rad(5.0)  # travel over which friction winds a joint up
 WARM_UP = 3600.0  # s
@@ -376,6 +377,7 @@ ON_MOTION = {
     "link-torsion": link_torsion,
     "tool-deflection": tool_deflection,
     **forms.ON_MOTION,
+    **ON_TOOL,
 }
 ON_ROBOT = {
     "payload-mass": payload_mass,

@@ -60,6 +60,12 @@ def torque_variable(robot: Robot, joint: int) -> Variable:
     return Variable(f"{noun} of joint {joint}", unit, lambda state, row: state.torque[joint - 1])
 
 
+def payload_variable(robot: Robot) -> Variable:
+    """Return the mass of a row's payload as what an error is drawn against; one that nobody knows counts as none."""
+    masses = ca.DM([load.mass or 0.0 for load in robot.payloads.values()])
+    return Variable("payload", "kg", lambda state, row: ca.dot(masses, row.payload))
+
+
 def around(value: float, reach: float) -> list[float]:
     """Return values about one as far as reach on either side, the denser the nearer: for `Effect.finer`."""
     steps = reach * np.geomspace(1 / 1024, 1.0, 21)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 import casadi as ca
@@ -10,13 +11,13 @@ import numpy as np
 
 from calflow.effects.base import Effect, Variable, Words, joint_variable
 from calflow.effects.joint_compliance import WINDUP_BOUND, WINDUP_SD
-from calflow.robot.chain import Deflection, pose
+from calflow.robot.chain import Deflection, Posture, pose
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
-from calflow.robot.links import to_axis
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State, potential_energy, rated_torques
+from calflow.robot.transforms import apply
 
 NEAR_SD, FAR_SD, BOUND = (
     2e-3,
@@ -31,7 +32,8 @@ class GravityDeflection(Effect):
 
     phi_i holds the first moments of link i and those beyond it, times gravity and the joint's compliance [rad]; a link's
     end carries all that is beyond it, so that its own two directions across the joint's axis are enough. Payloads whose
-    masses the robot file states add s_i times their known torque.
+    masses the robot file states add s_i times their known torque; one whose mass nobody knows adds its lever, which is where
+    its centre is, times a figure of its own [rad/m]: its weight times the joint's compliance.
     """
 
     id: ClassVar[str] = "gravity-deflection"
@@ -53,6 +55,7 @@ class GravityDeflection(Effect):
         robot = self.robot
         found = []
         loaded = [load for load in robot.payloads.values() if load.mass]
+        unknown = [name for name, load in robot.payloads.items() if load.mass is None]
         rated = rated_torques(robot) if loaded else np.ones(robot.n_joints)
         for i, joint in enumerate(robot.joints):
             part, words = f"joint{i + 1}", f"gravity deflection of joint {i + 1}"
@@ -66,6 +69,11 @@ class GravityDeflection(Effect):
             if loaded:
                 found.append(Parameter(self.id, part, "s", "rad/Nm", WINDUP_SD / rated[i], 0.0, WINDUP_BOUND / rated[i],
                                        meaning=f"{words}, payload", joint=i + 1))  # fmt: skip
+            found += [
+                Parameter(self.id, part, symbol, "rad/m", NEAR_SD, 0.0, BOUND, meaning=f"{words}, payload {load}",
+                          joint=i + 1)
+                for symbol, load in zip(self._unknown, unknown, strict=True)
+            ]  # fmt: skip
         return tuple(found)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
@@ -73,33 +81,47 @@ class GravityDeflection(Effect):
         robot, n = self.robot, self.robot.n_joints
         turn = ca.SX.sym("dq", n)
         at = pose(robot, nominal_dimensions(robot), row.q, replace(Deflection.zero(n), joint=turn))
-        down = ca.DM(robot.gravity) / np.linalg.norm(robot.gravity)
-        own = [ca.dot(down, frame[:3, axis]) for frame in at.links for axis in (0, 1)]
-        loads = nominal_loads(robot)
-        none = replace(loads, mass=0 * loads.mass, bar_mass=0 * loads.bar_mass)
-        pulled = ca.vertcat(*own, -potential_energy(robot, none, row, at))
-        slopes = ca.substitute(ca.jacobian(pulled, turn), turn, ca.SX.zeros(n, 1))
-        index = {(int(parameter.joint), parameter.symbol): k for k, parameter in enumerate(self.declared)}
-        turned = []
-        for i in range(n):
-            terms = ca.SX(0)
-            for k in range(i, n):
-                for a, axis in enumerate("xy"):
-                    at_p = index.get((i + 1, f"phi{k + 1}{axis}"))
-                    terms += 0 if at_p is None else p[at_p] * slopes[2 * k + a, i]
-            at_p = index.get((i + 1, "s"))
-            turned.append(terms if at_p is None else terms + p[at_p] * slopes[2 * n, i])
+        pulled = self._pulled(at, row)
+        slopes = ca.substitute(ca.jacobian(ca.vertcat(*pulled.values()), turn), turn, ca.SX.zeros(n, 1))
+        rows = {symbol: k for k, symbol in enumerate(pulled)}
+        turned = [ca.SX(0)] * n
+        for k, parameter in enumerate(self.declared):
+            i = parameter.joint - 1
+            turned[i] += p[k] * slopes[rows[parameter.symbol], i]
         return replace(still, joint=ca.vertcat(*turned))
 
-    def _loaded(self, joint: int) -> bool:
-        """Whether gravity can load a joint: not where its axis is vertical in every pose, as the first one's is."""
-        return joint > 0 or not self._upright
+    def _pulled(self, at: Posture, row: Row) -> dict[str, ca.SX]:
+        """What gravity pulls down, by parameter: its slopes along the joints are what the parameter multiplies."""
+        down, loads = ca.DM(self.robot.down), nominal_loads(self.robot)
+        none = replace(loads, mass=0 * loads.mass, bar_mass=0 * loads.bar_mass)
+        own = {
+            f"phi{k + 1}{'xy'[axis]}": ca.dot(down, frame[:3, axis])
+            for k, frame in enumerate(at.links)
+            for axis in (0, 1)
+        }
+        heavy = {
+            symbol: row.payload[k] * ca.dot(down, apply(at.flange, loads.payload_com[:, k]))
+            for symbol, k in self._unknown.items()
+        }
+        return own | {"s": -potential_energy(self.robot, none, row, at)} | heavy
 
     @property
-    def _upright(self) -> bool:
-        robot = self.robot
-        axis = np.array(ca.DM(ca.evalf(to_axis(ca.SX.eye(4), robot, nominal_dimensions(robot), 0)[:3, 2]))).ravel()
-        return bool(np.linalg.norm(np.cross(axis, robot.gravity)) < 1e-6)
+    def _unknown(self) -> dict[str, int]:
+        """The symbols of the payloads whose masses nobody knows, and where they are among all."""
+        return {f"s_{name}": k for k, (name, load) in enumerate(self.robot.payloads.items()) if load.mass is None}
+
+    def _loaded(self, joint: int) -> bool:
+        """Whether gravity can load a joint: not where its axis is vertical in every pose, as the first turning one's often is."""
+        return not all(upright for upright, before in zip(self._upright, self.robot.joints[: joint + 1], strict=False)
+                       if before.kind == "revolute")  # fmt: skip
+
+    @cached_property
+    def _upright(self) -> tuple[bool, ...]:
+        """Whether each joint's axis is vertical where all joints are at zero."""
+        robot, n = self.robot, self.robot.n_joints
+        at = pose(robot, nominal_dimensions(robot), ca.SX.zeros(n), Deflection.zero(n))
+        axes = [np.array(ca.DM(ca.evalf(frame[:3, 2]))).ravel() for frame in at.joints]
+        return tuple(bool(np.linalg.norm(np.cross(axis, robot.down)) < 1e-6) for axis in axes)
 
     def variable(self, joint: int) -> Variable:
         """Return the joint's angle."""

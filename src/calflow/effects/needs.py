@@ -21,14 +21,16 @@ def _given(condition: str) -> Callable[[Robot, tuple[str, ...]], bool]:
 
 
 NEEDS = {
-    "masses": Need("mass_kg and com_mm of every link in the robot file", lambda robot, given: robot.has_masses),
+    "masses": Need(
+        "mass_kg and com_mm of every link and payload in the robot file", lambda robot, given: robot.has_masses
+    ),
     "torques": Need(
-        "mass_kg and com_mm of every link in the robot file, or measured torques tau1_Nm …",
+        "mass_kg and com_mm of every link and payload in the robot file, or measured torques tau1_Nm …",
         lambda robot, given: robot.has_masses or "torque" in given,
     ),
     "payload": Need(
         "a payload with a mass in the robot file",
-        lambda robot, given: any(load.mass for load in robot.payloads.values()),
+        lambda robot, given: any(load.mass != 0 for load in robot.payloads.values()),
     ),
     "gear_ratio": Need(
         "gear_ratio of a joint in the robot file",

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable, Words
+from calflow.effects.base import Effect, Variable, Words, payload_variable
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Loads
 from calflow.robot.parameter import Parameter
@@ -45,5 +45,4 @@ class PayloadMass(Effect):
 
     def variable(self, joint: int) -> Variable:
         """Return the payload's mass."""
-        masses = ca.DM([load.mass for load in self.robot.payloads.values()])
-        return Variable("payload", "kg", lambda state, row: ca.dot(masses, row.payload))
+        return payload_variable(self.robot)

@@ -1,14 +1,15 @@
-"""Tool deflection: a tool or flange that gives way under the payload's weight."""
+"""Tool deflection: a tool or flange that gives way under the payload's weight, and turns with it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Readable, Variable, Words
+from calflow.effects.base import Effect, Readable, Variable, Words, payload_variable
+from calflow.effects.cause import parts
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
@@ -19,50 +20,87 @@ if TYPE_CHECKING:
     from calflow.measurements.measurements import Measurements
 
 GIVES_SD, GIVES_BOUND = 3e-7, 1e-5  # m/N
+TURNS_SD, TURNS_BOUND = 1e-6, 4e-5  # rad/N
+USUAL = 1e3  # N: of a payload whose mass nobody knows
+
+TOOL = "tool"  # the part that gives way under payloads whose masses are known
+Shape = Literal["alike", "bracket", "direction"]
+DETAILS: dict[Shape, str] = {
+    "alike": "alike in all directions",
+    "bracket": "a bracket along the flange's axis, which turns",
+    "direction": "by direction, which turns",
+}
+GIVES: dict[Shape, tuple[str, ...]] = {"alike": ("c",), "bracket": ("c",), "direction": ("cx", "cy", "cz")}
+TURNS: dict[Shape, tuple[str, ...]] = {"alike": (), "bracket": ("t",), "direction": ("tx", "ty")}
 
 
 @dataclass(frozen=True)
 class ToolDeflection(Effect):
-    """Displacement = C · payload's weight in the flange's frame; C alike in all directions, or one for each axis."""
+    """Displacement = C · payload's weight F in the flange's frame, C alike in all directions, or one for each axis.
 
-    directions: int = 1
+    A bracket along the flange's z gives way across it alone, and turns by t about z x F: a cantilever of length L by
+    t = 1.5 c/L (Euler-Bernoulli), so that markers farther out move farther. A payload whose mass nobody knows is a part of
+    its own, whose figures are those times its weight.
+    """
+
+    shape: Shape = "alike"
 
     id: ClassVar[str] = "tool-deflection"
     title: ClassVar[str] = "tool deflection"
     words: ClassVar[Words] = Words("give of the tool", "tool or flange give way under the payload", "give")
     readable: ClassVar[Readable] = {"m/N": (9.80665e6, "µm/kg")}
-    whole: ClassVar[str] = "tool"
+    whole: ClassVar[str] = TOOL
     needs: ClassVar[tuple[str, ...]] = ("payload",)
     told_by: ClassVar[str] = "put a marker on the flange beside those on the tool"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return one compliance, and three."""
-        return cls(robot, 1), cls(robot, 3)
+        """Return one compliance, a bracket, and one an axis."""
+        return tuple(cls(robot, shape) for shape in DETAILS)
 
     @property
     def detail(self) -> str:
-        """Say how many compliances."""
-        return "alike in all directions" if self.directions == 1 else "by direction"
+        """Say which."""
+        return DETAILS[self.shape]
 
     @property
-    def _symbols(self) -> Sequence[str]:
-        return ("c",) if self.directions == 1 else ("cx", "cy", "cz")
+    def _unknown(self) -> dict[str, int]:
+        """The parts of the payloads whose masses nobody knows, and where they are among all."""
+        return {f"payload {name}": k for k, (name, load) in enumerate(self.robot.payloads.items()) if load.mass is None}
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the compliances."""
-        return tuple(
-            Parameter(self.id, "tool", symbol, "m/N", GIVES_SD, -GIVES_BOUND, GIVES_BOUND, meaning="the tool's give")
-            for symbol in self._symbols
-        )
+        """Return the compliances under known weights, and what each unknown one shifts and turns."""
+        known = any(load.mass for load in self.robot.payloads.values()) or not self._unknown
+        found = list(self._of(TOOL, "/N", 1.0)) if known else []
+        return (*found, *(parameter for part in self._unknown for parameter in self._of(part, "", USUAL)))
+
+    def _of(self, part: str, per: str, usual: float) -> Iterator[Parameter]:
+        words = "the tool's give" if part == TOOL else f"the tool's give under {part}"
+        lowest = 0.0 if self.shape == "bracket" else -1.0
+        for symbol in GIVES[self.shape]:
+            sd, bound = GIVES_SD * usual, GIVES_BOUND * usual
+            yield Parameter(self.id, part, symbol, f"m{per}", sd, lowest * bound, bound, meaning=words)
+        for symbol in TURNS[self.shape]:
+            sd, bound = TURNS_SD * usual, TURNS_BOUND * usual
+            yield Parameter(self.id, part, symbol, f"rad{per}", sd, lowest * bound, bound, meaning=f"{words}, its turn")
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Shift the flange."""
+        """Shift and turn the flange."""
         link = ca.SX(still.link)
-        link[:3, -1] = (p if self.directions == 3 else ca.repmat(p, 3, 1)) * state.link[:3, -1]
+        for part, own in parts(self).items():
+            weight = state.link[:3, -1] if part == TOOL else row.payload[self._unknown[part]] * state.down
+            link[:, -1] += self._twist(p[own.tolist()], weight)
         return replace(still, link=link)
+
+    def _twist(self, p: ca.SX, weight: ca.SX) -> ca.SX:
+        """The flange's small motion (6,) by one part's parameters under a weight (3,)."""
+        x, y = weight[0], weight[1]
+        if self.shape == "alike":
+            return ca.vertcat(p[0] * weight, ca.SX(3, 1))
+        if self.shape == "bracket":
+            return ca.vertcat(p[0] * x, p[0] * y, 0, -p[1] * y, p[1] * x, 0)
+        return ca.vertcat(p[:3] * weight, -p[3] * y, p[4] * x, 0)
 
     def variable(self, joint: int) -> Variable:
         """Return the payload's mass."""
-        masses = ca.DM([load.mass for load in self.robot.payloads.values()])
-        return Variable("payload", "kg", lambda state, row: ca.dot(masses, row.payload))
+        return payload_variable(self.robot)

@@ -102,7 +102,7 @@ def _payloads(payloads: Named[Any]) -> Told:
     for name, payload in payloads.items():
         yield from _kind(f"payloads.{name}", payload, Payload)
         if isinstance(payload, Payload):
-            yield from _number(f"payloads.{name}.mass", payload.mass, least=0)
+            yield from _number(f"payloads.{name}.mass", payload.mass, least=0, optional=True)
             yield from _vector(f"payloads.{name}.com", payload.com)
 
 

@@ -65,7 +65,7 @@ def nominal_loads(robot: Robot) -> Loads:
         com=_points([joint.com for joint in robot.joints]),
         bar_mass=_column([bar.mass or 0.0 for bar in bars]),
         bar_com=_points([bar.com for bar in bars]),
-        payload_mass=_column([payload.mass for payload in payloads]),
+        payload_mass=_column([payload.mass or 0.0 for payload in payloads]),
         payload_com=_points([payload.com for payload in payloads]),
     )
 

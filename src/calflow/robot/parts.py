@@ -120,9 +120,9 @@ class FourBar(Part):
 
 @dataclass(frozen=True)
 class Payload(Part):
-    """A named load on the flange [kg]; its centre in the flange's frame [m]."""
+    """A named load on the flange [kg]; its centre in the flange's frame [m]. None: nobody knows its mass."""
 
-    mass: float
+    mass: float | None
     com: Vector = (0.0, 0.0, 0.0)
 
 

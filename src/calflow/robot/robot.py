@@ -105,8 +105,15 @@ class Robot(Part):
 
     @property
     def has_masses(self) -> bool:
-        """Whether the link masses are known, so that gravity torques can be computed."""
-        return all(joint.mass is not None for joint in self.joints)
+        """Whether the masses of links and payloads are known, so that gravity torques can be computed."""
+        masses = [*(joint.mass for joint in self.joints), *(load.mass for load in self.payloads.values())]
+        return None not in masses
+
+    @property
+    def down(self) -> np.ndarray:
+        """Gravity's direction in the base's frame, of length 1 (0 where nothing weighs anything), shape (3,)."""
+        size = np.linalg.norm(self.gravity)
+        return np.array(self.gravity) / size if size else np.zeros(3)
 
     @property
     def limits(self) -> np.ndarray:

@@ -25,19 +25,20 @@ class State:
 
     q are the driven joints' angles without deflection, torque what the loads exert on the driven joints (positive where
     they push q up; the motors hold its opposite). bearing and link are the wrenches (fx, fy, fz, mx, my, mz) that the
-    loads exert at the frames of `Deflection`, in those frames. N, Nm.
+    loads exert at the frames of `Deflection`, in those frames. N, Nm. down (3,) is gravity's direction in the flange's frame.
     """
 
     q: ca.SX
     torque: ca.SX
     bearing: ca.SX
     link: ca.SX
+    down: ca.SX
 
     @staticmethod
     def symbols(robot: Robot) -> State:
         """Return a state of symbols."""
         n = robot.n_joints
-        sizes = {"q": (n, 1), "torque": (n, 1), "bearing": (6, n), "link": (6, n + 1)}
+        sizes = {"q": (n, 1), "torque": (n, 1), "bearing": (6, n), "link": (6, n + 1), "down": (3, 1)}
         return State(**{name: ca.SX.sym(name, *size) for name, size in sizes.items()})
 
     def with_torque(self, extra: ca.SX | float) -> State:
@@ -77,9 +78,10 @@ def state(robot: Robot, dims: Dimensions, loads: Loads, row: Row, deflected: Def
     force = ca.gradient(work, motion)
     if row.wrench.nnz():
         force += _moment_work(row.wrench[3:], at.flange, motion)
-    force = ca.substitute(force, motion, here)
+    down = at.flange[:3, :3].T @ ca.DM(robot.down)
+    force, down = ca.substitute([force, down], [motion], [here])
     torque = -row.torque if row.torque.nnz() else force[:n]
-    return State(row.q, torque, ca.reshape(force[n : 7 * n], 6, n), ca.reshape(force[7 * n :], 6, n + 1))
+    return State(row.q, torque, ca.reshape(force[n : 7 * n], 6, n), ca.reshape(force[7 * n :], 6, n + 1), down)
 
 
 def gravity_torque(robot: Robot) -> ca.Function:
@@ -140,7 +142,7 @@ def _gravity_torques(robot: Robot) -> np.ndarray:
         raise refuse("the four-bar loop closes nowhere within the joints' ranges", key=f"robot '{robot.name}': loop")
     heaviest = np.zeros(len(robot.payloads))
     if robot.payloads:
-        heaviest[int(np.argmax([payload.mass for payload in robot.payloads.values()]))] = 1.0
+        heaviest[int(np.argmax([payload.mass or 0.0 for payload in robot.payloads.values()]))] = 1.0
     torques = np.abs(np.array(function.map(len(sample))(sample.T, np.tile(heaviest[:, None], len(sample)))))
     largest = np.nanmax(torques, axis=1)
     slides = np.array([joint.kind == "prismatic" for joint in robot.joints])

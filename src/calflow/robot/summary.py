@@ -34,7 +34,8 @@ def _title(name: str, joints: Sequence[Joint]) -> str:
 
 
 def _tool(payloads: Mapping[str, Payload], markers: Mapping[str, Marker]) -> list[str]:
-    loads = ", ".join(f"{name} {load.mass:g} kg" for name, load in payloads.items()) or "none"
+    masses = ("of unknown mass" if load.mass is None else f"{load.mass:g} kg" for load in payloads.values())
+    loads = ", ".join(f"{name} {mass}" for name, mass in zip(payloads, masses, strict=True)) or "none"
     places = (f"{name} ({', '.join(_figure(1e3 * v) for v in marker.point)}) mm" for name, marker in markers.items())
     return [f"payloads: {loads}", f"markers: {', '.join(places)}"]
 

@@ -11,11 +11,13 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from calflow.files.problems import InputError, Problem
+from calflow.files.problems import InputError, Problem, shortened
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Mass, Moment, read_toml
 from calflow.files.units import SUFFIXES, to_si
 from calflow.robot.frames import CONVENTIONS, convention_of, follows
 from calflow.robot.parts import STANDARD_GRAVITY, Bar, Base, Coupling, FourBar, Joint, Marker, Payload
+
+UNKNOWN = "unknown"  # a payload's mass
 
 Limits = tuple[float, float] | None
 
@@ -96,8 +98,15 @@ class LoopTable(FileModel):
 class PayloadTable(FileModel):
     """A load on the flange."""
 
-    mass: Mass = Field(ge=0)
+    mass: Mass | None = Field(ge=0)
     com: Lengths3 = (0.0, 0.0, 0.0)
+
+    @field_validator("mass", mode="before")
+    @classmethod
+    def _or_unknown(cls, mass: Any) -> Any:
+        if isinstance(mass, str) and mass != UNKNOWN:
+            raise ValueError(f'expected a number or "{UNKNOWN}", found {shortened(repr(mass))}')
+        return None if mass == UNKNOWN else mass
 
 
 class MarkerTable(FileModel):
@@ -234,7 +243,9 @@ def _lines(fields: Mapping[str, Any]) -> Iterator[str]:
         for name, bar in (("crank", loop.crank), ("rod", loop.rod)):
             yield from ("", f"[loop.{name}]", *_quantity("length", bar.length, "length"), *_mass(bar))
     for name, payload in fields["payloads"].items():
-        yield from ("", f"[payloads.{_key(name)}]", *_mass(payload))
+        yield from ("", f"[payloads.{_key(name)}]")
+        yield from _entries({"mass_kg": UNKNOWN if payload.mass is None else None})
+        yield from _mass(payload)
     for name, marker in fields["markers"].items():
         yield from ("", f"[markers.{_key(name)}]", *_quantity("point", marker.point, "length"))
         yield from _quantity("relative_sd", marker.relative_sd, "length")

@@ -1,0 +1,186 @@
+"""Base tilt: base compliance of a robot whose masses nobody knows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple, Self
+
+import casadi as ca
+import numpy as np
+
+from calflow.effects.base import Effect, Variable, Words
+from calflow.robot.chain import Deflection, Posture, pose
+from calflow.robot.conditions import Row
+from calflow.robot.dimensions import nominal_dimensions, nominal_loads
+from calflow.robot.parameter import Parameter
+from calflow.robot.robot import Robot
+from calflow.robot.statics import State
+from calflow.robot.transforms import apply
+
+if TYPE_CHECKING:
+    from calflow.measurements.measurements import Measurements
+
+TILT_SD, TILT_BOUND = 1e-4, 5e-3  # rad under the arm's own largest moment
+LIGHTER = 0.5  # a link's mass over that of the link before, where nobody knows it
+LEAST = 0.1  # m: how far a short link's centre may be from its axis
+
+Shape = Literal["alike", "direction", "moments"]
+DETAILS: dict[Shape, str] = {
+    "alike": "alike in all directions",
+    "direction": "by direction",
+    "moments": "by direction, by link",
+}
+COMPLIANCES: dict[Shape, tuple[str, ...]] = {
+    "alike": ("c",),
+    "direction": ("x", "y", "xy"),
+    "moments": ("x", "y", "xy"),
+}
+
+
+class Arm(NamedTuple):
+    """What weighs how much for all one knows: each link's mass and length [m], the first one's mass being 1."""
+
+    masses: tuple[float, ...]
+    lengths: tuple[float, ...]
+
+    @property
+    def moments(self) -> list[float]:
+        """The first moment of each link with all that it carries, about its own axis."""
+        beyond = list(accumulate(self.masses[::-1]))[::-1]
+        return [
+            mass * max(length, LEAST) / 2 + (all_of_it - mass) * length
+            for mass, length, all_of_it in zip(self.masses, self.lengths, beyond, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class BaseTilt(Effect):
+    """A tilt by C (mx, my) at the base, m the arm's overturning moment over its largest; C alike in all directions, or symmetric.
+
+    Moments are linear in the links' first moments, whatever the masses are (Khalil and Dombre 2002). Where these are no
+    parameters, each link is half as heavy as the one before: moments in poses go as those of real arms within some per
+    cent. Where they are, each has a C of its own. Payloads whose masses are known tilt the base by another C.
+    """
+
+    shape: Shape = "alike"
+
+    id: ClassVar[str] = "base-tilt"
+    title: ClassVar[str] = "base tilt (compliance of the foundation, masses unknown)"
+    words: ClassVar[Words] = Words(
+        "tilt of the base", "the base or its foundation tilts under the robot's own weight", "tilt"
+    )
+    whole: ClassVar[str] = "base"
+    told_by: ClassVar[str] = "watch a marker on the robot's foot while the arm reaches out"
+
+    @classmethod
+    def superseded(cls, robot: Robot) -> str:
+        """Say that it is not needed where moments are known."""
+        return "the masses are known, so base-compliance stands for it" if robot.has_masses else ""
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return a foundation alike in all directions, one that is not, and one under moments that are fitted too."""
+        return tuple(cls(robot, shape) for shape in DETAILS)
+
+    @property
+    def detail(self) -> str:
+        """Say which."""
+        return DETAILS[self.shape]
+
+    @cached_property
+    def _arm(self) -> Arm:
+        """The masses that nobody knows, by rule, and the links' lengths."""
+        robot = self.robot
+        at = pose(robot, nominal_dimensions(robot), ca.SX.zeros(robot.n_joints), Deflection.zero(robot.n_joints))
+        spans = (end[:3, 3] - joint[:3, 3] for joint, end in zip(at.joints, at.ends[1:], strict=True))
+        lengths = tuple(float(ca.DM(ca.evalf(ca.norm_2(span)))) for span in spans)
+        return Arm(tuple(LIGHTER**k for k in range(robot.n_joints)), lengths)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the tilts about the base's axes under the arm's largest moment, and under payloads."""
+        found, words = [], "tilt of the base"
+        low = dict.fromkeys(("c", "x", "y"), 0.0)
+        for symbol in COMPLIANCES[self.shape]:
+            if self.shape != "moments":
+                found.append(self._tilt(f"t{symbol}", low.get(symbol, -TILT_BOUND), 1.0, f"{words} under the arm"))
+                continue
+            for k, moment in enumerate(self._arm.moments):
+                share = moment / sum(self._arm.moments)
+                found += [
+                    self._tilt(
+                        f"t{symbol}_{k + 1}{axis}", -TILT_BOUND, share, f"{words} under link {k + 1}, along {axis}"
+                    )
+                    for axis in "xy"
+                ]
+        if self._reach:
+            sd, bound = TILT_SD / self._reach, TILT_BOUND / self._reach
+            found += [
+                Parameter(self.id, "base", f"p{symbol}", "rad/Nm", sd, 0.0 if symbol in low else -bound, bound,
+                          meaning=f"{words} per moment of the payload")
+                for symbol in COMPLIANCES[self.shape]
+            ]  # fmt: skip
+        return tuple(found)
+
+    def _tilt(self, symbol: str, lower: float, share: float, words: str) -> Parameter:
+        return Parameter(self.id, "base", symbol, "rad", TILT_SD * share, lower, TILT_BOUND, meaning=words)
+
+    @property
+    def _reach(self) -> float:
+        """The moment [Nm] of the heaviest payload whose mass is known, held out as far as the arm reaches; 0 without any."""
+        heaviest = max((load.mass or 0.0 for load in self.robot.payloads.values()), default=0.0)
+        return heaviest * float(np.linalg.norm(self.robot.gravity)) * sum(self._arm.lengths)
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Tilt the base."""
+        compliances = COMPLIANCES[self.shape]
+        moments = self._moments(row)
+        n_own = moments.shape[1] * len(compliances)
+        tilt = ca.SX(2, 1)
+        for of, arm in ((p[:n_own], moments), (p[n_own:], self._payload_moment(row) if p.numel() > n_own else None)):
+            if arm is None:
+                continue
+            weighed = [arm @ share for share in ca.vertsplit(of, arm.shape[1])]
+            tilt += _tilted(dict(zip(compliances, weighed, strict=True)))
+        link = ca.SX(still.link)
+        link[3:5, 0] = tilt
+        return replace(still, link=link)
+
+    def _moments(self, row: Row) -> ca.SX:
+        """The overturning moments that parameters stand for, over the arm's largest, shape (2, n)."""
+        at, down, arm = self._posture(row), ca.DM(self.robot.down), self._arm
+        if self.shape == "moments":
+            own = [ca.cross(frame[:3, axis], down)[:2] for frame in at.links for axis in (0, 1)]
+            return ca.horzcat(*own)
+        total = ca.SX(3, 1)
+        for mass, joint, end in zip(arm.masses, at.joints, at.ends[1:], strict=True):
+            total += mass * ca.cross((joint[:3, 3] + end[:3, 3]) / 2, down)
+        return total[:2] / sum(arm.moments)
+
+    def _payload_moment(self, row: Row) -> ca.SX:
+        """The payload's overturning moment [Nm], shape (2, 1)."""
+        at, loads = self._posture(row), nominal_loads(self.robot)
+        total = ca.SX(3, 1)
+        for k in range(len(self.robot.payloads)):
+            weight = row.payload[k] * loads.payload_mass[k] * ca.DM(self.robot.gravity)
+            total += ca.cross(apply(at.flange, loads.payload_com[:, k]), weight)
+        return total[:2]
+
+    def _posture(self, row: Row) -> Posture:
+        n = self.robot.n_joints
+        return pose(self.robot, nominal_dimensions(self.robot), row.q, Deflection.zero(n))
+
+    def variable(self, joint: int) -> Variable:
+        """Return the overturning moment of an arm with links half as heavy as those before."""
+        moments = BaseTilt(self.robot)._moments
+        return Variable(
+            "overturning moment of the arm over its largest", "", lambda state, row: ca.norm_2(moments(row))
+        )
+
+
+def _tilted(by: dict[str, ca.SX]) -> ca.SX:
+    """The tilt about x and y by the moments times each compliance, (2, 1) each."""
+    if "c" in by:
+        return by["c"]
+    return ca.vertcat(by["x"][0] + by["xy"][1], by["y"][1] + by["xy"][0])

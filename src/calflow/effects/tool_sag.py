@@ -1,0 +1,118 @@
+"""Tool sag: a flange, a tool or one marker's mount that gives way under its own weight, which nobody knows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
+
+import casadi as ca
+import numpy as np
+
+from calflow.effects.base import Effect, Variable, Words
+from calflow.effects.cause import parts
+from calflow.robot.chain import Deflection
+from calflow.robot.conditions import Row
+from calflow.robot.parameter import Parameter
+from calflow.robot.robot import Robot
+from calflow.robot.statics import State
+
+if TYPE_CHECKING:
+    from calflow.measurements.measurements import Measurements
+
+SAG_SD, SAG_BOUND = 1e-4, 5e-3  # m
+TURN_SD, TURN_BOUND = 3e-4, 20e-3  # rad
+
+TOOL = "tool"  # the part that has all markers on it
+Shape = Literal["cantilever", "symmetric", "any"]
+DETAILS: dict[Shape, str] = {
+    "cantilever": "across the flange's axis",
+    "symmetric": "by direction",
+    "any": "by direction, one across another",
+}
+
+
+@dataclass(frozen=True)
+class ToolSag(Effect):
+    """Shift = C · u, u gravity's direction in the flange's frame; of the tool with all its markers, or of one marker alone.
+
+    A cantilever along the flange's z sags by c across it, and the tool turns with it by t about z x u, so that markers
+    elsewhere move otherwise. Else C is symmetric, as of a bar in any direction (Maxwell 1864), or any matrix: a marker
+    off the line along which its mount bends moves across gravity too. What the tool gives way alike in all directions
+    moves every marker by the same in every pose, so that of the tool's C nothing is lost with its last entry.
+    """
+
+    shape: Shape = "cantilever"
+
+    id: ClassVar[str] = "tool-sag"
+    title: ClassVar[str] = "tool sag (own weight)"
+    words: ClassVar[Words] = Words(
+        "sag of the tool", "the flange, the tool or a marker's mount sags under its own weight"
+    )
+    whole: ClassVar[str] = TOOL
+    told_by: ClassVar[str] = "put a marker on the flange beside those on the tool, and measure under two payloads"
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return a cantilever along the flange's axis, a bar in any direction, and anything."""
+        return tuple(cls(robot, shape) for shape in DETAILS)
+
+    @property
+    def detail(self) -> str:
+        """Say which."""
+        return DETAILS[self.shape]
+
+    @cached_property
+    def _markers(self) -> dict[str, int]:
+        """The part and the index of each marker, where there are several."""
+        names = tuple(self.robot.markers) if len(self.robot.markers) > 1 else ()
+        return {f"{TOOL} (marker)" if name == TOOL else name: k for k, name in enumerate(names)}
+
+    def _entries(self, part: str) -> list[tuple[int, int]]:
+        """The entries of C that a part's parameters stand for."""
+        every = [(i, j) for i in range(3) for j in range(3) if self.shape == "any" or i <= j]
+        return every[:-1] if part == TOOL else every
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return each part's sag for gravity along each axis, the tool's with a turn where it is a cantilever."""
+        return tuple(parameter for part in (TOOL, *self._markers) for parameter in self._of(part))
+
+    def _of(self, part: str) -> Iterator[Parameter]:
+        words = f"sag of {'the tool' if part == TOOL else part} under its own weight"
+        if self.shape == "cantilever":
+            yield Parameter(self.id, part, "c", "m", SAG_SD, 0.0, SAG_BOUND, meaning=words)
+            if part == TOOL:
+                yield Parameter(self.id, part, "t", "rad", TURN_SD, 0.0, TURN_BOUND, meaning=f"{words}, its turn")
+            return
+        for i, j in self._entries(part):
+            symbol = f"c{'xyz'[i]}{'xyz'[j]}" if i != j else f"c{'xyz'[i]}"
+            yield Parameter(self.id, part, symbol, "m", SAG_SD, -SAG_BOUND, SAG_BOUND, meaning=words)
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Shift the flange, by a marker's own sag only in that marker's rows."""
+        link = ca.SX(still.link)
+        for part, own in parts(self).items():
+            acts = 1 if part == TOOL else row.marker[self._markers[part]]
+            link[:, -1] += acts * self._twist(part, p[own.tolist()], state.down)
+        return replace(still, link=link)
+
+    def _twist(self, part: str, p: ca.SX, down: ca.SX) -> ca.SX:
+        """The flange's small motion (6,) by one part's parameters."""
+        if self.shape == "cantilever":
+            turn = p[1] * ca.vertcat(-down[1], down[0], 0) if part == TOOL else ca.SX(3, 1)
+            return ca.vertcat(p[0] * down[0], p[0] * down[1], 0, turn)
+        shift = ca.SX(3, 1)
+        for value, (i, j) in zip(ca.vertsplit(p), self._entries(part), strict=True):
+            shift[i] += value * down[j]
+            if self.shape == "symmetric" and i != j:
+                shift[j] += value * down[i]
+        return ca.vertcat(shift, ca.SX(3, 1))
+
+    def variable(self, joint: int) -> Variable:
+        """Return how far the flange's axis is from hanging straight down."""
+        return Variable("angle of the flange's axis to the vertical", "deg", _tilt, float(np.rad2deg(1.0)))
+
+
+def _tilt(state: State, row: Row) -> ca.SX:
+    return ca.atan2(ca.norm_2(state.down[:2]), state.down[2])

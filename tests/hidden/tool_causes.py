@@ -1,0 +1,57 @@
+"""Hidden causes of flange, tool and markers: what gives way under its own weight or the payload's, and turns. SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hidden.simulator import WEIGHT, Array, Motion, Robot, Rows, State
+
+if TYPE_CHECKING:
+    from hidden.causes import Hidden
+
+LENGTH = 0.4  # m: of a bracket
+Z = np.array([0.0, 0.0, 1.0])
+
+
+def tool_sag(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """A bracket along the flange's axis sags by size across it and turns; with extra "bar" one in a drawn direction sags.
+
+    With extra a number, from 0, only that marker's mount sags, a bar in a drawn direction.
+    """
+    down = _in_flange(state, WEIGHT / np.linalg.norm(WEIGHT))
+    if h.extra == "":
+        return _moved(robot, rows, h.size * _across(down, Z), h.size * 1.5 / LENGTH * np.cross(Z, down))
+    own = np.ones(len(rows)) if h.extra == "bar" else rows.marker == int(h.extra)
+    return _moved(robot, rows, own[:, None] * h.size * _across(down, _drawn(h.rng)), 0 * down)
+
+
+def bracket(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """A bracket along the flange's axis gives way under the payload by size [m/N] across it, and turns."""
+    weight = _in_flange(state, WEIGHT) * robot.payload_mass[rows.payload][:, None]
+    return _moved(robot, rows, h.size * _across(weight, Z), h.size * 1.5 / LENGTH * np.cross(Z, weight))
+
+
+def _in_flange(state: State, vector: Array) -> Array:
+    return np.asarray(vector @ state.frames.tips[-1][:, :3, :3])
+
+
+def _across(vector: Array, axis: Array) -> Array:
+    return np.asarray(vector - (vector @ axis)[:, None] * axis)
+
+
+def _drawn(rng: np.random.Generator) -> Array:
+    vector = rng.normal(size=3)
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def _moved(robot: Robot, rows: Rows, shift: Array, turn: Array) -> Motion:
+    """The motion of each row's own marker: what is nowhere else on the tool is of no interest."""
+    motion = Motion.none(len(rows), robot.n)
+    motion.tool[:] = shift + np.cross(turn, robot.markers[rows.marker])
+    return motion
+
+
+ON_TOOL: dict[str, Callable[[Hidden, Robot, Rows, State], Motion]] = {"tool-sag": tool_sag, "tool-bracket": bracket}
