@@ -131,6 +131,8 @@ class Found:
         if set(self.depends_on) >= PLACE:
             return "where the tool is (x, y and z)"
         detail = f" ({self.detail})" if self.detail else ""
+        if "payload" in self.depends_on:
+            return f"the payload{detail}"
         return f"when it was measured{detail}" if "order" in self.depends_on else f"the time{detail}"
 
 

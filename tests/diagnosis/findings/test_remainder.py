@@ -52,6 +52,21 @@ def test_structure_is_told_with_its_inputs(shift, inputs):
     assert inputs <= set(left[0].inputs)
 
 
+def test_what_goes_with_the_payload_is_told():
+    """Breaks if a dependence on the payload is missed or put down to joints alone, or told where all rows carry the same."""
+    robot = industrial()
+    rng = np.random.default_rng(5)
+    model = build(robot, ("geometry",))
+    data = measured(model, model.nominal, 100, rng)
+    bare = rng.permutation(100) < 50
+    data.table.loc[bare, "payload"] = ""
+    data.table.loc[~bare, "z"] += 1.5e-4 * np.cos(data.table["q2"][~bare])
+    fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
+    left = remainder(Fitted(fit, data, noise, lack, "linear", noise), 0.01, np.random.default_rng(1), lambda _: None)
+    assert "payload" in left[0].inputs
+    assert left[0].score.cause.detail == "under load"
+
+
 def test_noise_that_grows_with_range_is_measured():
     """Breaks if the growth is missed, misjudged, or seen where the noise is even."""
     seen = growth_of_residuals(fitted(sigma=lambda r: 1.5e-5 + 2e-5 * r, poses=300), 0.001)

@@ -64,8 +64,8 @@ class FindingRow:
     rival_causes: tuple[str, ...] = column("ids of the rivals, in their order", default=())
     rival_joints: tuple[int, ...] = column("their joints; 0: none", default=())
     inputs: tuple[str, ...] = column(
-        "what something unexplained depends on: q1 … (joints), x, y, z, order, time; empty: a lack of fit that is told whether "
-        "an input explains it or not, with where it is largest in `detail`",
+        "what something unexplained depends on: q1 … (joints), x, y, z, order, time, payload; empty: a lack of fit that is told "
+        "whether an input explains it or not, with where it is largest in `detail`",
         default=(),
     )
     not_tested: tuple[str, ...] = column(
@@ -309,9 +309,10 @@ def _place(cause: Cause) -> str:
 
 
 def _overlapping(verdict: Verdict, left: tuple[Remainder, ...]) -> Remainder | None:
-    """What is left along the input that a cause depends on: its joint, or the course of the measurement."""
+    """What is left along the input that a cause depends on: its joint, the course of the measurement, or the payload."""
     cause = verdict.finding.cause
     own = {f"q{cause.joint}"} if cause.joint else IN_TIME if cause.effect.of_device() else set()
+    own = own | {"payload"} if "payload" in cause.effect.needs else own
     return next((remainder for remainder in left if own & set(remainder.inputs)), None)
 
 

@@ -166,6 +166,46 @@ class Since(Decoy):
 
 
 @dataclass(frozen=True)
+class UnderPayload(Decoy):
+    """Under one payload: zeros of all joints, a wave of each, the marker on the tool and the device's place, which are others."""
+
+    payload: str = ""
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The payload."""
+        return ("payload",)
+
+    @property
+    def detail(self) -> str:
+        """Say which."""
+        return f"under {self.payload}"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return offset and wave of each joint, and the shifts of marker and device."""
+        symbols = [(f"{term}{i + 1}", joint.unit) for i, joint in enumerate(self.robot.joints)
+                   for term in ("offset", "cos", "sin")]  # fmt: skip
+        symbols += [(f"{whose}{axis}", "m") for whose in ("marker", "device") for axis in "xyz"]
+        return tuple(Parameter(self.id, "payload", symbol, unit, SIZE, -1.0, 1.0) for symbol, unit in symbols)
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Turn the joints, and shift the flange with what it carries."""
+        on, n = self._carried(row), self.robot.n_joints
+        waves = [ca.vertcat(1, ca.cos(state.q[i]), ca.sin(state.q[i])) for i in range(n)]
+        turned = [on * ca.dot(p[3 * i : 3 * i + 3], wave) for i, wave in enumerate(waves)]
+        link = ca.SX(still.link)
+        link[:3, -1] = on * p[3 * n : 3 * n + 3]
+        return replace(still, joint=ca.vertcat(*turned), link=link)
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Shift what is reported."""
+        return point + self._carried(row) * p[-3:]
+
+    def _carried(self, row: Row) -> ca.SX:
+        return row.payload[list(self.robot.payloads).index(self.payload)]
+
+
+@dataclass(frozen=True)
 class InPlace(Decoy):
     """A shift of the reported point that depends smoothly on where it is."""
 
@@ -200,6 +240,8 @@ def decoys(fitted: Fitted) -> list[Decoy]:
     chosen += [Shift(robot, (i,)) for i in turning]
     chosen += [kind(robot, pair) for pair in combinations(turning, 2) for kind in (JointField, Shift)]
     chosen.append(placed(fitted))
+    carried = list(dict.fromkeys(data.table["payload"]))  # what differs from one of them differs from the first, too
+    chosen += [UnderPayload(robot, name) for name in carried[1 if all(carried) else 0 :] if name]
     if "order" in data.given:
         order = np.unique(data.table["order"].to_numpy(float))
         chosen += [Since(robot, float(moment)) for moment in np.quantile(order, np.arange(1, MOMENTS) / MOMENTS)]
