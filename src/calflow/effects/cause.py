@@ -39,8 +39,9 @@ class Cause(Effect):
 
     @property
     def detail(self) -> str:
-        """The effect's variant, after the part where neither its joint nor its name says it."""
-        part = "" if self.joint or self.part == self.effect.whole else self.part
+        """The effect's variant, after the part where it has several and neither joint nor name says which."""
+        alone = all(parameter.part == self.part for parameter in self.effect.declared)
+        part = "" if alone or self.joint or self.part == self.effect.whole else self.part
         return ", ".join(filter(None, (part, self.effect.detail)))
 
     @property
