@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
 from calflow.estimation.registration import registered
+from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.observations import observations
 from calflow.robot.parts import Base, Marker
@@ -31,6 +33,42 @@ def test_base_and_tool_are_found(angles):
     turn = Rotation.from_euler("XYZ", found.base.rotation).inv() * Rotation.from_euler("XYZ", stands.rotation)
     assert turn.magnitude() < 1e-4
     np.testing.assert_allclose(found.markers[name].point, moved.point, atol=1e-4)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_markers_that_nobody_knows_are_found_far_from_the_flange(known):
+    """Fails if a marker 0.9 m from where the robot file has it is lost, one known beside it stays, or an outlier moves it."""
+    rng = np.random.default_rng(21)
+    stands = Base(origin=(3.0, -1.0, 0.5), rotation=np.deg2rad((10, -20, 130)))
+    places = {"A": (0.05, 0.0, 0.1), "B": (0.0, 0.02, 0.1), "C": (0.5, 0.6, 0.5)}
+    beside = {"D": (0.1, -0.1, 0.2)}
+    real = replace(
+        industrial(), base=stands, markers={name: Marker(point) for name, point in (places | beside).items()}
+    )
+    parts = [measured(build(one, ()), build(one, ()).nominal, 15, rng) for one in
+             (replace(real, markers={name: marker, **real.markers}) for name, marker in real.markers.items())]  # fmt: skip
+    table = pd.concat([part.table for part in parts], ignore_index=True)
+    table.loc[3, "x"] += 0.5
+    stated = {"A": Marker((0.05, 0.001, 0.1)), "B": Marker((0, 0.02, 0.1)), "C": Marker((0, 0, 0), known=False)}
+    file = replace(real, base=replace(stands, known=known), markers=stated | {"D": Marker(beside["D"])})
+    found, _ = registered(file, observations(parts[0]), Measurements(file, table))
+    assert np.linalg.norm(found.markers["C"].point) > 0.9
+    np.testing.assert_allclose(found.markers["C"].point, places["C"], atol=1e-3)
+    if known:
+        assert found.base == file.base
+        assert found.markers["A"] == file.markers["A"]
+
+
+def test_markers_beside_an_unknown_first_one_go_with_it():
+    """Fails if the distances of markers that were measured apart are lost with the place of the first."""
+    rng = np.random.default_rng(22)
+    robot = industrial()
+    first, second = (0.7, 0.2, 0.5), (0.7, 0.2, 0.8)
+    real = replace(robot, markers={"A": Marker(first), "B": Marker(second)})
+    data = measured(build(real, ()), build(real, ()).nominal, 40, rng)
+    stated = replace(real, markers={"A": Marker((0, 0, 0), known=False), "B": Marker((0, 0, 0.3), relative_sd=1e-5)})
+    found, _ = registered(stated, observations(data), data.on(stated))
+    np.testing.assert_allclose([found.markers["A"].point, found.markers["B"].point], [first, second], atol=1e-3)
 
 
 def test_a_known_base_stays():

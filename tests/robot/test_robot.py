@@ -137,6 +137,36 @@ def test_a_written_file_has_the_units_of_a_drawing(read, tmp_path):
     assert "gravity" not in written
 
 
+def test_what_nobody_knows_is_written_as_such(tmp_path):
+    """Fails if an unknown mass or marker comes back as a known one."""
+    unknown = replace(
+        BUILT, payloads={"tool": Payload(None, [0, 0, 0.1])}, markers={"E": Marker((0, 0, 0), known=False)}
+    )
+    unknown.to_toml(tmp_path / "unknown.toml")
+    written = (tmp_path / "unknown.toml").read_text().splitlines()
+    assert 'mass_kg = "unknown"' in written
+    assert written.count("known = false") == 2
+    assert Robot.from_toml(tmp_path / "unknown.toml") == unknown
+    assert not unknown.has_masses
+    assert "tool of unknown mass" in repr(unknown)
+
+
+def test_a_first_joint_along_the_bases_z_asks_for_gravity(tmp_path):
+    """Fails if the gravity of a robot on a rail is taken along the rail without a word, or a lift cannot say what it is."""
+    rail = replace(BUILT, joints=[BUILT.joints[1], BUILT.joints[0]])
+    upright = replace(rail, joints=[replace(rail.joints[0], frame=modified_dh()), rail.joints[1]])
+    for robot in (rail, upright, replace(upright, gravity=(0, -9.8, 0))):
+        path = tmp_path / "rail.toml"
+        robot.to_toml(path)
+        assert Robot.from_toml(path) == robot
+        path.write_text("\n".join(line for line in path.read_text().splitlines() if "gravity" not in line))
+        if robot is rail:
+            assert Robot.from_toml(path) == robot
+        else:
+            with pytest.raises(InputError, match="expected gravity"):
+                Robot.from_toml(path)
+
+
 def test_frames_that_a_file_cannot_state_are_refused_by_name(tmp_path):
     """Fails if a robot is written as another one, or a half-written file is left."""
     own = Joint(Frame(turn=Step("rz", "theta"), mount=(Step("tx", "x", 0.1), Step("ty", "y", 0.2))))

@@ -21,7 +21,7 @@ from calflow.robot.transforms import placement
 LINK_SD, LINK_BOUND = 2e-3, 20e-3
 PLACED_SD, PLACED_BOUND = 20e-3, 0.2  # base and markers stand where somebody put them
 MISTAKE = 20.0  # standard deviations of a marker's known place at which it is a mistake
-UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # a base whose place nobody wrote down, about the registered place
+UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # a base or marker whose place nobody wrote down, about the registered place
 
 MEANINGS = {  # by field of `Dimensions`
     "base": "base, {symbol}",
@@ -129,8 +129,9 @@ def _loop(robot: Robot) -> Iterator[DimensionError]:
 
 def _tool(robot: Robot) -> Iterator[DimensionError]:
     for k, (name, marker) in enumerate(robot.markers.items()):
-        sd = marker.relative_sd or PLACED_SD
-        bound = MISTAKE * sd if marker.relative_sd else PLACED_BOUND
+        sd, bound = (PLACED_SD, PLACED_BOUND) if marker.known else (UNKNOWN_SD, UNKNOWN_BOUND)
+        if marker.relative_sd:
+            sd, bound = marker.relative_sd, MISTAKE * marker.relative_sd
         for i, symbol in enumerate(("x", "y", "z")):
             yield _error(robot, name, symbol, "markers", (i, k), sd, bound)
     if any(marker.relative_sd for marker in robot.markers.values()):

@@ -231,11 +231,13 @@ def _read_noise(rows: Sequence[DeviceNoise]) -> tuple[SeriesNoise, ...]:
 def placement_table(robot: Robot, observed: Sequence[Observation]) -> pd.DataFrame:
     """Return the table of what is `Placed`: as the robot file says, or registered by the training data."""
     source = ROBOT_FILE if robot.base.known else REGISTERED
-    known = [("base", robot.base.origin, robot.base.rotation, "base")]
-    known += [(name, marker.point, NOT_TURNED, "marker") for name, marker in robot.markers.items()]
+    placed = [("base", robot.base.origin, robot.base.rotation, "base", source)]
+    placed += [
+        (name, marker.point, NOT_TURNED, "marker", source if marker.known else REGISTERED)
+        for name, marker in robot.markers.items()
+    ]
     if robot.tool_rotation is not None:
-        known.append(("tool", (0.0, 0.0, 0.0), robot.tool_rotation, "tool"))
-    placed = [(*place, source) for place in known]
+        placed.append(("tool", (0.0, 0.0, 0.0), robot.tool_rotation, "tool", source))
     seen = [one for own in observed for one in own.placements]
     placed += [(one.what, one.origin, one.rotation, "observation", REGISTERED) for one in seen]
     rows = []
@@ -255,9 +257,9 @@ def placed(robot: Robot, results: Results) -> Robot:
         return robot
     at = {row.what: vector((row.x_m, row.y_m, row.z_m)) for row in rows}
     turn = {row.what: vector(np.deg2rad((row.rx_deg, row.ry_deg, row.rz_deg))) for row in rows}
-    base = Base(origin=at["base"], rotation=turn["base"], known=False)
+    base = robot.base if robot.base.known else Base(origin=at["base"], rotation=turn["base"], known=False)
     markers = {name: replace(marker, point=at[name]) for name, marker in robot.markers.items()}
-    tool = None if robot.tool_rotation is None else turn["tool"]
+    tool = robot.tool_rotation and turn["tool"]
     return replace(robot, base=base, markers=markers, tool_rotation=tool)
 
 

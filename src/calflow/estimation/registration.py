@@ -13,6 +13,7 @@ from calflow.effects.geometry import DimensionError, Geometry
 from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise, Source
+from calflow.estimation.unknown_markers import with_markers
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
@@ -43,8 +44,8 @@ def registered(
 ) -> tuple[Robot, tuple[Observation, ...]]:
     """Return the robot with base and tool where the training data put them, all links as the maker says, and what is observed.
 
-    A robot whose base is known, or that nothing sees from outside, is returned as it is. Stations, anchors and what was touched
-    are placed by the nominal robot's points.
+    A robot whose base and markers are known, or that nothing sees from outside, is returned as it is. Stations, anchors and what
+    was touched are placed by the nominal robot's points.
     """
     if any(observation.from_outside for observation in observed):
         robot = _stood(robot, observed, train)
@@ -60,12 +61,15 @@ def registered(
 
 
 def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements) -> Robot:
-    """The robot's base by the rigid motion that takes its nominal points to the measured ones (Kabsch 1976), and base and tool
-    together by a robust fit started there."""
+    """The robot's unknown markers by what its flange does, its base by the rigid motion that takes its nominal points to the
+    measured ones (Kabsch 1976), and base and tool together by a robust fit started there."""
     here = in_measuring_frame(observed, train)
-    if robot.base.known or not here.any():
+    if not here.any():
         return robot
     train = train.only(here)
+    robot = with_markers(robot, train)
+    if robot.base.known:
+        return robot
     at_origin = replace(robot, base=Base(known=False))
     nominal = build(at_origin, (), train.given)
     points = nominal.position(nominal.nominal, train.on(at_origin).rows)

@@ -117,6 +117,10 @@ def _markers(markers: Named[Any]) -> Told:
             continue
         yield from _vector(f"markers.{name}.point", marker.point)
         yield from _number(f"markers.{name}.relative_sd", marker.relative_sd, above=0, optional=True)
+        if marker.relative_sd and not marker.known:
+            yield Problem(
+                "a marker with relative_sd is known beside the first: expected known = true", key=f"markers.{name}"
+            )
         if k == 0 and marker.relative_sd:
             yield Problem("the first marker has no relative_sd: the others' places are relative to it", key="markers")
 

@@ -130,11 +130,13 @@ class Payload(Part):
 class Marker(Part):
     """A measured point of the tool, in the flange's frame [m].
 
-    relative_sd [m] is how surely its place beside the first marker is known, where the tool was measured by itself.
+    relative_sd [m] is how surely its place beside the first marker is known, where the tool was measured by itself. Not known: it
+    may be anywhere, and the training poses say where.
     """
 
     point: Vector
     relative_sd: float | None = None
+    known: bool = True
 
 
 @dataclass(frozen=True)

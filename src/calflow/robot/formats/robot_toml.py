@@ -18,6 +18,7 @@ from calflow.robot.frames import CONVENTIONS, convention_of, follows
 from calflow.robot.parts import STANDARD_GRAVITY, Bar, Base, Coupling, FourBar, Joint, Marker, Payload
 
 UNKNOWN = "unknown"  # a payload's mass
+UPRIGHT = 0.5  # cosine of a slide's angle to gravity from which it is no rail
 
 Limits = tuple[float, float] | None
 
@@ -114,6 +115,13 @@ class MarkerTable(FileModel):
 
     point: Lengths3
     relative_sd: Length | None = Field(default=None, gt=0)
+    known: bool = True
+
+    @model_validator(mode="after")
+    def _one_or_the_other(self) -> MarkerTable:
+        if self.relative_sd and not self.known:
+            raise ValueError("a marker with relative_sd is known beside the first: expected known = true")
+        return self
 
 
 class BaseTable(FileModel):
@@ -175,6 +183,20 @@ class RobotFile(FileModel):
             _joint_exists(loop.joint, info)
         return loop
 
+    @model_validator(mode="after")
+    def _up_is_known(self) -> RobotFile:
+        """A first joint that slides along the base's z is a lift, or a rail that takes what is said of no gravity along itself."""
+        first = self.joints[0]
+        upright = first.kind == "prismatic" and (
+            self.convention == "dh" or abs(np.cos(first.alpha) * np.cos(first.beta)) > UPRIGHT
+        )
+        if upright and "gravity" not in self.model_fields_set:
+            raise ValueError(
+                "missing: expected gravity, in the base's axes: the first joint slides along the base's z, along which gravity "
+                "acts where nothing is said; of a lift state [0, 0, -9.80665], of a rail e.g. [0, -9.80665, 0]"
+            )
+        return self
+
     def fields(self) -> dict[str, Any]:
         """Return the fields of the robot that the file states."""
         return {
@@ -223,7 +245,8 @@ def _lines(fields: Mapping[str, Any]) -> Iterator[str]:
     joints: Sequence[Joint] = fields["joints"]
     yield from _entries({"name": fields["name"], "notes": fields["notes"] or None})
     yield f"convention = {json.dumps(_convention(fields['name'], joints))}"
-    yield from _entries({"gravity": None if fields["gravity"] == STANDARD_GRAVITY else fields["gravity"]})
+    usual = fields["gravity"] == STANDARD_GRAVITY and joints[0].kind == "revolute"
+    yield from _entries({"gravity": None if usual else fields["gravity"]})
     yield from _quantity("tool_rotation", fields["tool_rotation"], "angle")
     base: Base = fields["base"]
     if base != Base():
@@ -249,6 +272,7 @@ def _lines(fields: Mapping[str, Any]) -> Iterator[str]:
     for name, marker in fields["markers"].items():
         yield from ("", f"[markers.{_key(name)}]", *_quantity("point", marker.point, "length"))
         yield from _quantity("relative_sd", marker.relative_sd, "length")
+        yield from _entries({"known": None if marker.known else False})
 
 
 def _convention(name: str, joints: Sequence[Joint]) -> str:
