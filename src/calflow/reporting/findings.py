@@ -15,12 +15,8 @@ from calflow.reporting.words import effect_words, listed, number, percent, with_
 TOLD = ("named", "one_of")  # statuses of what is in the extended model, or in its noise
 CERTAIN = 0.99  # probability beyond which only this is said
 PLACE = {"x", "y", "z"}  # inputs that say where the tool is
-IN_WORDS = {
-    "pose": "the pose (its markers err alike)",
-    "joints": "the angles of several joints together",
-    "payload": "the payload",
-}
-OTHER_INPUTS = {*PLACE, *IN_WORDS, "order", "time"}  # than single joints
+IN_WORDS = {"pose": "the pose (its markers err alike)", "joints": "the angles of several joints together"}
+OTHER_INPUTS = {*PLACE, *IN_WORDS, "order", "time", "payload"}  # than single joints
 SMALL = 1e-6  # chance below which only this is said
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from calflow.diagnosis.screening.correlation import Background
 from calflow.diagnosis.screening.regressors import Products, Regressors
 from calflow.diagnosis.screening.screening import Screening
-from calflow.diagnosis.search.decoys import Decoy, InTime, JointField, Shift, placed
+from calflow.diagnosis.search.decoys import Decoy, InTime, JointField, Shift, placed, under_payloads
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects.cause import Cause
 
@@ -69,7 +69,7 @@ class Basis:
 
 
 def functions(fitted: Fitted) -> list[tuple[tuple[str, ...], list[Decoy]]]:
-    """Return inputs and functions of what may be left: of each joint, two together, place, and time or the rows' order."""
+    """Return inputs and functions of what may be left: of each joint, two together, place, payload, and time or order."""
     robot, data = fitted.data.robot, fitted.data
     turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
     found: list[tuple[tuple[str, ...], list[Decoy]]] = [
@@ -78,6 +78,8 @@ def functions(fitted: Fitted) -> list[tuple[tuple[str, ...], list[Decoy]]]:
     if len(turning) > 1:
         found.append((("joints",), [Shift(robot, pair) for pair in combinations(turning, 2)]))
     found.append((("x", "y", "z"), [placed(fitted)]))
+    if loaded := under_payloads(fitted):
+        found.append((("payload",), [*loaded]))
     clock = next((clock for clock in ("time", "order") if clock in data.given), None)
     if clock:
         span = float(np.ptp(data.table[clock].to_numpy(float))) or 1.0

@@ -240,14 +240,21 @@ def decoys(fitted: Fitted) -> list[Decoy]:
     chosen += [Shift(robot, (i,)) for i in turning]
     chosen += [kind(robot, pair) for pair in combinations(turning, 2) for kind in (JointField, Shift)]
     chosen.append(placed(fitted))
-    carried = list(dict.fromkeys(data.table["payload"]))  # what differs from one of them differs from the first, too
-    chosen += [UnderPayload(robot, name) for name in carried[1 if all(carried) else 0 :] if name]
+    chosen += under_payloads(fitted)
     if "order" in data.given:
         order = np.unique(data.table["order"].to_numpy(float))
         chosen += [Since(robot, float(moment)) for moment in np.quantile(order, np.arange(1, MOMENTS) / MOMENTS)]
     if "time" in data.given:
         chosen += [InTime(robot, float(rate)) for rate in _rates(data.table["time"].to_numpy())]
     return chosen
+
+
+def under_payloads(fitted: Fitted) -> list[UnderPayload]:
+    """Return what may differ from payload to payload."""
+    carried = list(
+        dict.fromkeys(fitted.data.table["payload"])
+    )  # what differs from one of them differs from the first, too
+    return [UnderPayload(fitted.data.robot, name) for name in carried[1 if all(carried) else 0 :] if name]
 
 
 def placed(fitted: Fitted) -> InPlace:
