@@ -80,14 +80,15 @@ def test_a_cause_stands_against_what_nobody_can_name_and_a_step_does_not():
     """Fails if a true cause gives way to a background, or a step stands where the device wanders."""
     eccentric = cause("joint-eccentricity", "joint1", order=2)
     known = start(hidden([(eccentric, (1.5e-4, -1e-4))])).with_causes([eccentric])
-    assert unnamed(known, eccentric, Basis.of(known), 10) > 20
+    assert unnamed(known, Basis.of(known), {eccentric.place: 10})[eccentric] > 20
     walked = fitted(wander(1.5 * SIGMA))
     moments = np.arange(8, 92, 12)
     robot = walked.data.robot
     effect = type(cause("frame-step", "device", moment=1.0).effect)
     steps = [Cause(robot, effect(robot, moment=float(moment)), "device") for moment in moments]
     best = min((walked.with_causes([step]) for step in steps), key=lambda one: one.misfit)
-    assert unnamed(best, best.causes[0], Basis.of(walked), len(moments)) < 10
+    (step,) = best.causes
+    assert unnamed(best, Basis.of(walked), {step.place: len(moments)})[step] < 10
 
 
 def test_a_true_cause_carries_over_to_blocks_that_were_left_out():

@@ -22,7 +22,7 @@ from calflow.effects.cause import Cause
 
 ORDERS = 4  # of a joint's angle
 TURNS = 8  # half turns that a slow wander makes in the course of the measurement, at most
-MODES = 240  # directions in which all functions together are largest: the rest is lost in the noise
+MODES = 160  # directions in which all functions together are largest: the rest is lost in the noise
 STEPS = 30  # of the sizes
 SETTLED = 0.03  # relative change of the sizes' squares below which they stay
 PROMISING = 1.0  # standard deviations beyond what is expected, from which a part is tried
@@ -113,7 +113,7 @@ class Sizes:
 
     Along the modes (n, n_modes), shown (n_modes, n_modes) is what they show beside the model's own parameters, plain the same
     without these, score (n_modes,) what the residual shows of them; chi2 is what the model leaves, of n residuals, with total
-    degrees of freedom. shapes (n_parts, n_modes, n_modes) are the parts' covariances.
+    degrees of freedom. shapes (n_parts, n_modes, n_modes) are the parts' covariances, parts the functions that they are of.
     """
 
     modes: np.ndarray
@@ -124,6 +124,7 @@ class Sizes:
     n: int
     total: float
     shapes: np.ndarray
+    parts: tuple[np.ndarray, ...]
 
     @staticmethod
     def of(regressors: Regressors[Cause], basis: Basis, weight: np.ndarray) -> Sizes:
@@ -133,7 +134,13 @@ class Sizes:
         seen = Screening(own)
         columns = np.arange(modes.shape[1])
         return Sizes(modes, seen.information(columns), modes.T @ modes, seen.score, seen.chi2, len(modes),
-                     seen.degrees_of_freedom, basis.shapes)  # fmt: skip
+                     seen.degrees_of_freedom, basis.shapes, basis.parts)  # fmt: skip
+
+    def _chi2(self, covariance: np.ndarray, plain: np.ndarray) -> tuple[float, float]:
+        """What is left of chi² beside a background, and the logarithm of the determinant of I + plain · its covariance."""
+        left = np.linalg.solve(np.eye(len(self.score)) + self.shown @ covariance, self.score)
+        determinant = np.linalg.slogdet(np.eye(len(self.score)) + plain @ covariance)[1]
+        return max(self.chi2 - float(self.score @ covariance @ left), 1e-12), float(determinant)
 
     def _solved(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """What is left of modes and score beside a background of these variances, and of chi²."""
@@ -146,48 +153,53 @@ class Sizes:
 
     def cost(self, variance: np.ndarray) -> float:
         """Twice minus the logarithm of the restricted likelihood, the noise's level at its best."""
-        covariance = np.tensordot(variance, self.shapes, axes=1)
-        _, _, chi2 = self._solved(variance)
-        determinant = np.linalg.slogdet(np.eye(len(self.score)) + self.shown @ covariance)[1]
-        return self.total * float(np.log(max(chi2, 1e-12) / self.total)) + float(determinant)
+        chi2, determinant = self._chi2(np.tensordot(variance, self.shapes, axes=1), self.shown)
+        return self.total * float(np.log(chi2 / self.total)) + determinant
 
     def evidence(self, variance: np.ndarray) -> float:
         """Twice minus the logarithm of the likelihood, to be compared with models of other parameters."""
-        covariance = np.tensordot(variance, self.shapes, axes=1)
-        _, _, chi2 = self._solved(variance)
-        determinant = np.linalg.slogdet(np.eye(len(self.score)) + self.plain @ covariance)[1]
-        return self.n * float(np.log(max(chi2, 1e-12))) + float(determinant)
-
-    def _expected(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What is seen of each part's functions, what is expected of them, and the information on its variance, (n_parts,)."""
-        left, along, chi2 = self._solved(variance)
-        seen = np.einsum("i,pij,j->p", along, self.shapes, along, optimize=True) * self.total / chi2
-        each = left @ self.shapes
-        return seen, np.trace(each, axis1=1, axis2=2), np.einsum("pij,pji->p", each, each)
+        chi2, determinant = self._chi2(np.tensordot(variance, self.shapes, axes=1), self.plain)
+        return self.n * float(np.log(chi2)) + determinant
 
     def most_likely(self, variance: np.ndarray) -> np.ndarray:
         """Return the variances (n_parts,) of the greatest restricted likelihood, from these; zero stays zero."""
         for _ in range(STEPS):
-            seen, expected, _ = self._expected(variance)
-            grown = variance * np.maximum(seen, 0.0) / np.maximum(expected, 1e-300)
+            here = np.flatnonzero(variance > 0)
+            left, along, chi2 = self._solved(variance)
+            seen = np.array([self._seen(along, chi2, int(k)) for k in here])
+            expected = np.array([np.vdot(left, self.shapes[k]) for k in here])  # the trace of their product
+            grown = variance.copy()
+            grown[here] *= seen / np.maximum(expected, 1e-300)
             settled = np.allclose(grown, variance, rtol=SETTLED, atol=GONE)
             variance = np.where(grown < GONE, 0.0, grown)
             if settled:
                 break
         return variance
 
+    def _seen(self, along: np.ndarray, chi2: float, k: int) -> float:
+        return float(((self.parts[k].T @ along) ** 2).sum()) * self.total / chi2
+
+    def _beyond(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How much more of each part is seen than expected, in standard deviations, and the variance which that speaks for."""
+        left, along, chi2 = self._solved(variance)
+        seen = np.array([self._seen(along, chi2, k) for k in range(len(variance))])
+        each = [part.T @ left @ part for part in self.parts]
+        expected = np.array([np.trace(one) for one in each])
+        information = np.array([np.vdot(one, one.T) for one in each])
+        return (seen - expected) / np.sqrt(2 * information), (seen - expected) / information
+
     def believed(self) -> np.ndarray:
         """Return the most likely variances (n_parts,), part by part while one adds enough to be believed."""
         variance = np.zeros(len(self.shapes))
         out = np.zeros(len(variance), dtype=bool)
         while not out.all():
-            seen, expected, information = self._expected(variance)
-            beyond = np.where(out | (variance > 0), -np.inf, (seen - expected) / np.sqrt(2 * information))
+            beyond, size = self._beyond(variance)
+            beyond = np.where(out | (variance > 0), -np.inf, beyond)
             best = int(np.argmax(beyond))
             if beyond[best] < PROMISING:
                 break
             larger = variance.copy()
-            larger[best] = (seen - expected)[best] / information[best]
+            larger[best] = size[best]
             larger = self.most_likely(larger)
             if self.cost(variance) - self.cost(larger) < BELIEVED:
                 out[best] = True

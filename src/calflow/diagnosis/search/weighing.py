@@ -40,34 +40,30 @@ def weighed(
     basis = Basis.of(start)
     now = found
     for _ in range(ROUNDS):
-        while weakest := _weakest(now.fitted, basis, catalogue):
+        against = unnamed(now.fitted, basis, catalogue.variants)
+        while weakest := _weakest(now.fitted, against):
             say(f"{words(weakest)} gives way to what nobody can name")
             fitted = replace(now.fitted, background=None)
-            fewer = fitted.with_causes([cause for cause in fitted.causes if cause != weakest])
-            now = replace(now, fitted=fewer)
+            now = replace(now, fitted=fitted.with_causes([cause for cause in fitted.causes if cause != weakest]))
+            against = unnamed(now.fitted, basis, catalogue.variants)
         left = background(now.fitted, basis)
         if left is not None:
             say(
                 f"left over, by {', '.join(' and '.join(inputs) for inputs in left.inputs)}: what is found is held against it"
             )
         beside = replace(now.fitted, background=left)
-        before = beside.causes
         now = _searched(replace(start, background=left), beside, found, catalogue, acceptance, rng, say)
-        if same(now.fitted.causes, before):
+        if same(now.fitted.causes, beside.causes):
             break
-    kinds = blocks(now.fitted)
-    return replace(
-        now, findings=tuple(_judged(finding, now.fitted, basis, kinds, catalogue) for finding in now.findings)
-    )
+    else:
+        against = unnamed(now.fitted, basis, catalogue.variants)
+    return replace(now, findings=_judged(now, against))
 
 
-def _weakest(fitted: Fitted, basis: Basis, catalogue: Catalogue) -> Cause | None:
+def _weakest(fitted: Fitted, against: dict[Cause, float]) -> Cause | None:
     """The cause that a background explains best in its place, or that does not carry over, if there is one."""
-    against = {cause: unnamed(fitted, cause, basis, catalogue.variants.get(cause.place, 1)) for cause in fitted.causes}
-    if not against:
-        return None
-    weakest = min(against, key=lambda cause: against[cause])
-    if against[weakest] < 0:
+    weakest = min(against, key=lambda cause: against[cause], default=None)
+    if weakest is None or against[weakest] < 0:
         return weakest
     kinds = blocks(fitted)
     failing = [cause for cause in against if not carried_over(fitted, cause, kinds).holds]
@@ -95,9 +91,13 @@ def _searched(
     return replace(extended(best, tried, first), first=found.first)
 
 
-def _judged(
-    finding: Finding[Cause], fitted: Fitted, basis: Basis, kinds: list[np.ndarray], catalogue: Catalogue
-) -> Finding[Cause]:
-    cause = finding.cause
-    against = unnamed(fitted, cause, basis, catalogue.variants.get(cause.place, 1))
-    return replace(finding, unnamed=against, carries_over=carried_over(fitted, cause, kinds).holds)
+def _judged(found: Extended, against: dict[Cause, float]) -> tuple[Finding[Cause], ...]:
+    kinds = blocks(found.fitted)
+    return tuple(
+        replace(
+            finding,
+            unnamed=against[finding.cause],
+            carries_over=carried_over(found.fitted, finding.cause, kinds).holds,
+        )
+        for finding in found.findings
+    )
