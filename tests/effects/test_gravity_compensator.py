@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 import robots
 from calflow.effects.gravity_compensator import GravityCompensator
-from calflow.effects.thermal_growth import REFERENCE
+from calflow.effects.warming import REFERENCE
 from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
 from calflow.robot.conditions import Row
