@@ -35,7 +35,9 @@ def test_a_turned_sign_in_the_confirming_series_is_named_and_both_agree(fitted):
     """Fails if the other series is compared as its file has it: half a metre wrong, so that the two do not agree."""
     other, said = series(SAME, 2)[2], []
     other.table["q3"] *= -1
-    made = _confirmed(fitted, SimpleNamespace(name="other", measurements=lambda: other), said.append)
+    made = _confirmed(
+        fitted, SimpleNamespace(name="other", measurement_paths=(), measurements=lambda: other), said.append
+    )
     assert "the same curve" in made["diagnose/confirmation.csv"]["words"].iloc[0]
     faults = made["diagnose/confirmation_faults.csv"]
     assert (faults["cause"].tolist(), faults["joint"].tolist()) == (["joint-sign"], [3])
@@ -46,7 +48,9 @@ def test_a_turned_sign_in_the_confirming_series_is_named_and_both_agree(fitted):
 def test_a_confirming_series_without_faults_is_as_its_file_has_it(fitted):
     """Fails if faults are seen where there are none."""
     other = series(SAME, 2)[2]
-    made = _confirmed(fitted, SimpleNamespace(name="other", measurements=lambda: other), lambda words: None)
+    made = _confirmed(
+        fitted, SimpleNamespace(name="other", measurement_paths=(), measurements=lambda: other), lambda words: None
+    )
     assert made["diagnose/confirmation_faults.csv"].empty
 
 
