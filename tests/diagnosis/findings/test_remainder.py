@@ -60,7 +60,9 @@ def test_what_goes_with_the_payload_is_told():
     data = measured(model, model.nominal, 100, rng)
     bare = rng.permutation(100) < 50
     data.table.loc[bare, "payload"] = ""
-    data.table.loc[~bare, "z"] += 1.5e-4 * np.cos(data.table["q2"][~bare])
+    turned = data.rows.copy()
+    turned[1, ~bare] += 2e-4 * np.cos(turned[1, ~bare])
+    data.table[["x", "y", "z"]] += model.position(model.nominal, turned) - model.position(model.nominal, data.rows)
     fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
     left = remainder(Fitted(fit, data, noise, lack, "linear", noise), 0.01, np.random.default_rng(1), lambda _: None)
     assert "payload" in left[0].inputs
