@@ -86,7 +86,7 @@ def verdict(finding: Finding[H], untestable: Mapping[str, str] = MappingProxyTyp
     weights += [float(np.exp(-max(rival.bic, 0.0) / 2)) for rival in rivals if rival.cause is None]
     probability = 1 / (1 + float(np.sum(weights)))
     ordered = tuple(sorted(rivals, key=lambda rival: rival.bic))
-    return Verdict(finding, "one_of" if ordered else "named", probability, ordered)
+    return Verdict(finding, "one_of" if ordered else "named", probability, ordered, finding.carries_over)
 
 
 def label(cause: str, joint: int) -> str:
