@@ -20,7 +20,7 @@ from scipy.stats import f as f_distribution
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.regressors import Candidate, Regressors
 
-MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
+MATERIAL = 0.02  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
 INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
 TAIL = 3.0  # prior standard deviations
 DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
@@ -199,8 +199,10 @@ class Screening(Generic[H]):
         for block in self._blocks:
             own = self.score[block.columns]
             squared = np.einsum("mij,mj->mi", block.roots, own) ** 2
-            left = np.minimum(self.sure[block.columns].min(axis=1), self.degrees_of_freedom - block.degrees_of_freedom)
-            left = np.maximum(left, 1.0)
+            sure = np.median(
+                self.sure[block.columns], axis=1
+            )  # few columns matter alike, and of many no single one does
+            left = np.maximum(np.minimum(sure, self.degrees_of_freedom - block.degrees_of_freedom), 1.0)
             p = self._p(squared.sum(axis=1), self.chi2, block, self.degrees_of_freedom, left)
             precision = self.regressors.prior_sd[block.columns] ** -2.0
             covariance = np.linalg.inv(block.information + np.eye(own.shape[1]) * precision[:, None, :])
@@ -220,7 +222,7 @@ class Screening(Generic[H]):
             )
             wider = spent * np.log(self.regressors.scale)
             explained = np.minimum(drops / self.chi2, 1 - 1e-12)
-            bic = _evidence(explained, n, self.sure[block.columns].min(axis=1)) + spent * np.log(n)
+            bic = _evidence(explained, n, sure) + spent * np.log(n)
             bic += 2 * (wider + np.log(scans))
             found += [
                 Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),

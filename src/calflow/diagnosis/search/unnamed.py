@@ -16,10 +16,12 @@ Variants = dict[tuple[str, str], int]
 
 
 def unnamed(fitted: Fitted, basis: Basis, variants: Variants) -> dict[Cause, float]:
-    """Return for each cause the BIC of the model without it above that with it, each with the background that suits it best.
+    """Return twice the logarithm by which each cause makes the data more likely than a background in its place does.
 
-    Negative where what nobody can name explains the data better. variants says how many forms of a place were tried. Linear,
-    without a refit.
+    Negative where what nobody can name explains the data better. Each model has the background that suits it best; the cause's
+    parameters are integrated out by Laplace's approximation, as the background's amplitudes are, so that a smooth curve of many
+    waves and a background of as many are measured alike. variants says how many forms of a place were tried. Linear, without a
+    refit.
     """
     if not fitted.causes:
         return {}
@@ -28,12 +30,16 @@ def unnamed(fitted: Fitted, basis: Basis, variants: Variants) -> dict[Cause, flo
     value = fitted.fit.estimate[free]
     weight = fitted.problem.weight
     whole = _evidence(regressors, basis, weight)
+    covariance = np.linalg.inv(regressors.jacobian.T @ regressors.jacobian + np.diag(regressors.precision))
     found = {}
     for cause in fitted.causes:
         own = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
         pull = value[own] * np.sqrt(regressors.precision[own])
         without = regressors.without(own, regressors.jacobian[:, own] @ value[own], pull)
-        spent = cause.n_parameters * np.log(len(weight)) + 2 * np.log(variants.get(cause.place, 1))
+        occam = -np.linalg.slogdet(covariance[np.ix_(own, own)] * np.sqrt(np.outer(*2 * [regressors.precision[own]])))[
+            1
+        ]
+        spent = float(occam) + 2 * np.log(variants.get(cause.place, 1))
         unusual = float(pull @ pull - prior_cost(np.array(pull @ pull), len(own)))
         found[cause] = float(_evidence(without, basis, weight) - whole - spent - unusual)
     return found
