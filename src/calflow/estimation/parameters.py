@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ import pandas as pd
 
 from calflow.estimation.fit import Fit
 from calflow.files.tables import column, typed
+from calflow.robot.parameter import Parameter
 
 UNIT = "as `unit` says"
 
@@ -47,8 +48,8 @@ class Covariances:
     )
 
 
-def parameter_table(result: Fit) -> pd.DataFrame:
-    """Return a row a parameter, with its estimate and how much of that is the prior's."""
+def parameter_table(result: Fit, covariance: np.ndarray) -> pd.DataFrame:
+    """Return a row a parameter, with its estimate, the sd of a covariance, and how much of the estimate is the prior's."""
     variance = np.diag(result.covariance)
     free = ~result.at_bound
     alone = np.diag(np.linalg.inv(_scaled_information(result)))  # a parameter at a bound: what it would have off it
@@ -65,7 +66,7 @@ def parameter_table(result: Fit) -> pd.DataFrame:
             "unit": table["unit"],
             "nominal": table["nominal"],
             "estimate": result.estimate,
-            "sd": np.where(free, np.sqrt(variance), np.nan),
+            "sd": np.where(free, np.sqrt(np.diag(covariance)), np.nan),
             "lower": table["lower"],
             "upper": table["upper"],
             "at_bound": result.at_bound,
@@ -82,9 +83,9 @@ def _scaled_information(result: Fit) -> np.ndarray:
     return result.information * np.outer(result.model.prior_sd, result.model.prior_sd)
 
 
-def covariance_table(result: Fit) -> pd.DataFrame:
-    """Return the estimate's covariance (SI units), named by rows and columns."""
-    names = [parameter.name for parameter in result.model.parameters]
-    table = pd.DataFrame(result.covariance, columns=names)
+def covariance_table(parameters: Sequence[Parameter], covariance: np.ndarray) -> pd.DataFrame:
+    """Return the estimates' covariance (SI units), named by rows and columns."""
+    names = [parameter.name for parameter in parameters]
+    table = pd.DataFrame(covariance, columns=names)
     table.insert(0, "parameter", names)
     return typed(table, Covariances)

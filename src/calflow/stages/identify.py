@@ -69,12 +69,12 @@ def results(found: Identification, faults: tuple[Fault, ...]) -> Results:
     fit, observed = found.fit, found.model.observations
     tables = {
         "identify/faults.csv": as_table(faults, found.data),
-        "identify/parameters.csv": parameter_table(fit),
+        "identify/parameters.csv": parameter_table(fit, fit.covariance),
         "identify/accuracy.csv": to_frame(found.steps, Accuracy),
         "identify/residuals.csv": judged(fit, found.data, found.noise),
         "identify/identifiability.csv": found.identifiability.statements,
         "identify/correlations.csv": correlations(fit),
-        "identify/covariance.csv": covariance_table(fit),
+        "identify/covariance.csv": covariance_table(fit.model.parameters, fit.covariance),
         "identify/effects.csv": effect_table(found.model.effects),
         "identify/observations.csv": observation_table(observed),
         "identify/noise.csv": noise_table(found.noise, observed),
