@@ -16,7 +16,7 @@ def left():
     rng = np.random.default_rng(3)
     waves = rng.standard_normal((N, WAVES)), 0.5 * rng.standard_normal((N, 3))
     weight = rng.uniform(0.5, 2.0, N)
-    background = Background((("q1",), ("time",)), waves, weight, 1.0, (WAVES, 3.0), (9.0, 9.0), 8)
+    background = Background((("q1",), ("time",)), np.eye(N), waves, weight, 1.0, (WAVES, 3.0), (9.0, 9.0), 8)
     return background, np.eye(N) + sum(part @ part.T for part in waves)
 
 
@@ -40,7 +40,7 @@ def test_what_a_part_makes_uncertain_is_as_sure_as_its_size(left):
     """Fails if an amplitude that only a badly known background makes uncertain counts as if all rows told its variance."""
     background, _ = left
     correlation = background.correlation(background.weight)
-    inside, outside = 30 * background.waves[1][:, 0], np.linalg.svd(np.hstack(background.waves))[0][:, -1]
+    inside, outside = 30 * background.parts[1][:, 0], np.linalg.svd(np.hstack(background.parts))[0][:, -1]
     whitened = correlation.whitened(np.column_stack([inside, outside]))
     sure = correlation.degrees_of_freedom(correlation.modes.T @ whitened, (whitened**2).sum(axis=0), 500.0)
     assert sure[0] < 6

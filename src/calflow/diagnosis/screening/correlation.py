@@ -66,15 +66,17 @@ class Correlation:
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """What no cause explains: random smooth functions of inputs, whose waves (n, n_waves) are over the noise, scaled by size.
+    """What no cause explains: random smooth functions of inputs, over the noise, scaled by their size.
 
-    weight (n,) is what the rows' residuals were multiplied by when the waves were worked out, shared the factor of what rows of
-    a pose have in common; degrees_of_freedom (n_parts,) are those of the sizes' estimates, gains (n_parts,) twice the logarithm
-    of the likelihood that each part adds; tried is how many parts there might have been.
+    modes (n, n_modes) are directions in which they act, parts hold each input's functions in these, (n_modes, n_waves). weight
+    (n,) is what the rows' residuals were multiplied by when they were worked out, shared the factor of what rows of a pose have
+    in common; degrees_of_freedom (n_parts,) are those of the sizes' estimates, gains (n_parts,) twice the logarithm of the
+    likelihood that each part adds; tried is how many parts there might have been.
     """
 
     inputs: tuple[tuple[str, ...], ...]
-    waves: tuple[np.ndarray, ...]
+    modes: np.ndarray
+    parts: tuple[np.ndarray, ...]
     weight: np.ndarray
     shared: float
     degrees_of_freedom: tuple[float, ...]
@@ -84,10 +86,9 @@ class Background:
     def correlation(self, weight: np.ndarray) -> Correlation:
         """Return the correlation of residuals that are multiplied by other weights (n,), of the same noise but for its level."""
         ratio = weight / self.weight
-        whole = (ratio / np.median(ratio))[:, None] * np.hstack(self.waves)
-        left, value, right = np.linalg.svd(whole, full_matrices=False)
+        basis, scaled = np.linalg.qr((ratio / np.median(ratio))[:, None] * self.modes)
+        left, value, _ = np.linalg.svd(scaled @ np.hstack(self.parts), full_matrices=False)
         kept = value**2 > SMALL
-        ends = np.cumsum([waves.shape[1] for waves in self.waves])[:-1]
-        by_mode = np.split(value[kept, None] * right[kept], ends, axis=1)
-        parts = tuple(Part(*both) for both in zip(by_mode, self.degrees_of_freedom, strict=True))
-        return Correlation(left[:, kept], value[kept] ** 2, parts, self.shared)
+        turned = left[:, kept].T @ scaled
+        parts = tuple(Part(turned @ part, sure) for part, sure in zip(self.parts, self.degrees_of_freedom, strict=True))
+        return Correlation(basis @ left[:, kept], value[kept] ** 2, parts, self.shared)

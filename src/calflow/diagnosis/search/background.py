@@ -51,11 +51,12 @@ class Basis:
         spectrum = np.concatenate([effect.spectrum for _, effects in kinds for effect in effects])
         waves = regressors.matrix * (regressors.prior_sd * spectrum)
         ends = np.cumsum([0, *(sum(len(effect.declared) for effect in effects) for _, effects in kinds)])
-        left, value, right = np.linalg.svd(waves, full_matrices=False)
-        many = min(MODES, int(np.count_nonzero(value > 1e-9 * value[0])))
-        whole = value[:many, None] * right[:many]
+        square, turns = np.linalg.eigh(waves.T @ waves)
+        kept = np.argsort(-square)[: min(MODES, int(np.count_nonzero(square > 1e-12 * square[-1])))]
+        whole = np.sqrt(square[kept])[:, None] * turns[:, kept].T
         parts = tuple(whole[:, i:j] for i, j in pairwise(ends))
-        return Basis(left[:, :many], tuple(inputs for inputs, _ in kinds), parts, fitted.problem.weight)
+        modes = waves @ (turns[:, kept] / np.sqrt(square[kept]))
+        return Basis(modes, tuple(inputs for inputs, _ in kinds), parts, fitted.problem.weight)
 
     @cached_property
     def shapes(self) -> np.ndarray:
@@ -90,21 +91,21 @@ def functions(fitted: Fitted) -> list[tuple[tuple[str, ...], list[Decoy]]]:
 def background(fitted: Fitted, basis: Basis) -> Background | None:
     """Return the background that a fitted model leaves; none where the data show none."""
     regressors = replace(fitted, background=None).regressors(())
-    return _named(Sizes.of(regressors, basis, fitted.problem.weight), basis, fitted, regressors.shared)
-
-
-def _named(sizes: Sizes, basis: Basis, fitted: Fitted, shared: float) -> Background | None:
+    sizes = Sizes.of(regressors, basis, fitted.problem.weight)
     variance = sizes.believed()
     kept = np.flatnonzero(variance > 0)
     if not len(kept):
         return None
-    sure, gains = sizes.degrees_of_freedom(variance), sizes.gains(variance)
-    waves = tuple(sizes.modes @ basis.parts[k] * np.sqrt(variance[k]) for k in kept)
-    inputs = tuple(basis.inputs[k] for k in kept)
     return Background(
-        inputs, waves, fitted.problem.weight, shared,
-        tuple(map(float, sure[kept])), tuple(map(float, gains[kept])), len(variance),
-    )  # fmt: skip
+        tuple(basis.inputs[k] for k in kept),
+        sizes.modes,
+        tuple(basis.parts[k] * np.sqrt(variance[k]) for k in kept),
+        fitted.problem.weight,
+        regressors.shared,
+        tuple(map(float, sizes.degrees_of_freedom(variance)[kept])),
+        tuple(map(float, sizes.gains(variance)[kept])),
+        len(variance),
+    )
 
 
 @dataclass(frozen=True, eq=False)
