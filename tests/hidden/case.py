@@ -13,7 +13,8 @@ import numpy as np
 import pandas as pd
 
 from hidden.backgrounds import Background, displaced
-from hidden.causes import KNOWN, ON_TABLE, PAYLOADS, PHYSICAL, WIND_UP, XYZ, Hidden, measured_points
+from hidden.causes import KNOWN, PAYLOADS, PHYSICAL, WIND_UP, Hidden, measured_points
+from hidden.file_faults import ON_TABLE, XYZ
 from hidden.frame_causes import session_names
 from hidden.simulator import Array, Motion, Robot, Rows, frames, moved, read, worn
 

@@ -1,14 +1,14 @@
-"""Hidden causes: what a real robot does, or what went wrong with its data, each a few lines of physics. SI units."""
+"""Hidden causes: what a real robot does, each a few lines of physics. SI units."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 
 from hidden import forms, frame_causes, joint_causes
-from hidden.random_functions import random_function
+from hidden.file_faults import ON_TABLE
+from hidden.random_functions import direction, random_function
 from hidden.simulator import Array, Motion, Robot, Rows, State, equilibrium, tool_point
 from hidden.tool_causes import ON_TOOL
 
@@ -16,7 +16,6 @@ WIND_UP = np.deg2rad(5.0)  # travel over which friction winds a joint up
 WARM_UP = 3600.0  # s
 COLUMN, ARM = 0.6, 0.15  # m: where a gas cylinder is hinged, below joint 2 and along the arm
 PAYLOADS = ("none", "half", "full")
-XYZ = ["x_mm", "y_mm", "z_mm"]
 
 
 @dataclass(frozen=True)
@@ -255,12 +254,6 @@ def thermal_growth(h: Hidden, robot: Robot, rows: Rows) -> Robot:
 TURNED = 4.0  # m from the device
 
 
-def direction(rng: np.random.Generator) -> Array:
-    """A random unit vector."""
-    vector = rng.normal(size=3)
-    return vector / np.linalg.norm(vector)
-
-
 def _wandered(h: Hidden, rng: np.random.Generator, point: Array) -> Array:
     """A shift by size, or with extra "turning" a turn about the device that moves what is TURNED away by size."""
     axis = direction(rng)
@@ -293,63 +286,6 @@ def random_field(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
     """A smooth random displacement, a function of the first extra (3) joints' angles."""
     smooth = random_function(h.rng, inputs=int(h.extra or 3), outputs=3, length=1.0)
     return point + h.size / np.sqrt(3) * smooth(rows.q[:, : int(h.extra or 3)])
-
-
-# --- Faults of the data: the table as it is written, and which of its rows are wrong ------------------
-
-
-def _some_poses(h: Hidden, table: pd.DataFrame, share: float = 0.03) -> Array:
-    poses = table["pose"].unique()
-    return table["pose"].isin(h.rng.choice(poses, max(2, round(share * len(poses))), replace=False)).to_numpy()
-
-
-def outlier(h: Hidden, table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, Array]:
-    """A share of the rows (size, or 2 %) is off by 2 to 20 mm."""
-    rng = h.rng
-    rows = rng.choice(len(table), max(1, round((h.size or 0.02) * len(table))), replace=False)
-    for row in rows:
-        table.loc[row, XYZ] += rng.uniform(2, 20) * direction(rng)
-    return table, np.isin(np.arange(len(table)), rows)
-
-
-def marker_swap(h: Hidden, table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, Array]:
-    """Two markers were taken for each other in a few poses."""
-    poses, markers = _some_poses(h, table), table["marker"].unique()
-    first, second = (poses & (table["marker"] == marker).to_numpy() for marker in markers[:2])
-    table.loc[first, XYZ], table.loc[second, XYZ] = table.loc[second, XYZ].to_numpy(), table.loc[first, XYZ].to_numpy()
-    return table, first | second
-
-
-def joint_sign(h: Hidden, table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, Array]:
-    """One joint's readings have the opposite sign, throughout."""
-    table[f"q{h.joint}_deg"] *= -1
-    return table, np.ones(len(table), dtype=bool)
-
-
-def encoder_turn(h: Hidden, table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, Array]:
-    """A reading is off by a turn in a few poses, or with extra "gear" by a turn of the motor in a block of poses."""
-    wrong, turn = _some_poses(h, table), 360.0
-    if h.extra == "gear":
-        first = h.rng.integers(1, table["pose"].max() * 2 // 3)
-        wrong = table["pose"].between(first, first + max(3, table["pose"].max() // 6)).to_numpy()
-        turn = round(360 / robot.gears[h.joint - 1], 4)
-    table.loc[wrong, f"q{h.joint}_deg"] += h.rng.choice([-1, 1]) * turn
-    return table, wrong
-
-
-def unit_mistake(h: Hidden, table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, Array]:
-    """In a few poses positions are in m, or where a joint is named its reading is in rad."""
-    wrong = _some_poses(h, table)
-    columns, factor = ([f"q{h.joint}_deg"], np.pi / 180) if h.joint else (XYZ, 1e-3)
-    table.loc[wrong, columns] *= factor
-    return table, wrong
-
-
-def row_misalignment(h: Hidden, table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, Array]:
-    """From some row on, positions stand one row too early, as if one had been missed; the last row is lost."""
-    first = int(h.rng.uniform(0.3, 0.7) * len(table))
-    table.loc[first : len(table) - 2, XYZ] = table.loc[first + 1 :, XYZ].to_numpy()
-    return table[:-1], np.arange(len(table) - 1) >= first
 
 
 ON_JOINT = {
@@ -394,14 +330,6 @@ ON_DEVICE = {
     "floor-vibration": floor_vibration,
     "random-field": random_field,
     **frame_causes.ON_DEVICE,
-}
-ON_TABLE = {
-    "outlier": outlier,
-    "marker-swap": marker_swap,
-    "joint-sign": joint_sign,
-    "encoder-turn": encoder_turn,
-    "unit-mistake": unit_mistake,
-    "row-misalignment": row_misalignment,
 }
 ON_TORQUE = {"gravity-compensator": gravity_compensator, **forms.ON_TORQUE}  # Nm on joint 2
 PHYSICAL = {*ON_JOINT, *ON_MOTION, *ON_ROBOT, *ON_DEVICE, *ON_TORQUE}

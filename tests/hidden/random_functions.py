@@ -1,4 +1,4 @@
-"""Random functions: smooth ones of a few inputs, and walks in time."""
+"""What is drawn at random: directions, smooth functions of a few inputs, and walks in time."""
 
 from __future__ import annotations
 
@@ -8,6 +8,12 @@ import numpy as np
 
 Array = np.ndarray
 WAVES = 200
+
+
+def direction(rng: np.random.Generator) -> Array:
+    """A random unit vector."""
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
 
 
 def random_function(rng: np.random.Generator, inputs: int, outputs: int, length: float) -> Callable[[Array], Array]:

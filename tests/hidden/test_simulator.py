@@ -15,7 +15,8 @@ from calflow.design.candidates import pack
 from calflow.model import build
 from calflow.robot import robot as stated
 from hidden.case import Case, draw, effect_rms, write_case
-from hidden.causes import ON_TABLE, PHYSICAL, XYZ, Hidden, measured_points, response
+from hidden.causes import PHYSICAL, Hidden, measured_points, response
+from hidden.file_faults import ON_TABLE, XYZ
 from hidden.simulator import Motion, Robot, Rows, energy, equilibrium, frames, moved, statics, tool_point
 
 ROBOTS = ("serial", "hh800")
