@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.search.background import Basis, Sizes, background
+from calflow.diagnosis.search.background import Basis, Sizes, background, possible
 from calflow.diagnosis.search.cross_validation import blocks, carried_over
 from calflow.diagnosis.search.unnamed import unnamed
 from calflow.effects.cause import Cause
@@ -70,7 +70,7 @@ def test_the_likelihood_is_that_of_the_whole_covariance():
 def test_intervals_are_wider_where_errors_are_shared():
     """Fails if the covariance of the estimates forgets the background, or narrows by it."""
     known = fitted(wander(2 * SIGMA))
-    beside = replace(known, background=background(known, Basis.of(known)))
+    beside = replace(known, possible=possible(known, Basis.of(known)))
     ratio = np.sqrt(np.diag(beside.covariance) / np.diag(known.covariance))
     assert np.isfinite(ratio).all()
     assert ratio.max() > 1.3

@@ -12,6 +12,7 @@ from functools import cached_property
 from itertools import combinations, pairwise
 
 import numpy as np
+from scipy.stats import norm
 
 from calflow.diagnosis.screening.correlation import Background
 from calflow.diagnosis.screening.regressors import Products, Regressors
@@ -90,33 +91,32 @@ def functions(fitted: Fitted) -> list[tuple[tuple[str, ...], list[Decoy]]]:
 
 def background(fitted: Fitted, basis: Basis) -> Background | None:
     """Return the background that a fitted model leaves; none where the data show none."""
-    regressors = replace(fitted, background=None).regressors(())
-    sizes = Sizes.of(regressors, basis, fitted.problem.weight)
+    sizes = Sizes.beside(fitted, basis)
     variance = sizes.believed()
-    kept = np.flatnonzero(variance > 0)
-    if not len(kept):
-        return None
-    return Background(
-        tuple(basis.inputs[k] for k in kept),
-        sizes.modes,
-        tuple(basis.parts[k] * np.sqrt(variance[k]) for k in kept),
-        fitted.problem.weight,
-        regressors.shared,
-        tuple(map(float, sizes.degrees_of_freedom(variance)[kept])),
-        tuple(map(float, sizes.gains(variance)[kept])),
-        len(variance),
-    )
+    return sizes.background(variance) if variance.any() else None
+
+
+def possible(fitted: Fitted, basis: Basis) -> Background:
+    """Return the background that a fitted model may leave as well as not: each part's size as it is to be expected.
+
+    What the data do not show is not excluded by them. Intervals go by this, tests by what is shown.
+    """
+    sizes = Sizes.beside(fitted, basis)
+    return sizes.background(sizes.expected(sizes.believed()))
 
 
 @dataclass(frozen=True, eq=False)
 class Sizes:
     """The likelihood of a background's variances, beside a linearised model.
 
-    Along the modes (n, n_modes), shown (n_modes, n_modes) is what they show beside the model's own parameters, plain the same
-    without these, score (n_modes,) what the residual shows of them; chi2 is what the model leaves, of n residuals, with total
-    degrees of freedom. shapes (n_parts, n_modes, n_modes) are the parts' covariances, parts the functions that they are of.
+    Along the modes (n, n_modes), which are the basis' by the weight (n,) of the residuals, shown (n_modes, n_modes) is what they
+    show beside the model's own parameters, plain the same without these, score (n_modes,) what the residual shows of them; chi2
+    is what the model leaves, of n residuals, with total degrees of freedom. shared is as in `Background`.
     """
 
+    basis: Basis
+    weight: np.ndarray
+    shared: float
     modes: np.ndarray
     shown: np.ndarray
     plain: np.ndarray
@@ -124,8 +124,21 @@ class Sizes:
     chi2: float
     n: int
     total: float
-    shapes: np.ndarray
-    parts: tuple[np.ndarray, ...]
+
+    @property
+    def shapes(self) -> np.ndarray:
+        """The parts' covariances, shape (n_parts, n_modes, n_modes)."""
+        return self.basis.shapes
+
+    @property
+    def parts(self) -> tuple[np.ndarray, ...]:
+        """The functions that they are of, (n_modes, n_waves) each."""
+        return self.basis.parts
+
+    @staticmethod
+    def beside(fitted: Fitted, basis: Basis) -> Sizes:
+        """Take a fitted model's own parameters out of the modes."""
+        return Sizes.of(replace(fitted, background=None).regressors(()), basis, fitted.problem.weight)
 
     @staticmethod
     def of(regressors: Regressors[Cause], basis: Basis, weight: np.ndarray) -> Sizes:
@@ -134,8 +147,32 @@ class Sizes:
         own = replace(regressors, matrix=modes, candidates=(), products=Products.of(regressors.jacobian, modes, ()))
         seen = Screening(own)
         columns = np.arange(modes.shape[1])
-        return Sizes(modes, seen.information(columns), modes.T @ modes, seen.score, seen.chi2, len(modes),
-                     seen.degrees_of_freedom, basis.shapes, basis.parts)  # fmt: skip
+        return Sizes(basis, weight, regressors.shared, modes, seen.information(columns), modes.T @ modes, seen.score,
+                     seen.chi2, len(modes), seen.degrees_of_freedom)  # fmt: skip
+
+    def background(self, variance: np.ndarray) -> Background:
+        """Return the background of these variances (n_parts,), without parts that have none."""
+        kept = np.flatnonzero(variance > 0)
+        return Background(
+            tuple(self.basis.inputs[k] for k in kept),
+            self.modes,
+            tuple(self.parts[k] * np.sqrt(variance[k]) for k in kept),
+            self.weight,
+            self.shared,
+            tuple(map(float, self.degrees_of_freedom(variance)[kept])),
+            tuple(map(float, self.gains(variance)[kept])),
+            len(variance),
+        )
+
+    def expected(self, variance: np.ndarray) -> np.ndarray:
+        """Return each part's mean variance (n_parts,) over all that the data allow, about the most likely ones.
+
+        The likelihood is about normal beside zero, below which no variance is: the mean of a normal that is cut off there.
+        """
+        beyond, size = self._beyond(variance)
+        spread = np.divide(size, beyond, out=np.zeros_like(size), where=beyond != 0) * np.sqrt(2)
+        off = (variance + size) / np.maximum(spread, 1e-300)
+        return np.where(spread > 0, spread * (off + norm.pdf(off) / np.maximum(norm.cdf(off), 1e-12)), 0.0)
 
     def _chi2(self, covariance: np.ndarray, plain: np.ndarray) -> tuple[float, float]:
         """What is left of chi² beside a background, and the logarithm of the determinant of I + plain · its covariance."""

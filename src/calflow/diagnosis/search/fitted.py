@@ -32,7 +32,8 @@ class Fitted:
     """A fitted model with the training data and the noise it was fitted with.
 
     lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight. background is
-    what rows near each other share; without one what is left counts as independent.
+    what rows near each other share as far as the data show, possible what may be of it; without one what is left counts as
+    independent.
     """
 
     fit: Fit
@@ -42,6 +43,7 @@ class Fitted:
     loss: Loss
     device: Noise
     background: Background | None = None
+    possible: Background | None = None
 
     @property
     def model(self) -> Model:
@@ -68,19 +70,22 @@ class Fitted:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of the estimate, wider where a background is fitted as if it were independent noise.
+        """Covariance of the estimate, wider where errors that rows share are fitted as if they were independent noise.
 
-        Shape (n_parameters, n_parameters); the sandwich of White (1980), with the background's covariance between.
+        Shape (n_parameters, n_parameters); the sandwich of White (1980), with the covariance of what may be left between.
         """
-        if self.background is None:
+        regressors = replace(self, background=None).regressors(())
+        if self.possible is None and regressors.shared == 1:
             return self.fit.covariance
-        level = Screening(self.regressors(())).level
-        plain = replace(self, background=None).regressors(())
-        bread = np.linalg.inv(plain.jacobian.T @ plain.jacobian + np.diag(plain.precision))
-        within = level * self.background.correlation(self.problem.weight).covered(plain.jacobian)
+        jacobian, prior = regressors.jacobian, np.diag(regressors.precision)
+        bread = within = np.linalg.inv(jacobian.T @ jacobian + prior)
+        if self.possible is not None:
+            level = Screening(replace(self, background=self.possible).regressors(())).level
+            covered = self.possible.correlation(self.problem.weight).covered(jacobian)
+            within = bread @ (level * covered + prior) @ bread
         free = np.flatnonzero(~self.fit.at_bound)
         found = np.zeros((len(self.fit.estimate), len(self.fit.estimate)))
-        found[np.ix_(free, free)] = bread @ (within + np.diag(plain.precision)) @ bread
+        found[np.ix_(free, free)] = within
         return found
 
     @property
@@ -100,7 +105,11 @@ class Fitted:
     def weighed(self, sigma: np.ndarray) -> Fitted:
         """Fit anew with other noise (n_rows,) [m]."""
         noise = replace(self.device, sigma=sigma, discrepancy=0.0)
-        return replace(_settled(self.model, self.data, noise, self.fit.estimate, self.loss), background=self.background)
+        return replace(
+            _settled(self.model, self.data, noise, self.fit.estimate, self.loss),
+            background=self.background,
+            possible=self.possible,
+        )
 
     @staticmethod
     def of(known: Identified, data: Measurements, noise: Noise) -> Fitted:

@@ -14,7 +14,7 @@ import numpy as np
 
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.acceptance import Acceptance
-from calflow.diagnosis.search.background import Basis, background
+from calflow.diagnosis.search.background import Basis, background, possible
 from calflow.diagnosis.search.cross_validation import blocks, carried_over
 from calflow.diagnosis.search.extension import Extended, extended
 from calflow.diagnosis.search.fitted import Fitted
@@ -57,7 +57,8 @@ def weighed(
             break
     else:
         against = unnamed(now.fitted, basis, catalogue.variants)
-    return replace(now, findings=_judged(now, against))
+    fitted = replace(now.fitted, possible=possible(now.fitted, basis))
+    return replace(now, fitted=fitted, findings=_judged(now, against))
 
 
 def _weakest(fitted: Fitted, against: dict[Cause, float]) -> Cause | None:
