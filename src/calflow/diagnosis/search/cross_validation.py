@@ -18,7 +18,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects.cause import Cause
 
 BLOCKS = 8  # of each kind
-WORSE = 0.05  # one-sided significance at which a cause makes blocks that were left out worse
+WORSE = 0.01  # one-sided significance at which a cause makes blocks that were left out worse
 
 
 @dataclass(frozen=True)
