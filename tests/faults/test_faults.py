@@ -243,7 +243,7 @@ def test_a_table_about_other_rows_is_refused(tmp_path):
 def test_every_check_has_its_place():
     """Fails if a file of the folder defines no check, or two checks contend for one place in the order."""
     assert {check.id for check in checks()} == {
-        "outlier", "marker-swap", "joint-sign", "encoder-turn", "unit-mistake", "row-misalignment"
+        "outlier", "marker-swap", "frame-mirrored", "joint-sign", "encoder-turn", "unit-mistake", "row-misalignment"
     }  # fmt: skip
     assert {check.id for check in plain_checks()} == {"duplicate", "torque-sign", "torque-scale"}
     for every in (checks(), plain_checks()):

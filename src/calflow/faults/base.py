@@ -17,8 +17,10 @@ from calflow.measurements.measurements import Measurements
 from calflow.measurements.sequence import IN_ORDER, approach_and_travel
 
 Action = Literal["corrected", "left out", "told"]
+PLACE = ("x", "y", "z")
 POSITION = "position"  # the quantity x, y, z
-OF_DEVICE = ("x", "y", "z", "rx", "ry", "rz", "qw", "qx", "qy", "qz", "sigma", "sigma_rotation", "range")
+EXCHANGED = {"x and y": ("x", "y"), "x and z": ("x", "z"), "y and z": ("y", "z")}  # quantities exchanged
+OF_DEVICE = (*PLACE, "rx", "ry", "rz", "qw", "qx", "qy", "qz", "sigma", "sigma_rotation", "range")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +34,9 @@ class FaultyRow:
     action: Literal["corrected", "left out", "told"] = column("what was done; told: nothing, it is said alone")
     statement: str = column("what is wrong, in words")
     row: int = column("number of the row, from 1; 0: every row")
-    quantity: str = column("what was corrected: position, or a measured quantity; empty: nothing", default="")
+    quantity: str = column(
+        "what was corrected: position, a measured quantity, or two that were exchanged; empty: nothing", default=""
+    )
     factor: float = column("what the quantity was multiplied by", default=1.0)
     offset: float = column("what was then added to it", "SI", default=0.0)
     source: int = column("the row whose measured values stand there now; 0: its own", default=0)
@@ -145,33 +149,38 @@ def correct(data: Measurements, one: Fault) -> Measurements:
     for quantity in dict.fromkeys(own.quantity for own in one.corrections if own.quantity):
         same = [own for own in one.corrections if own.quantity == quantity]
         which, factor, offset = (np.array([getattr(own, name) for own in same]) for name in ("row", "factor", "offset"))
-        for name in ("x", "y", "z") if quantity == POSITION else (quantity,):
-            values = table[name].to_numpy(copy=True)
-            at = which - 1 if which[0] else slice(None)
-            values[at] = values[at] * factor + offset
-            table[name] = values
+        at = which - 1 if which[0] else slice(None)
+        names = EXCHANGED.get(quantity, PLACE if quantity == POSITION else (quantity,))
+        values = table[[*names]].to_numpy(copy=True)
+        mended = values[at] * factor[:, None] + offset[:, None]
+        values[at] = mended[:, ::-1] if quantity in EXCHANGED else mended
+        table[[*names]] = values
     moved = [(own.row - 1, own.source - 1) for own in one.corrections if own.source]
     if moved:
         rows, sources = np.array(moved).T
         for name in (name for name in OF_DEVICE if name in table):
-            values = table[name].to_numpy(copy=True)
-            values[rows] = before[name].to_numpy()[sources]
-            table[name] = values
+            theirs = table[name].to_numpy(copy=True)
+            theirs[rows] = before[name].to_numpy()[sources]
+            table[name] = theirs
     if one.action == "left out":
         split = table["split"].to_numpy(copy=True)
         split[[own.row - 1 for own in one.corrections]] = ""
         table["split"] = split
-    return replace(data, table=_followed(table, before, data))
+    mirrored = any(own.quantity in (*PLACE, *EXCHANGED) for own in one.corrections)
+    return replace(data, table=_followed(table, before, data, mirrored))
 
 
-def _followed(table: pd.DataFrame, before: pd.DataFrame, data: Measurements) -> pd.DataFrame:
-    """Renew what was derived from the mended values: approach and travel from the readings, range from the positions."""
-    readings, place = numbered("q", data.robot.n_joints), ["x", "y", "z"]
+def _followed(table: pd.DataFrame, before: pd.DataFrame, data: Measurements, mirrored: bool) -> pd.DataFrame:
+    """Renew what was derived from the mended values: approach and travel from the readings, range from the positions.
+
+    Where the frame was mirrored the device was too, and ranges stay.
+    """
+    readings, place = numbered("q", data.robot.n_joints), [*PLACE]
     if IN_ORDER in data.notes and not table[readings].equals(before[readings]):
         came, far = approach_and_travel(table, readings)
         table[numbered("approach", data.robot.n_joints)] = came
         table[numbered("travel", data.robot.n_joints)] = far
-    if "range" not in table:
+    if "range" not in table or mirrored:
         return table
     moved = (table[place].fillna(0) != before[place].fillna(0)).any(axis=1) & (table["range"] == before["range"])
     if moved.any():  # the device stands where the other rows' ranges meet

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import Check, Correction, Fault, correct, fault
-from calflow.faults.reference import TINY, Reference, chosen, lengths, motion, rough
+from calflow.faults.reference import Reference, chosen, lengths, level, motion, rough
 from calflow.measurements.measurements import Measurements
 
 ROWS = 60  # that tell joint signs apart
@@ -19,7 +19,6 @@ FITTED, NEARLY = 3, 4.0  # that are fitted at most, and times by which the best 
 FEWEST = 3  # poses that are grossly off as read
 CLEAR = 0.2  # share of the rows grossly off as read that may be so with the right signs
 ALIKE = 0.01  # share of the rows by which combinations may differ: the one with fewer turned signs is meant
-FAR = 1e3  # m: where a loop cannot be closed
 EVERY = 7  # joints up to which all combinations are tried, else one or two signs at a time
 
 Signs = tuple[int, ...]  # the joints (index from 0) whose signs are turned
@@ -37,7 +36,7 @@ class JointSign(Check):
 
     def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         """Return one fault a joint whose sign is wrong."""
-        turned = {joints: _with(data, joints) for joints in _likely(data, reference)}
+        turned = {joints: _with(data, joints) for joints in list(likely(data, reference))[:FITTED]}
         fits = {
             joints: again.fit
             for joints, other in turned.items()
@@ -81,8 +80,11 @@ def _with(data: Measurements, turned: Signs) -> Measurements:
     return correct(data, Fault(JointSign.id, 0, (), "", "corrected", tuple(map(_turn, turned))))
 
 
-def _likely(data: Measurements, reference: Reference) -> list[Signs]:
-    """Return the turned signs with which the nominal robot, placed where it fits best, misses by less than as read."""
+def likely(data: Measurements, reference: Reference) -> dict[Signs, float]:
+    """Return the turned signs with which the nominal robot, placed where it fits best, misses by less than as read, best first.
+
+    Each stands with that error [m].
+    """
     few = data.only(chosen(np.flatnonzero(data.train), ROWS, len(data)))
     n = data.robot.n_joints
     every = [turned for k in range(n + 1 if n <= EVERY else 3) for turned in combinations(range(n), k)]
@@ -92,7 +94,7 @@ def _likely(data: Measurements, reference: Reference) -> list[Signs]:
     nominal, model = reference.models.nominal, reference.models.placed
     points = nominal.position(nominal.nominal, np.concatenate(list(rows), axis=1)).reshape(len(every), len(few), 3)
     turn, shift, error = motion(points, few.position)
-    miss = _level(error)
+    miss = level(error)
     single = np.array([len(turned) == 1 for turned in every])
     if miss[0] < FAR_OFF * reference.spread:
         worth = np.flatnonzero(single & (miss < CLOSE * miss[0]))
@@ -100,16 +102,11 @@ def _likely(data: Measurements, reference: Reference) -> list[Signs]:
         worth = np.union1d(np.flatnonzero(single), np.argsort(miss)[:TRIED])
     worth = worth[worth > 0]
     if not len(worth):
-        return []
+        return {}
     placed = {}
     for k in (0, *worth):
         fit = rough(model, rows[k], few.position, turn[k], shift[k])
-        placed[k] = float(_level(lengths(few.position - fit.predicted(rows[k]))))
+        placed[k] = float(level(lengths(few.position - fit.predicted(rows[k]))))
     best = min(placed.values())
     left = sorted((k for k in placed if k and placed[k] < min(placed[0], NEARLY * best)), key=placed.__getitem__)
-    return [every[k] for k in left[:FITTED]]
-
-
-def _level(error: np.ndarray) -> np.ndarray:
-    """Return the geometric mean of errors (…, n_rows): a few rows that are off show, and one alone does not decide."""
-    return np.asarray(np.exp(np.log(np.minimum(error, FAR) + TINY).mean(axis=-1)))
+    return {every[k]: placed[k] for k in left}

@@ -26,6 +26,7 @@ LINEARISED, REWEIGHTED = 6, 8  # rounds of the fit, and in each of the weights
 BLOCK = 60  # equations that are multiplied at once
 SETTLED = 0.02  # standard deviations by which the last round moves a row
 TINY = 1e-9  # m: below it errors are rounding
+FAR = 1e3  # m: where a loop cannot be closed
 
 # Errors are told apart by robust standard deviations of the training rows (1.48 median deviations, for three axes). Normal
 # noise passes 6 in no data set, Student's t with 3 degrees of freedom passes 15 in one row of a thousand. A row may be
@@ -219,6 +220,11 @@ def best_turn(correlation: np.ndarray) -> np.ndarray:
 def lengths(vectors: np.ndarray) -> np.ndarray:
     """Return the lengths (…) of vectors (…, 3); infinite where one is not a number."""
     return np.nan_to_num(np.sqrt((vectors**2).sum(axis=-1)), nan=np.inf)
+
+
+def level(error: np.ndarray) -> np.ndarray:
+    """Return the geometric mean of errors (…, n_rows): a few rows that are off show, and one alone does not decide."""
+    return np.asarray(np.exp(np.log(np.minimum(error, FAR) + TINY).mean(axis=-1)))
 
 
 def chosen(rows: np.ndarray, most: int, total: int) -> np.ndarray:
