@@ -28,7 +28,11 @@ class FittedParameter:
     unit: str = column("of the figures in this row (SI)")
     nominal: float = column("its value where the effect is absent", UNIT)
     estimate: float = column("what the fit found", UNIT)
-    sd: float = column("standard deviation of the estimate; empty at a bound", UNIT)
+    sd: float = column(
+        "standard deviation of the estimate, after diagnose with what may be left in the errors of rows near each other; "
+        "empty at a bound",
+        UNIT,
+    )
     lower: float = column("the least that is allowed", UNIT)
     upper: float = column("the most that is allowed", UNIT)
     at_bound: bool = column("whether the estimate sits on a bound")
@@ -40,7 +44,7 @@ class FittedParameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Covariances:
-    """A row of the estimate's covariance."""
+    """A row of the covariance by which poses are predicted: errors that rows share are in the discrepancy, and not here again."""
 
     parameter: str = column("the row's parameter")
     of: Mapping[str, float] = column(

@@ -86,7 +86,7 @@ def results(
         "diagnose/next_poses.csv": poses_table(asked, final),
         "diagnose/separations.csv": separations_table(asked),
         "diagnose/parameters.csv": parameter_table(final.fit, final.covariance),
-        "diagnose/covariance.csv": covariance_table(final.model.parameters, final.covariance),
+        "diagnose/covariance.csv": covariance_table(final.model.parameters, final.fit.covariance),
         "diagnose/effects.csv": effect_table(final.model.effects),
         "diagnose/noise.csv": extended_noise(found, known, data),
         "diagnose/faults.csv": own,

@@ -22,7 +22,7 @@ def extended_model(found: Diagnosis, known: Identified, data: Measurements) -> I
     """Return the extended model as the stages after it start from it; known is what it was extended from."""
     final = found.extended.fitted
     return Identified(
-        final.model, final.fit.estimate, final.covariance, final.fit.at_bound,
+        final.model, final.fit.estimate, final.fit.covariance, final.fit.at_bound,
         series_noise(_noise(found, known, data), _growth(found)), final.noise.discrepancy,
         final.noise.rotation_discrepancy, final.loss,
     )  # fmt: skip

@@ -10,14 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.cluster.vq import kmeans2
 from scipy.stats import t as student
 
 from calflow.diagnosis.screening.regressors import Regressors
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects.cause import Cause
 
-BLOCKS = 8  # of each kind
+LEVELS = 3  # of halving: eight blocks of each kind
+FEWEST = 2  # poses of a block
 WORSE = 0.01  # one-sided significance at which a cause makes blocks that were left out worse
 
 
@@ -45,14 +45,25 @@ def blocks(fitted: Fitted) -> list[np.ndarray]:
     number = fitted.poses
     first = np.unique(number, return_index=True)[1]
     angles = data.joints[first]
-    many = min(BLOCKS, len(first) // 2)
-    scaled = angles / np.maximum(angles.std(axis=0), 1e-9)
-    near = kmeans2(scaled, many, seed=1, minit="++")[1]
-    found = [near[number]]
+    levels = min(LEVELS, int(np.log2(max(len(first) // FEWEST, 1))))
+    found = [_halved(angles / np.maximum(angles.std(axis=0), 1e-9), levels)[number]]
     if "order" in data.given:
         rank = np.argsort(np.argsort(data.table["order"].to_numpy(float)[first]))
-        found.append((rank * many // len(first))[number])
+        found.append((rank * 2**levels // len(first))[number])
     return found
+
+
+def _halved(places: np.ndarray, levels: int) -> np.ndarray:
+    """Number places (n, n_axes) by the leaves of a k-d tree (Bentley 1975): each block is halved where it is longest."""
+    block = np.zeros(len(places), dtype=int)
+    for _ in range(levels):
+        upper = np.zeros(len(places), dtype=bool)
+        for one in np.unique(block):
+            own = np.flatnonzero(block == one)
+            along = places[own, int(np.argmax(np.ptp(places[own], axis=0)))]
+            upper[own[np.argsort(along, kind="stable")[len(own) // 2 :]]] = True
+        block = 2 * block + upper
+    return block
 
 
 def carried_over(fitted: Fitted, cause: Cause, kinds: list[np.ndarray]) -> CarriedOver:
