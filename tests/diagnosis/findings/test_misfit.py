@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -69,3 +71,13 @@ def test_a_region_is_told_in_words():
     """Fails if a place is told without its unit, its figures or its joint."""
     there = Region(input="q3", low=20.3, high=44.8, unit="deg", there_mm=0.2134, elsewhere_mm=0.0811)
     assert there.words == "largest where joint 3 is between 20 and 45 deg: 0.213 mm against 0.0811 mm elsewhere"
+
+
+def test_a_joint_that_stood_still_is_no_place():
+    """Fails if an input of one value, which has no regions, ends the diagnosis."""
+    known = fitted(rough(lambda t: t["time"] > np.quantile(t["time"], 0.75)))
+    table = known.data.table.assign(q6=0.3)
+    still = replace(known, data=replace(known.data, table=table))
+    found = largest(still, rng())
+    assert found is not None
+    assert found.input == "time"

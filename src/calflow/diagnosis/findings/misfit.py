@@ -132,7 +132,7 @@ def _worst(
     """Return the region of an input in which most is left; None where it has none. What a pose's rows share is moved together."""
     groups = poses if _constant(one.values, poses) else np.arange(len(squared))
     _, first, group = np.unique(groups, return_index=True, return_inverse=True)
-    inside = np.array([region[first] for region in one.regions()])
+    inside = np.array([region[first] for region in one.regions()], dtype=bool).reshape(-1, len(first))
     size = inside.sum(axis=1)
     inside = inside[(size >= FEWEST) & (size <= MOST * len(first))]
     if not len(inside):
