@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+
+import numpy as np
 
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.files.results import Results
@@ -22,6 +25,8 @@ USELESS = 0.95  # share of the nominal error above which calibration gained noth
 CARDS = 3
 TEXT = 10.5  # points
 SIZES = ((TEXT, 18, 95), (9.5, 22, 106), (8.5, 27, 119))  # points, lines below the figure, letters in a line
+FEWEST = 3  # steps that are told on the first page whether there is room or not
+Listed = tuple[str, list[str | tuple[str, str]]]
 TOLD = "Nothing: the data determine every parameter."
 FINE = "Nothing needs attention: the parameters can be used for the tools, loads and workspace that were measured."
 
@@ -36,16 +41,11 @@ def write(material: Material) -> list[Block]:
         [card(step.label, mm(step.mean), f"largest {mm(step.max)} mm", dark=step is found[-1] and len(found) > 1)]
         for step in shown
     ]
-    lists: list[tuple[str, list[str | tuple[str, str]]]] = [
-        ("What the data cannot tell", [*unsure(material.results), *open_questions(material.results)] or [TOLD]),
-        ("What to do next", [*next_steps(material)] or [FINE]),
-    ]
-    size, first = TEXT, foremost(material.results)
-    if "diagnose/findings.csv" in material.results:
-        lists.insert(0, ("What the study's model lacked", lacked(material.results)))
-        size = fitting(
-            [" ".join(line) if isinstance(line, tuple) else line for _, lines in lists for line in lines] + first
-        )
+    urgent, further = next_steps(material.results)
+    more = [f"{plural(len(further), 'further step')}, less urgent, under “Further steps”."] if further else []
+    lists: list[Listed] = [*_lists(material.results), ("What to do next", [*urgent, *more] or [FINE])]
+    first = foremost(material.results)
+    size = fitting(_plain(lists) + first) if "diagnose/findings.csv" in material.results else TEXT
     return [
         paragraph("Calibration report", 10),
         paragraph(material.title, 21, bold=True),
@@ -146,14 +146,37 @@ def leftover(times: float, discrepancy: float = 0.0, structure: str = "", signif
     return f"the model leaves {ratio(times)} times the noise: {lacks}.{own}"
 
 
-def next_steps(material: Material) -> list[str]:
-    """Return what all sections advise, the most urgent first."""
-    return [step.sentence for step in advice(sections(), material.results)]
+def next_steps(results: Results) -> tuple[list[str], list[str]]:
+    """Return what all sections advise, the most urgent first: what there is room for on the first page, and the rest."""
+    steps = [step.sentence for step in advice(sections(), results)]
+    _, room, width = SIZES[-1]
+    left = room - 1 - _rows(_plain(_lists(results)) + foremost(results), width)
+    ends = np.cumsum([_rows([step], width) for step in steps])
+    many = len(steps) if not len(ends) or ends[-1] <= left + 1 else max(FEWEST, int((ends <= left).sum()))
+    return steps[:many], steps[many:]
+
+
+def _lists(results: Results) -> list[Listed]:
+    """What the model lacked, and what the data cannot tell."""
+    open_: list[str | tuple[str, str]] = [*unsure(results), *open_questions(results)] or [TOLD]
+    lists: list[Listed] = [("What the data cannot tell", open_)]
+    if "diagnose/findings.csv" in results:
+        lists.insert(0, ("What the study's model lacked", lacked(results)))
+    return lists
+
+
+def _plain(lists: Sequence[Listed]) -> list[str]:
+    return [" ".join(line) if isinstance(line, tuple) else line for _, lines in lists for line in lines]
+
+
+def _rows(lines: Sequence[str], width: int) -> int:
+    """How many lines of print they take."""
+    return sum(-(-len(line) // width) for line in lines)
 
 
 def fitting(lines: list[str]) -> float:
     """Return the size of letters [points] in which lists have room below the figure."""
-    sizes = [size for size, room, width in SIZES if sum(-(-len(line) // width) for line in lines) <= room]
+    sizes = [size for size, room, width in SIZES if _rows(lines, width) <= room]
     return sizes[0] if sizes else SIZES[-1][0]
 
 
