@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import casadi as ca
 
-from calflow.robot.dimensions import Dimensions
+from calflow.robot.dimensions import Dimensions, nominal_dimensions, symbols_like
 from calflow.robot.links import along, figures, span, to_axis, to_end
 from calflow.robot.loop import Closure, assembly_side, close
 from calflow.robot.robot import Robot
@@ -66,6 +67,26 @@ def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Po
     A joint's own frame is the one just after it has turned about its axis (see `frames.Frame`).
     A loop is closed at the place to which its pin S has moved in the loop's plane.
     """
+    found = [ca.sparsify(one) for one in _graph(robot)(*vars(dims).values(), q, *vars(deflection).values())]
+    n = robot.n_joints
+    joints, ends, links, rest = found[:n], found[n : 2 * n + 1], found[2 * n + 1 : 3 * n + 1], found[3 * n + 1 :]
+    closure = Closure(*rest[2:]) if robot.loop else None
+    return Posture(tuple(joints), tuple(ends), tuple(links), tuple(rest[:2]), closure)
+
+
+@lru_cache(maxsize=16)
+def _graph(robot: Robot) -> ca.Function:
+    """Return the function of (dimensions, q, deflection) that gives all frames: calling it takes a tenth of building them."""
+    dims, still = symbols_like(nominal_dimensions(robot)), symbols_like(Deflection.zero(robot.n_joints))
+    q = ca.SX.sym("q", robot.n_joints)
+    at = _frames(robot, dims, q, still)
+    frames = (*at.joints, *at.ends, *at.links, *at.bars)
+    closure = vars(at.closure).values() if at.closure else ()
+    return ca.Function("pose", [*vars(dims).values(), q, *vars(still).values()], [*frames, *closure])
+
+
+def _frames(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Posture:
+    """The frames as `pose` has them, built step by step."""
     driven = q + deflection.joint
     angles, closure = _chain_angles(robot, dims, driven, deflection)
     end = _twist(deflection.link[:, 0])

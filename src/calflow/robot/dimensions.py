@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
 
 from calflow.robot.robot import Robot
+
+Parts = TypeVar("Parts", bound=Any)
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,11 @@ def nominal_loads(robot: Robot) -> Loads:
         payload_mass=_column([payload.mass or 0.0 for payload in payloads]),
         payload_com=_points([payload.com for payload in payloads]),
     )
+
+
+def symbols_like(parts: Parts) -> Parts:
+    """Return symbols in the place of what a data class of expressions has, each of the same shape."""
+    return replace(parts, **{name: ca.SX.sym(name, *value.shape) for name, value in vars(parts).items()})
 
 
 def _column(values: object) -> ca.SX:
