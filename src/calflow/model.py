@@ -225,22 +225,28 @@ class Model:
 
     @cached_property
     def _functions(self) -> dict[str, ca.Function]:
-        p, c, predicted = self.symbols
-        jacobian = ca.densify(ca.jacobian(predicted.position, p)).T
-        outputs = {
-            "position": predicted.position,
-            "rotation": ca.vec(predicted.rotation),
-            "jacobian": jacobian,
-            "point": predicted.point,
-            "point_jacobian": ca.jacobian(predicted.point, p).T,
-            "closure": predicted.closure,
-        }
-        return {name: ca.Function(name, [p, c], [ca.densify(output)]) for name, output in outputs.items()}
+        """Functions that were asked for: to make one takes longer than to evaluate it on some hundred rows."""
+        return {}
+
+    def _function(self, name: str) -> ca.Function:
+        """Return the function of (p, conditions) for one figure of the prediction, made when first asked."""
+        if name not in self._functions:
+            p, c, predicted = self.symbols
+            output = {
+                "position": lambda: predicted.position,
+                "rotation": lambda: ca.vec(predicted.rotation),
+                "jacobian": lambda: ca.jacobian(predicted.position, p).T,
+                "point": lambda: predicted.point,
+                "point_jacobian": lambda: ca.jacobian(predicted.point, p).T,
+                "closure": lambda: predicted.closure,
+            }[name]()
+            self._functions[name] = ca.Function(name, [p, c], [ca.densify(output)])
+        return self._functions[name]
 
     def _over_rows(self, name: str, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
         n_rows = rows[0].shape[1]
         if name not in self._compiled or n_rows >= WORTH_EVALUATIONS:
-            self._compiled[name] = compiled(self._functions[name], n_rows)
+            self._compiled[name] = compiled(self._function(name), n_rows)
         return over_rows(self._compiled[name], p, *rows)
 
     @cached_property
