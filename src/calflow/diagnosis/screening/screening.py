@@ -104,6 +104,32 @@ class _Block:
 
 
 @dataclass(frozen=True)
+class _Contest:
+    """Members of a block that are at the same place and have as many degrees of freedom: the largest drop has the smallest p.
+
+    order (n_members,) has them one after another, first (n_groups,) is where each group starts; place (n_groups,) is the number
+    of its place, degrees_of_freedom (n_groups,) those of its members.
+    """
+
+    order: np.ndarray
+    first: np.ndarray
+    place: np.ndarray
+    degrees_of_freedom: np.ndarray
+
+    @staticmethod
+    def of(block: _Block, places: Sequence[int]) -> _Contest:
+        """Group the members of a block, whose places are numbered."""
+        keys = np.column_stack([places, block.degrees_of_freedom])
+        order = np.lexsort(keys.T)
+        first = np.flatnonzero(np.diff(keys[order], axis=0, prepend=-1).any(axis=1))
+        return _Contest(order, first, *keys[order][first].T)
+
+    def won(self, drops: np.ndarray) -> np.ndarray:
+        """Return each group's largest drop, shape (n_groups, …), of the members' (n_members, …)."""
+        return np.asarray(np.maximum.reduceat(drops[self.order], self.first, axis=0))
+
+
+@dataclass(frozen=True)
 class Screening(Generic[H]):
     """The test of all candidates against what a model leaves."""
 
@@ -203,7 +229,7 @@ class Screening(Generic[H]):
                 self.sure[block.columns], axis=1
             )  # few columns matter alike, and of many no single one does
             left = np.maximum(np.minimum(sure, self.degrees_of_freedom - block.degrees_of_freedom), 1.0)
-            p = self._p(squared.sum(axis=1), self.chi2, block, self.degrees_of_freedom, left)
+            p = self._p(squared.sum(axis=1), self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
             precision = self.regressors.prior_sd[block.columns] ** -2.0
             covariance = np.linalg.inv(block.information + np.eye(own.shape[1]) * precision[:, None, :])
             estimate = -np.einsum("mij,mj->mi", covariance, own)
@@ -246,6 +272,10 @@ class Screening(Generic[H]):
         leverage = (solve_triangular(self._factor, r.jacobian.T, lower=True) ** 2).sum(axis=0)
         size = settled / np.sqrt(np.maximum(1 - leverage, 0.05))
         places = list(dict.fromkeys(r.candidates[m].cause.place for block in self._blocks for m in block.members))
+        number = {place: k for k, place in enumerate(places)}
+        contests = [
+            _Contest.of(block, [number[r.candidates[m].cause.place] for m in block.members]) for block in self._blocks
+        ]
         smallest = np.ones((len(places), DRAWS))
         for start in range(0, DRAWS, DRAWN_AT_ONCE):
             part = slice(start, min(start + DRAWN_AT_ONCE, DRAWS))
@@ -255,24 +285,30 @@ class Screening(Generic[H]):
             gradient = solve_triangular(self._factor, r.jacobian.T @ noise + pseudo, lower=True)
             score = r.matrix.T @ noise - self._imitated.T @ gradient
             chi2 = (noise**2).sum(axis=0) + (pseudo**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
-            for block in self._blocks:
+            for block, contest in zip(self._blocks, contests, strict=True):
                 whitened = np.einsum("mij,mjk->mik", block.roots, score[block.columns])
-                p = self._p((whitened**2).sum(axis=1), chi2, block, n)  # the priors are drawn too: nothing is lost
-                at = [places.index(r.candidates[member].cause.place) for member in block.members]
-                np.minimum.at(smallest[:, part], at, p)
+                largest = contest.won((whitened**2).sum(axis=1))
+                p = self._p(largest, chi2, contest.degrees_of_freedom, n)  # the priors are drawn too: nothing is lost
+                np.minimum.at(smallest[:, part], contest.place, p)
         scans = np.array([_worth(row) for row in smallest])
         adjusted = -np.expm1(scans[:, None] * np.log1p(-np.minimum(smallest, 1 - 1e-16)))
         return Family(dict(zip(places, scans, strict=True)), _worth(adjusted.min(axis=0)) if places else 1.0)
 
     def _p(
-        self, drops: np.ndarray, chi2: float | np.ndarray, block: _Block, total: float, sure: np.ndarray | None = None
+        self,
+        drops: np.ndarray,
+        chi2: float | np.ndarray,
+        spent: np.ndarray,
+        total: float,
+        sure: np.ndarray | None = None,
     ) -> np.ndarray:
         """p-values of F tests: drops (n_members, …) of chi² (…), which has so many degrees of freedom in all.
 
-        sure (n_members,) are those by which the noise that matters to each candidate is known, all that are left by default.
+        spent (n_members,) are each member's degrees of freedom, sure (n_members,) those by which the noise that matters to it
+        is known, all that are left by default.
         """
         shape = (-1, *[1] * (drops.ndim - 1))
-        degrees_of_freedom = block.degrees_of_freedom.reshape(shape)
+        degrees_of_freedom = spent.reshape(shape)
         left = np.maximum(total - degrees_of_freedom, 1.0)
         ratio = drops / degrees_of_freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
         return np.asarray(f_distribution.sf(ratio, degrees_of_freedom, left if sure is None else sure))
