@@ -72,6 +72,7 @@ def diagnose(
     advance(0.8)
     if not grown and (grown := growth_of_residuals(extended.fitted, alarm)):
         extended = extended.weighed(grown.sigma(train, start.device))
+        grown = grown.levelled(extended.fitted)
     if grown:
         say(f"the noise grows with range: {1e6 * grown.slope:.3g} um/m, p = {grown.p:.2g}")
     verdicts = tuple(verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings)

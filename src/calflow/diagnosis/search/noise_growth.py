@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -36,6 +36,11 @@ class Growth:
         distance = data.table["range"].to_numpy()
         grown = (self.floor + self.slope * distance) / np.sqrt(data.repeats)
         return np.where(np.isfinite(distance), grown, device.sigma)
+
+    def levelled(self, fitted: Fitted) -> Growth:
+        """Return the same growth at the level that a model fitted with it leaves: what is smooth there is no less an error."""
+        level = float(np.median(fitted.noise.sigma / fitted.far / self.sigma(fitted.data, fitted.device)))
+        return replace(self, floor=level * self.floor, slope=level * self.slope, sd=level * self.sd)
 
 
 @dataclass(frozen=True)
