@@ -59,6 +59,7 @@ class DeviceNoise:
     source: Source = column("where the noise is known from")
     sigma_mm: float = column("of a single row, per axis; of noise that grows with range, that at no distance", "mm")
     growth_mm_per_m: float = column("by how much it grows with range", "mm/m")
+    typical_mm: float = column("rms over the rows, at the ranges where they were measured, per axis", "mm")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,11 +79,20 @@ class Placed:
 
 @dataclass(frozen=True)
 class SeriesNoise:
-    """The noise of a series: sigma of a single row [m] (of one that grows, at no distance), growth [m/m], and its source."""
+    """The noise of a series: sigma of a single row [m] (of one that grows, at no distance), growth [m/m], and its source.
+
+    typical is its rms over the rows [m]; where none is given it is sigma.
+    """
 
     sigma: float
     source: Source
     growth: float = 0.0
+    typical: float = 0.0
+
+    @property
+    def at_rows(self) -> float:
+        """Its rms where rows were measured [m]."""
+        return self.typical or self.sigma
 
 
 @dataclass(frozen=True)
@@ -208,7 +218,8 @@ def noise_table(
     """Return the table of `DeviceNoise`; growth is its floor [m] and slope [m/m]."""
     rows = [
         DeviceNoise(
-            series=one.series.name, kind=one.id, source=own.source, sigma_mm=1e3 * own.sigma, growth_mm_per_m=1e3 * own.growth
+            series=one.series.name, kind=one.id, source=own.source, sigma_mm=1e3 * own.sigma, growth_mm_per_m=1e3 * own.growth,
+            typical_mm=1e3 * own.at_rows,
         )
         for own, one in zip(series_noise(noise, growth), observed, strict=True)
     ]  # fmt: skip
@@ -219,13 +230,16 @@ def series_noise(noise: Noise, growth: tuple[float, float] | None = None) -> tup
     """Return the noise of each series; growth is its floor [m] and slope [m/m]."""
     found = []
     for k, source in enumerate(noise.sources):
-        sigma, slope = growth or (float(np.sqrt(np.mean(noise.sigma[noise.of_series(k)] ** 2))), 0.0)
-        found.append(SeriesNoise(sigma, source, slope))
+        typical = float(np.sqrt(np.mean(noise.sigma[noise.of_series(k)] ** 2)))
+        sigma, slope = growth or (typical, 0.0)
+        found.append(SeriesNoise(sigma, source, slope, typical))
     return tuple(found)
 
 
 def _read_noise(rows: Sequence[DeviceNoise]) -> tuple[SeriesNoise, ...]:
-    return tuple(SeriesNoise(row.sigma_mm / 1e3, row.source, row.growth_mm_per_m / 1e3) for row in rows)
+    return tuple(
+        SeriesNoise(row.sigma_mm / 1e3, row.source, row.growth_mm_per_m / 1e3, row.typical_mm / 1e3) for row in rows
+    )
 
 
 def placement_table(robot: Robot, observed: Sequence[Observation]) -> pd.DataFrame:

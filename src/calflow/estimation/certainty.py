@@ -20,4 +20,4 @@ def position_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
 
 def unexplained(known: Identified) -> float:
     """Return the standard deviation per axis [m] of what the model errs by beside its parameters' errors."""
-    return known.discrepancy if known.noise_known else known.sigma
+    return known.discrepancy if known.noise_known else known.device[0].at_rows
