@@ -66,7 +66,7 @@ def test_what_goes_with_the_payload_is_told():
     fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
     left = remainder(Fitted(fit, data, noise, lack, "linear", noise), 0.01, np.random.default_rng(1), lambda _: None)
     assert "payload" in left[0].inputs
-    assert left[0].score.cause.detail == "under load"
+    assert left[0].detail == "under load"
 
 
 def test_noise_that_grows_with_range_is_measured():

@@ -18,7 +18,7 @@ from diagnosis.findings.test_misfit import rng, rough
 from diagnosis.findings.test_remainder import fitted
 from diagnosis.findings.test_verdict import judged, score
 
-FAULTS = pd.DataFrame({"cause": [], "joint": [], "line": [], "statement": []})
+FAULTS = pd.DataFrame({"cause": [], "joint": [], "line": [], "action": [], "statement": []})
 
 
 @pytest.fixture(scope="module")
