@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from itertools import groupby
 from typing import ClassVar, TypeVar
 
 import casadi as ca
@@ -114,7 +113,6 @@ class Basis:
     function: ca.Function
     quantity: np.ndarray
     column: np.ndarray
-    width: int
 
     @property
     def layers(self) -> Iterator[np.ndarray]:
@@ -133,8 +131,8 @@ def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> t
     if not effects:
         return problem.screened(p)  # by the graph that the fit has made
     robot, given, n = problem.model.robot, problem.model.given, len(p)
-    bases = [_basis(tuple(own), given) for _, own in groupby(effects, key=lambda one: (type(one), one.id))]
-    which = np.unique(np.concatenate([np.zeros(0, dtype=int), *(basis.quantity for basis in bases)]))
+    bases, width = _bases(effects, given)
+    which = np.unique(np.concatenate([basis.quantity for basis in bases]))
     bases = [replace(basis, quantity=np.searchsorted(which, basis.quantity)) for basis in bases]
     levers = problem.on(replace(problem.model, probes=(Levers(robot, tuple(map(int, which))),)))
     graphs = [_graph(block, len(which)) for block in levers.blocks]
@@ -143,7 +141,7 @@ def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> t
         large = replace(problem.model, probes=tuple(effects))
         return problem.on(large).screened(np.concatenate([p, large.nominal[n:]]))
     residual, start = np.empty(problem.size), 0
-    matrix = np.zeros((problem.size, n + sum(basis.width for basis in bases)))
+    matrix = np.zeros((problem.size, n + width))
     for block, graph in zip(levers.blocks, known, strict=True):
         for first in range(0, len(block.rows), ROWS):
             data = [values[:, first : first + ROWS] for values in block.data]
@@ -161,13 +159,24 @@ def _fill(
     columns: np.ndarray, bases: Sequence[Basis], levers: np.ndarray, state: np.ndarray, conditions: np.ndarray
 ) -> None:
     """Add up levers (n_rows, n_units, n_quantities) times slopes in columns (n_rows, n_units, n_columns), which are zero."""
-    start = 0
     for basis in bases:
         slopes = over_rows(basis.function, np.zeros(0), state, conditions)[0].T
         for layer in basis.layers:
-            moved = levers[:, :, basis.quantity[layer]] * slopes[:, None, layer]
-            columns[:, :, start + basis.column[layer]] += moved
-        start += basis.width
+            columns[:, :, basis.column[layer]] += levers[:, :, basis.quantity[layer]] * slopes[:, None, layer]
+
+
+def _bases(effects: Sequence[Effect], given: tuple[str, ...]) -> tuple[list[Basis], int]:
+    """Return the bases of all effects, those of a kind in one, with columns as the effects stand; and how many columns."""
+    start = np.cumsum([0, *(len(effect.declared) for effect in effects)])
+    kinds: dict[tuple[type[Effect], str], list[int]] = {}
+    for k, effect in enumerate(effects):
+        kinds.setdefault((type(effect), effect.id), []).append(k)
+    found = []
+    for own in kinds.values():
+        basis = _basis(tuple(effects[k] for k in own), given)
+        columns = np.concatenate([np.arange(start[k], start[k + 1]) for k in own])
+        found.append(replace(basis, column=columns[basis.column]))
+    return found, int(start[-1])
 
 
 def _graph(block: SeriesBlock, n_levers: int) -> ca.Function | None:
@@ -219,7 +228,7 @@ def _basis(effects: tuple[Effect, ...], given: tuple[str, ...]) -> Basis:
     slope = ca.sparsify(ca.substitute(ca.jacobian(moved.packed, every), every, nominal))
     quantity, column = (np.array(which, dtype=int) for which in slope.sparsity().get_triplet())
     function = ca.Function("basis", [ca.SX.sym("p", 0), known, c], [ca.densify(slope.nz[:])])
-    return Basis(function, quantity, column, every.numel())
+    return Basis(function, quantity, column)
 
 
 def _with_change(parts: Parts, after: Parts, before: Parts) -> Parts:
