@@ -61,17 +61,27 @@ def cache_folder() -> Path:
 def _compiled(function: ca.Function, evaluations: int) -> ca.Function | None:
     """Return the function as machine code; None where it is not there and would not pay."""
     command, folder = _compiler(), cache_folder()
-    generator = ca.CodeGenerator(f"{function.name()}.c")
-    generator.add(function)
-    source = generator.dump()
-    key = hashlib.sha256("\n".join([source, *command, *FLAGS, platform.machine()]).encode()).hexdigest()[:32]
+    # What the code is made from: CasADi writes it out in half the time that it takes to make the code, which is seldom needed.
+    content = [function.serialize(), ca.CasadiMeta.version(), *command, *FLAGS, platform.machine()]
+    key = hashlib.sha256("\n".join(content).encode()).hexdigest()[:32]
     try:
         for library in sorted(folder.glob(f"{key}-*.so")):
             if _is_trusted(folder, library) and (loaded := _load(function, library)):
                 return loaded
-        return None if evaluations < WORTH_EVALUATIONS else _load(function, _build(command, source, folder, key))
+        return (
+            None
+            if evaluations < WORTH_EVALUATIONS
+            else _load(function, _build(command, _source(function), folder, key))
+        )
     except OSError as error:
         raise NotCompiled(f"the folder of machine code cannot be used ({error})") from None
+
+
+def _source(function: ca.Function) -> str:
+    """Return the function's C code."""
+    generator = ca.CodeGenerator(f"{function.name()}.c")
+    generator.add(function)
+    return str(generator.dump())
 
 
 def _compiler() -> list[str]:
