@@ -30,16 +30,22 @@ DETAILS: dict[Shape, str] = {
     "bracket": "a bracket along the flange's axis, which turns",
     "direction": "by direction, which turns",
 }
-GIVES: dict[Shape, tuple[str, ...]] = {"alike": ("c",), "bracket": ("c",), "direction": ("cx", "cy", "cz")}
-TURNS: dict[Shape, tuple[str, ...]] = {"alike": (), "bracket": ("t",), "direction": ("tx", "ty")}
+ENTRIES = tuple(i if i == j else i + j for j in "xyz" for i in "xyz")  # of a matrix, column by column
+GIVES: dict[Shape, tuple[str, ...]] = {
+    "alike": ("c",),
+    "bracket": ("c",),
+    "direction": tuple(f"c{ij}" for ij in ENTRIES),
+}
+TURNS: dict[Shape, tuple[str, ...]] = {"alike": (), "bracket": ("t",), "direction": tuple(f"t{ij}" for ij in ENTRIES)}
 
 
 @dataclass(frozen=True)
 class ToolDeflection(Effect):
-    """Displacement = C · payload's weight F in the flange's frame, C alike in all directions, or one for each axis.
+    """Displacement = C · payload's weight F in the flange's frame, C alike in all directions, or any matrix with a turn T · F.
 
     A bracket along the flange's z gives way across it alone, and turns by t about z x F: a cantilever of length L by
-    t = 1.5 c/L (Euler-Bernoulli), so that markers farther out move farther. A payload whose mass nobody knows is a part of
+    t = 1.5 c/L (Euler-Bernoulli), so that markers farther out move farther. One that slants or is crooked moves along one axis
+    under a force along another, and turns, which matrices say whatever its shape. A payload whose mass nobody knows is a part of
     its own, whose figures are those times its weight.
     """
 
@@ -55,7 +61,7 @@ class ToolDeflection(Effect):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return one compliance, a bracket, and one an axis."""
+        """Return one compliance, a bracket along the flange's axis, and one of any shape."""
         return tuple(cls(robot, shape) for shape in DETAILS)
 
     @property
@@ -99,7 +105,7 @@ class ToolDeflection(Effect):
             return ca.vertcat(p[0] * weight, ca.SX(3, 1))
         if self.shape == "bracket":
             return ca.vertcat(p[0] * x, p[0] * y, 0, -p[1] * y, p[1] * x, 0)
-        return ca.vertcat(p[:3] * weight, -p[3] * y, p[4] * x, 0)
+        return ca.vertcat(ca.reshape(p[:9], 3, 3) @ weight, ca.reshape(p[9:], 3, 3) @ weight)
 
     def variable(self, joint: int) -> Variable:
         """Return the payload's mass."""
