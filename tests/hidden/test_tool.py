@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from hidden.case import Case
 from hidden.causes import Hidden
 from hidden.test_hidden import case, found
 
+CUT = """[stages.diagnose]
+leave_out = ["periodic-joint-error", "joint-error-map", "frame-step", "frame-drift", "joint-eccentricity"]
+"""  # what takes long and acts elsewhere
 SPRINGS = Hidden("joint-compliance", 0, 1.0)
 CASES: dict[str, tuple[str, str, Case]] = {  # cause, what its detail says
     "bracket under its own weight": ("tool-sag", "flange's axis", case("serial", Hidden("tool-sag", 0, 1e-4))),
@@ -22,7 +27,7 @@ CASES: dict[str, tuple[str, str, Case]] = {  # cause, what its detail says
 def test_what_gives_way_at_either_end_is_found(name, tmp_path):
     """Breaks if a sag, a bracket that turns or a foundation that tilts is missed, or called something else with certainty."""
     cause, detail, hidden = CASES[name]
-    seen = found(tmp_path, hidden, 11)
+    seen = found(tmp_path, replace(hidden, settings=CUT), 11)
     assert len(seen.causes) == 1, seen.causes
     assert cause in seen.could_be(0), seen.causes
     if seen.causes.iloc[0]["cause"] == cause:
