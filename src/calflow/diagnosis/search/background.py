@@ -229,19 +229,19 @@ class Sizes:
     def believed(self) -> np.ndarray:
         """Return the most likely variances (n_parts,), part by part while one adds enough to be believed."""
         variance = np.zeros(len(self.shapes))
-        out = np.zeros(len(variance), dtype=bool)
-        while not out.all():
+        tried = np.zeros(
+            len(variance), dtype=bool
+        )  # once each: parts much alike would come and go
+        while not tried.all():
             beyond, size = self._beyond(variance)
-            beyond = np.where(out | (variance > 0), -np.inf, beyond)
-            best = int(np.argmax(beyond))
+            best = int(np.argmax(np.where(tried, -np.inf, beyond)))
             if beyond[best] < PROMISING:
                 break
+            tried[best] = True
             larger = variance.copy()
             larger[best] = size[best]
             larger = self.most_likely(larger)
-            if self.cost(variance) - self.cost(larger) < BELIEVED:
-                out[best] = True
-            else:
+            if self.cost(variance) - self.cost(larger) >= BELIEVED:
                 variance = larger
         for k in np.flatnonzero(variance > 0):
             if self.gains(variance)[k] < BELIEVED:
