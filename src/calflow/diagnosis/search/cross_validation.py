@@ -42,8 +42,7 @@ class CarriedOver:
 def blocks(fitted: Fitted) -> list[np.ndarray]:
     """Number the training rows by blocks of poses, near in joint space, and where the order is known in time; (n_rows,) each."""
     data = fitted.data
-    number = fitted.poses
-    first = np.unique(number, return_index=True)[1]
+    first, number = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
     angles = data.joints[first]
     levels = min(LEVELS, int(np.log2(max(len(first) // FEWEST, 1))))
     found = [_halved(angles / np.maximum(angles.std(axis=0), 1e-9), levels)[number]]
