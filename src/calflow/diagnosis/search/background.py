@@ -229,9 +229,7 @@ class Sizes:
     def believed(self) -> np.ndarray:
         """Return the most likely variances (n_parts,), part by part while one adds enough to be believed."""
         variance = np.zeros(len(self.shapes))
-        tried = np.zeros(
-            len(variance), dtype=bool
-        )  # once each: parts much alike would come and go
+        tried = np.zeros(len(variance), dtype=bool)  # once each: parts much alike would come and go
         while not tried.all():
             beyond, size = self._beyond(variance)
             best = int(np.argmax(np.where(tried, -np.inf, beyond)))

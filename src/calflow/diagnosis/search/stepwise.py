@@ -72,7 +72,7 @@ class Stepwise(Generic[H]):
             tried[-2].forget()
             self.advance(1 - (1 - STEP) ** len(tried))
         best_first = sorted([tried[0], *tried[begin:]], key=lambda trial: trial.bic)
-        best = next(trial for trial in best_first if self._stand(trial))
+        best = next(trial for trial in best_first if self.stands(trial))
         forget_all_but(best, tried)
         return best
 
@@ -87,7 +87,7 @@ class Stepwise(Generic[H]):
         others = (_replaced(best, causes) for causes in doubted(best))
         at_once = chain((_replaced(best, causes) for causes in merged(best)), self.exchanges(best))
         return self._led_to(best, tried, at_once, lambda _: False) or self._led_to(
-            best, tried, others, lambda trial: trial.bic < best.bic + WITHIN and not self._stand(trial)
+            best, tried, others, lambda trial: trial.bic < best.bic + WITHIN and not self.stands(trial)
         )
 
     def _led_to(
@@ -108,7 +108,8 @@ class Stepwise(Generic[H]):
             forget_all_but(best, tried)
         return None
 
-    def _stand(self, trial: Trial[H]) -> bool:
+    def stands(self, trial: Trial[H]) -> bool:
+        """Whether each of a trial's causes would pass again."""
         return all(map(self.acceptance.keeps, trial.findings))
 
     def exchanges(self, trial: Trial[H]) -> Iterator[Proposal[H]]:

@@ -16,12 +16,13 @@ from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.acceptance import Acceptance
 from calflow.diagnosis.search.background import Basis, background, possible
 from calflow.diagnosis.search.cross_validation import blocks, carried_over
+from calflow.diagnosis.search.exchange import SPLIT
 from calflow.diagnosis.search.extension import Extended, extended
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.fitted_trial import FittedTrial
 from calflow.diagnosis.search.linearisation import Finding, Linearisation
 from calflow.diagnosis.search.stepwise import Stepwise, words
-from calflow.diagnosis.search.trial import Trial, same
+from calflow.diagnosis.search.trial import same
 from calflow.diagnosis.search.unnamed import unnamed
 from calflow.effects.cause import Cause
 
@@ -85,10 +86,13 @@ def _searched(
     first = found.first
     if not beside.causes and start.background is not None:
         first = Linearisation.at(start, catalogue).screened(rng, family)
-    tried: list[Trial[Cause]] = [FittedTrial(family, start, catalogue)]
-    if beside.causes:
-        tried.append(FittedTrial(family, beside, catalogue))
-    best = Stepwise(acceptance, first, rng, say, lambda share: None).settled(tried)
+    known = [FittedTrial(family, beside, catalogue)] if beside.causes else []
+    search = Stepwise(acceptance, first, rng, say, lambda share: None)
+    best, tried = search.best(FittedTrial(family, start, catalogue), *known)
+    for trial in known:
+        more = len(best.causes) - len(trial.causes)
+        if more > 0 and search.stands(trial) and best.bic > trial.bic - SPLIT * more:
+            best = trial  # two that together are what one was: as in an exchange, they must be clearly better
     return replace(extended(best, tried, first), first=found.first)
 
 
