@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from calflow.faults.base import Check, Correction, Fault, correct, fault
-from calflow.faults.reference import Reference, changed, lengths
+from calflow.faults.blocks import Block, Linear
+from calflow.faults.reference import Reference, changed, chosen, lengths
 from calflow.faults.segments import cost, states
 from calflow.measurements.measurements import Measurements
 
@@ -15,12 +17,30 @@ TURN = 2 * np.pi
 PAST = np.deg2rad(1.0)  # past a limit: less may be rounding, or a limit of another kind
 FEW = 0.2  # share of the rows: where more lie past a limit, the limit is doubted
 FEWEST = 3  # poses in a block: a motor that has lost a turn stays so for a while
+NOTICED = 0.02  # of what a turn moves the tool: a rough fit with less error has no turn in half of its rows
+FEW_ROWS = 30  # that tell how far it moves the tool
+REFINED = 3  # rounds in which rows and fit follow each other
+DECISIVE = 9.0  # by which one robot must be nearer to the nominal to choose a block by that, and not by its size
 CHANGE = 8.0  # what the begin or end of a block costs: as much as a row that is off by 150 robust standard deviations
-BELIEVED = 0.8  # share of a block's rows that must be far better with the turn back
+BELIEVED = 0.8  # share of a block's rows that must be far better with the turn back, and of the others without
+
+
+@dataclass(frozen=True)
+class Turned:
+    """Rows that step is to be added to [rad], how far the robot is from its nominal then, and whether a reading past its limits."""
+
+    rows: np.ndarray
+    step: float
+    deviation: float
+    outside: bool
 
 
 class EncoderTurn(Check):
-    """A whole turn leaves the robot in its place and shows by the joint's limits; a motor's turn shows by the positions."""
+    """A whole turn leaves the robot in its place and shows by the joint's limits; a motor's turn shows by the positions.
+
+    Of two blocks that differ by a turn either could be wrong: it is the one without which the robot is nearer to its nominal, or
+    where base or tool make up for it the smaller one.
+    """
 
     id: ClassVar[str] = "encoder-turn"
     title: ClassVar[str] = "an encoder lost or gained a turn"
@@ -37,9 +57,8 @@ class EncoderTurn(Check):
         of = data.robot.joints[joint]
         if of.kind != "revolute" or of.limits is None:
             return []
-        angle = (data.joints @ data.robot.reading_matrix.T)[:, joint]
-        low, high = of.range
-        turns = np.where(angle > high + PAST, -1, np.where(angle < low - PAST, 1, 0))
+        angle, (low, high) = _angle(data, joint), of.range
+        turns = _turns_outside(data, joint)
         inside = (angle + turns * TURN > low) & (angle + turns * TURN < high)
         if (turns != 0).mean() > FEW:
             return []
@@ -53,29 +72,58 @@ class EncoderTurn(Check):
         return found
 
     def _motor(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-        fit = reference.fit
-        geared = [j for j, joint in enumerate(data.robot.joints) if joint.kind == "revolute" and joint.gear_ratio]
-        before, pose = reference.miss, data.table["pose"].to_numpy()
-        if not geared or len(set(pose[reference.gross])) < FEWEST:
+        steps = {
+            j: TURN / joint.gear_ratio
+            for j, joint in enumerate(data.robot.joints)
+            if joint.kind == "revolute" and joint.gear_ratio
+        }
+        size = {j: _size(data, reference, j, step) for j, step in steps.items()}
+        odd = data.table["pose"][reference.gross].nunique() >= FEWEST
+        if not steps or not (odd or reference.fit.scale > NOTICED * min(size.values())):
             return ()
-        best: tuple[int, int, float, np.ndarray] | None = None
-        for joint in geared:
-            for turn in (1, -1):
-                step = turn * TURN / float(data.robot.joints[joint].gear_ratio or 1)
-                rows = changed(data, joint, data.joints[:, joint] + step, np.arange(len(data)))
-                after = lengths(data.position - fit.predicted(rows))
-                block = states(np.stack([cost(before, fit.scale), cost(after, fit.scale)]), CHANGE) == 1
-                better = fit.better(before[block], after[block])
-                if len(set(pose[block])) < FEWEST or better.mean() < BELIEVED:
-                    continue
-                if best is None or better.sum() > best[0]:
-                    best = (int(better.sum()), joint, step, np.flatnonzero(block))
-        if best is None:
+        linear = Linear.of(data, reference, max(size.values()))
+        blocks = [block for j, step in steps.items() if (block := linear.best(j, step)) is not None]
+        if not blocks:
             return ()
-        _, joint, step, found = best
-        ratio = data.robot.joints[joint].gear_ratio
-        why = f"turn of its motor ({abs(np.rad2deg(step)):.4g} deg at gear ratio {ratio:g})"
-        return (self._fault(data, joint, found, step, why, "does not agree with the position"),)
+        block = max(blocks, key=lambda one: one.gain)
+        sides = [side for one in (block, block.others) if (side := self._refined(data, reference, one)) is not None]
+        if not sides:
+            return ()
+        nearest = min(side.deviation for side in sides)
+        alike = [side for side in sides if side.deviation < nearest + DECISIVE]
+        found = min(alike, key=lambda side: (side.outside, len(side.rows)))
+        ratio = data.robot.joints[block.joint].gear_ratio
+        why = f"turn of its motor ({abs(np.rad2deg(found.step)):.4g} deg at gear ratio {ratio:g})"
+        return (self._fault(data, block.joint, found.rows, found.step, why, "does not agree with the position"),)
+
+    def _refined(self, data: Measurements, reference: Reference, block: Block) -> Turned | None:
+        """Return the rows that need the turn by a robot that is fitted with it; None where it does not explain them."""
+        pose = data.table["pose"].to_numpy()
+        rows = np.flatnonzero(block.rows)
+        read = changed(data, block.joint, data.joints[:, block.joint] + block.step, np.arange(len(data)))
+        for _ in range(REFINED):
+            turned = self._turned(data, block, rows)
+            again = Reference.of(turned, reference.models)
+            if again is None:
+                return None
+            fit = again.fit
+            before, after = (lengths(data.position - fit.predicted(own)) for own in (data.rows, read))
+            needed = states(np.stack([cost(before, fit.scale), cost(after, fit.scale)]), CHANGE) == 1
+            # Nearly all rows may need a turn that the fit has followed: the others must be right without it.
+            if not all(
+                len(set(pose[part])) >= FEWEST and fit.better(wrong[part], right[part]).mean() >= BELIEVED
+                for part, wrong, right in ((needed, before, after), (~needed, after, before))
+            ):
+                return None
+            settled, rows = np.array_equal(np.flatnonzero(needed), rows), np.flatnonzero(needed)
+            if settled:
+                break
+        outside = _turns_outside(self._turned(data, block, rows), block.joint).any()
+        return Turned(rows, block.step, fit.deviation, bool(outside))
+
+    def _turned(self, data: Measurements, block: Block, rows: np.ndarray) -> Measurements:
+        turns = tuple(Correction(int(row) + 1, f"q{block.joint + 1}", offset=block.step) for row in rows)
+        return correct(data, Fault(self.id, 0, (), "", "corrected", turns))
 
     def _fault(self, data: Measurements, joint: int, rows: np.ndarray, step: float, what: str, why: str) -> Fault:
         statement = (
@@ -85,3 +133,25 @@ class EncoderTurn(Check):
         offset = float(f"{step:.10g}")  # as the table will say it
         corrections = [Correction(int(row) + 1, f"q{joint + 1}", offset=offset) for row in rows]
         return fault(self, data, joint + 1, corrections, "corrected", statement)
+
+
+def _size(data: Measurements, reference: Reference, joint: int, step: float) -> float:
+    """Return how far a step of a joint's reading typically moves the tool [m]."""
+    few = np.flatnonzero(chosen(np.arange(len(data)), FEW_ROWS, len(data)))
+    read = changed(data, joint, data.joints[few, joint] + step, few)
+    return float(
+        np.nanmedian(np.linalg.norm(reference.fit.predicted(read) - reference.fit.predicted(data.rows[:, few]), axis=1))
+    )
+
+
+def _angle(data: Measurements, joint: int) -> np.ndarray:
+    return np.asarray((data.joints @ data.robot.reading_matrix.T)[:, joint])
+
+
+def _turns_outside(data: Measurements, joint: int) -> np.ndarray:
+    """Return the sense (n_rows,) in which a joint past its limits would come back; zero inside, or where no limits are stated."""
+    limits = data.robot.joints[joint].limits
+    if limits is None:
+        return np.zeros(len(data), dtype=int)
+    angle = _angle(data, joint)
+    return np.where(angle > limits[1] + PAST, -1, np.where(angle < limits[0] - PAST, 1, 0))

@@ -98,6 +98,16 @@ class Rough:
         """The error [m] from which a row is gross."""
         return max(GROSS * self.scale, LEAST_GROSS)
 
+    @property
+    def prior(self) -> np.ndarray:
+        """Standard deviations of the parameters from the nominal robot's, shape (n_parameters,); base and tool may be anywhere."""
+        return _prior(self.model)
+
+    @property
+    def deviation(self) -> float:
+        """How far the robot is from its nominal: its parameters' squares in standard deviations."""
+        return float((((self.estimate - self.model.nominal) / self.prior) ** 2).sum())
+
     def predicted(self, rows: np.ndarray) -> np.ndarray:
         """Return positions (n_rows, 3) [m] for packed conditions; nan where a loop cannot be closed."""
         return self.model.position(self.estimate, rows) @ self.turn.T + self.shift
@@ -159,9 +169,7 @@ def rough(model: Model, rows: np.ndarray, position: np.ndarray, turn: np.ndarray
     weights; the model is linearised until it settles.
     """
     measured = (position - shift) @ turn
-    prior = model.prior_sd.copy()
-    placed = [k for k, p in enumerate(model.parameters) if p.part == "base" or p.part in model.robot.markers]
-    prior[placed] = PLACED_SD
+    prior = _prior(model)
     estimate, n = model.nominal.copy(), len(model.parameters)
     for _ in range(LINEARISED):
         jacobian = model.position_jacobian(estimate, rows)
@@ -185,6 +193,11 @@ def rough(model: Model, rows: np.ndarray, position: np.ndarray, turn: np.ndarray
             break
     covariance = np.linalg.inv(information) * np.outer(prior, prior)
     return Rough(model, estimate, covariance, scale, turn, shift)
+
+
+def _prior(model: Model) -> np.ndarray:
+    placed = [p.part == "base" or p.part in model.robot.markers for p in model.parameters]
+    return np.where(placed, PLACED_SD, model.prior_sd)
 
 
 def motion(points: np.ndarray, measured: np.ndarray, rounds: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

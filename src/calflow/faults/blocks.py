@@ -1,0 +1,99 @@
+"""Blocks: the rows in which a joint's reading is off by a given step, where the fit itself may have gone with either part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calflow.faults.reference import FIT_ROWS, LEAST_GROSS, Reference, changed, chosen, lengths
+from calflow.measurements.measurements import Measurements
+
+FEWEST = 3  # rows inside and outside
+FAR = 3.0  # times the largest step up to which a row's error counts
+
+
+@dataclass(frozen=True)
+class Block:
+    """Rows (n_rows,) that step is to be added to, in the readings of a joint (index from 0) [rad, or m].
+
+    gain is the fall of the squared errors and of the squared deviations from the nominal robot, in standard deviations.
+    """
+
+    joint: int
+    step: float
+    rows: np.ndarray
+    gain: float
+
+    @property
+    def others(self) -> Block:
+        """The same with all other rows, to the other side: only the joint's zero tells them apart."""
+        return replace(self, step=-self.step, rows=~self.rows)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The robot of a rough fit, linear in its parameters: what it can do is taken from errors, at the price of its priors."""
+
+    data: Measurements
+    rows: np.ndarray
+    predicted: np.ndarray
+    fitted: np.ndarray
+    left: np.ndarray
+    reference: Reference
+
+    @staticmethod
+    def of(data: Measurements, reference: Reference, step: float) -> Linear:
+        """Linearise at the fit of a reference, at the rows whose errors a step [m] may explain."""
+        fit = reference.fit
+        here = np.flatnonzero(chosen(np.flatnonzero(data.train), FIT_ROWS, len(data)))
+        predicted = fit.predicted(data.rows[:, here])
+        error = data.position[here] - predicted
+        usable = lengths(error) < FAR * step
+        here, predicted, error = here[usable], predicted[usable], error[usable]
+        jacobian = np.einsum("ij,njk->nik", fit.turn, fit.model.position_jacobian(fit.estimate, data.rows[:, here]))
+        prior = fit.prior
+        jacobian = (jacobian * prior).reshape(-1, len(prior)) / LEAST_GROSS
+        at_nominal = error.ravel() / LEAST_GROSS + jacobian @ ((fit.estimate - fit.model.nominal) / prior)
+        factor = np.linalg.cholesky(np.linalg.inv(jacobian.T @ jacobian + np.eye(len(prior))))
+        fitted = jacobian @ factor
+        left = at_nominal - fitted @ (fitted.T @ at_nominal)
+        return Linear(data, here, predicted, fitted.reshape(len(here), 3, -1), left.reshape(-1, 3), reference)
+
+    def best(self, joint: int, step: float) -> Block | None:
+        """Return the rows between two that gain most from a step, to either side."""
+        there, n = {sign: self._moved(joint, sign * step) for sign in (1, -1)}, len(self.rows)
+        if n < 2 * FEWEST or any(not np.isfinite(moved).all() for moved in there.values()):
+            return None
+        sums = {sign: self._sums(moved) for sign, moved in there.items()}
+        best: tuple[float, int, int, int] | None = None
+        for sign, (along, square, parts) in sums.items():
+            gram = parts @ parts.T
+            own = np.diag(gram)
+            gain = 2 * (along - along[:, None]) - (square - square[:, None]) + own + own[:, None] - 2 * gram
+            size = np.arange(n + 1) - np.arange(n + 1)[:, None]
+            gain[(size < FEWEST) | (size > n - FEWEST)] = -np.inf
+            begin, end = np.unravel_index(gain.argmax(), gain.shape)
+            if best is None or gain[begin, end] > best[0]:
+                best = (float(gain[begin, end]), sign, int(begin), int(end))
+        if best is None:
+            return None
+        gain, sign, begin, end = best
+        rows = np.zeros(len(self.data), dtype=bool)
+        rows[self.rows[begin] : self.rows[end - 1] + 1] = True
+        return Block(joint, sign * step, rows, gain)
+
+    def _moved(self, joint: int, step: float) -> np.ndarray:
+        """Return how a step of the reading moves what is predicted, shape (n_rows, 3), in standard deviations."""
+        read = changed(self.data, joint, self.data.joints[self.rows, joint] + step, self.rows)
+        return np.asarray((self.reference.fit.predicted(read) - self.predicted) / LEAST_GROSS)
+
+    def _sums(self, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return, of all rows before each (n_rows + 1,), how far a step goes along the errors, its square, and its fitted parts."""
+        along, square = (moved * self.left).sum(axis=1), (moved**2).sum(axis=1)
+        parts = np.einsum("nip,ni->np", self.fitted, moved)
+        added = (
+            np.concatenate([np.zeros((1, *own.shape[1:])), np.cumsum(own, axis=0)]) for own in (along, square, parts)
+        )
+        first, second, third = added
+        return first, second, third
