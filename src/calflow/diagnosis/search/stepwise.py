@@ -47,12 +47,9 @@ class Stepwise(Generic[H]):
     say: Callable[[str], None]
     advance: Callable[[float], None]
 
-    def best(self, start: Trial[H], *known: Trial[H]) -> tuple[Trial[H], list[Trial[H]]]:
-        """Return the best model and all that were tried: steps and exchanges, until nothing changes.
-
-        start has no causes; known is a model to go on from, if there is one.
-        """
-        tried = [start, *known]
+    def best(self, start: Trial[H]) -> tuple[Trial[H], list[Trial[H]]]:
+        """Return the best model and all that were tried: steps and exchanges, until nothing changes."""
+        tried = [start]
         best = self.settled(tried)
         while better := self.improved(best, tried):
             best = better

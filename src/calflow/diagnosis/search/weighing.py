@@ -22,7 +22,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.fitted_trial import FittedTrial
 from calflow.diagnosis.search.linearisation import Finding, Linearisation
 from calflow.diagnosis.search.stepwise import Stepwise, words
-from calflow.diagnosis.search.trial import same
+from calflow.diagnosis.search.trial import Trial, same
 from calflow.diagnosis.search.unnamed import unnamed
 from calflow.effects.cause import Cause
 
@@ -87,8 +87,9 @@ def _searched(
     if not beside.causes and start.background is not None:
         first = Linearisation.at(start, catalogue).screened(rng, family)
     known = [FittedTrial(family, beside, catalogue)] if beside.causes else []
+    tried: list[Trial[Cause]] = [FittedTrial(family, start, catalogue), *known]
     search = Stepwise(acceptance, first, rng, say, lambda share: None)
-    best, tried = search.best(FittedTrial(family, start, catalogue), *known)
+    best = search.settled(tried)
     for trial in known:
         more = len(best.causes) - len(trial.causes)
         if more > 0 and search.stands(trial) and best.bic > trial.bic - SPLIT * more:
