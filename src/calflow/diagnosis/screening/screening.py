@@ -20,7 +20,7 @@ from scipy.stats import f as f_distribution
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.regressors import Candidate, Regressors
 
-MATERIAL = 0.02  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
+MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
 INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
 TAIL = 3.0  # prior standard deviations
 DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
