@@ -76,5 +76,5 @@ def _together(fitted: Fitted) -> list[Remainder]:
 
 def _of_poses(fitted: Fitted) -> list[Remainder]:
     """What the rows of a pose share: its markers err alike."""
-    regressors = replace(fitted, background=None).regressors(())
+    regressors = fitted.alone
     return [Remainder((POSE,), regressors.shared_p, ())] if regressors.shared < 1 else []

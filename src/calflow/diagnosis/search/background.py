@@ -138,7 +138,7 @@ class Sizes:
     @staticmethod
     def beside(fitted: Fitted, basis: Basis) -> Sizes:
         """Take a fitted model's own parameters out of the modes."""
-        return Sizes.of(replace(fitted, background=None).regressors(()), basis, fitted.problem.weight)
+        return Sizes.of(fitted.alone, basis, fitted.problem.weight)
 
     @staticmethod
     def of(regressors: Regressors[Cause], basis: Basis, weight: np.ndarray) -> Sizes:

@@ -7,7 +7,7 @@ one Jacobian, without a refit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import t as student
@@ -67,7 +67,7 @@ def _halved(places: np.ndarray, levels: int) -> np.ndarray:
 
 def carried_over(fitted: Fitted, cause: Cause, kinds: list[np.ndarray]) -> CarriedOver:
     """Predict each block (n_rows,) of each kind from the others, with a cause of the model and without it."""
-    regressors = replace(fitted, background=None).regressors(())
+    regressors = fitted.alone
     free = np.flatnonzero(~fitted.fit.at_bound)
     own = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
     value = fitted.fit.estimate[free][own]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -62,6 +63,11 @@ class Fitted:
         correlation = self.background.correlation(problem.weight) if self.background else None
         return Regressors.of(self.fit, problem, effects, self.poses, correlation)
 
+    @cached_property
+    def alone(self) -> Regressors[Cause]:
+        """The model linearised without any other effect, against independent noise: what many tests ask of the same fit."""
+        return replace(self, background=None).regressors(())
+
     @property
     def far(self) -> np.ndarray:
         """By how much rows count less than the device's noise says, at least 1, shape (n_rows,)."""
@@ -74,7 +80,7 @@ class Fitted:
 
         Shape (n_parameters, n_parameters); the sandwich of White (1980), with the covariance of what may be left between.
         """
-        regressors = replace(self, background=None).regressors(())
+        regressors = self.alone
         if self.possible is None and regressors.shared == 1:
             return self.fit.covariance
         jacobian, prior = regressors.jacobian, np.diag(regressors.precision)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from calflow.diagnosis.screening.regressors import Regressors
@@ -25,7 +23,7 @@ def unnamed(fitted: Fitted, basis: Basis, variants: Variants) -> dict[Cause, flo
     """
     if not fitted.causes:
         return {}
-    regressors = replace(fitted, background=None).regressors(())
+    regressors = fitted.alone
     free = np.flatnonzero(~fitted.fit.at_bound)
     value = fitted.fit.estimate[free]
     weight = fitted.problem.weight
