@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -21,17 +22,23 @@ from calflow.effects.cause import Cause
 
 @dataclass(frozen=True)
 class Extended:
-    """The extended model, its findings, the models on the way (one a finding), and the first screening."""
+    """The extended model, its findings, the models that the search fitted, and the first screening."""
 
     fitted: Fitted
     findings: tuple[Finding[Cause], ...]
-    path: tuple[Fitted, ...]
+    trail: tuple[Fitted, ...]
     first: Screened[Cause]
+
+    @cached_property
+    def path(self) -> tuple[Fitted, ...]:
+        """The models on the way, one a cause: those with the first causes, fitted where the search did not, and the last."""
+        causes = self.fitted.causes
+        shorter = [among(self.trail, causes[:k]) for k in range(1, len(causes))]
+        return (*shorter, self.fitted) if causes else ()
 
     def weighed(self, sigma: np.ndarray) -> Extended:
         """Fit the extended model anew with another noise (n_rows,) [m] of the rows."""
-        fitted = self.fitted.weighed(sigma)
-        return replace(self, fitted=fitted, path=(*self.path[:-1], fitted) if self.path else ())
+        return replace(self, fitted=self.fitted.weighed(sigma))
 
 
 def extend(
@@ -54,9 +61,8 @@ def extend(
 def extended(found: Trial[Cause], every: list[Trial[Cause]], first: Screened[Cause]) -> Extended:
     """Return what a search ended with, found being its best trial of every one."""
     best, tried = cast(tuple[FittedTrial, list[FittedTrial]], (found, every))  # trials lead to trials of their own kind
-    trail = [trial.fitted for trial in tried]
-    path = tuple(among(trail, best.causes[: k + 1]) for k in range(len(best.causes)))
-    return Extended(best.fitted, verified(best, tried), path, first)
+    trail = tuple(trial.fitted for trial in tried)
+    return Extended(best.fitted, verified(best, tried), trail, first)
 
 
 def weighed_against(known: Extended, catalogue: Catalogue) -> Extended:
