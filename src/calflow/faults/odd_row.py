@@ -25,7 +25,7 @@ def odd_rows(result: Fit, data: Measurements, found: Studentised) -> tuple[np.nd
     for size in np.unique(found.units[used]):
         alike = used & (found.units == size)
         values = found.values[alike]
-        odd[alike] = length[alike] > limit_of_length(values[~np.isnan(values)], int(size), int(alike.sum()))
+        odd[alike] = length[alike] > limit_of_length(values[~np.isnan(values)].reshape(-1, int(size)))
     error = errors(result.model, result.estimate, data)
     odd &= ~together(data, np.nan_to_num(error), odd)
     if not 0 < odd.sum() <= MOST * used.sum():
