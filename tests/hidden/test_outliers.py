@@ -14,7 +14,7 @@ ROWS, SIGMAS = (37, 90), (12.0, 30.0)
 
 def test_rows_twelve_and_thirty_standard_deviations_off_are_found(tmp_path):
     """Fails if one of two bad rows of 120 is missed, a good one is flagged, lines are wrong, or a cause is blamed for them."""
-    case = Case(columns=("approach",), settings=FEW)
+    case = Case(columns=("approach",), payloads=("none",), effects=("geometry",), settings=FEW)
     write_case(tmp_path / "case", case, np.random.default_rng(51))
     path = tmp_path / "case" / "measurements.csv"
     table, rng = pd.read_csv(path), np.random.default_rng(52)
