@@ -181,7 +181,7 @@ class Model:
     def position_jacobian(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Return the positions' derivatives, shape (n_rows, 3, n_parameters)."""
         stacked = self._over_rows("jacobian", p, rows)[0]
-        return stacked.T.reshape(rows.shape[1], 3, -1)
+        return stacked.T.reshape(rows.shape[1], 3, len(p))
 
     def point_jacobian(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Return the points' derivatives, shape (n_rows, 3, n_parameters)."""
