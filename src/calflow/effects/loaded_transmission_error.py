@@ -13,7 +13,7 @@ import numpy as np
 from calflow.effects.base import Words
 from calflow.effects.joint_error import TRANSMISSION, JointError, Term, phases
 from calflow.effects.needs import unmet
-from calflow.effects.warming import REFERENCE, SPREAD
+from calflow.effects.warming import REFERENCE, temperature_measured
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques
@@ -52,7 +52,7 @@ class LoadedTransmissionError(JointError):
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return few orders, each with what it can grow with in these data."""
         grows = [False] if not unmet(("torques",), robot, data.given) else []
-        grows += [True] if _measured(data) else []
+        grows += [True] if temperature_measured(data) else []
         orders = [(order, False) for order in ORDERS]
         orders += [(1, True)] if any(joint.gear_ratio for joint in robot.joints) else []
         return tuple(cls(robot, order, geared, warm) for warm in grows for order, geared in orders)
@@ -61,7 +61,11 @@ class LoadedTransmissionError(JointError):
     def lacking(cls, robot: Robot, data: Measurements) -> str:
         """Say that neither torques nor temperatures are there."""
         missing = unmet(("torques",), robot, data.given)
-        return f"{missing[0]}, or a column temperature_degC (that changes)" if missing and not _measured(data) else ""
+        return (
+            f"{missing[0]}, or a column temperature_degC (that changes)"
+            if missing and not temperature_measured(data)
+            else ""
+        )
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return the orders next to this one: what turns with a joint repeats a whole number of times."""
@@ -100,7 +104,3 @@ class LoadedTransmissionError(JointError):
         if self.warm:
             return (row.temperature - REFERENCE) / WARMER if row.temperature.nnz() else ca.SX(0)
         return state.torque[joint] / self.rated[joint]
-
-
-def _measured(data: Measurements) -> bool:
-    return "temperature" in data.given and float(data.table["temperature"].std()) > SPREAD

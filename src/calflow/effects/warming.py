@@ -35,13 +35,13 @@ class Warming(Effect):
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return growth with the temperature, or a choice of time constants."""
-        found = (cls(robot),) if _measured(data) else ()
+        found = (cls(robot),) if temperature_measured(data) else ()
         return (*found, *(cls(robot, constant) for constant in WARM_UPS)) if "time" in data.given else found
 
     @classmethod
     def lacking(cls, robot: Robot, data: Measurements) -> str:
         """Say that neither temperature nor time is there."""
-        known = _measured(data) or "time" in data.given
+        known = temperature_measured(data) or "time" in data.given
         return "" if known else "a column temperature_degC (that changes), or time_s"
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
@@ -68,5 +68,6 @@ class Warming(Effect):
         return Variable("temperature above 20 degC", "K", lambda state, row: row.temperature - REFERENCE)
 
 
-def _measured(data: Measurements) -> bool:
+def temperature_measured(data: Measurements) -> bool:
+    """Whether a thermometer tells of anything that could warm up."""
     return "temperature" in data.given and float(data.table["temperature"].std()) > SPREAD

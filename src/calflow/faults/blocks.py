@@ -58,7 +58,9 @@ class Linear:
         factor = np.linalg.cholesky(np.linalg.inv(jacobian.T @ jacobian + np.eye(len(prior))))
         fitted = jacobian @ factor
         left = at_nominal - fitted @ (fitted.T @ at_nominal)
-        return Linear(data, here, predicted, fitted.reshape(len(here), 3, fitted.shape[-1]), left.reshape(-1, 3), reference)
+        return Linear(
+            data, here, predicted, fitted.reshape(len(here), 3, fitted.shape[-1]), left.reshape(-1, 3), reference
+        )
 
     def best(self, joint: int, step: float) -> Block | None:
         """Return the rows between two that gain most from a step, to either side."""
