@@ -10,7 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
+from calflow.measurements.measurements import Measurements
 from calflow.model import BLOCK_ROWS, Model, build
+from calflow.observations import observations
 from calflow.robot.robot import Robot
 
 MARKERS = {
@@ -85,6 +87,17 @@ def test_many_rows_equal_single_ones() -> None:
     assert np.array_equal(found, np.vstack([model.position(p, part) for part in np.array_split(rows, 7, axis=1)]))
     for k in some[:5]:
         assert np.array_equal(derivative[k], model.position_jacobian(p, rows[:, [k]])[0])
+
+
+def test_no_rows_have_no_derivatives() -> None:
+    """Fails if a study that holds nothing out ends in an error where its held-out rows are predicted."""
+    robot = robots.ur10()
+    (observed,) = observations(Measurements.from_arrays(robot, robots.poses(robot, 1), None))
+    model = build(robot, ["geometry"], (), (observed,))
+    none, p = np.zeros((model.n_conditions, 0)), model.nominal
+    shape = (0, 3, len(model.parameters))
+    assert model.observed_jacobian(observed, p, none, np.zeros((observed.reports, 0))).shape == shape
+    assert model.point_jacobian(p, none).shape == model.rotation_jacobian(p, none).shape == shape
 
 
 def test_whole_numbers_are_numbers() -> None:

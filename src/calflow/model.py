@@ -21,7 +21,7 @@ from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nomi
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State, state
-from calflow.robot.transforms import apply, placement
+from calflow.robot.transforms import apply, placement, turning
 
 # Each turn shrinks the distance to equilibrium by about the wind-up angle (some 1e-3), so three reach nanometres.
 EQUILIBRIUM_TURNS = 3
@@ -185,7 +185,11 @@ class Model:
 
     def point_jacobian(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Return the points' derivatives, shape (n_rows, 3, n_parameters)."""
-        return self._over_rows("point_jacobian", p, rows)[0].T.reshape(rows.shape[1], 3, -1)
+        return self._over_rows("point_jacobian", p, rows)[0].T.reshape(rows.shape[1], 3, len(p))
+
+    def rotation_jacobian(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return how the tool turns about its own axes by each parameter, shape (n_rows, 3, n_parameters)."""
+        return self._over_rows("rotation_jacobian", p, rows)[0].T.reshape(rows.shape[1], 3, len(p))
 
     def observed_error(
         self, observation: Observation, p: np.ndarray, rows: np.ndarray, reported: np.ndarray
@@ -198,7 +202,7 @@ class Model:
     ) -> np.ndarray:
         """Return the derivatives of `observed_error`, shape (n_rows, n_units, n_parameters)."""
         stacked = self._over_rows(self._observed(observation, "slope"), p, rows, reported)[0]
-        return stacked.T.reshape(rows.shape[1], len(observation.units), -1)
+        return stacked.T.reshape(rows.shape[1], len(observation.units), len(p))
 
     def _observed(self, observation: Observation, what: str) -> str:
         """Name the function of (p, conditions, reported) for an observation's error or its derivatives, made when first asked."""
@@ -238,6 +242,7 @@ class Model:
                 "jacobian": lambda: ca.jacobian(predicted.position, p).T,
                 "point": lambda: predicted.point,
                 "point_jacobian": lambda: ca.jacobian(predicted.point, p).T,
+                "rotation_jacobian": lambda: turning(predicted.rotation, p).T,
                 "closure": lambda: predicted.closure,
             }[name]()
             self._functions[name] = ca.Function(name, [p, c], [ca.densify(output)])

@@ -13,6 +13,7 @@ from calflow.effects.base import Effect, Words
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions, nominal_dimensions
 from calflow.robot.frames import places
+from calflow.robot.origins import left_out
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.transforms import placement
@@ -36,6 +37,12 @@ FIGURES = {  # by symbol of a frame's step
     "theta": "zero of joint {link}",
     "a": "length a of link {link}",
     "d": "length d of link {link}",
+    "x": "place of joint {link} along x of link {before}",
+    "y": "place of joint {link} along y of link {before}",
+    "z": "place of joint {link} along z of link {before}",
+    "rx": "tilt of the axis of joint {link} about x of its frame",
+    "ry": "tilt of the axis of joint {link} about y of its frame",
+    "rz": "tilt of the axis of joint {link} about z of its frame",
 }
 
 
@@ -89,6 +96,12 @@ class Geometry(Effect):
             markers[:, k] = first + turn @ (dims.markers[:, k] - dims.markers[:, 0]) + own
         return replace(moved, markers=markers)
 
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """The figures of joints stated by full origins that are no parameters, since others do the same whatever the pose."""
+        frames = enumerate(self.robot.frames, start=1)
+        return tuple(f"joint{i}.{symbol}" for i, frame in frames for symbol in left_out(frame))
+
     @cached_property
     def errors(self) -> tuple[DimensionError, ...]:
         """Each parameter with the figure that it changes."""
@@ -115,7 +128,9 @@ def _base(robot: Robot) -> Iterator[DimensionError]:
 def _links(robot: Robot) -> Iterator[DimensionError]:
     for i, (frame, place) in enumerate(zip(robot.frames, places(robot.n_joints), strict=True)):
         for step in frame.free(place):
-            words = FIGURES.get(step.symbol, f"{step.symbol} of the frame of joint {{link}}").format(link=i + 1)
+            words = FIGURES.get(step.symbol, f"{step.symbol} of the frame of joint {{link}}").format(
+                link=i + 1, before=i
+            )
             parameter = Parameter(Geometry.id, f"joint{i + 1}", step.symbol, step.unit, LINK_SD, -LINK_BOUND, LINK_BOUND,
                                   figure=step.value, meaning=words, joint=i + 1)  # fmt: skip
             yield DimensionError(parameter, "steps", robot.step_index(i, step.symbol))

@@ -20,6 +20,7 @@ from calflow.files.units import LARGEST, SUFFIXES, split_unit, to_si
 # What pydantic's types are called in the words of a TOML file.
 _EXPECTED = {
     "bool_type": "expected true or false",
+    "date_type": "expected a date without quotes, such as 2025-11-22",
     "dict_type": "expected a table",
     "finite_number": "expected a finite number",
     "float_type": "expected a number",
@@ -141,6 +142,16 @@ def read_toml(path: Path, kind: type[File]) -> File:
     Raises:
         InputError: the file cannot be read or is not TOML, or with all that is wrong in it.
     """
+    raw, origin = parse_toml(path)
+    return validate(raw, kind, origin)
+
+
+def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
+    """Return what a TOML file holds, and where it was written.
+
+    Raises:
+        InputError: the file cannot be read or is not TOML.
+    """
     try:
         text = read_text(path)
         raw = tomllib.loads(text)
@@ -156,7 +167,7 @@ def read_toml(path: Path, kind: type[File]) -> File:
     long = [where for where in _long(raw) if where]
     if long:
         raise InputError(_counted(long, lambda where: origin.problem(TOO_LONG, *where)))
-    return validate(raw, kind, origin)
+    return raw, origin
 
 
 def read_text(path: Path) -> str:

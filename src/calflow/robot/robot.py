@@ -15,7 +15,7 @@ import numpy as np
 from calflow.files.problems import InputError
 from calflow.robot import summary
 from calflow.robot.checks import joint_problems, other_problems
-from calflow.robot.formats import robot_toml
+from calflow.robot.formats import robot_file, robot_toml, urdf
 from calflow.robot.frames import Frame, Step, kinematics
 from calflow.robot.parts import STANDARD_GRAVITY, Base, Coupling, FourBar, Joint, Marker, Named, Part, Payload, Vector
 
@@ -53,6 +53,18 @@ class Robot(Part):
         if problems:
             raise InputError(dataclasses.replace(one, key=f"robot '{self.name}': {one.key}") for one in problems)
 
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        """Worked out once: what is made of a robot is looked up by it."""
+        return hash(tuple(getattr(self, one.name) for one in dataclasses.fields(self)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Only what it holds is pickled: what was worked out of it, as its hash, is this process's."""
+        return {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
+
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read a robot file.
@@ -60,7 +72,19 @@ class Robot(Part):
         Raises:
             InputError: with all that is wrong in it.
         """
-        return cls(**robot_toml.read(Path(path)))
+        return cls(**robot_file.read(Path(path)))
+
+    @classmethod
+    def from_urdf(cls, path: str | Path, tip: str | None = None, base_link: str | None = None, **stated: Any) -> Self:
+        """Read the chain from a base link to a tip link of a URDF; stated replaces or adds fields of the robot.
+
+        base_link is the root unless said otherwise, tip the one link that ends the tree where there is only one. The flange is
+        the tip, where a marker of its name stands if no others are stated. Links' masses and centres are the file's.
+
+        Raises:
+            InputError: with all that is wrong in the file.
+        """
+        return cls(**(urdf.read(Path(path), tip, base_link) | stated))
 
     def to_toml(self, path: str | Path) -> None:
         """Write a robot file that reads back equal.
@@ -68,7 +92,15 @@ class Robot(Part):
         Raises:
             InputError: the robot's frames follow no convention that a robot file can state.
         """
-        robot_toml.write(Path(path), {one.name: getattr(self, one.name) for one in dataclasses.fields(self)})
+        Path(path).write_text(self.toml_text(), encoding="utf-8")
+
+    def toml_text(self) -> str:
+        """Return what `to_toml` writes.
+
+        Raises:
+            InputError: the robot's frames follow no convention that a robot file can state.
+        """
+        return robot_toml.text({one.name: getattr(self, one.name) for one in dataclasses.fields(self)})
 
     def canonical(self) -> str:
         """Return all that it holds as JSON, the same for equal robots."""

@@ -52,6 +52,13 @@ def placement(v: ca.SX | ca.DM) -> ca.SX:
     return translation(v[0], v[1], v[2]) @ rot_x(v[3]) @ rot_y(v[4]) @ rot_z(v[5])
 
 
+def turning(rotation: ca.SX, by: ca.SX) -> ca.SX:
+    """Return how a rotation (3, 3) turns about its own axes by each symbol, shape (3, n) [rad per unit]."""
+    x, y, z = (rotation[:, k] for k in range(3))
+    slope = ca.jacobian(ca.vec(rotation), by)
+    return ca.vertcat(z.T @ slope[3:6, :], x.T @ slope[6:, :], y.T @ slope[:3, :])
+
+
 def apply(transform: ca.SX, point: ca.SX) -> ca.SX:
     """Return the point (3,) moved by the transform."""
     return transform[:3, :3] @ point + transform[:3, 3]

@@ -2,34 +2,105 @@
 
 from __future__ import annotations
 
+import json
 import re
+import tempfile
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 
 from calflow.files.problems import InputError, Problem, refuse
+from calflow.robot.formats import urdf
+from calflow.robot.formats.urdf_document import read_document
+from calflow.robot.frames import places
+from calflow.robot.robot import Robot
+from calflow.templates import library
 
 FILES = ("robot.toml", "study.toml", "truth.toml")
+ERRORS_MRAD = (1.2, -0.9)  # of two joints' zeros, to be found again
 
 
-def write_study(folder: Path) -> list[Path]:
+def write_study(folder: Path, robot: str = "", tip: str | None = None, base: str | None = None) -> list[Path]:
     """Write a new study's files into a folder and return their paths.
 
+    robot is the name of one of the library (see `library`), or the path of a URDF, which is copied and whose tip and base are
+    the links of `Robot.from_urdf`; without one it is an example to be replaced.
+
     Raises:
-        InputError: one of them is there already.
+        InputError: one of the files is there already, there is no such robot, or the URDF is at fault.
     """
     if folder.exists() and not folder.is_dir():
         raise refuse("is a file; expected a folder, which may not exist yet", folder)
-    there = [folder / name for name in FILES if (folder / name).exists()]
+    study = re.sub(r"^\W+|[^\w.-]+", "-", folder.resolve().name).strip("-") or "study"
+    texts = _texts(study, robot, tip, base)
+    there = [folder / name for name in texts if (folder / name).exists()]
     if there:
         raise InputError(Problem("is there already; nothing was written", path) for path in there)
     folder.mkdir(parents=True, exist_ok=True)
-    study = re.sub(r"^\W+|[^\w.-]+", "-", folder.resolve().name).strip("-") or "study"
     try:
-        for name in FILES:
-            text = resources.files(__name__).joinpath(name).read_text(encoding="utf-8")
-            (folder / name).write_text(text.replace("STUDY_NAME", study), encoding="utf-8")
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
     except OSError:
-        for name in FILES:
+        for name in texts:
             (folder / name).unlink(missing_ok=True)
         raise
-    return [folder / name for name in FILES]
+    return [folder / name for name in texts]
+
+
+def _texts(study: str, robot: str, tip: str | None, base: str | None) -> dict[str, str]:
+    """Each file's text by its name."""
+    if robot.lower().endswith(urdf.SUFFIX):
+        described = _of_urdf(Path(robot), tip, base)
+    elif tip is not None or base is not None:
+        raise refuse(f"tip and base are links of a URDF: expected --robot FILE{urdf.SUFFIX}")
+    elif robot:
+        described = {"robot.toml": library.text(robot)}
+    else:
+        return {name: _filled(_template(name), {"STUDY_NAME": study}) for name in FILES}
+    return described | _asked(study, described)
+
+
+def _of_urdf(path: Path, tip: str | None, base: str | None) -> dict[str, str]:
+    """The robot file of a robot that a URDF states, and that URDF."""
+    chain = urdf.find_chain(read_document(path), tip, base)
+    names = [joint.name for joint in chain.moving]
+    said = {
+        "ROBOT_NAME": json.dumps(chain.document.name),
+        "URDF_FILE": json.dumps(path.name),
+        "URDF_BASE": json.dumps(chain.base),
+        "URDF_TIP": json.dumps(chain.tip),
+        "JOINTS": "\n".join(f"#   {i}  {name}" for i, name in enumerate(names, start=1)),
+        "FIRST_JOINT": json.dumps(names[0]),
+    }
+    text = path.read_text(encoding="utf-8-sig")
+    return {"robot.toml": _filled(_template("given/urdf.toml"), said), path.name: text}
+
+
+def _asked(study: str, described: Mapping[str, str]) -> dict[str, str]:
+    """The study and truth files for a robot that some files describe."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name, text in described.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        robot = Robot.from_toml(Path(folder) / "robot.toml")
+    frames = enumerate(zip(robot.frames, places(robot.n_joints), strict=True), start=1)
+    turning = [i for i, (frame, place) in frames if place in frame.turn.free]
+    values = [
+        f"[values.joint{i}]\n{robot.frames[i - 1].turn.symbol}_mrad = {error}"
+        for i, error in zip(turning, ERRORS_MRAD, strict=False)
+    ]
+    effects = '["geometry", "joint-compliance"]      # leave the second out where the masses are not to be trusted'
+    said = {
+        "STUDY_NAME": study,
+        "EFFECTS": effects if robot.has_masses else '["geometry"]',
+        "VALUES": "\n\n".join(values),
+    }
+    return {name: _filled(_template(f"given/{name}"), said) for name in ("study.toml", "truth.toml")}
+
+
+def _template(name: str) -> str:
+    return resources.files(__name__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _filled(text: str, said: Mapping[str, str]) -> str:
+    """A text with what is said in the place of each word."""
+    return re.sub("|".join(said), lambda found: said[found[0]], text)

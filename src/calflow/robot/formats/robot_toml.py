@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from calflow.files.problems import InputError, Problem, shortened
-from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Mass, Moment, read_toml
+from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Mass, Moment
 from calflow.files.units import SUFFIXES, to_si
 from calflow.robot.frames import CONVENTIONS, convention_of, follows
 from calflow.robot.parts import STANDARD_GRAVITY, Bar, Base, Coupling, FourBar, Joint, Marker, Payload
@@ -23,16 +22,10 @@ UPRIGHT = 0.5  # cosine of a slide's angle to gravity from which it is no rail
 Limits = tuple[float, float] | None
 
 
-class JointTable(FileModel):
-    """One joint and the link it moves: five figures of its frame, limits, drive and mass."""
+class DriveTable(FileModel):
+    """What drives a joint, its limits and the mass of its link."""
 
     name: str = ""
-    kind: Literal["revolute", "prismatic"] = "revolute"
-    alpha: Angle = 0.0
-    a: Length = 0.0
-    d: Length = 0.0
-    theta: Angle = 0.0
-    beta: Angle = 0.0
     sign: Literal[1, -1] = 1
     limits_deg: Limits = None
     limits_mm: Limits = None
@@ -51,25 +44,53 @@ class JointTable(FileModel):
         return limits
 
     @model_validator(mode="after")
-    def _limits_of_its_kind(self) -> JointTable:
-        turns, slides = self.limits_deg or self.limits_rad, self.limits_mm or self.limits_m
-        if self.kind == "prismatic" and (slides is None or turns is not None):
-            raise ValueError("a prismatic joint needs limits_mm, and no limits_deg")
-        if self.kind == "revolute" and slides is not None:
-            raise ValueError("a revolute joint has limits_deg, not limits_mm")
+    def _limits_once(self) -> Self:
         if (self.limits_deg and self.limits_rad) or (self.limits_mm and self.limits_m):
             raise ValueError("'limits' is given twice, in different units")
+        return self
+
+    @property
+    def turns(self) -> Limits:
+        """The limits of an angle, as they are given; None where none are."""
+        return self.limits_deg or self.limits_rad
+
+    @property
+    def slides(self) -> Limits:
+        """The limits of a position, as they are given; None where none are."""
+        return self.limits_mm or self.limits_m
+
+    @property
+    def limits(self) -> Limits:
+        """The limits in SI."""
+        if self.limits_deg or self.limits_mm:
+            low, high = self.limits_deg or self.limits_mm or (0.0, 0.0)
+            return _in_si("deg" if self.limits_deg else "mm", low), _in_si("deg" if self.limits_deg else "mm", high)
+        return self.limits_rad or self.limits_m
+
+
+class JointTable(DriveTable):
+    """One joint and the link it moves: five figures of its frame, and what drives it."""
+
+    kind: Literal["revolute", "prismatic"] = "revolute"
+    alpha: Angle = 0.0
+    a: Length = 0.0
+    d: Length = 0.0
+    theta: Angle = 0.0
+    beta: Angle = 0.0
+
+    @model_validator(mode="after")
+    def _limits_of_its_kind(self) -> Self:
+        if self.kind == "prismatic" and (self.slides is None or self.turns is not None):
+            raise ValueError("a prismatic joint needs limits_mm, and no limits_deg")
+        if self.kind == "revolute" and self.slides is not None:
+            raise ValueError("a revolute joint has limits_deg, not limits_mm")
         return self
 
     def part(self, convention: str) -> Joint:
         """Return the joint."""
         frame = CONVENTIONS[convention](alpha=self.alpha, a=self.a, d=self.d, theta=self.theta, beta=self.beta)
-        limits = self.limits_rad or self.limits_m
-        if self.limits_deg or self.limits_mm:
-            low, high = self.limits_deg or self.limits_mm or (0.0, 0.0)
-            limits = _in_si("deg" if self.limits_deg else "mm", low), _in_si("deg" if self.limits_deg else "mm", high)
-        same = ("kind", "sign", "gear_ratio", "rated_torque", "mass", "com", "name")
-        return Joint(frame, limits=limits, **{name: getattr(self, name) for name in same})
+        same = ("kind", "limits", "sign", "gear_ratio", "rated_torque", "mass", "com", "name")
+        return Joint(frame, **{name: getattr(self, name) for name in same})
 
 
 class BarTable(FileModel):
@@ -140,17 +161,13 @@ class CouplingTable(FileModel):
     factor: float
 
 
-class RobotFile(FileModel):
-    """A robot file as written."""
+class Surroundings(FileModel):
+    """What a robot file says besides the joints, whatever file states those."""
 
-    name: str
+    name: str = ""
     notes: str = ""
-    convention: Literal["dh", "modified-dh"]
-    gravity: tuple[float, float, float] = STANDARD_GRAVITY
+    gravity: tuple[float, float, float] | None = None
     base: BaseTable = BaseTable()
-    joints: tuple[JointTable, ...] = Field(min_length=1)
-    couplings: tuple[CouplingTable, ...] = ()
-    loop: LoopTable | None = None
     tool_rotation: Angles3 | None = None
     payloads: dict[str, PayloadTable] = {}
     markers: dict[str, MarkerTable] = Field(default={}, validate_default=True)
@@ -165,6 +182,26 @@ class RobotFile(FileModel):
         if next(iter(markers.values())).relative_sd:
             raise ValueError("the first marker has no relative_sd: the others' places are relative to it")
         return markers
+
+    def around(self) -> dict[str, Any]:
+        """Return the fields of the robot that it states."""
+        return {
+            "notes": self.notes,
+            "base": Base(**vars(self.base)),
+            "tool_rotation": self.tool_rotation,
+            "payloads": {name: Payload(**vars(payload)) for name, payload in self.payloads.items()},
+            "markers": {name: Marker(**vars(marker)) for name, marker in self.markers.items()},
+        }
+
+
+class RobotFile(Surroundings):
+    """A robot file as written."""
+
+    name: str
+    convention: Literal["dh", "modified-dh"]
+    joints: tuple[JointTable, ...] = Field(min_length=1)
+    couplings: tuple[CouplingTable, ...] = ()
+    loop: LoopTable | None = None
 
     @field_validator("couplings")
     @classmethod
@@ -190,7 +227,7 @@ class RobotFile(FileModel):
         upright = first.kind == "prismatic" and (
             self.convention == "dh" or abs(np.cos(first.alpha) * np.cos(first.beta)) > UPRIGHT
         )
-        if upright and "gravity" not in self.model_fields_set:
+        if upright and self.gravity is None:
             raise ValueError(
                 "missing: expected gravity, in the base's axes: the first joint slides along the base's z, along which gravity "
                 "acts where nothing is said; of a lift state [0, 0, -9.80665], of a rail e.g. [0, -9.80665, 0]"
@@ -200,16 +237,12 @@ class RobotFile(FileModel):
     def fields(self) -> dict[str, Any]:
         """Return the fields of the robot that the file states."""
         return {
+            **self.around(),
             "name": self.name,
-            "notes": self.notes,
-            "gravity": self.gravity,
+            "gravity": self.gravity or STANDARD_GRAVITY,
             "joints": tuple(joint.part(self.convention) for joint in self.joints),
-            "base": Base(**vars(self.base)),
             "couplings": tuple(Coupling(**vars(coupling)) for coupling in self.couplings),
             "loop": self.loop and self.loop.part(),
-            "tool_rotation": self.tool_rotation,
-            "payloads": {name: Payload(**vars(payload)) for name, payload in self.payloads.items()},
-            "markers": {name: Marker(**vars(marker)) for name, marker in self.markers.items()},
         }
 
 
@@ -219,25 +252,16 @@ def _joint_exists(joint: int, info: ValidationInfo) -> None:
         raise ValueError(f"there is no joint {joint}: this robot has joints 1 to {len(joints)}")
 
 
-def read(path: Path) -> dict[str, Any]:
-    """Read a robot file into the fields of a robot.
-
-    Raises:
-        InputError: with all that is wrong in it.
-    """
-    return read_toml(path, RobotFile).fields()
-
-
 # --- Writing -----------------------------------------------------------------------------------------
 
 
-def write(path: Path, fields: Mapping[str, Any]) -> None:
-    """Write the fields of a robot as a robot file that reads back equal.
+def text(fields: Mapping[str, Any]) -> str:
+    """Return the fields of a robot as the text of a robot file that reads back equal.
 
     Raises:
         InputError: its frames are not all of one convention.
     """
-    path.write_text("\n".join(_lines(fields)) + "\n", encoding="utf-8")
+    return "\n".join(_lines(fields)) + "\n"
 
 
 def _lines(fields: Mapping[str, Any]) -> Iterator[str]:

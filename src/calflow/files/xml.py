@@ -1,0 +1,60 @@
+"""XML as frozen elements that know their line, so that every problem can be told with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from xml.parsers import expat
+
+from calflow.files.problems import refuse
+from calflow.files.toml import read_text
+
+
+@dataclass(frozen=True)
+class Element:
+    """An element: its tag, attributes, the line it starts in, and the elements inside it; text is left out."""
+
+    tag: str
+    attributes: Mapping[str, str]
+    line: int
+    inside: tuple[Element, ...]
+
+    def all(self, tag: str) -> Iterator[Element]:
+        """Return the elements of a tag directly inside it."""
+        return (one for one in self.inside if one.tag == tag)
+
+
+def read_xml(path: Path) -> Element:
+    """Return the root element of an XML file; entities that a file declares itself are refused.
+
+    Raises:
+        InputError: the file cannot be read or is not XML.
+    """
+    try:
+        text = read_text(path)
+    except FileNotFoundError:
+        raise refuse("no such file", path) from None
+    except (OSError, ValueError) as error:  # not UTF-8
+        raise refuse(f"cannot be read: {error}", path) from None
+    parser = expat.ParserCreate(encoding="utf-8")
+    begun: list[tuple[str, Mapping[str, str], int]] = []
+    inside: list[list[Element]] = [[]]
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        begun.append((tag, attributes, parser.CurrentLineNumber))
+        inside.append([])
+
+    def end(_: str) -> None:
+        within = tuple(inside.pop())
+        inside[-1].append(Element(*begun.pop(), within))
+
+    def entity(*_: object) -> None:
+        raise refuse("declares an entity of its own, which is not read", path, parser.CurrentLineNumber)
+
+    parser.StartElementHandler, parser.EndElementHandler, parser.EntityDeclHandler = start, end, entity
+    try:
+        parser.Parse(text.encode("utf-8"), True)
+    except expat.ExpatError as error:
+        raise refuse(f"not XML: {expat.ErrorString(error.code)}", path, error.lineno) from None
+    return inside[0][0]

@@ -1,0 +1,118 @@
+"""A rigid chain: a robot's joints as formats without a convention state them, each by its place in the one before and its axis."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from calflow.robot.frames import Motion, Step
+from calflow.robot.robot import Robot
+from calflow.robot.transforms import elementary, placement
+
+AXES: dict[str, tuple[float, float, float]] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+@dataclass(frozen=True, eq=False)
+class ChainJoint:
+    """A joint of a rigid chain.
+
+    origin (4, 4) is where it stands in the frame of the joint before, which has moved, or in the base; axis (3,) is what its
+    variable turns about, or slides along, where a reading counts as the robot's. limits are of that variable [rad, or m].
+    mass [kg] and com (3,) [m], in the joint's frame, are of what it moves; None where nobody knows.
+    """
+
+    name: str
+    kind: str
+    origin: np.ndarray
+    axis: np.ndarray
+    limits: tuple[float, float] | None
+    mass: float | None
+    com: np.ndarray
+    rated: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class RigidChain:
+    """A robot without loop and couplings: joints, base in the measuring frame, flange and tool (4, 4), markers (3,) in the flange.
+
+    flange is in the last joint's frame, tool in the flange's. A variable is the joint's own angle, or a slide's place, counted
+    as its reading is: where the robot has couplings or a loop, these lead from readings to it (see `said_of_variables`).
+    """
+
+    name: str
+    joints: tuple[ChainJoint, ...]
+    base: np.ndarray
+    flange: np.ndarray
+    tool: np.ndarray
+    markers: dict[str, np.ndarray]
+
+
+def rigid_chain(robot: Robot) -> RigidChain:
+    """Return a robot's rigid chain."""
+    joints, at, names = [], np.eye(4), _names(robot)
+    for i, joint in enumerate(robot.joints):
+        frame = joint.frame
+        moving = frame.turn if joint.kind == "revolute" else frame.slide
+        assert moving is not None
+        steps = frame.steps
+        k = steps.index(moving)
+        at = at @ along(steps[: k + 1])
+        rest = along(steps[k + 1 :])
+        limits = None
+        if joint.limits:
+            one, other = (joint.sign * limit for limit in joint.limits)
+            limits = (min(one, other), max(one, other))
+        joints.append(
+            ChainJoint(
+                names[i], joint.kind, at, joint.sign * np.array(AXES[moving.motion[1]]), limits,
+                joint.mass, (rest @ [*joint.com, 1.0])[:3], joint.rated_torque,
+            )
+        )  # fmt: skip
+        at = rest
+    base = matrix((*robot.base.origin, *robot.base.rotation))
+    tool = matrix((0.0, 0.0, 0.0, *(robot.tool_rotation or (0.0, 0.0, 0.0))))
+    markers = {name: np.array(marker.point) for name, marker in robot.markers.items()}
+    return RigidChain(robot.name, tuple(joints), base, at, tool, markers)
+
+
+def said_of_variables(robot: Robot) -> list[str]:
+    """Say where a chain's variable is not the joint's reading."""
+    said = [
+        f"joint {coupling.joint}'s variable is its own angle: reading {coupling.joint} with {coupling.factor:+g} times reading "
+        f"{coupling.source}, which this format cannot state"
+        for coupling in robot.couplings
+    ]  # fmt: skip
+    if robot.loop:
+        j = robot.loop.joint
+        said.append(
+            f"joint {j}'s variable is its own angle, which the four-bar loop makes of readings {j - 1} and {j}; this format "
+            "cannot hold the loop"
+        )
+    return said
+
+
+def _names(robot: Robot) -> list[str]:
+    """Names of the joints that every format takes: the robot file's own in letters, digits and _, else joint1 …"""
+    own = [re.sub(r"\W+", "_", joint.name, flags=re.ASCII) for joint in robot.joints]
+    return [name if name.strip("_") and own.count(name) == 1 else f"joint{i + 1}" for i, name in enumerate(own)]
+
+
+def along(steps: Sequence[Step]) -> np.ndarray:
+    """Return the transform (4, 4) of steps, one after another."""
+    at = np.eye(4)
+    for step in steps:
+        at = at @ _elementary(step.motion, step.value)
+    return at
+
+
+def matrix(six: Sequence[float]) -> np.ndarray:
+    """Return the transform (4, 4) of a shift [m] and turns about x, y and z in turn [rad]."""
+    return np.array(ca.DM(ca.evalf(placement(ca.DM(list(six))))))
+
+
+def _elementary(motion: Motion, value: float) -> np.ndarray:
+    return np.array(ca.DM(ca.evalf(ca.SX(elementary(motion, value)))))

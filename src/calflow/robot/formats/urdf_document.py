@@ -1,0 +1,344 @@
+"""A URDF document: its links and joints as they stand in the file, and what is wrong with them, all at once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from calflow.files.problems import InputError, Problem, nearest, shortened
+from calflow.files.units import LARGEST
+from calflow.files.xml import Element, read_xml
+from calflow.robot.origins import Origin
+from calflow.robot.parts import Vector, vector
+
+MOVING = ("revolute", "continuous", "prismatic")
+KINDS = (*MOVING, "fixed", "floating", "planar")
+OF_A_JOINT = ("origin", "parent", "child", "axis", "calibration", "dynamics", "limit", "mimic", "safety_controller")
+OF_A_LINK = ("inertial", "visual", "collision")
+OF_A_MASS = ("origin", "mass", "inertia")
+XACRO = "is a xacro file: expected the URDF that `xacro FILE > robot.urdf` writes"
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """A link's mass [kg] and its centre [m] in the link's frame."""
+
+    mass: float
+    com: Vector
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """Another joint that a joint follows: its variable is multiplier times the other's, and offset [rad or m] more."""
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """A joint: where it stands in its parent's frame, the direction of its axis in its own, and its limits [rad or m]."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    line: int
+    origin: Origin = field(default_factory=Origin)
+    axis: Vector = (1.0, 0.0, 0.0)
+    limits: tuple[float, float] | None = None
+    mimic: Mimic | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has a variable that calflow knows."""
+        return self.kind in MOVING
+
+
+@dataclass(frozen=True)
+class Document:
+    """A tree of links: the inertia of each, where it has one, and the joint that each hangs on."""
+
+    path: Path
+    name: str
+    links: Mapping[str, Inertia | None]
+    joints: Mapping[str, UrdfJoint]  # by name
+
+    @property
+    def root(self) -> str:
+        """The link that hangs on no joint."""
+        hung = {joint.child for joint in self.joints.values()}
+        return next(link for link in self.links if link not in hung)
+
+    @property
+    def leaves(self) -> tuple[str, ...]:
+        """The links on which no joint hangs."""
+        bearing = {joint.parent for joint in self.joints.values()}
+        return tuple(link for link in self.links if link not in bearing)
+
+    def above(self, link: str) -> list[UrdfJoint]:
+        """Return the joints on the way from the root to a link, in order."""
+        hung = {joint.child: joint for joint in self.joints.values()}
+        way: list[UrdfJoint] = []
+        while link in hung:
+            way.append(hung[link])
+            link = hung[link].parent
+        return way[::-1]
+
+
+def read_document(path: Path) -> Document:
+    """Read a URDF file.
+
+    Raises:
+        InputError: with all that is wrong in it.
+    """
+    root = read_xml(path)
+    reader = _Reader(path)
+    if root.tag != "robot":
+        reader.tell(root, "", f"expected <robot>, found <{root.tag}>")
+        raise InputError(reader.problems)
+    if any(":" in one.tag and one.tag.startswith("xacro") for one in root.inside):
+        reader.tell(root, "", XACRO)
+        raise InputError(reader.problems)
+    reader.misspelt(root, "robot", ("link", "joint", "material", "transmission", "gazebo"))
+    links = reader.named(root, "link")
+    joints = reader.named(root, "joint")
+    read = {name: reader.inertia(element, f"link '{name}'") for name, element in links.items()}
+    built = {name: reader.joint(element, name) for name, element in joints.items()}
+    document = Document(path, root.attributes.get("name", path.stem), read, built)
+    reader.problems.extend(_of_the_tree(document))
+    if reader.problems:
+        raise InputError(sorted(reader.problems, key=lambda one: one.line or 0))
+    return document
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Takes elements apart and gathers what is wrong with them; a wrong value counts as the one that URDF takes where none is."""
+
+    path: Path
+    problems: list[Problem] = field(default_factory=list)
+
+    def tell(self, element: Element, key: str, message: str) -> None:
+        """Add a problem."""
+        self.problems.append(Problem(message, self.path, element.line, key or None))
+
+    def misspelt(self, element: Element, key: str, known: Sequence[str]) -> None:
+        """Tell elements that look like a known one: what they state would be missed; others are extensions of other programs."""
+        for one in element.inside:
+            guess = nearest(one.tag, known)
+            if one.tag not in known and guess:
+                self.tell(one, key, f"unknown element <{shortened(one.tag)}>{guess}")
+
+    def attributes(self, element: Element, key: str, known: Sequence[str]) -> None:
+        """Tell attributes that are unknown: they would mean something that is not read."""
+        for name in element.attributes:
+            if name not in known:
+                self.tell(
+                    element,
+                    key,
+                    f"unknown attribute '{shortened(name)}'{nearest(name, known)}; expected {', '.join(known)}",
+                )
+
+    def named(self, root: Element, tag: str) -> dict[str, Element]:
+        """The elements of a tag by their names; those of the same name are told."""
+        found: dict[str, Element] = {}
+        for element in root.all(tag):
+            name = element.attributes.get("name", "")
+            if not name:
+                self.tell(element, tag, "missing: expected name")
+            elif name in found:
+                self.tell(element, f"{tag} '{name}'", f"is there twice, first in line {found[name].line}")
+            else:
+                found[name] = element
+        return found
+
+    def numbers(self, element: Element, key: str, name: str, default: Vector, unit: str) -> Vector:
+        """Three numbers of an attribute."""
+        text = element.attributes.get(name)
+        if text is None:
+            return default
+        values = [_number(word) for word in text.split()]
+        if len(values) != 3 or None in values:
+            self.tell(element, key, f"{name}: expected 3 finite numbers, found '{shortened(text)}'")
+            return default
+        if any(abs(value or 0.0) > LARGEST[unit] for value in values):
+            self.tell(element, key, f"{name}: expected at most {LARGEST[unit]:g}, found '{shortened(text)}'")
+            return default
+        return vector(value or 0.0 for value in values)
+
+    def number(self, element: Element, key: str, name: str, default: float | None = None) -> float | None:
+        """One number of an attribute; None where there is none, or what is there is none, which is told."""
+        text = element.attributes.get(name)
+        if text is None:
+            return default
+        value = _number(text)
+        if value is None:
+            self.tell(element, key, f"{name}: expected a finite number, found '{shortened(text)}'")
+        return value
+
+    def origin(self, element: Element, key: str) -> Origin:
+        """The origin inside an element; none is at the same place."""
+        found = self.once(element, key, "origin")
+        if found is None:
+            return Origin()
+        self.attributes(found, f"{key}: origin", ("xyz", "rpy"))
+        still = (0.0, 0.0, 0.0)
+        xyz = self.numbers(found, f"{key}: origin", "xyz", still, "length")
+        return Origin(xyz, self.numbers(found, f"{key}: origin", "rpy", still, "angle"))
+
+    def once(self, element: Element, key: str, tag: str) -> Element | None:
+        """The one element of a tag inside another."""
+        found = list(element.all(tag))
+        for again in found[1:]:
+            self.tell(again, key, f"<{tag}> is there twice, first in line {found[0].line}")
+        return found[0] if found else None
+
+    def inertia(self, element: Element, key: str) -> Inertia | None:
+        """A link's inertia."""
+        self.misspelt(element, key, OF_A_LINK)
+        inertial = self.once(element, key, "inertial")
+        if inertial is None:
+            return None
+        self.misspelt(inertial, key, OF_A_MASS)
+        com = self.origin(inertial, f"{key}: inertial").xyz
+        mass = self.once(inertial, key, "mass")
+        if mass is None or "value" not in mass.attributes:
+            self.tell(mass or inertial, f"{key}: inertial", "missing: expected <mass value=…/>")
+            return None
+        value = self.number(mass, f"{key}: mass", "value")
+        if value is not None and not 0 <= value <= LARGEST["mass"]:
+            self.tell(mass, f"{key}: mass", f"expected 0 to {LARGEST['mass']:g} kg, found {value:g}")
+            return None
+        return None if value is None else Inertia(value, com)
+
+    def joint(self, element: Element, name: str) -> UrdfJoint:
+        """A joint."""
+        key = f"joint '{name}'"
+        self.misspelt(element, key, OF_A_JOINT)
+        kind = element.attributes.get("type", "")
+        if kind not in KINDS:
+            found = f"found '{shortened(kind)}'{nearest(kind, KINDS)}" if kind else "found none"
+            self.tell(element, key, f"type: expected one of {', '.join(KINDS)}, {found}")
+        parent, child = (self.link(element, key, tag) for tag in ("parent", "child"))
+        joint = UrdfJoint(name, kind, parent, child, element.line, self.origin(element, key))
+        if kind not in MOVING:
+            return joint
+        return UrdfJoint(name, kind, parent, child, element.line, joint.origin, self.axis(element, key),
+                         self.limits(element, key, kind), self.mimic(element, key))  # fmt: skip
+
+    def link(self, element: Element, key: str, tag: str) -> str:
+        """The name of a joint's parent or child; empty where it has none."""
+        found = self.once(element, key, tag)
+        name = found.attributes.get("link", "") if found else ""
+        if not name:
+            self.tell(found or element, key, f"missing: expected <{tag} link=…/>")
+        return name
+
+    def axis(self, element: Element, key: str) -> Vector:
+        """A joint's axis, of length 1."""
+        found = self.once(element, key, "axis")
+        if found is None:
+            return (1.0, 0.0, 0.0)
+        self.attributes(found, f"{key}: axis", ("xyz",))
+        direction = np.array(self.numbers(found, f"{key}: axis", "xyz", (1.0, 0.0, 0.0), "length"))
+        length = float(np.linalg.norm(direction))
+        if length < 1e-6:
+            self.tell(found, f"{key}: axis", "xyz: expected a direction, found one without length")
+            return (1.0, 0.0, 0.0)
+        return vector(direction / length)
+
+    def limits(self, element: Element, key: str, kind: str) -> tuple[float, float] | None:
+        """A joint's limits; those of a continuous joint do not count."""
+        found = self.once(element, key, "limit")
+        if kind == "continuous":
+            return None
+        if found is None:
+            self.tell(element, key, f"missing: expected <limit lower=… upper=…/> of a {kind} joint")
+            return None
+        low, high = (self.number(found, f"{key}: limit", name, 0.0) for name in ("lower", "upper"))
+        if low is None or high is None:
+            return None
+        if not low < high:
+            self.tell(found, f"{key}: limit", f"expected lower < upper, found {low:g} and {high:g}")
+            return None
+        return low, high
+
+    def mimic(self, element: Element, key: str) -> Mimic | None:
+        """The joint that a joint follows."""
+        found = self.once(element, key, "mimic")
+        if found is None:
+            return None
+        self.attributes(found, f"{key}: mimic", ("joint", "multiplier", "offset"))
+        source = found.attributes.get("joint", "")
+        if not source:
+            self.tell(found, f"{key}: mimic", "missing: expected joint")
+            return None
+        multiplier = self.number(found, f"{key}: mimic", "multiplier", 1.0)
+        offset = self.number(found, f"{key}: mimic", "offset", 0.0)
+        return Mimic(source, 1.0 if multiplier is None else multiplier, offset or 0.0)
+
+
+def _number(word: str) -> float | None:
+    """A finite number as XML Schema spells it."""
+    try:
+        value = float(word) if "_" not in word else math.nan
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _of_the_tree(document: Document) -> Iterator[Problem]:
+    """Tell what keeps the links from being one tree."""
+    joints = document.joints.values()
+    if not joints:
+        yield Problem("expected links and joints, found no joint", document.path, 1)
+        return
+    carriers: dict[str, UrdfJoint] = {}
+    for joint in joints:
+        key = f"joint '{joint.name}'"
+        for tag, link in (("parent", joint.parent), ("child", joint.child)):
+            if link and link not in document.links:
+                said = f"{tag}: there is no link '{shortened(link)}'{nearest(link, document.links)}"
+                yield Problem(said, document.path, joint.line, key)
+        if joint.child in carriers:
+            said = f"child: link '{joint.child}' hangs on joint '{carriers[joint.child].name}' already"
+            yield Problem(said, document.path, joint.line, key)
+        elif joint.child:
+            carriers[joint.child] = joint
+        if joint.mimic and joint.mimic.joint not in document.joints:
+            said = f"mimic: there is no joint '{shortened(joint.mimic.joint)}'{nearest(joint.mimic.joint, document.joints)}"
+            yield Problem(said, document.path, joint.line, key)
+    yield from _circles(document, carriers)
+    roots = [link for link in document.links if link not in carriers]
+    if len(roots) > 1:
+        yield Problem(f"expected one link that hangs on no joint, found {_several(roots)}", document.path, 1, "robot")
+
+
+def _circles(document: Document, carriers: Mapping[str, UrdfJoint]) -> Iterator[Problem]:
+    """Tell each circle of joints once."""
+    done: set[str] = set()
+    for start in carriers:
+        way: list[str] = []
+        link = start
+        while link in carriers and link not in done:
+            done.add(link)
+            way.append(link)
+            link = carriers[link].parent
+        if link in way:
+            circle = way[way.index(link) :]
+            joint = carriers[circle[0]]
+            said = f"hangs on itself, by way of links {_several(circle)}"
+            yield Problem(said, document.path, joint.line, f"joint '{joint.name}'")
+
+
+def _several(names: Iterable[str]) -> str:
+    told = list(names)
+    return ", ".join(f"'{shortened(name)}'" for name in told[:10]) + (
+        f" and {len(told) - 10} more" if len(told) > 10 else ""
+    )

@@ -1,0 +1,97 @@
+"""URDF, written: a robot's rigid chain as a tree of links, whose origins are stated in full."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from xml.etree import ElementTree
+
+import numpy as np
+
+from calflow.robot.formats.rigid_chain import RigidChain
+from calflow.robot.origins import rpy_of
+
+BASE, FLANGE, TOOL, MEASURING = "base_link", "flange", "tool0", "measuring_frame"
+
+
+def urdf_text(chain: RigidChain, notes: str) -> str:
+    """Return a rigid chain as URDF: links `base_link`, `link1` …, `flange`, `tool0`, `measuring_frame` and one a marker.
+
+    notes stand in a comment. What calflow does not know (shapes, inertia, speeds) is not in it, or zero where URDF asks for it.
+    """
+    robot = ElementTree.Element("robot", name=chain.name)
+    robot.append(ElementTree.Comment(f" {notes.replace('--', '- -')} "))
+    _link(robot, BASE)
+    _fixed(robot, BASE, MEASURING, np.linalg.inv(chain.base))
+    before = BASE
+    for i, joint in enumerate(chain.joints):
+        link = _link(robot, f"link{i + 1}")
+        if joint.mass is not None:
+            inertial = ElementTree.SubElement(link, "inertial")
+            ElementTree.SubElement(inertial, "origin", xyz=_figures(joint.com))
+            ElementTree.SubElement(inertial, "mass", value=repr(joint.mass))
+            ElementTree.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))
+        turns = "revolute" if joint.limits else "continuous"
+        kind = turns if joint.kind == "revolute" else "prismatic"
+        made = _joint(robot, joint.name, kind, before, f"link{i + 1}", joint.origin)
+        ElementTree.SubElement(made, "axis", xyz=_figures(joint.axis))
+        if kind != "continuous":
+            low, high = map(float, joint.limits or (-np.pi, np.pi))
+            limit = {"lower": repr(low), "upper": repr(high), "effort": repr(float(joint.rated or 0)), "velocity": "0"}
+            ElementTree.SubElement(made, "limit", limit)
+        before = f"link{i + 1}"
+    _fixed(robot, before, FLANGE, chain.flange)
+    _fixed(robot, FLANGE, TOOL, chain.tool)
+    for name, point in chain.markers.items():
+        place = np.eye(4)
+        place[:3, 3] = point
+        _fixed(robot, FLANGE, f"marker_{name}", place)
+    ElementTree.indent(robot)
+    return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
+
+
+def properties_text(chain: RigidChain, notes: str) -> str:
+    """Return a rigid chain as properties of xacro, to be included where a robot's own xacro states its origins.
+
+    Joint 1 has `joint1_xyz` and `joint1_rpy`, its origin in the joint before, and `joint1_axis`, and so on; flange, tool0 and
+    measuring_frame have their places likewise, and each marker.
+    """
+    robot = ElementTree.Element("robot", {"xmlns:xacro": "http://www.ros.org/wiki/xacro"})
+    robot.append(ElementTree.Comment(f" {notes.replace('--', '- -')} "))
+    places = {f"joint{i + 1}": joint.origin for i, joint in enumerate(chain.joints)}
+    places |= {FLANGE: chain.flange, TOOL: chain.tool, MEASURING: np.linalg.inv(chain.base)}
+    for name, place in places.items():
+        _property(robot, f"{name}_xyz", place[:3, 3])
+        _property(robot, f"{name}_rpy", rpy_of(place[:3, :3]))
+    for i, joint in enumerate(chain.joints):
+        _property(robot, f"joint{i + 1}_axis", joint.axis)
+    for name, point in chain.markers.items():
+        _property(robot, f"marker_{name}_xyz", point)
+    ElementTree.indent(robot)
+    return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
+
+
+def _property(robot: ElementTree.Element, name: str, figures: Sequence[float] | np.ndarray) -> None:
+    ElementTree.SubElement(robot, "xacro:property", name=name, value=_figures(figures))
+
+
+def _link(robot: ElementTree.Element, name: str) -> ElementTree.Element:
+    return ElementTree.SubElement(robot, "link", name=name)
+
+
+def _joint(
+    robot: ElementTree.Element, name: str, kind: str, parent: str, child: str, place: np.ndarray
+) -> ElementTree.Element:
+    made = ElementTree.SubElement(robot, "joint", name=name, type=kind)
+    ElementTree.SubElement(made, "origin", xyz=_figures(place[:3, 3]), rpy=_figures(rpy_of(place[:3, :3])))
+    ElementTree.SubElement(made, "parent", link=parent)
+    ElementTree.SubElement(made, "child", link=child)
+    return made
+
+
+def _fixed(robot: ElementTree.Element, parent: str, child: str, place: np.ndarray) -> None:
+    _link(robot, child)
+    _joint(robot, f"{parent}-{child}", "fixed", parent, child, place)
+
+
+def _figures(values: Sequence[float] | np.ndarray) -> str:
+    return " ".join(repr(float(value) + 0.0) for value in values)
