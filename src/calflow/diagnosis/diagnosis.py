@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from calflow.diagnosis.findings.alternatives import fitted_alternatives
 from calflow.diagnosis.findings.misfit import misfit
 from calflow.diagnosis.findings.remainder import remainder
 from calflow.diagnosis.findings.tables import Diagnosis
@@ -77,4 +78,5 @@ def diagnose(
         say(f"the noise grows with range: {1e6 * grown.slope:.3g} um/m, p = {grown.p:.2g}")
     verdicts = tuple(verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings)
     return Diagnosis(start, extended, verdicts, tuple(left), grown, wanted.lacking, wanted.superseded,
-                     acceptance.false_alarm, misfit(extended.fitted, rng("misfit")), capped=len(verdicts) >= causes)  # fmt: skip
+                     acceptance.false_alarm, misfit(extended.fitted, rng("misfit")), capped=len(verdicts) >= causes,
+                     alternatives=fitted_alternatives(verdicts, extended.fitted))  # fmt: skip

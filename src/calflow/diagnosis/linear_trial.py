@@ -222,7 +222,7 @@ class LinearTrial(Trial[Block]):
             matrix=matrix,
             prior_sd=np.concatenate([block.sd for block in problem.blocks]),
             candidates=problem.candidates,
-            products=Products.of(jacobian, matrix, problem.candidates),
+            products=Products.of(residual, jacobian, matrix, problem.candidates),
             determined=found.effective_parameters,
         )
         columns = tuple(np.flatnonzero(np.isin(free, own)) for own in self._own)

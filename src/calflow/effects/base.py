@@ -153,6 +153,11 @@ class Effect(ABC):
         """Whether it is the measuring device's: the robot itself is where it would be without it."""
         return cls.device is not Effect.device or cls.is_noise()
 
+    @property
+    def smooth_in(self) -> tuple[str, ...]:
+        """Inputs (`time`, `order`) of which it is any smooth function: what nobody can name would be the same there."""
+        return ()
+
     @classmethod
     def springs(cls, robot: Robot) -> bool:
         """Whether it is how this robot's joints give way, which even a rough model must have."""

@@ -64,7 +64,7 @@ class Cause(Effect):
         """How many parameters it has."""
         return len(self.declared)
 
-    @property
+    @cached_property
     def bounds(self) -> np.ndarray:
         """Least and largest values of its parameters, from nominal, shape (2, n_parameters)."""
         return np.array([(p.lower - p.nominal, p.upper - p.nominal) for p in self.declared]).T

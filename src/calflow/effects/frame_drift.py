@@ -89,6 +89,11 @@ class FrameDrift(Effect):
         )
         return " ".join(filter(None, said))
 
+    @property
+    def smooth_in(self) -> tuple[str, ...]:
+        """Time and order, where it is a curve."""
+        return ("time", "order") if self.length else ()
+
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the velocities, or the waves of the curve along each axis."""
         if self.length:

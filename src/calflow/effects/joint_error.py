@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import casadi as ca
 
@@ -12,6 +13,7 @@ from calflow.effects.base import Effect, Variable, joint_variable
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
+from calflow.robot.robot import Robot
 from calflow.robot.statics import State
 
 TRANSMISSION = "angular transmission error"
@@ -36,6 +38,12 @@ def phases(angle: ca.SX, unit: str, sd: float, bound: float) -> list[Term]:
     return [Term("cos", unit, sd, bound, ca.cos(angle)), Term("sin", unit, sd, bound, ca.sin(angle))]
 
 
+@lru_cache(maxsize=16)
+def _symbols(robot: Robot) -> tuple[State, Row]:
+    """Symbols of which terms are made only to be asked for their names and sizes."""
+    return State.symbols(robot), Row.symbols(robot)
+
+
 @dataclass(frozen=True)
 class JointError(Effect):
     """dq_i = sum of parameter · term, for every joint apart; a subclass says which terms."""
@@ -50,7 +58,7 @@ class JointError(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return each joint's parameters."""
-        state, row = State.symbols(self.robot), Row.symbols(self.robot)
+        state, row = _symbols(self.robot)
         return tuple(
             Parameter(self.id, f"joint{i + 1}", term.symbol, term.unit, term.prior_sd,
                       0.0 if term.one_sided else -term.bound, term.bound,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from pydantic import TypeAdapter
 
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Carried, Cause
+from calflow.estimation.alternative import Alternative, AlternativeParameter
 from calflow.estimation.fit_summary import FitSummary
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import Noise, Source
@@ -97,7 +99,10 @@ class SeriesNoise:
 
 @dataclass(frozen=True)
 class Identified:
-    """The fitted model with its estimate, covariance (SI units), each series' noise, and the discrepancy it left [m, rad]."""
+    """The fitted model with its estimate, covariance (SI units), each series' noise, and the discrepancy it left [m, rad].
+
+    alternatives are other models that explain the data about as well.
+    """
 
     model: Model
     estimate: np.ndarray
@@ -107,6 +112,7 @@ class Identified:
     discrepancy: float
     rotation_discrepancy: float
     loss: Loss
+    alternatives: tuple[Alternative, ...] = ()
 
     @property
     def noise_known(self) -> bool:
@@ -149,7 +155,22 @@ def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> Identi
     robot = placed(robot, results)
     observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
     effects = read_effects(results.rows("diagnose/effects.csv", ModelEffect), robot)
-    return _read("diagnose", Model(robot, effects, given, observed), results)
+    model = Model(robot, effects, given, observed)
+    others = results.rows("diagnose/alternatives.csv", AlternativeParameter)
+    return replace(_read("diagnose", model, results), alternatives=_alternatives(others, model))
+
+
+def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[Alternative, ...]:
+    found = []
+    for _, group in groupby(rows, key=lambda row: row.alternative):
+        own = list(group)
+        first = own[0]
+        gone = [effect for effect in model.effects if isinstance(effect, Cause)][first.instead_of - 1]
+        rival = [ModelEffect(effect=first.effect, part=first.part, variant=first.variant)] if first.effect else []
+        effects = (*(effect for effect in model.effects if effect != gone), *read_effects(rival, model.robot))
+        estimate = np.array([row.estimate for row in own])
+        found.append(Alternative(replace(model, effects=effects), estimate, first.probability))
+    return tuple(found)
 
 
 def with_maps_held(known: Identified) -> tuple[Identified, tuple[Cause, ...]]:

@@ -4,20 +4,52 @@ from __future__ import annotations
 
 import numpy as np
 
+from calflow.estimation.alternative import choice_variance
 from calflow.estimation.calibrated import Identified
+
+UNTOLD = 0.5  # of a direction's prior variance: what is left above it was hardly measured
 
 
 def position_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
     """Return the variance of each row's predicted position per axis, shape (n_rows, 3) [m²].
 
-    It holds what is not known of the parameters and the model's own discrepancy, which no further measurement of the same
-    poses takes away. Where the noise was estimated from the fit the two cannot be told apart, and both are in.
+    It holds what is not known of the parameters, the choice of the model, and the model's own discrepancy, which no further
+    measurement of the same poses takes away. Where the noise was estimated from the fit discrepancy and noise cannot be told
+    apart, and both are in.
     """
     jacobian = known.model.point_jacobian(known.estimate, rows)
-    of_parameters = np.einsum("nai,ij,naj->na", jacobian, known.covariance, jacobian, optimize=True)
-    return np.asarray(of_parameters + unexplained(known) ** 2)
+    of_choice = choice_variance(known.alternatives, known.model, known.estimate, rows)
+    return np.asarray(_of_parameters(jacobian, known.covariance) + of_choice + unexplained(known) ** 2)
+
+
+def rotation_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
+    """Return the variance of each row's predicted orientation about the tool's own axes, shape (n_rows, 3) [rad²].
+
+    What no measurement told of is as sure as its prior says (see `untold_turns`).
+    """
+    jacobian = known.model.rotation_jacobian(known.estimate, rows)
+    return _of_parameters(jacobian, known.covariance) + known.rotation_discrepancy**2
+
+
+def untold_turns(known: Identified, rows: np.ndarray) -> np.ndarray:
+    """Return the share (3,) of the variance of the tool's turn about each own axis that no measurement told anything of.
+
+    It comes from the directions of the parameters, scaled by their priors, whose variance the data left above UNTOLD of
+    what the priors alone make it; mean over the rows.
+    """
+    sd = known.model.prior_sd
+    left, directions = np.linalg.eigh(known.covariance / np.outer(sd, sd))
+    turned = known.model.rotation_jacobian(known.estimate, rows) @ (sd[:, None] * directions)
+    parts = (turned**2).mean(axis=0) * np.maximum(left, 0.0)
+    total = parts.sum(axis=1)
+    return np.asarray(np.divide(parts[:, left > UNTOLD].sum(axis=1), total, out=np.zeros(3), where=total > 0))
 
 
 def unexplained(known: Identified) -> float:
     """Return the standard deviation per axis [m] of what the model errs by beside its parameters' errors."""
     return known.discrepancy if known.noise_known else known.device[0].at_rows
+
+
+def _of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Variance (n_rows, 3) of what depends on the parameters by a Jacobian (n_rows, 3, n_parameters)."""
+    return np.asarray(np.einsum("nai,ij,naj->na", jacobian, covariance, jacobian, optimize=True))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -40,24 +40,24 @@ class Fit:
     converged: bool
     status: str
 
-    @property
+    @cached_property
     def at_bound(self) -> np.ndarray:
         """Which parameters sit on a bound, shape (n_parameters,)."""
         lower, upper = self.model.bounds.T
         margin = AT_BOUND * np.sqrt(np.diag(self._inverse(np.full(len(self.estimate), True))))
         return (self.estimate < lower + margin) | (self.estimate > upper - margin)
 
-    @property
+    @cached_property
     def information(self) -> np.ndarray:
         """Gauss-Newton Hessian of the objective, priors included, shape (n_parameters, n_parameters)."""
         return self.r_factor.T @ self.r_factor + np.diag(self.model.prior_sd**-2.0)
 
-    @property
+    @cached_property
     def covariance(self) -> np.ndarray:
         """Laplace covariance, shape (n_parameters, n_parameters)."""
         return self._inverse(~self.at_bound)
 
-    @property
+    @cached_property
     def effective_parameters(self) -> float:
         """How many parameters the data determine: the sum over parameters of 1 - prior share."""
         return float(np.trace(self.covariance @ (self.information - np.diag(self.model.prior_sd**-2.0))))

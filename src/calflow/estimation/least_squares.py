@@ -93,6 +93,7 @@ class SeriesBlock:
         """The function of (p, conditions, reported, whitening): whitened residual and its Jacobian, transposed."""
         if self._key not in self.model.made:
             inputs, residual = self.expression()
+            residual = ca.cse(residual)  # a third of the operations are there twice
             jacobian = ca.densify(ca.jacobian(residual, inputs[0])).T
             self.model.made[self._key] = ca.Function("linearised", inputs, [residual, jacobian])
         return self.model.made[self._key]

@@ -194,6 +194,7 @@ def _graph(block: SeriesBlock, n_levers: int) -> ca.Function | None:
         *reports,
         *[ca.SX(3, 1)][len(reports) :],
     )
+    residual, state = ca.cse([residual, state])  # a third of the operations are there twice
     outputs = [residual, ca.jacobian(residual, p).T, state]
     levers = p[p.numel() - n_levers :]
     outputs = ca.substitute(outputs, [levers], [ca.SX.zeros(n_levers, 1)])

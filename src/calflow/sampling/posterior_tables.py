@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -84,7 +84,10 @@ def posterior_table(sampled: Sampled) -> pd.DataFrame:
 
 
 def predictive_table(sampled: Sampled, rng: np.random.Generator) -> pd.DataFrame:
-    """Return each row's error and the interval in which posterior and noise say it should be, without rows left out."""
+    """Return each row's error and the interval in which posterior and noise say it should be, without rows left out.
+
+    A draw is of another model as often as that is the right one: its predictions are shifted as the other's are.
+    """
     values, known = sampled.values, sampled.known
     data = sampled.data.only(sampled.data.train | sampled.data.held_out)
     flat = values.reshape(-1, values.shape[-1])
@@ -93,9 +96,17 @@ def predictive_table(sampled: Sampled, rng: np.random.Generator) -> pd.DataFrame
     centre = errors(known.model, flat[:, :-1].mean(axis=0), data)
     error = 1e3 * distances(centre)
     expected = np.empty((len(draws), len(data)))
+    here = errors(known.model, known.estimate, data)
+    others = [
+        errors(replace(one.model, given=known.model.given), one.estimate, data) - here for one in known.alternatives
+    ]
+    likely = [one.probability for one in known.alternatives]
+    shifts = np.array(others).reshape(-1, *here.shape)
+    chosen = rng.random((len(draws), len(shifts))) < likely  # rivals of different causes do not exclude each other
     for k, draw in enumerate(draws):
         noise = (np.exp(draw[-1]) * sigma)[:, None] * rng.standard_normal(centre.shape)
-        expected[k] = 1e3 * distances(errors(known.model, draw[:-1], data) + noise - centre)
+        drawn = errors(known.model, draw[:-1], data) + shifts[chosen[k]].sum(axis=0)
+        expected[k] = 1e3 * distances(drawn + noise - centre)
     low, middle, high = np.quantile(expected, [0.025, 0.5, 0.975], axis=0)
     table = data.table[["pose", "repeat", "marker", "split"]].assign(
         error_mm=error, expected_mm=middle, low_mm=low, high_mm=high, covered=(error >= low) & (error <= high)

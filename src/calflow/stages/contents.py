@@ -1,4 +1,4 @@
-"""What a run folder holds, in words, from what the stages declare: the section of docs/files.md, and how to renew it.
+"""What a study may be signed with and what a run folder holds, in words, from the code: sections of docs/files.md, renewed.
 
 python -m calflow.stages.contents docs/files.md
 """
@@ -9,34 +9,56 @@ import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from calflow.deployment import comparison, drift_verdict, validation
+from calflow.deployment.command_table import Command
+from calflow.deployment.controller_figures import ControllerFigure
 from calflow.files.tables import Column, columns
+from calflow.measurements.acceptance import Acceptance
 from calflow.stages import STAGES
 
 KINDS = {str: "text", int: "integer", float: "number", bool: "true or false"}
-BEGIN, END = "<!-- tables: written from the code -->", "<!-- end of tables -->"
+ANSWERS: Mapping[str, type] = {  # the tables that commands other than run write
+    "calflow compensate": Command,
+    "calflow export --to controller": ControllerFigure,
+}
+FOLDERS = {
+    "validate": validation.TABLES,
+    "drift": drift_verdict.TABLES,
+    "compare": comparison.TABLES,
+}  # what they keep in one
+MARKS = "<!-- {}: written from the code -->", "<!-- end of {} -->"
 
 
 def contents() -> str:
-    """Return every table and document of every stage with its columns, as Markdown."""
-    return "\n\n".join(
-        block for stage in STAGES.values() for block in (*_tables(stage.tables), *_tables(stage.documents))
-    )
+    """Return every table and document of every stage with its columns, and what commands answer, as Markdown."""
+    kept = (block for stage in STAGES.values() for block in (*_tables(stage.tables), *_tables(stage.documents)))
+    folders = (block for command, own in FOLDERS.items() for block in _tables(own, f"{command}/NAME/"))
+    return "\n\n".join((*kept, *_tables(ANSWERS), *folders))
 
 
 def renewed(text: str) -> str:
     """Return a document with what stands between the marks written anew."""
-    head, _, rest = text.partition(BEGIN)
-    _, _, tail = rest.partition(END)
-    return f"{head}{BEGIN}\n\n{contents()}\n\n{END}{tail}"
+    for name, written in (("acceptance", acceptance()), ("tables", contents())):
+        begin, end = (mark.format(name) for mark in MARKS)
+        head, _, rest = text.partition(begin)
+        _, _, tail = rest.partition(end)
+        text = f"{head}{begin}\n\n{written}\n\n{end}{tail}"
+    return text
 
 
-def _tables(declared: Mapping[str, type]) -> Iterator[str]:
+def acceptance() -> str:
+    """Return the keys of a study's table `[acceptance]`, as Markdown."""
+    rows = "\n".join(f"| `{name}` | {field.description} |" for name, field in Acceptance.model_fields.items())
+    return f"| key of `[acceptance]` | meaning |\n| --- | --- |\n{rows}"
+
+
+def _tables(declared: Mapping[str, type], folder: str = "") -> Iterator[str]:
     for path, row_type in declared.items():
         first = (row_type.__doc__ or "").strip().splitlines()[0]
         document = path.endswith(".json")
         what = "key" if document else "column"
         rows = "\n".join(_row(column, document) for column in columns(row_type))
-        yield f"### {path}\n{first}\n\n| {what} | type | unit | meaning |\n| --- | --- | --- | --- |\n{rows}"
+        yield f"### {folder}{path}\n{first}\n\n| {what} | type | unit | meaning |\n| --- | --- | --- | --- |\n{rows}"
 
 
 def _row(column: Column, document: bool) -> str:

@@ -17,6 +17,7 @@ from calflow.design.discrimination import (
     separations_table,
 )
 from calflow.diagnosis.diagnosis import diagnose
+from calflow.diagnosis.findings.alternatives import alternatives_table
 from calflow.diagnosis.findings.curves import CurvePoint, curves
 from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.diagnosis.findings.extended_model import accuracy_table, extended_model, extended_noise, summary
@@ -25,6 +26,7 @@ from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, FindingRo
 from calflow.diagnosis.search.acceptance import FALSE_ALARM
 from calflow.diagnosis.search.fitted import FAR, Fitted
 from calflow.estimation.accuracy import Accuracy
+from calflow.estimation.alternative import AlternativeParameter
 from calflow.estimation.calibrated import DeviceNoise, Identified, ModelEffect, effect_table, identified
 from calflow.estimation.judgement import JudgedResidual, Studentised, judged_table
 from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
@@ -88,6 +90,7 @@ def results(
         "diagnose/parameters.csv": parameter_table(final.fit, final.covariance),
         "diagnose/covariance.csv": covariance_table(final.model.parameters, final.fit.covariance),
         "diagnose/effects.csv": effect_table(final.model.effects),
+        "diagnose/alternatives.csv": alternatives_table(found.alternatives, found.causes, final),
         "diagnose/noise.csv": extended_noise(found, known, data),
         "diagnose/faults.csv": own,
         "diagnose/residuals.csv": judged_table(final.fit, data, studentised, odd),
@@ -127,6 +130,7 @@ STAGE = Stage(
         "diagnose/parameters.csv": FittedParameter,
         "diagnose/covariance.csv": Covariances,
         "diagnose/effects.csv": ModelEffect,
+        "diagnose/alternatives.csv": AlternativeParameter,
         "diagnose/noise.csv": DeviceNoise,
         "diagnose/faults.csv": FaultyRow,
         "diagnose/residuals.csv": JudgedResidual,

@@ -178,3 +178,12 @@ def test_a_cause_without_a_family_is_named_by_itself():
     found = judged(score(-50.0, "gear-ratio-error", 2), score(-47.0, "joint-compliance", 2))
     assert found.status == "one_of"
     assert found.family == ""
+
+
+@pytest.mark.parametrize(("unnamed", "status"), [(2 * WITHIN + 1, "named"), (2 * WITHIN - 1, "one_of")])
+def test_what_nobody_can_name_is_a_rival_whose_form_is_a_guess(unnamed, status):
+    """Fails if evidence against a background counts in full though nobody knows the background's form."""
+    only = score(-50.0, "gear-ratio-error", 2)
+    found = verdict(Finding(only.cause, (only,), Family({}, 1.0), unnamed=unnamed))
+    assert found.status == status
+    assert found.probability >= 1 / (1 + np.exp(-unnamed / 4)) - 1e-12

@@ -16,7 +16,7 @@ def left():
     rng = np.random.default_rng(3)
     waves = rng.standard_normal((N, WAVES)), 0.5 * rng.standard_normal((N, 3))
     weight = rng.uniform(0.5, 2.0, N)
-    background = Background((("q1",), ("time",)), np.eye(N), waves, weight, 1.0, (WAVES, 3.0), (9.0, 9.0), 8)
+    background = Background((("q1",), ("time",)), np.eye(N), waves, weight, 1.0, (WAVES, 3.0), 18.0, 8)
     return background, np.eye(N) + sum(part @ part.T for part in waves)
 
 
@@ -53,3 +53,13 @@ def test_an_estimate_scatters_as_the_covariance_says(left):
     jacobian = np.random.default_rng(4).standard_normal((N, 4))
     covered = background.correlation(background.weight).covered(jacobian)
     assert covered == pytest.approx(jacobian.T @ covariance @ jacobian, rel=0.01, abs=0.5)
+
+
+def test_an_estimate_is_as_sure_as_the_size_of_what_moves_it(left):
+    """Fails if intervals take the size of a background for known where few waves tell it."""
+    background, _ = left
+    correlation = background.correlation(background.weight)
+    inside, outside = 30 * background.parts[1][:, 0], np.linalg.svd(np.hstack(background.parts))[0][:, -1]
+    sure = correlation.sureness(np.column_stack([inside, outside]), 500.0)
+    assert sure[0] < 6
+    assert sure[1] == pytest.approx(500.0, rel=0.01)

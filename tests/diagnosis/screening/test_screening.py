@@ -9,7 +9,8 @@ import pytest
 from scipy.stats import binom, kstest
 
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.regressors import Regressors, shared_error
+from calflow.diagnosis.screening.correlation import Correlation
+from calflow.diagnosis.screening.regressors import Products, Regressors, shared_error
 from calflow.diagnosis.screening.screening import Screening, prior_cost
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
@@ -84,6 +85,28 @@ def test_what_geometry_imitates_is_not_tested(regressors):
     assert {"joint-eccentricity", "gear-ratio-error", "bearing-compliance"} <= shown
 
 
+def test_sums_without_a_parameter_are_those_of_the_rows(regressors):
+    """Fails if what was added up once is not what the rows of the model without some parameters add up to."""
+    rng = np.random.default_rng(6)
+    modes = np.linalg.qr(rng.standard_normal((len(regressors.residual), 3)))[0]
+    whole = replace(regressors, correlation=Correlation(modes, np.ones(3), (), 1.0))
+    whole = replace(whole, products=summed(whole))
+    less = whole.without(np.array([1, 4]), np.array([2e-3, -1e-3]))
+    for one, other in zip(vars(less.products).values(), vars(summed(less)).values(), strict=True):
+        assert np.allclose(one, other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
+
+
+def summed(r):
+    """The products that tests need, from the rows."""
+    return Products.of(r.residual, r.jacobian, r.matrix, r.candidates, r.correlation)
+
+
+def with_residual(r, residual, **changes):
+    """The same regressors with another residual."""
+    products = replace(r.products, fitted_left=r.jacobian.T @ residual, left=r.matrix.T @ residual)
+    return replace(r, residual=residual, products=products, **changes)
+
+
 def null(regressors, rng):
     """The same linear problem with nothing but noise in it."""
     r = regressors
@@ -91,7 +114,8 @@ def null(regressors, rng):
     factor = np.linalg.cholesky(r.jacobian.T @ r.jacobian + np.diag(r.precision))
     step = np.linalg.solve(factor.T, np.linalg.solve(factor, r.jacobian.T @ noise + pseudo))
     pull = pseudo - r.precision * step
-    left = replace(r, residual=noise - r.jacobian @ step, pull=pull, prior_rss=float((pull**2 / r.precision).sum()))
+    rss = float((pull**2 / r.precision).sum())
+    left = with_residual(r, noise - r.jacobian @ step, pull=pull, prior_rss=rss)
     return replace(left, determined=0.0)  # the priors' part is drawn too, so that no degree of freedom is lost
 
 

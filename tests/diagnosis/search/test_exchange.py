@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,6 +11,7 @@ from calflow.diagnosis.screening.screening import Family, Screening
 from calflow.diagnosis.search.exchange import Exchange
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
+from diagnosis.screening.test_screening import with_residual
 from robots import industrial
 
 ROBOT = industrial()
@@ -42,7 +41,7 @@ def regressors():
     candidates = tuple(
         Candidate(cause, np.arange(i, j)) for cause, i, j in zip(every, ends[:-1], ends[1:], strict=True)
     )
-    products = Products.of(jacobian, matrix, candidates)
+    products = Products.of(residual, jacobian, matrix, candidates)
     return Regressors(residual, jacobian, np.full(OWN, 0.1), np.zeros(OWN), 0.0, matrix, prior_sd, candidates, products)
 
 
@@ -87,8 +86,8 @@ def test_two_causes_of_one_place_stand_as_any_pair_does(regressors):
     twice = [Cause(ROBOT, catalogue()["joint-eccentricity"](ROBOT, order=order), "joint1") for order in (1, 2)]
     there = (Candidate(twice[0], np.arange(6, 8)), Candidate(twice[1], np.arange(8, 10)))
     both = regressors.matrix[:, 6:10] @ np.array([3e-5, 1e-5, -2e-5, 2e-5])
-    alone = Regressors(**vars(regressors) | {"residual": regressors.residual + both,
-                                             "candidates": (*regressors.candidates[2:6], *there)})  # fmt: skip
+    candidates = (*regressors.candidates[2:6], *there)
+    alone = with_residual(regressors, regressors.residual + both, candidates=candidates)
     assert not list(Exchange.of(Screening(alone), FAMILY, twice).better())
 
 
@@ -114,14 +113,12 @@ def replaced(regressors, residual):
     step = np.linalg.solve(r.jacobian.T @ r.jacobian + np.diag(r.precision), r.jacobian.T @ residual)
     pull = -r.precision * step
     rss = float((pull**2 / r.precision).sum())
-    return replace(r, residual=residual - r.jacobian @ step, pull=pull, prior_rss=rss)
+    return with_residual(r, residual - r.jacobian @ step, pull=pull, prior_rss=rss)
 
 
 def test_one_cause_takes_the_place_of_two_that_imitate_it(regressors):
     """Breaks if two causes that together resemble a third keep it out, or right ones give way to what resembles them."""
-    truly = replace(
-        regressors, residual=np.random.default_rng(2).standard_normal(ROWS) + regressors.matrix[:, 2] * 6e-5
-    )
+    truly = with_residual(regressors, np.random.default_rng(2).standard_normal(ROWS) + regressors.matrix[:, 2] * 6e-5)
     imitating = Exchange.of(Screening(truly), FAMILY, [causes()[0], causes()[1]])
     assert imitating.alone().cause == causes()[2]
     assert Exchange.of(Screening(regressors), FAMILY, [causes()[0], causes()[1]]).alone() is None

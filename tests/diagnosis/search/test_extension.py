@@ -41,8 +41,8 @@ def test_both_causes_are_added_and_nothing_else(data):
     assert [finding.cause.place for finding in extended.findings] == [
         ("joint-compliance", "joint2"), ("joint-eccentricity", "joint1"),
     ]  # fmt: skip
-    assert [len(fitted.model.effects) for fitted in extended.path] == [2, 3]
-    assert extended.path[-1].fit.estimate == pytest.approx(extended.fitted.fit.estimate)
+    assert [len(fit.model.effects) for fit in extended.path] == [2, 3]
+    assert extended.path[-1].estimate == pytest.approx(extended.fitted.fit.estimate)
     assert all(finding.p < 1e-6 for finding in extended.findings)
     assert extended.fitted.lack.reduced_chi2 == pytest.approx(1.0, abs=0.25)
 

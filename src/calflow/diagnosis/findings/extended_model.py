@@ -24,16 +24,16 @@ def extended_model(found: Diagnosis, known: Identified, data: Measurements) -> I
     return Identified(
         final.model, final.fit.estimate, final.fit.covariance, final.fit.at_bound,
         series_noise(_noise(found, known, data), _growth(found)), final.noise.discrepancy,
-        final.noise.rotation_discrepancy, final.loss,
+        final.noise.rotation_discrepancy, final.loss, tuple(one.alternative for one in found.alternatives),
     )  # fmt: skip
 
 
 def accuracy_table(found: Diagnosis, data: Measurements, before: Sequence[Accuracy]) -> pd.DataFrame:
     """Return the accuracy of the models before, and one step for each cause."""
     name, step, rows = before[-1].model, before[-1].step, list(before)
-    for k, (cause, fitted) in enumerate(zip(found.causes, found.extended.path, strict=True), start=step + 1):
+    for k, (cause, fit) in enumerate(zip(found.causes, found.extended.path, strict=True), start=step + 1):
         name += f" + {cause.id} {cause.part}"
-        rows += accuracy(name, errors(fitted.model, fitted.fit.estimate, data), data, k, cause)
+        rows += accuracy(name, errors(fit.model, fit.estimate, data), data, k, cause)
     return to_frame(rows, Accuracy)
 
 

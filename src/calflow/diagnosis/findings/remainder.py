@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import comb
 
 import numpy as np
 from scipy.stats import chi2
@@ -37,8 +38,7 @@ def remainder(
 ) -> list[Remainder]:
     """Return what the fitted model leaves that depends on inputs, the strongest first.
 
-    Single functions are tested first, which a sharp dependence shows best; then all functions of an input together, as the
-    background has them.
+    Single functions are tested first, which a sharp dependence shows best; then the background as a whole.
     """
     found: list[Remainder] = []
     for one in (*_single(fitted, rng), *_together(fitted), *_of_poses(fitted)):
@@ -62,16 +62,18 @@ def _single(fitted: Fitted, rng: np.random.Generator) -> list[Remainder]:
 
 
 def _together(fitted: Fitted) -> list[Remainder]:
-    """The parts of the background: twice the logarithm of the likelihood is chi² or nothing, as often (Self and Liang 1987)."""
+    """The background as a whole, paying for every choice of as many parts.
+
+    Twice the logarithm of the likelihood is chi² of as many degrees of freedom or fewer: half of each size's distribution is at
+    nothing, where it can go no further (Self and Liang 1987).
+    """
     left = fitted.background
     if left is None:
         return []
-    known = dict(functions(fitted))
-    tested = [
-        Remainder(inputs, min(1.0, left.tried * 0.5 * float(chi2.sf(gain, 1))), tuple(known[inputs]))
-        for inputs, gain in zip(left.inputs, left.gains, strict=True)
-    ]
-    return sorted(tested, key=lambda one: one.p)
+    known, n = dict(functions(fitted)), len(left.inputs)
+    p = comb(left.tried, n) * 0.5**n * float(chi2.sf(left.gain, n))
+    inputs = tuple(dict.fromkeys(name for part in left.inputs for name in part))
+    return [Remainder(inputs, min(1.0, p), tuple(effect for part in left.inputs for effect in known[part]))]
 
 
 def _of_poses(fitted: Fitted) -> list[Remainder]:

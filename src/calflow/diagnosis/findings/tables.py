@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
+from calflow.diagnosis.findings.alternatives import FittedAlternative
 from calflow.diagnosis.findings.amplitude import amplitude, found_amplitude
 from calflow.diagnosis.findings.gain import gain
 from calflow.diagnosis.findings.gaussian_process import predicted
@@ -113,7 +114,7 @@ class Diagnosis:
 
     growth is the noise's with range where there is one; lacking and superseded say by id why an effect was not tested;
     false_alarm is what causes were allowed; misfit is the extended model's lack of fit where that is significant; capped
-    says that as many causes were found as were allowed.
+    says that as many causes were found as were allowed; alternatives are the rivals' models that are about as probable.
     """
 
     start: Fitted
@@ -126,6 +127,7 @@ class Diagnosis:
     false_alarm: float
     misfit: Misfit | None = None
     capped: bool = False
+    alternatives: tuple[FittedAlternative, ...] = ()
 
     @property
     def causes(self) -> list[Cause]:
@@ -139,7 +141,7 @@ def findings_table(
     """Return diagnose/findings.csv: data faults, causes, the noise's growth and what nobody can name."""
     heldout, final = data.only(data.held_out), found.extended.fitted
     rows = [_fault(group) for _, group in faults.groupby(["cause", "joint", "action", "statement"], sort=False)]
-    steps = [errors(one.model, one.fit.estimate, heldout) for one in (found.start, *found.extended.path)]
+    steps = [errors(one.model, one.estimate, heldout) for one in (found.start.fit, *found.extended.path)]
     for members in _kept_together(found.causes):
         own = [_cause(found.verdicts[k], final, _overlapping(found.verdicts[k], found.left), k + 1) for k in members]
         row = own[0] if len(own) == 1 else _together(own, [found.verdicts[k] for k in members])

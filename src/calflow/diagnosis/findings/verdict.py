@@ -16,6 +16,9 @@ from calflow.diagnosis.search.linearisation import Finding
 WITHIN = 10.0  # of the best BIC: closer rivals cannot be told apart (Kass and Raftery 1995: "very strong" beyond)
 
 UNEXPLAINED = "unexplained"  # what nobody can name, as a rival
+TEMPERED = (
+    0.5  # of the evidence against it: the form of what nobody can name is itself a guess (Grünwald and van Ommen 2017)
+)
 
 Status = Literal["named", "one_of"]
 
@@ -81,8 +84,9 @@ def verdict(finding: Finding[H], untestable: Mapping[str, str] = MappingProxyTyp
     untested = [other for other in dict.fromkeys([*cause.alike, *untestable]) if (other, cause.joint) not in tested]
     rivals += [Rival(other, cause.joint, 0.0, None, untestable.get(other, "")) for other in untested]
     weights = [np.exp(-(bic - own) / 2) for place, (bic, _) in evidence.items() if place != cause.place]
-    if finding.unnamed < WITHIN:
-        rivals.append(Rival(UNEXPLAINED, 0, finding.unnamed, None))
+    against = TEMPERED * finding.unnamed
+    if against < WITHIN:
+        rivals.append(Rival(UNEXPLAINED, 0, against, None))
     weights += [float(np.exp(-max(rival.bic, 0.0) / 2)) for rival in rivals if rival.cause is None]
     probability = 1 / (1 + float(np.sum(weights)))
     ordered = tuple(sorted(rivals, key=lambda rival: rival.bic))

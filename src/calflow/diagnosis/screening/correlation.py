@@ -37,7 +37,9 @@ class Correlation:
     def whitened(self, values: np.ndarray) -> np.ndarray:
         """Return values (n, …) times (V/s²)^-1/2."""
         shrunk = 1 - (1 + self.variance) ** -0.5
-        return np.asarray(values - self.modes @ (shrunk * (self.modes.T @ values).T).T)
+        found = self.modes @ (-shrunk * (self.modes.T @ values).T).T
+        found += values  # in its place: these are the largest arrays of all
+        return np.asarray(found)
 
     def degrees_of_freedom(self, along: np.ndarray, visible: np.ndarray, of_noise: float) -> np.ndarray:
         """Return those of the variance of each column's amplitude, shape (n_columns,) (Satterthwaite 1946).
@@ -49,8 +51,17 @@ class Correlation:
             visible: their squares summed, over modes and all else, (n_columns,).
             of_noise: degrees of freedom of the noise itself.
         """
-        along = along / np.sqrt(1 + self.variance)[:, None]
-        whole = np.maximum(visible, np.finfo(float).tiny)
+        return self._satterthwaite(along / np.sqrt(1 + self.variance)[:, None], visible, of_noise)
+
+    def sureness(self, weights: np.ndarray, of_noise: float) -> np.ndarray:
+        """Return the degrees of freedom of the variance of weighted sums of residuals, weights (n, n_sums), shape (n_sums,)."""
+        along = self.modes.T @ weights
+        whole = (weights**2).sum(axis=0) + (self.variance[:, None] * along**2).sum(axis=0)
+        return self._satterthwaite(along, whole, of_noise)
+
+    def _satterthwaite(self, along: np.ndarray, whole: np.ndarray, of_noise: float) -> np.ndarray:
+        """Degrees of freedom of variances (n_columns,), of which each part's share is by its waves along the modes."""
+        whole = np.maximum(whole, np.finfo(float).tiny)
         left, unsure = np.ones(len(whole)), np.zeros(len(whole))
         for part in self.parts:
             share = ((part.waves.T @ along) ** 2).sum(axis=0) / whole
@@ -70,8 +81,8 @@ class Background:
 
     modes (n, n_modes) are directions in which they act, parts hold each input's functions in these, (n_modes, n_waves). weight
     (n,) is what the rows' residuals were multiplied by when they were worked out, shared the factor of what rows of a pose have
-    in common; degrees_of_freedom (n_parts,) are those of the sizes' estimates, gains (n_parts,) twice the logarithm of the
-    likelihood that each part adds; tried is how many parts there might have been.
+    in common; degrees_of_freedom (n_parts,) are those of the sizes' estimates, gain is twice the logarithm of the likelihood that
+    all parts together add; tried is how many parts there might have been.
     """
 
     inputs: tuple[tuple[str, ...], ...]
@@ -80,7 +91,7 @@ class Background:
     weight: np.ndarray
     shared: float
     degrees_of_freedom: tuple[float, ...]
-    gains: tuple[float, ...]
+    gain: float
     tried: int
 
     def correlation(self, weight: np.ndarray) -> Correlation:

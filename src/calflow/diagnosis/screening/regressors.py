@@ -34,25 +34,65 @@ class Products:
     """The sums over all rows that tests need, worked out once for a model and for all that is taken out of it.
 
     fitted (n_free, n_free) are the Jacobian's with itself, mixed (n_free, n_columns) those with the regressors, own
-    (n_columns, widest) each regressor's with those of its candidate.
+    (n_columns, widest) each regressor's with those of its candidate, squared (n_columns,) each one's with itself; fitted_left
+    (n_free,) and left (n_columns,) are those of both with the residual. along_fitted (n_modes, n_free) and along (n_modes,
+    n_columns) are what both have in common with the modes of a correlation.
     """
 
     fitted: np.ndarray
     mixed: np.ndarray
     own: np.ndarray
+    squared: np.ndarray
+    fitted_left: np.ndarray
+    left: np.ndarray
+    along_fitted: np.ndarray
+    along: np.ndarray
 
     @staticmethod
-    def of(jacobian: np.ndarray, matrix: np.ndarray, candidates: Sequence[Candidate]) -> Products:
-        """Add up the products of the Jacobian (n, n_free) and the regressors (n, n_columns)."""
+    def of(
+        residual: np.ndarray,
+        jacobian: np.ndarray,
+        matrix: np.ndarray,
+        candidates: Sequence[Candidate],
+        correlation: Correlation | None = None,
+    ) -> Products:
+        """Add up the products of the residual (n,), the Jacobian (n, n_free) and the regressors (n, n_columns)."""
         own = np.zeros((matrix.shape[1], max((len(c.columns) for c in candidates), default=0)))
+        squared = np.zeros(len(own))
         for candidate in candidates:
             columns = candidate.columns
-            own[columns, : len(columns)] = matrix[:, columns].T @ matrix[:, columns]
-        return Products(jacobian.T @ jacobian, jacobian.T @ matrix, own)
+            x = _taken(matrix, columns)
+            product = x.T @ x
+            own[columns, : len(columns)], squared[columns] = product, product.diagonal()
+        modes = correlation.modes.T if correlation else np.zeros((0, len(residual)))
+        return Products(
+            jacobian.T @ jacobian,
+            jacobian.T @ matrix,
+            own,
+            squared,
+            jacobian.T @ residual,
+            matrix.T @ residual,
+            modes @ jacobian,
+            modes @ matrix,
+        )
 
-    def only(self, free: np.ndarray) -> Products:
-        """Return the products with some free parameters only."""
-        return Products(self.fitted[np.ix_(free, free)], self.mixed[free], self.own)
+    def without(self, gone: np.ndarray, value: np.ndarray) -> Products:
+        """Return the products without some free parameters (their numbers), which have these values."""
+        keep = np.setdiff1d(np.arange(len(self.fitted)), gone)
+        return replace(
+            self,
+            fitted=self.fitted[np.ix_(keep, keep)],
+            mixed=self.mixed[keep],
+            fitted_left=self.fitted_left[keep] - self.fitted[np.ix_(keep, gone)] @ value,
+            left=self.left - self.mixed[gone].T @ value,
+            along_fitted=self.along_fitted[:, keep],
+        )
+
+
+def _taken(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Some columns, in rising order, of a matrix (n, n_columns), without a copy where they stand side by side."""
+    first, last = int(columns[0]), int(columns[-1])
+    return matrix[:, first : last + 1] if last - first == len(columns) - 1 else matrix[:, columns]
 
 
 @dataclass(frozen=True)
@@ -120,7 +160,7 @@ class Regressors(Generic[H]):
             found,
             large.prior_sd[n:] * scale,
             candidates,
-            Products.of(jacobian, found, candidates),
+            Products.of(left, jacobian, found, candidates, correlation),
             fit.effective_parameters,
             scale,
             shared,
@@ -128,17 +168,18 @@ class Regressors(Generic[H]):
             correlation,
         )
 
-    def without(self, columns: np.ndarray, effect: np.ndarray, pull: np.ndarray) -> Regressors[H]:
-        """Return the regressors of the model without some free parameters, whose effect (n,) is taken off the residual."""
+    def without(self, columns: np.ndarray, value: np.ndarray) -> Regressors[H]:
+        """Return the regressors of the model without some free parameters (their numbers), which have these values."""
         keep = np.setdiff1d(np.arange(self.jacobian.shape[1]), columns)
+        pull = value * np.sqrt(self.precision[columns])
         return replace(
             self,
-            residual=self.residual - effect,
+            residual=self.residual - self.jacobian[:, columns] @ value,
             jacobian=self.jacobian[:, keep],
             precision=self.precision[keep],
             pull=self.pull[keep],
             prior_rss=self.prior_rss - float(pull @ pull),
-            products=self.products.only(keep),
+            products=self.products.without(columns, value),
         )
 
 

@@ -15,7 +15,7 @@ from typing import Generic
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.regressors import Candidate, Regressors
@@ -150,13 +150,13 @@ class Screening(Generic[H]):
     def _gradient(self) -> np.ndarray:
         """The fit's own gradient in the same coordinates; zero at an optimum."""
         r = self.regressors
-        return np.asarray(solve_triangular(self._factor, r.jacobian.T @ r.residual + r.pull, lower=True))
+        return np.asarray(solve_triangular(self._factor, r.products.fitted_left + r.pull, lower=True))
 
     @cached_property
     def score(self) -> np.ndarray:
         """u of all columns."""
         r = self.regressors
-        return np.asarray(r.matrix.T @ r.residual - self._imitated.T @ self._gradient)
+        return np.asarray(r.products.left - self._imitated.T @ self._gradient)
 
     @cached_property
     def chi2(self) -> float:
@@ -190,10 +190,9 @@ class Screening(Generic[H]):
         r, n = self.regressors, len(self.regressors.residual)
         if r.correlation is None:
             return np.full(r.matrix.shape[1], float(n))
-        modes = r.correlation.modes.T
-        imitated = (modes @ r.jacobian) @ solve_triangular(self._factor.T, self._imitated, lower=False)
-        visible = np.einsum("nc,nc->c", r.matrix, r.matrix) - np.einsum("pc,pc->c", self._imitated, self._imitated)
-        return r.correlation.degrees_of_freedom(modes @ r.matrix - imitated, visible, float(n))
+        imitated = r.products.along_fitted @ solve_triangular(self._factor.T, self._imitated, lower=False)
+        visible = r.products.squared - np.einsum("pc,pc->c", self._imitated, self._imitated)
+        return r.correlation.degrees_of_freedom(r.products.along - imitated, visible, float(n))
 
     @cached_property
     def _blocks(self) -> list[_Block]:
@@ -248,7 +247,7 @@ class Screening(Generic[H]):
             )
             wider = spent * np.log(self.regressors.scale)
             explained = np.minimum(drops / self.chi2, 1 - 1e-12)
-            bic = _evidence(explained, n, sure) + spent * np.log(n)
+            bic = n * np.log1p(-explained) + spent * np.log(n)  # rivals are weighed alike; how sure each is p says
             bic += 2 * (wider + np.log(scans))
             found += [
                 Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),
@@ -311,15 +310,7 @@ class Screening(Generic[H]):
         degrees_of_freedom = spent.reshape(shape)
         left = np.maximum(total - degrees_of_freedom, 1.0)
         ratio = drops / degrees_of_freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
-        return np.asarray(f_distribution.sf(ratio, degrees_of_freedom, left if sure is None else sure))
-
-
-def _evidence(explained: np.ndarray, n: int, sure: np.ndarray) -> np.ndarray:
-    """Twice minus the logarithm of what explaining so large a share of chi² says, the noise known as well as it is.
-
-    Student's t with as many degrees of freedom as the noise is known by, in the place of one with n.
-    """
-    return -sure * np.log1p(n * explained / (1 - explained) / sure)
+        return np.asarray(fdtrc(degrees_of_freedom, left if sure is None else sure, ratio))
 
 
 def prior_cost(pulled: np.ndarray, number: int) -> np.ndarray:

@@ -7,6 +7,7 @@ what is expected; a part is taken in where that ratio is beyond chance (a score 
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, pairwise
@@ -23,7 +24,7 @@ from calflow.effects.cause import Cause
 
 ORDERS = 4  # of a joint's angle
 TURNS = 8  # half turns that a slow wander makes in the course of the measurement, at most
-MODES = 160  # directions in which all functions together are largest: the rest is lost in the noise
+MODES = 240  # directions in which all functions together are largest: the rest is lost in the noise
 STEPS = 30  # of the sizes
 SETTLED = 0.03  # relative change of the sizes' squares below which they stay
 PROMISING = 1.0  # standard deviations beyond what is expected, from which a part is tried
@@ -90,9 +91,12 @@ def functions(fitted: Fitted) -> list[tuple[tuple[str, ...], list[Decoy]]]:
 
 
 def background(fitted: Fitted, basis: Basis) -> Background | None:
-    """Return the background that a fitted model leaves; none where the data show none."""
+    """Return the background that a fitted model leaves; none where the data show none.
+
+    Along an input of which one of its causes is any smooth function there is none: that cause is its name.
+    """
     sizes = Sizes.beside(fitted, basis)
-    variance = sizes.believed()
+    variance = sizes.believed([name for cause in fitted.causes for name in cause.effect.smooth_in])
     return sizes.background(variance) if variance.any() else None
 
 
@@ -144,7 +148,8 @@ class Sizes:
     def of(regressors: Regressors[Cause], basis: Basis, weight: np.ndarray) -> Sizes:
         """Take the model's own parameters out of the modes."""
         modes = basis.weighed(weight)
-        own = replace(regressors, matrix=modes, candidates=(), products=Products.of(regressors.jacobian, modes, ()))
+        products = Products.of(regressors.residual, regressors.jacobian, modes, ())
+        own = replace(regressors, matrix=modes, candidates=(), products=products)
         seen = Screening(own)
         columns = np.arange(modes.shape[1])
         return Sizes(basis, weight, regressors.shared, modes, seen.information(columns), modes.T @ modes, seen.score,
@@ -160,7 +165,7 @@ class Sizes:
             self.weight,
             self.shared,
             tuple(map(float, self.degrees_of_freedom(variance)[kept])),
-            tuple(map(float, self.gains(variance)[kept])),
+            self.cost(np.zeros(len(variance))) - self.cost(variance),
             len(variance),
         )
 
@@ -226,10 +231,14 @@ class Sizes:
         information = np.array([np.vdot(one, one.T) for one in each])
         return (seen - expected) / np.sqrt(2 * information), (seen - expected) / information
 
-    def believed(self) -> np.ndarray:
-        """Return the most likely variances (n_parts,), part by part while one adds enough to be believed."""
+    def believed(self, without: Collection[str] = ()) -> np.ndarray:
+        """Return the most likely variances (n_parts,), part by part while one adds enough to be believed.
+
+        Parts of some inputs may be left out.
+        """
         variance = np.zeros(len(self.shapes))
-        tried = np.zeros(len(variance), dtype=bool)  # once each: parts much alike would come and go
+        tried = np.array([bool(set(inputs) & set(without)) for inputs in self.basis.inputs])
+        # Once each: parts much alike would come and go.
         while not tried.all():
             beyond, size = self._beyond(variance)
             best = int(np.argmax(np.where(tried, -np.inf, beyond)))
@@ -242,15 +251,10 @@ class Sizes:
             if self.cost(variance) - self.cost(larger) >= BELIEVED:
                 variance = larger
         for k in np.flatnonzero(variance > 0):
-            if self.gains(variance)[k] < BELIEVED:
-                variance = self.most_likely(np.where(np.arange(len(variance)) == k, 0.0, variance))
+            without = np.where(np.arange(len(variance)) == k, 0.0, variance)
+            if self.cost(without) - self.cost(variance) < BELIEVED:
+                variance = self.most_likely(without)
         return variance
-
-    def gains(self, variance: np.ndarray) -> np.ndarray:
-        """Return by how much each part lowers the cost, the others as they are, shape (n_parts,)."""
-        now = self.cost(variance)
-        without = [np.where(np.arange(len(variance)) == k, 0.0, variance) for k in range(len(variance))]
-        return np.array([self.cost(other) - now if variance[k] > 0 else 0.0 for k, other in enumerate(without)])
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
         """Return how well each part's variance is known, shape (n_parts,): that of as many squares of normals."""

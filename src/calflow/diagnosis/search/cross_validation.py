@@ -7,7 +7,9 @@ one Jacobian, without a refit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import t as student
@@ -65,28 +67,60 @@ def _halved(places: np.ndarray, levels: int) -> np.ndarray:
     return block
 
 
-def carried_over(fitted: Fitted, cause: Cause, kinds: list[np.ndarray]) -> CarriedOver:
-    """Predict each block (n_rows,) of each kind from the others, with a cause of the model and without it."""
-    regressors = fitted.alone
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """The blocks of one kind, each to be predicted by what the others tell of a linearised model.
+
+    rows are the numbers of each block's residuals, fitted (n_blocks, n_free, n_free) the products of the Jacobian with itself
+    over these, left (n_blocks, n_free) those with the residual: what the others tell is the sum of theirs.
+    """
+
+    regressors: Regressors[Cause]
+    rows: tuple[np.ndarray, ...]
+    fitted: np.ndarray
+    left: np.ndarray
+
+    @staticmethod
+    def of(regressors: Regressors[Cause], block: np.ndarray) -> LeftOut:
+        """Add up the products block by block, by which the residuals are numbered (n,)."""
+        rows = tuple(np.flatnonzero(block == one) for one in np.unique(block))
+        parts = [(regressors.jacobian[own], regressors.residual[own]) for own in rows]
+        return LeftOut(regressors, rows, np.array([j.T @ j for j, _ in parts]), np.array([j.T @ e for j, e in parts]))
+
+    @cached_property
+    def missed(self) -> list[np.ndarray]:
+        """Each block's whitened errors, the parameters fitted to the others."""
+        return self.missed_without(np.zeros(0, dtype=int), np.zeros(0))
+
+    def missed_without(self, gone: np.ndarray, value: np.ndarray) -> list[np.ndarray]:
+        """Return the same without some of the free parameters (their numbers), which have these values."""
+        rest, keep = self.regressors.without(gone, value), np.setdiff1d(np.arange(self.fitted.shape[1]), gone)
+        found = []
+        for k, own in enumerate(self.rows):
+            others = np.arange(len(self.rows)) != k
+            whole = self.fitted[others].sum(axis=0)
+            left = self.left[others].sum(axis=0) - whole[:, gone] @ value
+            change = np.linalg.solve(whole[np.ix_(keep, keep)] + np.diag(rest.precision), left[keep] + rest.pull)
+            found.append(rest.residual[own] - rest.jacobian[own] @ change)
+        return found
+
+
+def left_out(fitted: Fitted) -> list[LeftOut]:
+    """Return a fitted model's blocks, a kind at a time."""
+    row = fitted.problem.stacking.row
+    return [LeftOut.of(fitted.alone, kind[row]) for kind in blocks(fitted)]
+
+
+def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[LeftOut]) -> CarriedOver:
+    """Predict each block of each kind from the others, with a cause of the model and without it."""
     free = np.flatnonzero(~fitted.fit.at_bound)
     own = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
     value = fitted.fit.estimate[free][own]
-    effect = regressors.jacobian[:, own] @ value
-    without = regressors.without(own, effect, value * np.sqrt(regressors.precision[own]))
-    row = fitted.problem.stacking.row
     gains, ratios = [], list[float]()
     for kind in kinds:
-        left_out = [kind[row] == block for block in np.unique(kind)]
-        pairs = [(_missed(without, out), _missed(regressors, out)) for out in left_out]
+        pairs = list(zip(kind.missed_without(own, value), kind.missed, strict=True))
         gains.append(float(sum(a @ a - b @ b for a, b in pairs)))
         ratios += [np.log(np.abs(a).max() / np.abs(b).max()) for a, b in pairs]
     mean, spread = float(np.mean(ratios)), float(np.std(ratios, ddof=1)) / np.sqrt(len(ratios))
     p = float(student.cdf(mean / spread, len(ratios) - 1)) if spread > 0 else 1.0
     return CarriedOver(tuple(gains), mean, p)
-
-
-def _missed(regressors: Regressors[Cause], out: np.ndarray) -> np.ndarray:
-    """Whitened errors of the residuals that are left out (n,), the parameters fitted to the others."""
-    j, e = regressors.jacobian[~out], regressors.residual[~out]
-    change = np.linalg.solve(j.T @ j + np.diag(regressors.precision), j.T @ e + regressors.pull)
-    return np.asarray(regressors.residual[out] - regressors.jacobian[out] @ change)

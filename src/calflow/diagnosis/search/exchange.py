@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Generic
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.screening import INVISIBLE, MATERIAL, Family, Score, Screening
@@ -64,7 +64,9 @@ class Exchange(Generic[H]):
             own = score.candidate.columns
             columns[k, : len(own)] = own
             sd[k, : len(own)] = screening.regressors.prior_sd[own]
-        information = screening.information(columns.ravel()) * sd.ravel()[:, None] * sd.ravel()
+        used, which = np.unique(columns, return_inverse=True)
+        which = which.ravel()
+        information = screening.information(used)[np.ix_(which, which)] * sd.ravel()[:, None] * sd.ravel()
         shape = (len(few), COLUMNS, len(few), COLUMNS)
         return Exchange(
             screening, family, gone, tuple(few), information.reshape(shape).transpose(0, 2, 1, 3),
@@ -137,5 +139,5 @@ class Exchange(Generic[H]):
         degrees_of_freedom = int(shown.sum())
         rest = max(self.screening.degrees_of_freedom - degrees_of_freedom, 1.0)
         chi2 = max(self.screening.chi2 - self.scores[i].drop - drop, 1e-12 * self.screening.chi2)
-        single = float(f_distribution.sf(drop / degrees_of_freedom / (chi2 / rest), degrees_of_freedom, rest))
+        single = float(fdtrc(degrees_of_freedom, rest, drop / degrees_of_freedom / (chi2 / rest)))
         return self.family.p(replace(self.scores[j], p=single))

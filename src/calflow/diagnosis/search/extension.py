@@ -18,6 +18,7 @@ from calflow.diagnosis.search.stepwise import Stepwise
 from calflow.diagnosis.search.trial import Trial
 from calflow.diagnosis.search.verification import verified
 from calflow.effects.cause import Cause
+from calflow.estimation.fit import Fit
 
 
 @dataclass(frozen=True)
@@ -30,11 +31,11 @@ class Extended:
     first: Screened[Cause]
 
     @cached_property
-    def path(self) -> tuple[Fitted, ...]:
-        """The models on the way, one a cause: those with the first causes, fitted where the search did not, and the last."""
+    def path(self) -> tuple[Fit, ...]:
+        """The fits on the way, one a cause: those with the first causes, fitted where the search did not, and the last."""
         causes = self.fitted.causes
         shorter = [among(self.trail, causes[:k]) for k in range(1, len(causes))]
-        return (*shorter, self.fitted) if causes else ()
+        return (*shorter, self.fitted.fit) if causes else ()
 
     def weighed(self, sigma: np.ndarray) -> Extended:
         """Fit the extended model anew with another noise (n_rows,) [m] of the rows."""

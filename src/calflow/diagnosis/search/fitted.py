@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.stats import norm, t
 
 from calflow.diagnosis.screening.correlation import Background
 from calflow.diagnosis.screening.regressors import Regressors
@@ -14,7 +15,7 @@ from calflow.diagnosis.screening.screening import Screening
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated import Identified
-from calflow.estimation.fit import Fit
+from calflow.estimation.fit import Fit, fit
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.noise import Noise
@@ -25,6 +26,7 @@ from calflow.model import Model
 FAR = 4.5  # robust standard deviations
 MEDIAN_LENGTH = np.array([np.nan, 0.6745, 1.1774, 1.5382])  # of so many unit normals
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
+TWO_SIDED = 0.975  # quantile at which a 95 % interval ends
 WEIGHINGS = 3  # fits in which the weights of rows far off settle
 
 
@@ -78,7 +80,9 @@ class Fitted:
     def covariance(self) -> np.ndarray:
         """Covariance of the estimate, wider where errors that rows share are fitted as if they were independent noise.
 
-        Shape (n_parameters, n_parameters); the sandwich of White (1980), with the covariance of what may be left between.
+        Shape (n_parameters, n_parameters); the sandwich of White (1980), with the covariance of what may be left between. The
+        sizes of that are uncertain themselves, so that an estimate is about its truth as Student's t is: the standard deviations
+        are those of normals with the same 95 % intervals.
         """
         regressors = self.alone
         if self.possible is None and regressors.shared == 1:
@@ -87,8 +91,11 @@ class Fitted:
         bread = within = np.linalg.inv(jacobian.T @ jacobian + prior)
         if self.possible is not None:
             level = Screening(replace(self, background=self.possible).regressors(())).level
-            covered = self.possible.correlation(self.problem.weight).covered(jacobian)
-            within = bread @ (level * covered + prior) @ bread
+            correlation = self.possible.correlation(self.problem.weight)
+            within = bread @ (level * correlation.covered(jacobian) + prior) @ bread
+            sure = correlation.sureness(jacobian @ bread, max(len(jacobian) - jacobian.shape[1], 1))
+            wider = t.ppf(TWO_SIDED, sure) / norm.ppf(TWO_SIDED)
+            within = wider[:, None] * within * wider
         free = np.flatnonzero(~self.fit.at_bound)
         found = np.zeros((len(self.fit.estimate), len(self.fit.estimate)))
         found[np.ix_(free, free)] = within
@@ -97,11 +104,11 @@ class Fitted:
     @property
     def misfit(self) -> float:
         """Huber's cost of all rows, and the priors' chi²; beside a background by what it leaves of independent noise."""
-        fit, model = self.fit, self.model
+        own, model = self.fit, self.model
         if self.background is not None:
             return Screening(self.regressors(())).chi2 + 2 * FAR**2 * float((self.far - 1).sum())
-        pulled = (fit.estimate - model.nominal) / model.prior_sd
-        return float((fit.residual**2).sum() + 2 * FAR**2 * (self.far - 1).sum() + pulled @ pulled)
+        pulled = (own.estimate - model.nominal) / model.prior_sd
+        return float((own.residual**2).sum() + 2 * FAR**2 * (self.far - 1).sum() + pulled @ pulled)
 
     @property
     def problem(self) -> LeastSquares:
@@ -138,6 +145,11 @@ class Fitted:
         """The study's own effects."""
         return tuple(effect for effect in self.model.effects if not isinstance(effect, Cause))
 
+    def fit_with(self, causes: Sequence[Cause]) -> Fit:
+        """Fit the study's own effects with these causes once, by this model's weights: where no test is made of the fit."""
+        model = replace(self.model, effects=(*self.plain, *causes))
+        return fit(LeastSquares.of(model, self.data, self.noise), self._values(model)[None], self.loss)[0]
+
     def with_causes(self, causes: Sequence[Cause], start: np.ndarray | None = None, share: float = 0.0) -> Fitted:
         """Fit the study's own effects with these causes, by IPOPT.
 
@@ -162,11 +174,11 @@ def _settled(
     far = np.ones(len(data)) if far is None else far
     for _ in range(WEIGHINGS):
         weighed = replace(device, sigma=device.sigma * far)
-        fit, noise, lack, _ = fit_reweighted(model, data, weighed, start[None], loss, SETTLED)
-        before, far, start = far, _excess(fit, far), fit.estimate
+        found, noise, lack, _ = fit_reweighted(model, data, weighed, start[None], loss, SETTLED)
+        before, far, start = far, _excess(found, far), found.estimate
         if np.allclose(far, before, rtol=SETTLED):
             break
-    return Fitted(fit, data, noise, lack, loss, device)
+    return Fitted(found, data, noise, lack, loss, device)
 
 
 def _excess(fit: Fit, far: np.ndarray) -> np.ndarray:

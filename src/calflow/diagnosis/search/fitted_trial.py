@@ -15,6 +15,7 @@ from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.diagnosis.search.refinement import finest, in_place, refined
 from calflow.diagnosis.search.trial import Trial, bic, relief
 from calflow.effects.cause import Cause
+from calflow.estimation.fit import Fit
 
 
 @dataclass(frozen=True)
@@ -78,12 +79,12 @@ class FittedTrial(Trial[Cause]):
         return relief(self.fitted.fit.estimate[own] - model.nominal[own], model.prior_sd[own])
 
 
-def among(trail: Sequence[Fitted], causes: Sequence[Cause]) -> Fitted:
-    """Return the model with these causes from the models fitted on the way, or fit it from the one most like it."""
+def among(trail: Sequence[Fitted], causes: Sequence[Cause]) -> Fit:
+    """Return the fit with these causes from the models fitted on the way, or fit it from the one most like it."""
 
     def differing(fitted: Fitted) -> int:
         missing = sum(cause not in fitted.causes for cause in causes)
         return missing + sum(cause not in causes for cause in fitted.causes)
 
     near = min(reversed(trail), key=differing)
-    return near if list(near.causes) == list(causes) else near.with_causes(causes)
+    return near.fit if list(near.causes) == list(causes) else near.fit_with(causes)

@@ -10,7 +10,7 @@ import numpy as np
 
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.screening.hypothesis import H
-from calflow.diagnosis.screening.regressors import Regressors
+from calflow.diagnosis.screening.regressors import Candidate, Regressors
 from calflow.diagnosis.screening.screening import Family, Score, Screening
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects.cause import Cause
@@ -73,7 +73,7 @@ class Linearisation(Generic[H]):
 
     def screened(self, rng: np.random.Generator, known: Family | None = None) -> Screened[H]:
         """Test what the model does not have yet; known is what the number of tests costs, if that is known."""
-        others = tuple(c for c in self.regressors.candidates if not _acts(c.cause, self.causes))
+        others = _besides(self.regressors.candidates, self.causes)
         screening = Screening(replace(self.regressors, candidates=others))
         shown = {score.cause.place for score in screening.scores}
         every = {candidate.cause.place: candidate.cause for candidate in others}
@@ -84,17 +84,18 @@ class Linearisation(Generic[H]):
         """Test all candidates in the place of some causes, the others staying in the model; linear, without a refit."""
         whole = self.regressors
         columns = np.sort(np.concatenate([self.columns[self.causes.index(cause)] for cause in gone]))
-        value = self.value[columns]
-        apart = whole.without(columns, whole.jacobian[:, columns] @ value, value * np.sqrt(whole.precision[columns]))
+        apart = whole.without(columns, self.value[columns])
         stay = [cause for cause in self.causes if cause not in gone]
-        others = tuple(c for c in apart.candidates if not _acts(c.cause, stay))
-        return Screening(replace(apart, candidates=others))
+        return Screening(replace(apart, candidates=_besides(apart.candidates, stay)))
 
     def findings(self, family: Family) -> list[Finding[H]]:
         """Score all candidates in each cause's place."""
         return [Finding(cause, tuple(self.apart([cause]).scores), family) for cause in self.causes]
 
 
-def _acts(cause: H, among: Sequence[H]) -> bool:
-    """Whether a cause is among these, in this form or another."""
-    return any(cause.same_form(other) for other in among)
+def _besides(candidates: Sequence[Candidate[H]], causes: Sequence[H]) -> tuple[Candidate[H], ...]:
+    """Return the candidates that are not among these causes, in this form or another."""
+    acting: dict[tuple[str, str], list[H]] = {}
+    for cause in causes:
+        acting.setdefault(cause.place, []).append(cause)
+    return tuple(c for c in candidates if not any(c.cause.same_form(one) for one in acting.get(c.cause.place, ())))

@@ -15,18 +15,19 @@ import numpy as np
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.acceptance import Acceptance
 from calflow.diagnosis.search.background import Basis, background, possible
-from calflow.diagnosis.search.cross_validation import blocks, carried_over
+from calflow.diagnosis.search.cross_validation import carried_over, left_out
 from calflow.diagnosis.search.exchange import SPLIT
 from calflow.diagnosis.search.extension import Extended, extended
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.fitted_trial import FittedTrial
 from calflow.diagnosis.search.linearisation import Finding, Linearisation
-from calflow.diagnosis.search.stepwise import Stepwise, words
-from calflow.diagnosis.search.trial import Trial, same
-from calflow.diagnosis.search.unnamed import unnamed
+from calflow.diagnosis.search.stepwise import Stepwise, second_thoughts, words
+from calflow.diagnosis.search.trial import Trial, is_new, same
+from calflow.diagnosis.search.unnamed import evidence, unnamed
 from calflow.effects.cause import Cause
 
 ROUNDS = 6  # in which causes and background settle
+THOUGHTS = 3  # rivals that may take a cause's place one after another
 
 
 def weighed(
@@ -39,7 +40,7 @@ def weighed(
 ) -> Extended:
     """Drop and exchange causes that do not hold beside a background of the size that is left, until they agree with it."""
     basis = Basis.of(start)
-    now = found
+    now, rounds = found, list[Extended]()
     for _ in range(ROUNDS):
         against = unnamed(now.fitted, basis, catalogue.variants)
         while weakest := _weakest(now.fitted, against):
@@ -54,9 +55,15 @@ def weighed(
             )
         beside = replace(now.fitted, background=left)
         now = _searched(replace(start, background=left), beside, found, catalogue, acceptance, rng, say)
+        rounds.append(now)
         if same(now.fitted.causes, beside.causes):
             break
-    else:
+        if any(same(now.fitted.causes, other.fitted.causes) for other in rounds[:-1]):
+            now = min(
+                rounds, key=lambda one: evidence(one.fitted, basis, catalogue.variants)
+            )  # they go round in circles
+            break
+    if not same(list(against), now.fitted.causes):
         against = unnamed(now.fitted, basis, catalogue.variants)
     fitted = replace(now.fitted, possible=possible(now.fitted, basis))
     return replace(now, fitted=fitted, findings=_judged(now, against))
@@ -67,7 +74,7 @@ def _weakest(fitted: Fitted, against: dict[Cause, float]) -> Cause | None:
     weakest = min(against, key=lambda cause: against[cause], default=None)
     if weakest is None or against[weakest] < 0:
         return weakest
-    kinds = blocks(fitted)
+    kinds = left_out(fitted)
     failing = [cause for cause in against if not carried_over(fitted, cause, kinds).holds]
     return min(failing, key=lambda cause: against[cause], default=None)
 
@@ -89,7 +96,7 @@ def _searched(
     known = [FittedTrial(family, beside, catalogue)] if beside.causes else []
     tried: list[Trial[Cause]] = [FittedTrial(family, start, catalogue), *known]
     search = Stepwise(acceptance, first, rng, say, lambda share: None)
-    best = search.settled(tried)
+    best = _second_thought(search.settled(tried), tried, search)
     for trial in known:
         more = len(best.causes) - len(trial.causes)
         if more > 0 and search.stands(trial) and best.bic > trial.bic - SPLIT * more:
@@ -97,8 +104,26 @@ def _searched(
     return replace(extended(best, tried, first), first=found.first)
 
 
+def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepwise[Cause]) -> Trial[Cause]:
+    """The best model, or the one with a rival in the place of a cause that the background explains nearly as well.
+
+    BIC of fits takes the background's size for known; the rivals' comparison in a cause's place does not.
+    """
+    for _ in range(THOUGHTS):
+        wanted = second_thoughts(best.findings, search.acceptance)
+        if same(best.causes, wanted):
+            break
+        if is_new(wanted, tried):
+            tried.append(best.with_causes(wanted))
+        (trial,) = (trial for trial in tried if same(trial.causes, wanted))
+        if not search.stands(trial):
+            break
+        best = trial
+    return best
+
+
 def _judged(found: Extended, against: dict[Cause, float]) -> tuple[Finding[Cause], ...]:
-    kinds = blocks(found.fitted)
+    kinds = left_out(found.fitted)
     return tuple(
         replace(
             finding,

@@ -1,0 +1,59 @@
+"""The difference of two calibrations: whether their parameters differ by more than both leave open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from calflow.estimation.calibrated import Identified
+
+TELLING = 1e-7  # variance of a direction, in those of the priors, below which two calibrations say the same: nothing
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The parameters that two models share, as indices into each (n,), second minus first (n,), and its covariance (n, n)."""
+
+    first: np.ndarray
+    second: np.ndarray
+    value: np.ndarray
+    covariance: np.ndarray
+    prior_sd: np.ndarray
+
+    @staticmethod
+    def of(first: Identified, second: Identified) -> Difference:
+        """Compare parameters of the same name that refer to the same figure and are off their bounds in both.
+
+        Estimates from independent measurements that were drawn to the same priors P differ by chance with covariance
+        C1 + C2 - C1 P C2 - C2 P C1: where only the prior knows, both say the same, and nothing of it.
+        """
+        known = {parameter.name: k for k, parameter in enumerate(second.model.parameters)}
+        pairs = [
+            (k, known[one.name]) for k, one in enumerate(first.model.parameters)
+            if one.name in known and one.figure == second.model.parameters[known[one.name]].figure
+            and one.prior_sd == second.model.parameters[known[one.name]].prior_sd
+            and not first.at_bound[k] and not second.at_bound[known[one.name]]
+        ]  # fmt: skip
+        i, j = (np.array(own, dtype=int) for own in (zip(*pairs, strict=True) if pairs else ((), ())))
+        sd = first.model.prior_sd[i]
+        c1, c2 = first.covariance[np.ix_(i, i)], second.covariance[np.ix_(j, j)]
+        shared = c1 @ np.diag(sd**-2.0) @ c2
+        return Difference(i, j, second.estimate[j] - first.estimate[i], c1 + c2 - shared - shared.T, sd)
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard deviations of the differences (n,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def joint(self) -> tuple[float, int, float]:
+        """Chi² of all differences together with their covariances, its degrees of freedom, and the chance of so much."""
+        if not len(self.value):
+            return 0.0, 0, 1.0
+        values, vectors = np.linalg.eigh(self.covariance / np.outer(self.prior_sd, self.prior_sd))
+        telling = values > TELLING
+        along = (vectors.T @ (self.value / self.prior_sd))[telling]
+        squared = float((along**2 / values[telling]).sum())
+        return squared, int(telling.sum()), float(chi2.sf(squared, max(1, int(telling.sum()))))

@@ -1,0 +1,34 @@
+"""What a chain says of measured rows holds the choice of the model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+
+from calflow.estimation.alternative import Alternative
+from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.sampling.posterior_tables import predictive_table
+from diagnosis.found import cause, hidden, start
+from estimation.data import SIGMA
+
+ECCENTRIC = cause("joint-eccentricity", "joint2", order=1)
+
+
+def interval(known, data):
+    """The mean upper end of the intervals, of a chain that stays at the estimate."""
+    values = np.tile([*known.estimate, 0.0], (2, 10, 8, 1))
+    sampled = SimpleNamespace(values=values, known=known, data=data)
+    return predictive_table(sampled, np.random.default_rng(1))["high_mm"].mean()
+
+
+def test_rivals_of_several_causes_may_all_be_likely():
+    """Fails if alternatives whose probabilities add up to more than one end the stage, or leave the intervals as they are."""
+    final = start(hidden([(ECCENTRIC, (4e-4, -2e-4))])).with_causes([ECCENTRIC])
+    fit, data = final.fit, final.data
+    noise = (SeriesNoise(SIGMA, "repeats"),)
+    known = Identified(fit.model, fit.estimate, fit.covariance, fit.at_bound, noise, 0.0, 0.0, "linear")
+    bare = replace(fit.model, effects=final.plain)
+    other = Alternative(bare, fit.estimate[: len(bare.parameters)], 0.6)
+    assert interval(replace(known, alternatives=(other, other)), data) > 1.5 * interval(known, data)
