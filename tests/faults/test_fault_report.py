@@ -10,7 +10,7 @@ from calflow.faults import Correction, Fault, as_table
 from calflow.faults.base import fault
 from calflow.faults.outlier import Outlier
 from calflow.files.results import Results
-from calflow.reporting.document import write
+from calflow.reporting.document import source, write
 from calflow.reporting.material import Material
 from calflow.reporting.section import advice, chosen, sections
 from calflow.reporting.sections import faults as section
@@ -47,7 +47,7 @@ def test_left_out_rows_are_in_no_figure(small: Context) -> None:
 def test_the_reader_is_told_to_correct_the_file(small: Context) -> None:
     """Fails if a fault is not told on page one, a whole column after single rows, or without its lines."""
     material = Material.of(small.study, small.results, small.run_folder)
-    text = "".join(block.markup for block in section.write(material))
+    text = source("", [("", section.write(material))])
     for words in ("line 4", "left out", "all rows", "corrected", "The position in line 4 is 9 mm off; left out."):
         assert words in text
     told = [item.sentence for item in advice(sections(), small.results) if item.sentence.startswith("Correct the meas")]

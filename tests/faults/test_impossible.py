@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from calflow.faults import examined
+from calflow.faults.base_elsewhere import base_elsewhere
 from calflow.faults.joint_limits import past_limits
-from calflow.faults.misfit import nominal_misfit
+from calflow.faults.nominal_misfit import nominal_misfit
 from calflow.files.problems import InputError
 from calflow.robot.parts import Coupling
 from calflow.study import load_study
@@ -100,6 +101,25 @@ def test_a_worn_robot_with_an_unknown_tool_is_one(tmp_path):
     base = replace(data.robot.base, known=False, origin=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, 0.0))
     markers = {name: replace(marker, point=(0.0, 0.0, 0.0)) for name, marker in data.robot.markers.items()}
     assert nominal_misfit(data.on(replace(data.robot, base=base, markers=markers))) == ""
+
+
+@pytest.mark.parametrize(("origin", "turn"), [((0.0, 0.0, 0.0), (0.0, 0.0, 90.0)), ((1.0, -0.4, 0.0), (0.0, 0.0, 0.0))])
+def test_a_base_that_stands_elsewhere_is_told_with_its_place(tmp_path, origin, turn):
+    """Fails if a base that is stated wrongly is fitted against its bounds, or said to be a joint's sign."""
+    data = case(tmp_path)
+    base = data.robot.base
+    assert base.known
+    assert base_elsewhere(data) == ""
+    wrong = replace(
+        base, origin=tuple(np.add(base.origin, origin)), rotation=tuple(np.add(base.rotation, np.deg2rad(turn)))
+    )
+    with pytest.raises(InputError) as told:
+        examined(data.on(replace(data.robot, base=wrong)))
+    said = str(told.value)
+    assert "the base does not stand where the robot file says" in said
+    stated = [float(value) for value in said.split("origin_mm = [")[1].split("]")[0].split(",")]
+    assert stated == pytest.approx([1e3 * value for value in base.origin], abs=60)
+    assert base_elsewhere(data.on(replace(data.robot, base=replace(wrong, known=False)))) == ""
 
 
 def test_check_tells_what_a_run_would_correct(tmp_path):

@@ -12,9 +12,10 @@ import numpy as np
 import pandas as pd
 
 from calflow.faults.base import Check, Correction, Fault, FaultyRow, PlainCheck, correct
+from calflow.faults.base_elsewhere import base_elsewhere
 from calflow.faults.elsewhere import gross_rows, is_position
 from calflow.faults.joint_limits import past_limits
-from calflow.faults.misfit import nominal_misfit
+from calflow.faults.nominal_misfit import nominal_misfit
 from calflow.faults.reference import Models, Reference
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import to_frame
@@ -59,7 +60,8 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
         series = data.series_number[past]
         problems += [Problem(said, paths[k] if paths else None) for k in dict.fromkeys(map(int, series))]
     positions = is_position(data)
-    if not problems and positions.any() and (said := nominal_misfit(data.only(positions))):
+    seen = data.only(positions)
+    if not problems and positions.any() and (said := nominal_misfit(seen) or base_elsewhere(seen)):
         problems.append(Problem(said, paths[int(data.series_number[positions][0])] if paths else None))
     if problems:
         raise InputError(problems)

@@ -39,7 +39,7 @@ def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, co
         own = {column.name: column for column in columns if column.marker in ("", marker)}
         missing += _missing(own, marker, layout, robot, conditions_only)
     names = {column.name: column for column in columns}
-    oriented = not conditions_only and bool({"rx", "qw"} & set(names))
+    oriented = not conditions_only and layout.reports.measured and bool({"rx", "qw"} & set(names))
     told = []
     for name, stated in (("sigma", layout.sigma), ("sigma_rotation", layout.sigma_rotation)):
         if stated is not None and name in names:
@@ -79,10 +79,11 @@ def _missing(
 ) -> list[str]:  # fmt: skip
     """Say which columns the rows of a marker ('' for all) lack."""
     n, known = robot.n_joints, column_names(robot, layout.reports)
-    required = numbered("q", n) + ([] if conditions_only else [*layout.reports.needed])
+    required = numbered("q", n) if layout.reports.measured else []
+    required += [] if conditions_only else [*layout.reports.needed]
     if len(robot.markers) > 1 and not marker:
         required.append("marker")
-    groups = [*(numbered(STEMS[stem], n) for stem in ("approach", "travel", "torque")), WRENCH, ANGLES, QUATERNION]
+    groups = [*(numbered(stem, n) for stem in STEMS.values()), WRENCH, ANGLES, QUATERNION]
     required += [name for group in groups if own.keys() & set(group) for name in group]
     where = ""
     if layout.columns or layout.markers:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pandas as pd
 
@@ -23,12 +23,14 @@ STEMS = {"reading": "q", "approach": "approach", "travel": "travel", "torque": "
 class Reported:
     """The columns that a kind of measurement reports in, with their dimensions ('' for a plain number), and names it is told.
 
-    needed ones must be there, and labels that are needed; of the others any.
+    needed ones must be there, and labels that are needed; of the others any. Where nothing was measured yet they say where a
+    tool is to be: such rows need no joint readings, no orders and no noise.
     """
 
     needed: Mapping[str, str]
     optional: Mapping[str, str] = field(default_factory=dict)
     labels: tuple[str, ...] = ()
+    measured: bool = True
 
     @property
     def values(self) -> tuple[str, ...]:
@@ -36,7 +38,10 @@ class Reported:
         return (*self.needed, *self.optional)
 
 
+FRAME = "frame"  # the name of the frame that a target is in
 POSES = Reported(dict.fromkeys(POSITION, "length"), dict.fromkeys(ANGLES, "angle") | dict.fromkeys(QUATERNION, ""))
+
+TARGETS = replace(POSES, labels=(FRAME,), measured=False)
 
 
 def blocks_of(table: pd.DataFrame) -> list[str]:
@@ -59,6 +64,7 @@ def column_names(robot: Robot, reported: Reported = POSES) -> dict[str, str]:
         names |= {f"{stem}{i + 1}": "angle" if j.kind == "revolute" else "length" for i, j in enumerate(robot.joints)}
     names |= {"sigma": "length", **reported.needed, **reported.optional}
     names |= dict.fromkeys(("nominal_x", "nominal_y", "nominal_z"), "length")  # of select/poses.csv, filled in
+    names |= dict.fromkeys(("target_x", "target_y", "target_z"), "length")  # where compensated commands were to land
     names |= {"sigma_rotation": "angle"}
     names |= dict.fromkeys(WRENCH[:3], "force") | dict.fromkeys(WRENCH[3:], "moment")
     names |= dict.fromkeys(numbered("tau", n), "moment")

@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from calflow.measurements.arrays import rows_of
-from calflow.measurements.columns import ANGLES, POSITION, QUATERNION, blocks_of, condition_columns, numbered
+from calflow.measurements.columns import ANGLES, POSITION, QUATERNION, TARGETS, blocks_of, condition_columns, numbered
 from calflow.measurements.layout import Layout
 from calflow.measurements.rows import Rows, read_rows
 from calflow.measurements.series import Series
@@ -59,6 +59,16 @@ class Measurements:
             InputError: with everything that is wrong in the file.
         """
         return cls._of(robot, read_rows(Path(path), robot, Layout(**how), True, time_origin))
+
+    @classmethod
+    def to_reach(cls, path: str | Path, robot: Robot, time_origin: float | None = None, **how: Any) -> Measurements:
+        """Read rows that say where a tool is to be: x, y, z and perhaps its orientation; joint readings may be there or not.
+
+        Raises:
+            InputError: with everything that is wrong in the file.
+        """
+        layout = Layout(**how, missing="refuse", reports=TARGETS)
+        return cls._of(robot, read_rows(Path(path), robot, layout, time_origin=time_origin))
 
     @classmethod
     def from_arrays(

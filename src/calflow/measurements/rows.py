@@ -12,7 +12,7 @@ from calflow.files.problems import InputError, Problem, shortened
 from calflow.files.units import LARGEST, SUFFIXES, to_si
 from calflow.measurements.cells import EMPTY, read_cells
 from calflow.measurements.checks import MAX_ROWS_TOLD, at_rows, check_header, check_values
-from calflow.measurements.columns import SIGMAS, column_names
+from calflow.measurements.columns import SIGMAS, column_names, numbered
 from calflow.measurements.header import ReadColumn, columns_read
 from calflow.measurements.labels import labelled
 from calflow.measurements.layout import Layout
@@ -71,11 +71,13 @@ def read_rows(
     ]
     if problems:
         raise InputError(problems + wrong)
-    table, notes = labelled(_assembled(read, gone, layout), robot)
+    table = _assembled(read, gone, layout)
+    table, notes = labelled(table if layout.reports.measured else _to_come(table, robot), robot)
     problems = wrong + check_values(table, robot, path)
     if problems:
         raise InputError(problems)
-    rows = placed_in_time(table, robot, layout, conditions_only, time_origin)
+    to_come = conditions_only or not layout.reports.measured
+    rows = placed_in_time(table, robot, layout, to_come, time_origin)
     table, left_out = kept(rows.table, layout, path)
     return Rows(table, (*notes, *rows.notes, *left_out), rows.time_origin, tuple(sorted({c.unit for c in read})))
 
@@ -212,6 +214,13 @@ def kept(table: pd.DataFrame, layout: Layout, path: Path | None) -> tuple[pd.Dat
     asked = 'missing = "skip": ' if layout.missing == "skip" else ""
     said = f"{asked}{missing.sum()} of {len(missing)} rows have no measured value and are left out (line {named}{more})"
     return table[~missing].reset_index(drop=True), [said]
+
+
+def _to_come(table: pd.DataFrame, robot: Robot) -> pd.DataFrame:
+    """Return rows at which nothing was measured yet, each a pose of its own where it has no name, with readings or nan."""
+    readings = {name: np.nan for name in numbered("q", robot.n_joints) if name not in table}
+    poses = {} if "pose" in table else {"pose": np.arange(1, len(table) + 1)}
+    return table.assign(**readings, **poses)
 
 
 def _text(cells: pd.Series) -> pd.Series:

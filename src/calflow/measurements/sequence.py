@@ -37,11 +37,15 @@ def ranged(table: pd.DataFrame, robot: Robot, tracker: tuple[float, float, float
 def approach_and_travel(table: pd.DataFrame, readings: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Return each row's approach directions and its travel since the joints last turned back, (n_rows, n_joints) each."""
     q = table.sort_values("order", kind="stable")[readings].to_numpy()
-    came, far = np.zeros_like(q), np.zeros_like(q)
-    for k in range(1, len(q)):
-        step = q[k] - q[k - 1]
-        same = (np.sign(step) == came[k - 1]) | (step == 0)
-        came[k] = np.where(step == 0, came[k - 1], np.sign(step))
-        far[k] = np.where(same, far[k - 1], 0.0) + np.abs(step)
+    step = np.diff(q, axis=0, prepend=q[:1])
+    row = np.arange(len(q))[:, None]
+    moved = np.maximum.accumulate(
+        np.where(step != 0, row, 0), axis=0
+    )  # the last row at which a joint moved; it then keeps its side
+    came = np.take_along_axis(np.sign(step), moved, axis=0)
+    turned = np.diff(came, axis=0, prepend=came[:1]) != 0
+    way = np.cumsum(np.abs(step), axis=0)
+    before = np.take_along_axis(way - np.abs(step), np.maximum.accumulate(np.where(turned, row, 0), axis=0), axis=0)
+    far = way - before
     back = np.argsort(np.argsort(table["order"].to_numpy(), kind="stable"), kind="stable")
     return came[back], far[back]
