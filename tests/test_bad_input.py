@@ -65,7 +65,7 @@ HEADER = {
     "some approaches": (with_columns(approach2="1"), ["missing column: expected approach1", "missing column: expected approach3"]),
     "some travel": (with_columns(travel1_deg="1"), ["missing column: expected travel2_rad or travel2_deg",
                                                     "missing column: expected travel3_rad or travel3_deg"]),
-    "many unknown": (with_columns(**{f"c{i}": "1" for i in range(3000)}), [*["unknown column 'c"] * 20, "and 2980 more columns"]),
+    "many unknown": (with_columns(**{f"c{i}": "1" for i in range(300)}), [*["unknown column 'c"] * 20, "and 280 more columns"]),
     "some torques": (with_columns(tau1_Nm="1", tau2_Nm="1"), ["missing column: expected tau3_Nm or tau3_kNm"]),
     "some forces": (with_columns(fx_N="1", fy_N="1", fz_N="1", mx_Nm="1", my_Nm="1"), ["missing column: expected mz_Nm"]),
     "a fourth joint": (with_columns(q4_deg="1"), ["unknown column 'q4_deg', did you mean 'q"]),
@@ -170,6 +170,7 @@ def test_a_wrong_unit_is_found(small, change, expected, sigma):
 
 def test_poor_but_right_units_pass(small):
     """Fails if a robot that is far from its file, or one bad point, is taken for a wrong unit."""
+    small.edit("robot.toml", ("[payloads.light]", "[base]\nknown = false\n\n[payloads.light]"))
     rows = small.rows
     rows[X] = rows[X].astype(float) * 1.2 + [500.0, 0.0, -300.0]
     rows.loc[0, X] = [1e6, 0.0, 0.0]

@@ -15,6 +15,8 @@ import pandas as pd
 import pytest
 
 from calflow import cli
+from calflow.commands import progress
+from calflow.reporting.section import sections
 from calflow.templates import write_study
 from conftest import Folder, in_process
 
@@ -27,7 +29,7 @@ try:
 finally:
     print(*sys.modules)
 """
-COMMANDS = ["check", "new", "plan", "predict", "report", "run", "simulate", "status"]
+COMMANDS = ["check", "compensate", "export", "filter", "new", "plan", "predict", "report", "run", "simulate", "status"]
 HEAVY = ["casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "pint", "pydantic", "scipy"]
 
 
@@ -92,7 +94,8 @@ def test_ctrl_c_ends_with_130_and_goes_on(small):
 
 def test_ctrl_c_is_heeded_inside_a_fit(small):
     """Fails if an interruption waits for hours of fits to end, because IPOPT keeps it to itself."""
-    small.edit("quick.toml", ("starts = 1", "starts = 20000"))
+    small.edit("quick.toml", ("starts = 1", "starts = 20000"), (', "sample"]', "]"))
+    small.edit("quick.toml", ("[settings.sample]\nmax_steps = 60\nblock = 20\ness = 100\n", ""))
     command = [sys.executable, "-m", "calflow", "run", small.path, "--out", small / "runs"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         for line in running.stdout:
@@ -112,14 +115,14 @@ def test_ctrl_c_is_heeded_inside_a_fit(small):
 
 def test_an_interruption_that_nobody_asks_for_comes_again():
     """Fails if Ctrl-C, cleared by compiled code, is forgotten where no progress is told; or comes after the stage stopped."""
-    with cli._Lines() as listener:
+    with progress.Lines() as listener:
         with contextlib.suppress(KeyboardInterrupt):  # as a library's clean-up does
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):  # noqa: PT012
             for _ in range(200):
                 time.sleep(0.05)
         listener.stop(None)
-        time.sleep(3 * cli.AGAIN)
+        time.sleep(3 * progress.AGAIN)
 
 
 def test_trouble_of_the_machine_leaves_the_caller_alone(small, monkeypatch):
@@ -245,8 +248,9 @@ def at_home(finished, tmp_path, monkeypatch):
     return finished
 
 
-def test_predict_and_report_take_a_run_or_its_study(at_home, tmp_path):
+def test_predict_and_report_take_a_run_or_its_study(at_home, tmp_path, monkeypatch):
     """Fails if a user must know where a run folder is, or which study it is of."""
+    monkeypatch.setattr("calflow.reporting.written.sections", lambda: sections()[:1])  # one page is enough
     at_home.measure(at_home.rows.drop(columns=["x_mm", "y_mm", "z_mm", "sigma_mm"]), "asked.csv")
     ways = (at_home / "runs", at_home.path, at_home / "study.toml", tmp_path / "runs" / "small")
     predicted = [in_process("predict", way, at_home / "asked.csv") for way in ways]
@@ -330,7 +334,7 @@ def test_simulate_does_not_write_over_measurements(small):
 
 def test_an_interruption_that_a_library_swallows_is_heeded():
     """Fails if Ctrl-C, cleared by compiled code, leaves a run that goes on for hours."""
-    with cli._Lines() as listener:
+    with progress.Lines() as listener:
         with contextlib.suppress(KeyboardInterrupt):  # as a library's clean-up does
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.deployment.compensation import landing, nominal_readings
+from calflow.deployment.compensation import landing
+from calflow.deployment.nominal_inverse import nominal_readings
+from calflow.deployment.targets import Targets
 from calflow.design.candidates import candidates
 from calflow.model import build
 from robots import hh800, ur10
@@ -28,7 +30,7 @@ def test_it_lands_where_it_is_told(wrong):
     """Fails if the true position at the readings is not the target, here by the model's own positions."""
     model, p, readings, rows, targets = wrong
     before = np.linalg.norm(model.point(p, rows) - targets, axis=1)
-    found = landing(model, p, rows, targets, readings)
+    found = landing(model, p, rows, Targets(targets), readings)
     there = np.vstack([found.readings.T, rows[model.robot.n_joints :]])
     assert before.max() > 1e-3
     assert found.reached.all()
@@ -38,7 +40,7 @@ def test_it_lands_where_it_is_told(wrong):
 def test_of_all_readings_that_land_it_takes_the_nearest(wrong):
     """Fails if the change is larger than it must be: at its end it has no part along which the tool stands still."""
     model, p, readings, rows, targets = wrong
-    found = landing(model, p, rows, targets, readings)
+    found = landing(model, p, rows, Targets(targets), readings)
     n, step = model.robot.n_joints, 1e-6
     for k, (moved, start) in enumerate(zip(found.readings, readings, strict=True)):
         around = np.hstack([moved[:, None] + step * np.eye(n), moved[:, None] - step * np.eye(n)])
@@ -59,10 +61,10 @@ def test_without_a_start_it_finds_one_within_the_limits(wrong):
     model, p, _, rows, targets = wrong
     targets = targets.copy()
     targets[0] = [30.0, 0.0, 0.0]
-    start = nominal_readings(model, rows, targets, np.random.default_rng(1))
-    found = landing(model, p, rows, targets, start)
+    start = nominal_readings(model, rows, Targets(targets), np.random.default_rng(1))
+    found = landing(model, p, rows, Targets(targets), start)
     assert not found.reached[0]
-    assert found.remaining[0] > 20
+    assert found.away[0] > 20
     assert found.reached[1:].sum() >= 10
     q = found.readings @ model.robot.reading_matrix.T
     low, high = model.robot.limits.T
@@ -81,7 +83,7 @@ def test_a_joint_at_its_limit_leaves_the_rest_to_the_others():
     bound = build(replace(robot, joints=joints), ("geometry",))
     turned = readings + np.array([0.02, 0, 0, 0, 0, 0])  # only beyond joint 1's limit by itself
     target = model.point(model.nominal, np.vstack([turned.T, rows[6:]]))
-    found = landing(bound, bound.nominal, rows, target, readings)
+    found = landing(bound, bound.nominal, rows, Targets(target), readings)
     assert found.reached.all()
     assert found.readings[0, 0] <= readings[0, 0] + 1e-8
     assert np.abs(found.readings - turned).max() > 1e-3

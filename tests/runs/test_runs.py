@@ -19,10 +19,11 @@ from filelock import FileLock
 import calflow
 from calflow.files.results import Results
 from calflow.files.toml import FileModel
-from calflow.runs import cache_key, execution, planning
+from calflow.runs import cache_key, kept, planning
 from calflow.runs.folder import default_folder
 from calflow.sampling.backend import BlockBackend
 from calflow.stages.stage import Stage
+from conftest import Folder
 
 STAGES = ["select", "identify", "sample"]
 UNCHANGED = "inputs, settings, upstream results and code are unchanged"
@@ -258,7 +259,7 @@ KILL = """
 import os, signal, sys
 from calflow import cli
 from calflow.files import csv, writing
-from calflow.runs import execution, manifest, run
+from calflow.runs import execution, kept, manifest, run
 from calflow.sampling.backend import BlockBackend
 
 how, what, *arguments = sys.argv[1:]
@@ -284,7 +285,7 @@ def append(self, block, state, real=BlockBackend.append):
         die()
     real(self, block, state)
 
-for module in (csv, writing, execution, manifest, run):
+for module in (csv, writing, execution, kept, manifest, run):
     module.write_whole = write
 os.replace, BlockBackend.append = replace, append
 sys.argv = ["calflow", *arguments]
@@ -326,29 +327,43 @@ def test_a_run_killed_while_it_samples_goes_on_where_it_was(small, finished):
     assert whole(small)
 
 
-@pytest.fixture
-def interrupt(monkeypatch):
+def interrupt_after(blocks):
     """Interrupt the next run after so many appended blocks, as Ctrl-C does."""
+    calls = []
 
-    def arm(blocks):
-        calls = []
+    def append(self, block, state, real=BlockBackend.append):
+        if len(calls) == blocks:
+            patch.undo()
+            raise KeyboardInterrupt
+        calls.append(0)
+        real(self, block, state)
 
-        def append(self, block, state, real=BlockBackend.append):
-            if len(calls) == blocks:
-                patch.undo()
-                raise KeyboardInterrupt
-            calls.append(0)
-            real(self, block, state)
-
-        patch = pytest.MonkeyPatch()
-        patch.setattr(BlockBackend, "append", append)
-
-    return arm
+    patch = pytest.MonkeyPatch()
+    patch.setattr(BlockBackend, "append", append)
 
 
-def test_an_interrupted_run_says_how_to_go_on(small, finished, interrupt):
+@pytest.fixture(scope="module")
+def _interrupted(_finished, tmp_path_factory):
+    folder = Folder(tmp_path_factory.mktemp("interrupted"))
+    shutil.copytree(_finished.path, folder.path, dirs_exist_ok=True)
+    interrupt_after(7)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("CALFLOW_DATA", raising=False)
+        assert folder.calflow("run", "--stage", "sample", "--force").code == 130
+    return folder
+
+
+@pytest.fixture
+def interrupted(_interrupted, tmp_path, monkeypatch):
+    """The finished run, of which sample ran again and was interrupted after seven blocks."""
+    monkeypatch.delenv("CALFLOW_DATA", raising=False)
+    shutil.copytree(_interrupted.path, tmp_path / "interrupted")
+    return Folder(tmp_path / "interrupted")
+
+
+def test_an_interrupted_run_says_how_to_go_on(small, finished):
     """Fails if Ctrl-C is a failure, loses the chain, or a stage run in between does."""
-    interrupt(9)
+    interrupt_after(9)
     answer = small.calflow("run")
     assert (answer.code, answer.err.lstrip()) == (130, "interrupted: the same command resumes where it stopped\n")
     assert reasons(small)["sample"] == "did not finish last time (interrupted)"
@@ -358,10 +373,10 @@ def test_an_interrupted_run_says_how_to_go_on(small, finished, interrupt):
     assert small.results() == finished.results()
 
 
-def test_a_chain_of_other_inputs_is_not_resumed(finished, interrupt):
+def test_a_chain_of_other_inputs_is_not_resumed(finished):
     """Fails if a run of changed measurements goes on from the chain of the old ones, also after an interruption."""
     finished.measure(finished.rows[:60])
-    interrupt(0)
+    interrupt_after(0)
     assert finished.calflow("run").code == 130
     shutil.rmtree(finished / "runs" / ".partial")
     answer = finished.calflow("run")
@@ -399,19 +414,16 @@ def test_force_does_not_go_on_from_an_old_chain(finished):
     [("runs/sample", None), ("runs/.partial/sample/sample", b"garbage"), ("runs/.partial/sample/sample", None)],
     ids=["finished", "garbage", "cut"],
 )
-def test_a_damaged_chain_is_sampled_anew(finished, interrupt, where, damage):
+def test_a_damaged_chain_is_sampled_anew(finished, interrupted, where, damage):
     """Fails if a broken chain ends in a traceback or gives other results."""
-    before = finished.results()
-    if ".partial" in where:
-        interrupt(4)
-        assert finished.calflow("run", "--stage", "sample", "--force").code == 130
-    chain = finished / where / "chain.h5"
+    folder = interrupted if ".partial" in where else finished
+    chain = folder / where / "chain.h5"
     chain.write_bytes(chain.read_bytes()[: chain.stat().st_size // 2] if damage is None else damage)
-    answer = finished.calflow("run")
+    answer = folder.calflow("run")
     assert ran(answer) == ["sample"]
     assert ("chain.h5 cannot be read" if ".partial" in where else "sample/chain.h5 was changed by hand") in answer.out
-    assert finished.results() == before
-    assert whole(finished)
+    assert folder.results() == finished.results()
+    assert whole(folder)
 
 
 def step_turned(chain):
@@ -444,16 +456,13 @@ def bits_turned(seed):
     [step_turned, state_turned, fewer_steps, bits_turned(1), bits_turned(2)],
     ids=lambda damage: damage.__name__,
 )
-def test_a_chain_with_turned_bits_is_not_sampled_on(finished, interrupt, damage):
+def test_a_chain_with_turned_bits_is_not_sampled_on(finished, interrupted, damage):
     """Fails if sampling goes on from steps or a random state that were never drawn, or ends in a traceback."""
-    before = finished.results()
-    interrupt(7)
-    assert finished.calflow("run", "--stage", "sample", "--force").code == 130
-    damage(finished / "runs" / ".partial" / "sample" / "sample" / "chain.h5")
-    answer = finished.calflow("run")
+    damage(interrupted / "runs" / ".partial" / "sample" / "sample" / "chain.h5")
+    answer = interrupted.calflow("run")
     assert ran(answer) == ["sample"]
     assert "sampling starts anew" in answer.out
-    assert finished.results() == before
+    assert interrupted.results() == finished.results()
 
 
 # --- Trouble of the machine ------------------------------------------------------------------------
@@ -486,14 +495,14 @@ def test_a_full_disk_is_told_and_the_same_command_goes_on(small, finished, size,
 def test_a_write_that_fails_leaves_the_old_results(finished, monkeypatch):
     """Fails if a stage's files are replaced before all new ones are written."""
 
-    def full(path, table, real=execution.write_csv):
+    def full(path, table, real=kept.write_csv):
         if path.name == "residuals.csv":
             raise OSError(errno.ENOSPC, "No space left on device")
         real(path, table)
 
     before = {name: content for name, content in finished.results().items() if "inputs" not in name}
     with monkeypatch.context() as patch:
-        patch.setattr(execution, "write_csv", full)
+        patch.setattr(kept, "write_csv", full)
         with pytest.raises(OSError, match="No space left"):
             calflow.run(calflow.load_study(finished.path), finished / "runs", "identify", force=True)
     after = finished.results()

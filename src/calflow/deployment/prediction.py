@@ -43,20 +43,43 @@ def predict_positions(
     Raises:
         InputError: a needed condition is missing.
     """
+    told = as_told(known, needed, data, missing)
+    rows = told.data.rows
+    position = told.known.model.point(known.estimate, rows)
+    variance = position_variance(told.known, rows) + told.widened
+    return Prediction(position, np.sqrt(variance), (*told.notes, *beyond_limits(data)))
+
+
+@dataclass(frozen=True)
+class Told:
+    """A calibrated model for what rows state of the conditions that it needs, and the rows with these alone.
+
+    widened [m²] is what is not known besides of a position along any axis, because a condition is missing; notes say which.
+    """
+
+    known: Identified
+    data: Measurements
+    widened: float
+    notes: tuple[str, ...]
+
+
+def as_told(known: Identified, needed: Sequence[NeededCondition], data: Measurements, missing: Missing) -> Told:
+    """Return the model for what rows state (see `predict_positions` for the arguments).
+
+    Raises:
+        InputError: a needed condition is missing.
+    """
     if missing == "refuse":
         check_stated(needed, data.given)
     lacking = [one for one in needed if one.condition not in data.given]
     stated = tuple(one.condition for one in needed if one.condition in data.given)
-    model, rows = replace(known.model, given=stated), data.stating(stated).rows
-    position = model.point(known.estimate, rows)
-    variance = position_variance(replace(known, model=model), rows)
-    variance += sum((one.spread_mm / 1e3) ** 2 for one in lacking)
-    notes = (
+    notes = tuple(
         f"without {one.columns} nothing is predicted of {', '.join(one.effects)}: the standard deviations are wider by "
         f"{one.spread_mm:.3g} mm, what that did to the rows that were fitted"
         for one in lacking
     )
-    return Prediction(position, np.sqrt(variance), (*notes, *beyond_limits(data)))
+    widened = float(sum((one.spread_mm / 1e3) ** 2 for one in lacking))
+    return Told(replace(known, model=replace(known.model, given=stated)), data.stating(stated), widened, notes)
 
 
 def beyond_limits(data: Measurements) -> list[str]:

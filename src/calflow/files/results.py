@@ -9,6 +9,7 @@ from typing import TypeVar
 import pandas as pd
 
 from calflow.files.documents import Document, Documents, from_document
+from calflow.files.problems import refuse
 from calflow.files.tables import Tables, from_frame
 
 Kind = TypeVar("Kind")
@@ -34,7 +35,13 @@ class Results:
         return Results(_of(self.tables, stages), _of(self.documents, stages))
 
     def rows(self, path: str, row_type: type[Kind]) -> list[Kind]:
-        """Return a table's rows as values."""
+        """Return a table's rows as values.
+
+        Raises:
+            InputError: an earlier version, which did not have the table, made the results.
+        """
+        if path not in self.tables:
+            raise refuse(f"has no {path}: an earlier version of calflow made these results; run the study again")
         return from_frame(self.tables[path], row_type)
 
     def document(self, path: str, kind: type[Kind]) -> Kind:

@@ -14,10 +14,11 @@ from calflow.files.plugins import packages
 from calflow.measurements.reading import sha256
 from calflow.robot.robot import Robot
 from calflow.stages.stage import Stage
-from calflow.study import Study
+from calflow.study import Study, StudyFile
 
 NUMERICAL = ("arviz-stats", "casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "scipy", "typst")
-ELSEWHERE = {"stages", "workflow", "title"}  # of a study: its settings' own entries, and what the report alone says
+SAID = ("title", "acceptance")  # of a study: what the report alone says
+ELSEWHERE = {"stages", "workflow", *SAID}  # its settings have entries of their own
 
 
 def common_key(study: Study) -> dict[str, str]:
@@ -37,7 +38,8 @@ def stage_key(
     """Return what a stage's results depend on; upstream holds the keys of the stages before it."""
     key = dict(common)
     if stage.titled:
-        key["study's title"] = json.dumps(study.file.title, ensure_ascii=False)
+        own = _asked(study, set(StudyFile.model_fields) - set(SAID))
+        key |= {f"study's {name}": value for name, value in own.items()}
     if stage.measured:
         key |= {f"file {name}": said for name, said in _measurement_hashes(study).items()}
         key |= _confirming_key(study)

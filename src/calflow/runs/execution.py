@@ -10,16 +10,15 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from calflow.files.csv import write_csv
 from calflow.files.plugins import packages
 from calflow.files.results import Results
-from calflow.files.tables import schema
 from calflow.files.writing import write_whole
 from calflow.measurements.reading import sha256
 from calflow.runs.cache_key import versions
 from calflow.runs.containment import inside
+from calflow.runs.kept import write_results
 from calflow.runs.listener import Listener, onward
-from calflow.runs.manifest import Manifest, StageEntry, read_manifest, write_manifest
+from calflow.runs.manifest import Manifest, StageEntry, is_measured, read_manifest, write_manifest
 from calflow.runs.planning import PlannedStage
 from calflow.runs.reasons import FORCED
 from calflow.stages.stage import Context, Stage
@@ -53,7 +52,7 @@ def execute(
         status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
         record(study, folder, stage, running.model_copy(update={"status": status}))
         raise
-    _write_results(work, stage, made)
+    write_results(work, made, stage.tables)
     files = [path for path in work.rglob("*") if path.is_file() and path.suffix != ".part"]
     outputs = sorted(path.relative_to(work).as_posix() for path in files if path != work / KEY)
     for name in set(running.outputs or {}) - set(outputs):
@@ -69,17 +68,6 @@ def execute(
     seconds = round(time.monotonic() - started, 3)
     done = StageEntry(status="done", reason=step.reason, key=step.key, seconds=seconds, outputs=hashes)
     record(study, folder, stage, done)
-
-
-def _write_results(folder: Path, stage: Stage, made: Results) -> None:
-    """Write a stage's tables, each with its schema beside it, and its documents."""
-    for name, table in made.tables.items():
-        write_csv(folder / name, table)
-        described = json.dumps(schema(table, stage.tables[name]), indent=2, ensure_ascii=False)
-        write_whole((folder / name).with_suffix(".schema.json"), f"{described}\n".encode())
-    for name, document in made.documents.items():
-        said = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
-        write_whole(folder / name, f"{said}\n".encode())
 
 
 def record_reuse(study: Study, folder: Path, step: PlannedStage) -> None:
@@ -114,10 +102,10 @@ def _entry(folder: Path, stage: Stage) -> StageEntry | None:
 
 def _input_hashes(study: Study, stage: Stage, before: dict[str, str]) -> dict[str, str]:
     """SHA-256 of every input; a stage that does not read the measurements leaves their entry as it is."""
-    hashes = {str(path): sha256(path) for path in (study.path, study.robot_path, study.workflow_path)}
+    hashes = {str(path): sha256(path) for path in (study.path, *study.robot_paths, study.workflow_path)}
     if stage.measured:
         return hashes | {str(path): sha256(path) for path in study.measurement_paths}
-    return hashes | {path: digest for path, digest in before.items() if not path.endswith(".toml")}
+    return hashes | {path: digest for path, digest in before.items() if is_measured(path)}
 
 
 def _work_folder(folder: Path, step: PlannedStage, before: StageEntry | None) -> Path:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from calflow.files.problems import refuse
 from calflow.measurements.reading import sha256
-from calflow.runs.manifest import Manifest
+from calflow.runs.manifest import Manifest, is_measured
 from calflow.study import Study
 
 
@@ -46,7 +46,7 @@ def beside(folder: Path, path: Path) -> str:
 def _of_the_same_content(study: Study, manifest: Manifest) -> bool:
     """Whether study, robot and (where some were read) measurements are those of the run: then it is a copy."""
     known = set(manifest.inputs.values())
-    own = [study.path, study.robot_path]
-    if any(not path.endswith(".toml") for path in manifest.inputs):
+    own = [study.path, *study.robot_paths]
+    if any(map(is_measured, manifest.inputs)):
         own += study.measurement_paths
     return all(sha256(path) in known for path in own)

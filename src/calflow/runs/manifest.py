@@ -14,6 +14,7 @@ from calflow.runs.containment import contained
 
 NAME = "manifest.json"
 REMEDY = "delete it to run everything anew"
+DESCRIBING = (".toml", ".urdf")  # endings of inputs that hold no measurements
 
 
 class _Kept(BaseModel):
@@ -57,6 +58,11 @@ class Manifest(_Kept):
     def outputs(self, stage: str) -> dict[str, str]:
         """Return the SHA-256 of what a stage wrote, by path in the run folder; empty where it never finished."""
         return (self.stages[stage].outputs or {}) if stage in self.stages else {}
+
+
+def is_measured(path: str) -> bool:
+    """Return whether an input of a manifest holds measurements, and does not say what was asked."""
+    return not path.lower().endswith(DESCRIBING)
 
 
 def read_manifest(folder: Path) -> Manifest | None:

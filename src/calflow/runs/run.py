@@ -87,9 +87,11 @@ def run(
 
 def _keep_inputs(study: Study, folder: Path) -> None:
     """Copy the files that were asked, so that the run folder alone tells what was done and can predict."""
+    robot, *described = study.robot_paths
     for name, path in (
         ("study.toml", study.path),
-        ("robot.toml", study.robot_path),
+        ("robot.toml", robot),
+        *((path.name, path) for path in described),  # where the robot file says that it is: beside it
         ("workflow.toml", study.workflow_path),
     ):
         write_whole(inside(folder, f"inputs/{name}"), path.read_bytes())

@@ -1,0 +1,123 @@
+"""Robot programs with corrected targets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from calflow.commands.options import FILE
+
+MOST_TOLD = 20  # of one kind that are printed
+
+if TYPE_CHECKING:
+    from calflow.deployment.programs.filtering import Filtered, FilteredTarget
+
+
+@click.command("filter")
+@click.argument("study_or_run", type=FILE)
+@click.argument("program", type=FILE)
+@click.option("--out", type=FILE, help="Program to write; NAME.corrected.EXT beside the program by default.")
+@click.option("--summary", type=FILE, help="CSV to write with what became of each target.")
+@click.option("--payload", help="What is carried, by its name in the robot file.")
+@click.option(
+    "--tool", "tools", multiple=True,
+    help="NAME=numbers of a tool that stands elsewhere, as its maker writes them; NAME alone: where the program names none.",
+)  # fmt: skip
+@click.option("--frame", "frames", multiple=True, help="The same of work objects, bases and user frames.")
+@click.option(
+    "--base", help="Where the controller's base or world is in the robot file's base, as its maker writes frames."
+)
+@click.option("--flange", help="Where the controller's flange is in the robot file's.")
+@click.option("--start", help="Joint readings near the first target, in degrees (mm of slides): q1,q2,…")
+@click.option("--any-configuration", is_flag=True, help="Correct targets too whose flags are those of no way to them.")
+@click.option(
+    "--in-order", is_flag=True, help="The targets are gone to one after the other, as they stand in the file."
+)
+@click.option("--condition", "conditions", multiple=True, help="temperature_degC=VALUE, time_s=VALUE and the like.")
+@click.option("--without-conditions", is_flag=True, help="Go on without conditions that the model needs.")
+def filter_targets(
+    study_or_run: Path, program: Path, out: Path | None, summary: Path | None, payload: str | None, tools: tuple[str, ...],
+    frames: tuple[str, ...], base: str | None, flange: str | None, start: str | None, any_configuration: bool, in_order: bool,
+    conditions: tuple[str, ...], without_conditions: bool,
+) -> None:  # fmt: skip
+    """Rewrite the targets of a robot program so that the real robot lands on them.
+
+    RAPID, KRL, FANUC LS and URScript are read; every byte but the targets' numbers stays. Give the run's folder, or its study.
+    """
+    from calflow.deployment.programs.filtering import FilteredTarget
+    from calflow.files.csv import write_csv
+    from calflow.files.tables import to_frame
+    from calflow.files.writing import write_whole
+    from calflow.runs.filter import filter_program
+
+    target = out or program.with_name(f"{program.stem}.corrected{program.suffix}")
+    if target.resolve() == program.resolve():
+        raise click.UsageError(f"{program} is the program itself: --out must be another file")
+    done = filter_program(
+        study_or_run, program, payload=payload, tools=tools, frames=frames, base=base, flange=flange,
+        start=_numbers("--start", start), any_configuration=any_configuration, in_order=in_order,
+        conditions=dict(_condition(one) for one in conditions),
+        missing="widen" if without_conditions else "refuse",
+    )  # fmt: skip
+    for line in summary_lines(program, done):
+        click.echo(line)
+    for note in done.notes:
+        click.echo(f"note: {note}", err=True)
+    if summary is not None:
+        write_csv(summary, to_frame(done.rows, FilteredTarget))
+    write_whole(target, done.source)
+    click.echo(f"wrote {target}")
+
+
+def summary_lines(program: Path, done: Filtered) -> list[str]:
+    """Say what moved how far, and by name what did not, what flags change, and what else is to be known."""
+    targets = [row for row in done.rows if row.kind]
+    moved = [row for row in targets if row.outcome == "moved"]
+    outcomes = [row.outcome for row in done.rows]
+    counts = ", ".join(f"{outcomes.count(outcome)} {outcome}" for outcome in ("moved", "unchanged", "not reached"))
+    lines = [
+        f"{program}: {len(targets)} targets that stand there by numbers: {counts}; {outcomes.count('left alone')} left alone"
+    ]
+    if outcomes.count("not reached") > len(targets) / 2:
+        lines.append(
+            "most are not reached: are base and flange of the robot file the controller's? See --base and --flange"
+        )
+    if moved:
+        most = max(moved, key=lambda row: row.moved_mm)
+        lines.append(
+            f"moved by {sum(row.moved_mm for row in moved) / len(moved):.3f} mm on average, at most {most.moved_mm:.3f} mm "
+            f"({most.name}, line {most.line}); no joint by more than {max(row.largest_deg for row in moved):.3f} degrees"
+        )  # fmt: skip
+    for outcome in ("not reached", "left alone"):
+        lines += _first([f"{outcome}: {_of(row)}: {row.note}" for row in done.rows if row.outcome == outcome])
+    lines += _first([f"configuration changes: {_of(row)}: {row.configuration}" for row in moved if row.configuration])
+    return lines + _first([f"assumed: {_of(row)}: {row.note}" for row in moved if row.note])
+
+
+def _first(lines: list[str]) -> list[str]:
+    """The first of many lines, and how many more there are."""
+    more = [f"… and {len(lines) - MOST_TOLD} more like this: --summary has them all"] if len(lines) > MOST_TOLD else []
+    return lines[:MOST_TOLD] + more
+
+
+def _of(row: FilteredTarget) -> str:
+    return f"{row.name} (line {row.line})"
+
+
+def _numbers(option: str, text: str | None) -> tuple[float, ...] | None:
+    if text is None:
+        return None
+    try:
+        return tuple(float(word) for word in text.replace(",", " ").split())
+    except ValueError:
+        raise click.BadParameter(f"expected numbers, found '{text}'", param_hint=option) from None
+
+
+def _condition(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    numbers = _numbers("--condition", value) or ()
+    if len(numbers) != 1:
+        raise click.BadParameter(f"expected NAME=VALUE, found '{text}'", param_hint="--condition")
+    return name.strip(), numbers[0]

@@ -1,0 +1,41 @@
+"""A new study."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from calflow.commands.options import FILE
+
+
+def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    if not asked:
+        return
+    from calflow.templates import library
+
+    for name, said in library.listing():
+        click.echo(f"{name:20} {said}")
+    context.exit()
+
+
+@click.command()
+@click.argument("folder", type=FILE)
+@click.option(
+    "--robot", default="", metavar="NAME|FILE.urdf", help="A robot of the library, or a URDF, which is copied."
+)
+@click.option("--tip", help="Of a URDF: the link that is the flange.")
+@click.option("--base", help="Of a URDF: the link that stands on the floor; the root unless given.")
+@click.option(
+    "--list-robots", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="Show the library."
+)
+def new(folder: Path, robot: str, tip: str | None, base: str | None) -> None:
+    """Write a new study into FOLDER, to be filled in."""
+    from calflow.templates import write_study
+
+    for path in write_study(folder, robot, tip, base):
+        click.echo(f"wrote {path}")
+    doing = "look over" if robot else "describe your robot in"
+    click.echo(f"next: {doing} {folder / 'robot.toml'}, put the measurements into "
+               f"{folder / 'measurements.csv'}, then: calflow check {folder}")  # fmt: skip
+    click.echo(f"to try it with simulated measurements first: calflow simulate {folder / 'truth.toml'}")

@@ -1,0 +1,20 @@
+"""Arguments and options that several commands have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+OUT = click.option("--out", type=click.Path(path_type=Path), help="Run folder; runs/<study name> by default.")
+STAGE = click.option("--stage", help="This stage alone, with what it needs.")
+FORCE = click.option("--force", is_flag=True, help="Do not reuse earlier results.")
+FILE = click.Path(path_type=Path)
+NOT_WELL, NOT_TOLD = 3, 4  # exit codes of a verdict that is against the robot, and of one that cannot be given
+STATION = click.option(
+    "--station",
+    type=click.Choice(["auto", "known", "fitted"]),
+    default="auto",
+    show_default=True,
+    help="Whether the device stood where it stood in the calibration.",
+)

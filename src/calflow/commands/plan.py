@@ -1,0 +1,25 @@
+"""What would run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from calflow.commands.options import FILE, FORCE, OUT, STAGE
+
+
+@click.command()
+@click.argument("study", type=FILE)
+@OUT
+@STAGE
+@FORCE
+def plan(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
+    """Show which stages would run, which would be reused, and why."""
+    from calflow.runs.folder import default_folder
+    from calflow.runs.planning import plan as make_plan
+    from calflow.study import load_study
+
+    loaded = load_study(study)
+    for step in make_plan(loaded, out or default_folder(loaded), stage, force):
+        click.echo(f"{step.stage.name:10} {'reuse' if step.reuse else 'run':6} {step.reason}")

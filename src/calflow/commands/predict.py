@@ -1,0 +1,36 @@
+"""Where the calibrated robot will be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from calflow.commands.options import FILE
+
+
+@click.command()
+@click.argument("study_or_run", type=FILE)
+@click.argument("rows", metavar="ROWS.csv", type=FILE)
+@click.option("--out", type=FILE, help="CSV to write; printed by default.")
+@click.option(
+    "--without-conditions",
+    is_flag=True,
+    help="Predict rows that lack needed columns too, with a wider standard deviation.",
+)
+def predict(study_or_run: Path, rows: Path, out: Path | None, without_conditions: bool) -> None:
+    """Predict where the calibrated robot's markers will be at the joints and conditions of ROWS.csv.
+
+    Give the run's folder, or its study.
+    """
+    from calflow.files.csv import csv_text, write_csv
+    from calflow.runs.predict import predict as predict_rows
+
+    table = predict_rows(study_or_run, rows, "widen" if without_conditions else "refuse")
+    for note in table.attrs["notes"]:
+        click.echo(f"note: {note}", err=True)
+    if out is None:
+        click.echo(csv_text(table), nl=False)
+    else:
+        write_csv(out, table)
+        click.echo(f"wrote {out}")

@@ -1,0 +1,27 @@
+"""Simulated measurements."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from calflow.commands.options import FILE
+
+
+@click.command()
+@click.argument("truth", type=FILE)
+@click.option("--out", type=FILE, help="Measurement CSV; measurements.csv beside the truth file by default.")
+@click.option("--force", is_flag=True, help="Write over a file that holds something else.")
+def simulate(truth: Path, out: Path | None, force: bool) -> None:
+    """Write the measurements that a truth file describes."""
+    from calflow.files.csv import csv_text, write_csv
+    from calflow.files.problems import refuse
+    from calflow.simulation import simulate as simulate_truth
+
+    path = out or truth.parent / "measurements.csv"
+    table = simulate_truth(truth)
+    if path.exists() and not force and path.read_bytes() != csv_text(table).encode():
+        raise refuse("is there already and holds something else; give --force to write over it, or --out", path)
+    write_csv(path, table)
+    click.echo(f"wrote {path}")

@@ -1,0 +1,152 @@
+"""Attained poses: where a device saw the robot, brought together pose by pose, beside where models say that it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from calflow.deployment.alignment import FEWEST, FREEDOM, Alignment, can_align, restored
+from calflow.deployment.iso_9283 import angle_repeatability, pose_repeatability
+from calflow.estimation.calibrated import Identified
+from calflow.estimation.certainty import position_variance
+from calflow.estimation.repeats import conditions
+from calflow.files.problems import refuse
+from calflow.measurements.measurements import Measurements
+
+TARGET = ("target_x", "target_y", "target_z")
+NOMINAL, CALIBRATED, COMMANDED = "nominal", "calibrated", "commanded"
+
+
+@dataclass(frozen=True)
+class Attained:
+    """Points that were measured, each once or several times under the same conditions (ISO 9283's attained poses).
+
+    table has a row a point with its labels and number of rows; measured (n, 3) are the barycentres [m] in the frame that the
+    device reported in, expected maps each model to where it says they are (n, 3) [m]. sd (n,) is what the calibrated model
+    promises of the length of its error, the device's noise of the barycentre included, noise (n,) that noise alone per axis [m].
+    repeatability (n,) is RP [m]. turns is there where orientations were measured.
+    """
+
+    table: pd.DataFrame
+    measured: np.ndarray
+    expected: Mapping[str, np.ndarray]
+    sd: np.ndarray
+    noise: np.ndarray
+    repeatability: np.ndarray
+    turns: AttainedTurns | None
+
+    @staticmethod
+    def of(known: Identified, data: Measurements) -> Attained:
+        """Bring rows together; the nominal model is the robot as its maker says, placed where the calibration had it."""
+        rows = data.stating(known.model.given).on(known.model.robot).rows
+        group = np.unique(conditions(data), return_inverse=True)[1]
+        count = np.bincount(group)
+        first = np.unique(group, return_index=True)[1]
+
+        def mean(values: np.ndarray) -> np.ndarray:
+            return np.stack([np.bincount(group, weights=column) / count for column in values.T], axis=1)
+
+        labels = [name for name in ("pose", "marker", "payload", "session") if name in data.table]
+        table = data.table.iloc[first][labels].reset_index(drop=True).assign(rows=count)
+        estimates = {NOMINAL: known.model.nominal, CALIBRATED: known.estimate}
+        expected = {name: mean(known.model.point(p, rows)) for name, p in estimates.items()}
+        if TARGET[0] in data.table:
+            expected[COMMANDED] = mean(data.table[[*TARGET]].to_numpy(dtype=float))
+        sigma = known.noise(data).sigma if known.noise_known else np.zeros(len(data))
+        noise = np.sqrt(np.bincount(group, weights=np.nan_to_num(sigma) ** 2)) / count
+        variance = mean(position_variance(known, rows)).sum(axis=1)
+        own = [np.flatnonzero(group == k) for k in range(len(count))]
+        return Attained(
+            table, mean(data.position), expected, np.sqrt(variance + 3 * noise**2), noise,
+            np.array([pose_repeatability(data.position[k]) for k in own]),
+            AttainedTurns.of(known, estimates, data, rows, own),
+        )  # fmt: skip
+
+    @property
+    def pose(self) -> np.ndarray:
+        """The number of each point's pose, from 0, shape (n,)."""
+        return np.asarray(self.table.groupby("pose", sort=False).ngroup())
+
+    @property
+    def frame(self) -> np.ndarray:
+        """The number of each point's session, from 0: a frame that is fitted is one a session, shape (n,)."""
+        if "session" not in self.table:
+            return np.zeros(len(self.table), dtype=int)
+        return np.asarray(self.table.groupby("session", sort=False).ngroup())
+
+    def alignment(self, model: str) -> tuple[Alignment, ...]:
+        """Return the motion that takes each session's points onto those of a model.
+
+        Raises:
+            InputError: a session has too few poses, or they lie on one line.
+        """
+        found = []
+        for frame in range(self.frame.max() + 1):
+            own = self.frame == frame
+            if not can_align(self.measured[own]):
+                named = (
+                    f"session '{self.table['session'][own].iloc[0]}' has" if "session" in self.table else "there are"
+                )
+                raise refuse(f"the device's frame cannot be fitted: {named} {own.sum()} points; expected at least {FEWEST} that "
+                             "are not on one line, or say that the station stands where it stood (--station known)")  # fmt: skip
+            found.append(Alignment.best(self.measured[own], self.expected[model][own], np.ones(own.sum())))
+        return tuple(found)
+
+    def errors(self, model: str, fitted: bool) -> np.ndarray:
+        """Return measured minus expected points (n, 3) [m]; of a fitted frame as large as they were before (see `restored`)."""
+        if not fitted:
+            return np.asarray(self.measured - self.expected[model])
+        found = np.empty_like(self.measured)
+        for frame, alignment in enumerate(self.alignment(model)):
+            own = self.frame == frame
+            left = alignment.of(self.measured[own]) - self.expected[model][own]
+            found[own] = restored(left, self.measured[own])
+        return found
+
+    def lost(self, fitted: bool) -> int:
+        """Degrees of freedom that fitted frames take."""
+        return FREEDOM * int(self.frame.max() + 1) if fitted else 0
+
+    def by_pose(self, values: np.ndarray, how: str) -> np.ndarray:
+        """Return the mean or max of each pose's values (n,), shape (n_poses,)."""
+        return np.asarray(pd.Series(values).groupby(self.pose).agg(how))
+
+
+@dataclass(frozen=True)
+class AttainedTurns:
+    """How the tool was turned at each point: measured (n, 3, 3), and what each model expects; repeatability (n, 3) is RP [rad]."""
+
+    measured: np.ndarray
+    expected: Mapping[str, np.ndarray]
+    repeatability: np.ndarray
+
+    @staticmethod
+    def of(
+        known: Identified,
+        estimates: Mapping[str, np.ndarray],
+        data: Measurements,
+        rows: np.ndarray,
+        own: Sequence[np.ndarray],
+    ) -> AttainedTurns | None:
+        """Bring rows (packed, (n_conditions, n_rows)) together, own holding those of each point; None without orientations."""
+        if data.rotation is None or not np.isfinite(data.rotation).all():
+            return None
+        seen = Rotation.from_matrix(data.rotation)
+        means = [seen[k].mean() for k in own]
+        about = [(seen[k] * mean.inv()).as_rotvec() for k, mean in zip(own, means, strict=True)]
+        expected = {}
+        for name, p in estimates.items():
+            every = Rotation.from_matrix(known.model.rotation(p, rows))
+            expected[name] = np.stack([every[k].mean().as_matrix() for k in own])
+        return AttainedTurns(
+            np.stack([mean.as_matrix() for mean in means]), expected, np.stack([angle_repeatability(a) for a in about])
+        )
+
+    def errors(self, model: str, frames: Sequence[Alignment], frame: np.ndarray) -> np.ndarray:
+        """Return measured beside expected turns about the measuring frame's axes (n, 3) [rad], in frames that were fitted."""
+        turn = np.stack([frames[k].turn for k in frame]) if frames else np.eye(3)
+        return Rotation.from_matrix(turn @ self.measured @ self.expected[model].transpose(0, 2, 1)).as_rotvec()

@@ -1,0 +1,172 @@
+"""Commands: joint readings that land on targets, each with what is promised of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from calflow.deployment.clearance import Clearance, clearance
+from calflow.deployment.compensation import Landing, landing
+from calflow.deployment.needed_conditions import NeededCondition
+from calflow.deployment.nominal_inverse import nominal_readings
+from calflow.deployment.orientation import not_known, turn_sd
+from calflow.deployment.prediction import Missing, Told, as_told
+from calflow.deployment.targets import Targets
+from calflow.estimation.calibrated import Identified
+from calflow.estimation.certainty import position_variance
+from calflow.measurements.columns import numbered
+from calflow.measurements.measurements import Measurements
+from calflow.measurements.sequence import approach_and_travel
+
+SAME_TRAVEL = 1e-4  # rad or m
+SETTLES = 5  # rounds in which the ways between commands and the commands must agree
+NEAR_SINGULAR = np.deg2rad(1.0)
+MOST_NAMED = 10  # targets that a note names
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """Joint readings (n, n_joints) [rad, or m] that land on targets, as the calibrated model has it.
+
+    remaining (n,) [m] and turned (n,) [rad] is how far from its target each lands by the model, reached (n,) whether that is
+    on it. sd (n, 3) [m] is how surely it is known where, in the measuring frame, and turn_sd (n, 3) [rad] how it is turned,
+    about the tool's own axes; None where no orientation was asked for. nominal (n, n_joints) are the readings that the nominal
+    robot would be sent to, which miss by nominal_miss (n,) [m] and nominal_turned (n,) [rad]. A target that is not reached has
+    the readings that come nearest. data are the rows at the readings; notes say what is out of reach, and what is not known.
+    """
+
+    readings: np.ndarray
+    remaining: np.ndarray
+    turned: np.ndarray
+    reached: np.ndarray
+    sd: np.ndarray
+    turn_sd: np.ndarray | None
+    nominal: np.ndarray
+    nominal_miss: np.ndarray
+    nominal_turned: np.ndarray
+    clearance: Clearance
+    data: Measurements
+    notes: tuple[str, ...] = ()
+
+    @property
+    def expected(self) -> np.ndarray:
+        """The root mean square distance from the target that is to be expected (n,) [m]: what remains, and what is not known."""
+        return np.sqrt(self.remaining**2 + (self.sd**2).sum(axis=1))
+
+
+def compensated(
+    known: Identified, needed: Sequence[NeededCondition], data: Measurements, targets: Targets, *,
+    start: np.ndarray | None = None, in_order: bool = False, missing: Missing = "refuse", seed: int = 1,
+) -> Compensation:  # fmt: skip
+    """Return joint readings with which the robot lands on targets, nearest to those that the nominal robot would be sent to.
+
+    Args:
+        known: the calibrated model.
+        needed: the conditions that it needs.
+        data: a row a target: payload, marker and conditions; its readings do not count.
+        targets: where to land.
+        start: readings of the nominal robot (n, n_joints) [rad, or m]; any that are within the limits where it is None.
+        in_order: the commands follow each other, so that the side from which each joint comes, and how far, follow from them.
+        missing: as in `predict_positions`.
+        seed: of the poses from which nominal readings are looked for.
+
+    Raises:
+        InputError: a condition is missing that an effect needs.
+    """
+    ways = in_order and "approach" not in data.given
+    if ways:
+        data = _on_the_way(data, data.joints if start is None else start)
+    told = as_told(known, needed, data, missing)
+    ways = ways and bool({"approach", "travel"} & set(told.data.given))
+    if start is None:
+        start = nominal_readings(told.known.model, told.data.rows, targets, np.random.default_rng(seed))
+    told = _led(told, start, ways)
+    found = landing(told.known.model, known.estimate, told.data.rows, targets, start)
+    settled = np.ones(len(data), dtype=bool)
+    for _ in range(SETTLES if ways else 0):
+        before, told = told, _led(told, found.readings, ways)
+        settled = _same_way(before.data, told.data)
+        if settled.all():
+            break
+        again = landing(
+            told.known.model, known.estimate, told.data.rows[:, ~settled], targets.only(~settled), start[~settled],
+            found.readings[~settled],
+        )  # fmt: skip
+        found = found.with_rows(~settled, again)
+    return _judged(told, targets, start, found, ways, settled)
+
+
+def with_readings(data: Measurements, readings: np.ndarray) -> Measurements:
+    """Return rows at other joint readings (n, n_joints) [rad, or m]."""
+    names = numbered("q", data.robot.n_joints)
+    return replace(data, table=data.table.assign(**dict(zip(names, readings.T, strict=True))))
+
+
+def _led(told: Told, readings: np.ndarray, ways: bool) -> Told:
+    """The rows at readings, with the ways that lead there if these follow from the order."""
+    data = with_readings(told.data, readings)
+    return replace(told, data=_on_the_way(data, readings).stating(told.data.given) if ways else data)
+
+
+def _on_the_way(data: Measurements, readings: np.ndarray) -> Measurements:
+    """The rows with the sides from which the joints come, and how far, where they follow each other at these readings."""
+    n = data.robot.n_joints
+    names = numbered("q", n)
+    came, far = approach_and_travel(pd.DataFrame(readings, columns=names).assign(order=np.arange(len(readings))), names)
+    columns = dict(zip([*numbered("approach", n), *numbered("travel", n)], np.hstack([came, far]).T, strict=True))
+    return replace(data, table=data.table.assign(**columns))
+
+
+def _same_way(one: Measurements, other: Measurements) -> np.ndarray:
+    """Whether each row's joints come from the same side in both, and as far where that counts (n,)."""
+    n, same = one.robot.n_joints, np.ones(len(one), dtype=bool)
+    for names, within in ((numbered("approach", n), 0.0), (numbered("travel", n), SAME_TRAVEL)):
+        if names[0] in one.table:
+            same &= (np.abs(one.table[names].to_numpy() - other.table[names].to_numpy()) <= within).all(axis=1)
+    return same
+
+
+def _judged(
+    told: Told, targets: Targets, start: np.ndarray, found: Landing, ways: bool, settled: np.ndarray
+) -> Compensation:
+    """What is promised of the readings found, and what those begun with would have done."""
+    known, model = told.known, told.known.model
+    oriented = targets.rotation is not None
+
+    def misses(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        rotation = model.rotation(known.estimate, rows) if oriented else None
+        lacking = targets.lacking(model.point(known.estimate, rows), rotation)
+        return np.linalg.norm(lacking[:, :3], axis=1), np.linalg.norm(lacking[:, 3:], axis=1)
+
+    data = _led(told, found.readings, ways).data
+    remaining, turned = misses(data.rows)
+    nominal_miss, nominal_turned = misses(_led(told, start, ways).data.rows)
+    clear = clearance(model, data.rows, oriented)
+    names = data.table["pose"].astype(str).to_numpy()
+    notes = [
+        *_of_rows("out of reach within the joint limits", ~found.reached, names),
+        *_of_rows(
+            f"nearer than {np.rad2deg(NEAR_SINGULAR):.0f} deg to a singularity, where small corrections turn joints far",
+            found.reached & (clear.singular < NEAR_SINGULAR), names,
+        ),
+        *_of_rows("a joint moves there by so little that its side of approach hangs on the correction itself", ~settled, names),
+        *told.notes,
+        *(not_known(known, data.rows) if oriented else ()),
+    ]  # fmt: skip
+    return Compensation(
+        found.readings, remaining, turned, found.reached,
+        np.sqrt(position_variance(known, data.rows) + told.widened),
+        turn_sd(known, data.rows) if oriented else None,
+        start, nominal_miss, nominal_turned, clear, data, tuple(notes),
+    )  # fmt: skip
+
+
+def _of_rows(what: str, which: np.ndarray, names: np.ndarray) -> list[str]:
+    """Say what is so of some targets, by name; nothing where it is so of none."""
+    if not which.any():
+        return []
+    more = f" and {which.sum() - MOST_NAMED} more" if which.sum() > MOST_NAMED else ""
+    return [f"{which.sum()} of {len(which)} targets: {what}: pose {', '.join(names[which][:MOST_NAMED])}{more}"]

@@ -1,0 +1,286 @@
+"""The verdict of a drift check: what has moved, by how much, since when, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from calflow.deployment.attained import Attained
+from calflow.deployment.check import Check
+from calflow.deployment.drift import FALSE_ALARM, WITHIN, Explained, Step, searched, together, unexplained
+from calflow.deployment.movements import Kind, movements
+from calflow.deployment.needed_conditions import NeededCondition
+from calflow.deployment.settling import Settling, settling
+from calflow.deployment.validation import Station, stands
+from calflow.design.candidates import READINGS, reading_columns, reading_factors
+from calflow.estimation.calibrated import Identified
+from calflow.files.documents import to_document
+from calflow.files.results import Results
+from calflow.files.tables import column, to_frame
+from calflow.measurements.measurements import Measurements
+
+Status = Literal["in place", "moved", "conditions", "cannot be told"]
+MOVEMENTS_SHARE = 0.8  # of the false alarms that are allowed: movements', the rest is for what no movement explains
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moved:
+    """Something that has moved since the calibration, beside what was found before it."""
+
+    movement: str = column("what moved")
+    kind: Kind = column(
+        "zero of a joint, station or foot, tool, a dimension, a cause of the model, or a condition, which is no drift"
+    )
+    meaning: str = column("what it is, in words")
+    joint: int | None = column("its joint; empty: none")
+    probability: float = column("that it is this one, of all that may have moved")
+    cannot_tell_from: tuple[str, ...] = column("movements that explain the check poses about as well")
+    p: float = column("chance of anything so unlikely among all movements where nothing moved")
+    since: str = column("session from which on it is there; empty: in all of them")
+    before: str = column("the last session without it; empty: none, or the calibration")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recalibrated:
+    """A number that the smallest recalibration changes: everything else stays as it was calibrated."""
+
+    movement: str = column("what moved")
+    symbol: str = column("which of its numbers")
+    unit: str = column("of the figures in this row (SI)")
+    shift: float = column("by how much it has moved: to be added to what was calibrated", "as `unit` says")
+    sd: float = column("its standard deviation", "as `unit` says")
+    parameter: str = column("the model's parameter that it changes; empty: none of its own")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TestedMovement:
+    """Something that may have moved, tested by itself against nothing having moved."""
+
+    movement: str = column("what may have moved")
+    kind: Kind = column("as in moved.csv")
+    joint: int | None = column("its joint; empty: none")
+    units: tuple[str, ...] = column("of its numbers (SI)")
+    shifts: tuple[float, ...] = column("by how much, if it alone moved", "as `units` says")
+    sds: tuple[float, ...] = column("their standard deviations", "as `units` says")
+    p: float = column("chance of so much where nothing moved, not counting how many were tested")
+    probability: float = column("that it is this one, if anything moved")
+    limits: tuple[float, ...] = column("shift that these check poses would show in 95 of 100 cases", "as `units` says")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedPose:
+    """A check pose: how far it is from where the calibrated robot would be, and what the movements found leave of that."""
+
+    pose: str = column("as in the measurements")
+    marker: str = column("as in the measurements")
+    session: str = column("its session; empty: there is one")
+    error_mm: float = column("distance to where the calibrated robot would be", "mm")
+    expected_mm: float = column("standard deviation of that where nothing moved", "mm")
+    left_mm: float = column("what is left with the smallest recalibration", "mm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettlingPose:
+    """A pose to measure next, so that what moved is told from what else may have."""
+
+    readings: Mapping[str, float] = column("reading of each joint", "as named", name=READINGS)
+    payload: str = column("the load; empty: none")
+    marker: str = column("its name")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriftSummary:
+    """How a drift check ended."""
+
+    status: Status = column("the verdict")
+    false_alarm: float = column("chance that anything is told where nothing moved")
+    family_p: float = column("chance of anything so unlikely among all movements where nothing moved")
+    unexplained_p: float = column("chance of so much error as the movements found leave")
+    poses: int = column("check poses, markers and sessions counted apart")
+    sessions: int = column("sessions in which they were measured")
+    station: Literal["known", "fitted"] = column(
+        "whether the device stood where the calibration's did, or its frame was fitted"
+    )
+    error_mm: float = column("mean error of the check poses", "mm")
+    left_mm: float = column("the same with the smallest recalibration", "mm")
+    expected_mm: float = column("root mean square error that was expected where nothing moved", "mm")
+    chance: float | None = column(
+        "chance that the poses proposed exclude what is not told apart yet; null: nothing to exclude"
+    )
+    notes: tuple[str, ...] = column("what was assumed", default=())
+
+
+TABLES: Mapping[str, type] = {
+    "moved.csv": Moved, "recalibration.csv": Recalibrated, "candidates.csv": TestedMovement, "poses.csv": CheckedPose,
+    "next_poses.csv": SettlingPose, "summary.json": DriftSummary,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Drift:
+    """What a few check poses say of a calibrated robot: what moved, best first, and everything that was tested."""
+
+    moved: tuple[Moved, ...]
+    recalibration: tuple[Recalibrated, ...]
+    candidates: tuple[TestedMovement, ...]
+    poses: tuple[CheckedPose, ...]
+    next_poses: tuple[SettlingPose, ...]
+    summary: DriftSummary
+
+    @property
+    def results(self) -> Results:
+        """Its tables and summary by their file's name."""
+        tables = {
+            "moved.csv": to_frame(self.moved, Moved), "recalibration.csv": to_frame(self.recalibration, Recalibrated),
+            "candidates.csv": to_frame(self.candidates, TestedMovement), "poses.csv": to_frame(self.poses, CheckedPose),
+            "next_poses.csv": to_frame(self.next_poses, SettlingPose),
+        }  # fmt: skip
+        return Results(tables, {"summary.json": to_document(self.summary)})
+
+
+def drift(
+    known: Identified,
+    needed: list[NeededCondition],
+    data: Measurements,
+    *,
+    false_alarm: float = FALSE_ALARM,
+    station: Station = "auto",
+    seed: int = 1,
+) -> Drift:
+    """Tell whether anything has moved since a robot was calibrated.
+
+    Args:
+        known: the calibrated model.
+        needed: the conditions that it needs; those that the rows lack make the test as much less sharp as they matter.
+        data: check poses, some five to ten, in one session or several.
+        false_alarm: chance that anything is told where nothing moved.
+        station: as in `validate`; where it is fitted nothing is told of the robot's foot.
+        seed: of the draws that false alarms are counted in.
+
+    Raises:
+        InputError: a frame cannot be fitted.
+    """
+    given = tuple(one.condition for one in needed if one.condition in data.given)
+    known = _given(known, given)
+    fitted, _ = stands(Attained.of(known, data), station)
+    check = Check.of(known, needed, data, fitted)
+    every = movements(known, data, not fitted)
+    rng = np.random.default_rng(seed)
+    steps = searched(check, every, MOVEMENTS_SHARE * false_alarm, rng)
+    told = [step for step in steps if step.family_p < MOVEMENTS_SHARE * false_alarm]
+    rest = unexplained(check, told)
+    status = _status(told, rest, (1 - MOVEMENTS_SHARE) * false_alarm)
+    best = together(check, told)
+    left = _left(check, best)
+    settle = settling(known, data, check, told[0].best, rivals(told[0]), fitted, rng) if told else None
+    summary = DriftSummary(
+        status=status, false_alarm=false_alarm, family_p=steps[0].family_p, unexplained_p=rest, poses=len(check.points),
+        sessions=check.sessions, station="fitted" if fitted else "known", error_mm=1e3 * float(check.size().mean()),
+        left_mm=1e3 * float(left.mean()), expected_mm=1e3 * float(np.sqrt(np.trace(_still(check, fitted)) / len(check.points))),
+        chance=settle.chance if settle and np.isfinite(settle.chance) else None,
+        notes=(*data.notes, *_notes(needed, data, fitted)),
+    )  # fmt: skip
+    return Drift(
+        tuple(_moved(step, check) for step in told), tuple(row for one in best for row in _recalibrated(one)),
+        _tested(steps[0]), _poses(check, left, fitted), _next(known, settle), summary,
+    )  # fmt: skip
+
+
+def rivals(step: Step) -> list[Explained]:
+    """Return what is not told from a round's best, each movement once, the nearest first."""
+    found: dict[str, Explained] = {}
+    for one in step.explained:
+        if one.movement.name != step.best.movement.name and step.best.evidence - one.evidence < WITHIN:
+            found.setdefault(one.movement.name, one)
+    return list(found.values())
+
+
+def _given(known: Identified, given: tuple[str, ...]) -> Identified:
+    return known if known.model.given == given else replace(known, model=replace(known.model, given=given))
+
+
+def _status(told: list[Step], rest: float, alarm: float) -> Status:
+    """The verdict: what is explained by conditions, or may be, is no drift for certain."""
+    if not told:
+        return "cannot be told" if rest < alarm else "in place"
+    first = [told[0].best, *rivals(told[0])]
+    known = [one.movement.is_known for one in first]
+    if all(known) and all(step.best.movement.is_known for step in told):
+        return "conditions"
+    return "cannot be told" if any(known) and len(told) == 1 else "moved"
+
+
+def _left(check: Check, best: tuple[Explained, ...]) -> np.ndarray:
+    """What the movements found leave of each point's error (n / 3,) [m]."""
+    error = check.error - sum(check.columns(one.movement, one.since) @ one.size for one in best)
+    return np.asarray(np.linalg.norm(error.reshape(-1, 3), axis=1))
+
+
+def _still(check: Check, fitted: bool) -> np.ndarray:
+    """The covariance of the error where nothing moved; of a fitted frame what each point has for itself."""
+    return np.diag(np.repeat(check.own, 3)) if fitted else check.covariance
+
+
+def _moved(step: Step, check: Check) -> Moved:
+    best, names = step.best, step.names
+    since, earlier = best.since, check.names[best.since - 1] if best.since else ""
+    return Moved(
+        movement=best.movement.name, kind=best.movement.kind, meaning=best.movement.meaning, joint=best.movement.joint or None,
+        probability=names[best.movement.name], cannot_tell_from=tuple(one.movement.name for one in rivals(step)), p=step.family_p,
+        since=check.names[since] if since else "", before=earlier,
+    )  # fmt: skip
+
+
+def _recalibrated(best: Explained) -> list[Recalibrated]:
+    """A row a number of a movement that is one of the robot, or of where it is seen from."""
+    of = best.movement
+    return [
+        Recalibrated(movement=of.name, symbol=symbol, unit=unit, shift=float(shift), sd=float(sd), parameter=of.parameter)
+        for symbol, unit, shift, sd in zip(of.symbols, of.units, best.size, best.sd, strict=True) if not of.is_known
+    ]  # fmt: skip
+
+
+def _tested(step: Step) -> tuple[TestedMovement, ...]:
+    """A row a movement, since whenever explains most."""
+    found: dict[str, TestedMovement] = {}
+    for one in step.explained:
+        of = one.movement
+        found.setdefault(of.name, TestedMovement(
+            movement=of.name, kind=of.kind, joint=of.joint or None, units=of.units, shifts=tuple(map(float, one.size)),
+            sds=tuple(map(float, one.sd)), p=one.p, probability=step.names[of.name], limits=tuple(map(float, one.limit)),
+        ))  # fmt: skip
+    return tuple(found.values())
+
+
+def _poses(check: Check, left: np.ndarray, fitted: bool) -> tuple[CheckedPose, ...]:
+    expected = np.sqrt(np.diag(_still(check, fitted)).reshape(-1, 3).sum(axis=1))
+    sessions = [check.names[k] for k in check.session[::3]]
+    rows = zip(check.table.to_dict("records"), sessions, check.size(), expected, left, strict=True)
+    return tuple(
+        CheckedPose(pose=str(labels["pose"]), marker=str(labels["marker"]), session=session, error_mm=1e3 * float(error),
+                    expected_mm=1e3 * float(sd), left_mm=1e3 * float(rest))
+        for labels, session, error, sd, rest in rows
+    )  # fmt: skip
+
+
+def _next(known: Identified, settle: Settling | None) -> tuple[SettlingPose, ...]:
+    if settle is None:
+        return ()
+    names = reading_columns(known.model.robot)
+    shown = np.round(settle.readings * reading_factors(known.model.robot), 4)
+    readings = [dict(zip(names, map(float, row), strict=True)) for row in shown]
+    return tuple(SettlingPose(readings=one, payload=settle.payload, marker=settle.marker) for one in readings)
+
+
+def _notes(needed: list[NeededCondition], data: Measurements, fitted: bool) -> list[str]:
+    notes = [
+        f"without {one.columns} nothing is known of {', '.join(one.effects)} here: the test is less sharp by {one.spread_mm:.3g} mm"
+        for one in needed if one.condition not in data.given
+    ]  # fmt: skip
+    if fitted:
+        notes.append("the device's frame was fitted to the check poses: nothing is told of the robot's foot or the zero of an axis "
+                     "that turns all of it")  # fmt: skip
+    return notes

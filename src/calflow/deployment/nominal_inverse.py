@@ -1,0 +1,76 @@
+"""Nominal inverse: joint readings that the nominal robot would be sent to, where nobody gives them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from calflow.deployment.compensation import Landing, landing
+from calflow.deployment.targets import Targets, features
+from calflow.model import Model
+from calflow.robot.loop import reachable
+from calflow.robot.robot import Robot
+
+DRAWN = 4000  # poses drawn within the limits
+TRIED = (0, 4, 12, 28)  # how many of the nearest of them a target is approached from, as long as none leads there
+BLOCK = 500  # targets whose distances from all poses are worked out at once
+
+
+def nominal_readings(model: Model, rows: np.ndarray, targets: Targets, rng: np.random.Generator) -> np.ndarray:
+    """Return readings (n, n_joints) with which the nominal robot lands on the targets, or comes nearest to them.
+
+    It approaches each target from the nearest of many poses drawn within the limits, and takes what lands there furthest
+    from the limits. rows are packed conditions (n_conditions, n), whose readings do not count.
+    """
+    robot = model.robot
+    rigid, none = Model(robot, (), model.given), np.zeros(0)
+    low, high = robot.limits.T
+    drawn = rng.uniform(low, high, (DRAWN, robot.n_joints))
+    drawn = drawn[reachable(robot, drawn)]
+    readings = drawn @ np.linalg.inv(robot.reading_matrix).T
+    nearest = _nearest(rigid, readings, rows, targets)
+    found = readings[nearest[:, 0]]
+    left = np.arange(len(targets))
+    for first, last in pairwise(TRIED):
+        tried = nearest[left, first:last]
+        if not tried.size:
+            break
+        every = np.repeat(left, tried.shape[1])
+        landed = landing(rigid, none, rows[:, every], targets.only(every), readings[tried.ravel()])
+        best = _best(robot, landed, tried.shape[1])
+        found[left], reached = landed.readings[best], landed.reached[best]
+        left = left[~reached]
+    return np.asarray(found)
+
+
+def room(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Return how far each joint is from the nearer of its limits, as a share of its travel, shape as q (n, n_joints)."""
+    low, high = robot.limits.T
+    return np.asarray(np.minimum(q - low, high - q) / (high - low))
+
+
+def _nearest(rigid: Model, readings: np.ndarray, rows: np.ndarray, targets: Targets) -> np.ndarray:
+    """Which of the poses are nearest to each target, the nearest first, shape (n, most tried)."""
+    n = rigid.robot.n_joints
+    first = n + len(rigid.robot.payloads)
+    marker = rows[first : first + len(rigid.robot.markers)].argmax(axis=0)
+    found = np.empty((len(targets), min(TRIED[-1], len(readings))), dtype=int)
+    for own in np.unique(marker):
+        which = np.flatnonzero(marker == own)
+        there = np.vstack([readings.T, np.repeat(rows[n:, which[:1]], len(readings), axis=1)])
+        turned = None if targets.rotation is None else rigid.rotation(np.zeros(0), there)
+        place = features(rigid.point(np.zeros(0), there), turned)
+        for block in np.array_split(which, len(which) // BLOCK + 1):
+            far = (place**2).sum(axis=1) - 2 * targets.features[block] @ place.T
+            near = np.argpartition(far, found.shape[1] - 1, axis=1)[:, : found.shape[1]]
+            order = np.argsort(np.take_along_axis(far, near, axis=1), axis=1)
+            found[block] = np.take_along_axis(near, order, axis=1)
+    return found
+
+
+def _best(robot: Robot, landed: Landing, tries: int) -> np.ndarray:
+    """Which of all tries, so many a target, is its best: of those that land the one furthest from the limits, else the nearest."""
+    free = room(robot, landed.readings @ robot.reading_matrix.T).min(axis=1)
+    worth = np.where(landed.reached, 1 + free, -(landed.away + landed.turned)).reshape(-1, tries)
+    return np.asarray(worth.argmax(axis=1) + tries * np.arange(len(worth)))

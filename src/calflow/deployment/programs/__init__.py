@@ -1,0 +1,1 @@
+"""Programs: robot programs whose targets are rewritten, every other byte left alone; one format a file."""

@@ -1,0 +1,340 @@
+"""Validation: what a calibration is worth on measurements that it has not seen, and whether that meets a tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.stats import f as fisher
+from scipy.stats import t as student
+
+from calflow.deployment.alignment import FREEDOM, Alignment, can_align
+from calflow.deployment.attained import CALIBRATED, COMMANDED, NOMINAL, Attained
+from calflow.deployment.iso_9283 import CYCLES, cube_edge
+from calflow.deployment.needed_conditions import NeededCondition, check_stated
+from calflow.deployment.prediction import beyond_limits
+from calflow.deployment.tolerance import Errors
+from calflow.estimation.calibrated import Identified
+from calflow.files.documents import to_document
+from calflow.files.results import Results
+from calflow.files.tables import column, to_frame
+from calflow.measurements.measurements import Measurements
+
+Station = Literal["auto", "known", "fitted"]
+Status = Literal["met", "not met", "cannot be told", "no tolerance"]
+Judged = Literal["nominal", "calibrated", "commanded"]
+CONFIDENCE = 0.95  # that is asked of a verdict, and of intervals
+ONE_SIDED = 1.645  # standard deviations of the noise by which a pose must be beyond a tolerance to count as such
+ELSEWHERE = 20e-3  # m and rad by which nobody's calibrated robot moves: the device stands elsewhere
+COORDINATES = 3  # of a pose's position
+MOVED_P = 0.01  # chance below which a rigid motion of all points is told
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidatedModel:
+    """How far the robot was from where a model says, over all poses measured; intervals are 95 %, poses being independent."""
+
+    model: Judged = column("the robot as its maker says, as calibrated, or where compensated commands were to land")
+    poses: int = column("number of poses")
+    mean_mm: float = column("mean error of a pose", "mm")
+    mean_low_mm: float = column("lower end of its interval (Student's t over poses)", "mm")
+    mean_high_mm: float = column("upper end of it", "mm")
+    rms_mm: float = column("root mean square error of a pose", "mm")
+    rms_low_mm: float = column("lower end of its interval", "mm")
+    rms_high_mm: float = column("upper end of it", "mm")
+    max_mm: float = column("the largest error: pose accuracy AP of the worst pose", "mm")
+    further_mm: float = column("what a further pose like these errs by less than, with a probability of 95 %", "mm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidatedPose:
+    """A point of a pose: how far the barycentre of its rows was from where each model says (ISO 9283's AP), and its RP."""
+
+    pose: str = column("as in the measurements")
+    marker: str = column("as in the measurements")
+    payload: str = column("as in the measurements")
+    session: str = column("as in the measurements; empty: none was named")
+    rows: int = column("how many times it was measured")
+    nominal_mm: float = column("distance to where the robot as its maker says would be", "mm")
+    calibrated_mm: float = column("distance to where the calibrated robot would be", "mm")
+    commanded_mm: float = column("distance to the target of the command; empty: none was stated", "mm")
+    promised_mm: float = column("standard deviation of the calibrated distance as the calibration promises it", "mm")
+    dx_mm: float = column("measured minus expected position of what is judged, along the measuring frame's x", "mm")
+    dy_mm: float = column("the same along y", "mm")
+    dz_mm: float = column("the same along z", "mm")
+    rp_mm: float = column("pose repeatability RP; empty: measured once", "mm")
+    turn_mrad: float = column("how much the tool is turned beside the calibrated robot's; empty: not measured", "mrad")
+    rp_turn_mrad: float = column("repeatability of the turn about its worst axis, 3 S; empty: not measured", "mrad")
+    within: bool | None = column("whether it is within the tolerance; empty: none was given")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidationSummary:
+    """How a validation ended: the verdict with its probabilities, and what was done about the device's frame."""
+
+    status: Status = column("the verdict")
+    judged: Judged = column(
+        "whose errors the verdict is about: commands where targets were stated, else the calibrated robot"
+    )
+    tolerance_mm: float | None = column("what was asked; null: nothing", "mm")
+    confidence: float = column("probability that a verdict 'met' needs")
+    further_within: float | None = column(
+        "probability that a further pose like these is within; null: not asked, or too few poses"
+    )
+    task_poses: int = column("poses of the task")
+    task_within: float | None = column("probability that all of them are within; null: as before")
+    decided_by: Literal["further pose", "task"] = column("which of the two decides")
+    poses: int = column("poses measured")
+    rows: int = column("rows measured")
+    beyond: int = column("points that are beyond the tolerance by more than the device's noise explains")
+    station: Literal["known", "fitted"] = column(
+        "whether the device stood where the calibration's did, or its frame was fitted"
+    )
+    frames: int = column("frames that were fitted: one a session")
+    freedom_lost: int = column("degrees of freedom that this took")
+    moved_mm: float | None = column("how far the fitted frame is from the calibration's at these points; of a known one, how far a "
+                                    "rigid motion would take them; null: too few poses to tell", "mm")  # fmt: skip
+    turned_mrad: float | None = column("by how much it is turned", "mrad")
+    moved_p: float | None = column(
+        "chance of so large a motion where nothing moved; null: the frame was fitted, or too few poses"
+    )
+    noise_mm: float | None = column(
+        "the device's noise of a row, per axis; null: not known apart from the calibration", "mm"
+    )
+    promised_mm: float = column(
+        "root mean square error that the calibration promised for these poses, noise included", "mm"
+    )
+    ap_mm: float = column("pose accuracy AP of the worst pose", "mm")
+    rp_mm: float | None = column("pose repeatability RP of the worst pose; null: none was measured twice", "mm")
+    fewest_cycles: int = column("how many times the pose was attained that was attained least; the standard has 30")
+    cube_edge_mm: float | None = column(
+        "edge of ISO 9283's cube in whose plane the five poses lie; null: they are no such poses", "mm"
+    )
+    notes: tuple[str, ...] = column("what was assumed, and what to look at", default=())
+
+
+TABLES: Mapping[str, type] = {
+    "accuracy.csv": ValidatedModel,
+    "poses.csv": ValidatedPose,
+    "summary.json": ValidationSummary,
+}
+
+
+@dataclass(frozen=True)
+class Validation:
+    """A calibrated robot held against further measurements: statistics of each model, every point, and the verdict."""
+
+    accuracy: tuple[ValidatedModel, ...]
+    poses: tuple[ValidatedPose, ...]
+    summary: ValidationSummary
+
+    @property
+    def results(self) -> Results:
+        """Its tables and summary by their file's name."""
+        tables = {
+            "accuracy.csv": to_frame(self.accuracy, ValidatedModel),
+            "poses.csv": to_frame(self.poses, ValidatedPose),
+        }
+        return Results(tables, {"summary.json": to_document(self.summary)})
+
+    def of(self, model: str) -> ValidatedModel:
+        """Return the statistics of a model."""
+        return next(one for one in self.accuracy if one.model == model)
+
+    @property
+    def judged(self) -> ValidatedModel:
+        """The statistics of what the verdict is about."""
+        return self.of(self.summary.judged)
+
+
+def validate(
+    known: Identified,
+    needed: list[NeededCondition],
+    data: Measurements,
+    *,
+    tolerance: float | None = None,
+    task: int | None = None,
+    confidence: float = CONFIDENCE,
+    station: Station = "auto",
+) -> Validation:
+    """Hold a calibrated robot against measurements that it has not seen.
+
+    A pose's error is the distance from where it should be to the barycentre of its rows. Poses are the independent unit. The
+    tolerance is for errors as measured, the device's noise included, so that noise never makes a robot look better.
+
+    Args:
+        known: the calibrated model.
+        needed: the conditions that it needs.
+        data: the rows, positions or poses, in the frame of the calibration or any other.
+        tolerance: what a pose may err by [m].
+        task: how many poses must all be within; then that decides instead of a further pose.
+        confidence: the probability that a verdict "met" needs.
+        station: whether the device stood where it stood in the calibration; "auto" takes it as known unless all points are
+            beyond ELSEWHERE from there, which no robot does.
+
+    Raises:
+        InputError: a needed condition is missing, or there are too few poses to fit a frame.
+    """
+    check_stated(needed, data.given)
+    given = data.stating([one.condition for one in needed]).given
+    attained = Attained.of(replace(known, model=replace(known.model, given=given)), data)
+    judged: Judged = "commanded" if COMMANDED in attained.expected else "calibrated"
+    fitted, frames = stands(attained, station)
+    error = {model: attained.errors(model, fitted) for model in attained.expected}
+    size = {model: np.linalg.norm(own, axis=1) for model, own in error.items()}
+    lost = attained.lost(fitted)
+    accuracy = tuple(_statistics(model, attained, own, lost) for model, own in size.items())  # type: ignore[arg-type]
+    worst = Errors.of(attained.by_pose(size[judged], "max"), lost / COORDINATES)
+    asked = task or int(attained.pose.max() + 1)
+    within = None if tolerance is None else size[judged] <= tolerance
+    beyond = 0 if tolerance is None else int((size[judged] - ONE_SIDED * attained.noise > tolerance).sum())
+    further = None if tolerance is None else _or_none(worst.within(tolerance))
+    whole = None if tolerance is None else _or_none(worst.within(tolerance, asked))
+    p_moved = _moved_p(attained, error[CALIBRATED], frames) if frames and not fitted else None
+    summary = ValidationSummary(
+        status=_status(within, beyond, whole if task else further, confidence),
+        judged=judged,
+        tolerance_mm=None if tolerance is None else 1e3 * tolerance,
+        confidence=confidence,
+        further_within=further,
+        task_poses=asked,
+        task_within=whole,
+        decided_by="task" if task else "further pose",
+        poses=int(attained.pose.max() + 1),
+        rows=len(data),
+        beyond=beyond,
+        station="fitted" if fitted else "known",
+        frames=len(frames) if fitted else 0,
+        freedom_lost=lost,
+        moved_mm=1e3 * max(one.moved(attained.measured) for one in frames) if frames else None,
+        turned_mrad=1e3 * max(one.angle for one in frames) if frames else None,
+        moved_p=p_moved,
+        noise_mm=1e3 * float(np.sqrt(np.mean(known.noise(data).sigma ** 2))) if known.noise_known else None,
+        promised_mm=1e3 * float(np.sqrt(np.mean(attained.sd**2))),
+        ap_mm=1e3 * float(size[judged].max()),
+        rp_mm=_or_none(1e3 * float(_largest(attained.repeatability))),
+        fewest_cycles=int(attained.table["rows"].min()),
+        cube_edge_mm=_or_none(1e3 * cube_edge(_places(attained))),
+        notes=(*data.notes, *_notes(attained, judged, size, worst, p_moved, fitted), *beyond_limits(data)),
+    )
+    return Validation(accuracy, _points(attained, error, size, judged, within, frames if fitted else ()), summary)
+
+
+def stands(attained: Attained, station: Station) -> tuple[bool, tuple[Alignment, ...]]:
+    """Say whether the device's frames are to be fitted, and return the motions that take the points onto the calibrated robot's."""
+    if station == "fitted":
+        return True, attained.alignment(CALIBRATED)
+    sessions = [attained.frame == k for k in range(attained.frame.max() + 1)]
+    if not all(can_align(attained.measured[own]) for own in sessions):
+        return False, ()
+    frames = attained.alignment(CALIBRATED)
+    far = all(one.moved(attained.measured) > ELSEWHERE or one.angle > ELSEWHERE for one in frames)
+    return station == "auto" and far, frames
+
+
+def _moved_p(attained: Attained, error: np.ndarray, frames: tuple[Alignment, ...]) -> float:
+    """Chance that a rigid motion takes so much off the errors where they are independent and nothing moved (F test)."""
+    left = np.empty_like(error)
+    for k, frame in enumerate(frames):
+        own = attained.frame == k
+        left[own] = frame.of(attained.measured[own]) - attained.expected[CALIBRATED][own]
+    taken, rest = FREEDOM * len(frames), COORDINATES * len(error) - FREEDOM * len(frames)
+    squares, remaining = float((error**2).sum()), float((left**2).sum())
+    if rest <= 0 or remaining <= 0:
+        return 1.0
+    return float(fisher.sf(max(squares - remaining, 0.0) / taken / (remaining / rest), taken, rest))
+
+
+def _statistics(model: Judged, attained: Attained, size: np.ndarray, lost: int) -> ValidatedModel:
+    """Mean, root mean square and largest error over poses, with what a further pose stays below."""
+    of_pose = attained.by_pose(size, "mean")
+    n = len(of_pose) - lost / COORDINATES
+    mean, low, high = _interval(of_pose, n)
+    square, least, most = _interval(of_pose**2, n)
+    further = Errors.of(attained.by_pose(size, "max"), lost / COORDINATES).reached_by(CONFIDENCE)
+    figures = (mean, low, high, *np.sqrt((square, least, most)), size.max(), further)
+    names = ("mean_mm", "mean_low_mm", "mean_high_mm", "rms_mm", "rms_low_mm", "rms_high_mm", "max_mm", "further_mm")
+    return ValidatedModel(
+        model=model, poses=len(of_pose), **{k: 1e3 * float(v) for k, v in zip(names, figures, strict=True)}
+    )
+
+
+def _interval(values: np.ndarray, n: float) -> tuple[float, float, float]:
+    """Mean of values that count as n, and its interval by Student's t, not below nothing; without ends where they are too few."""
+    mean = float(values.mean())
+    if not n > 1:
+        return mean, float("nan"), float("nan")
+    half = float(student.ppf(0.5 + CONFIDENCE / 2, n - 1) * values.std(ddof=1) / np.sqrt(n))
+    return mean, max(0.0, mean - half), mean + half
+
+
+def _status(within: np.ndarray | None, beyond: int, probability: float | None, confidence: float) -> Status:
+    """The verdict: not met where a pose is beyond, met where none is and further ones are within as surely as asked."""
+    if within is None:
+        return "no tolerance"
+    if beyond:
+        return "not met"
+    sure = probability is not None and probability >= confidence
+    return "met" if within.all() and sure else "cannot be told"
+
+
+def _points(
+    attained: Attained, error: Mapping[str, np.ndarray], size: Mapping[str, np.ndarray], judged: Judged,
+    within: np.ndarray | None, frames: tuple[Alignment, ...],
+) -> tuple[ValidatedPose, ...]:  # fmt: skip
+    """A row a point."""
+    turns = attained.turns
+    turned = turns.errors(CALIBRATED, frames, attained.frame) if turns else None
+    found = []
+    for k, labels in enumerate(attained.table.to_dict("records")):
+        dx, dy, dz = (1e3 * float(value) for value in error[judged][k])
+        found.append(
+            ValidatedPose(
+                pose=str(labels["pose"]), marker=str(labels["marker"]), payload=str(labels["payload"]),
+                session=str(labels.get("session", "")), rows=int(labels["rows"]),
+                nominal_mm=1e3 * float(size[NOMINAL][k]), calibrated_mm=1e3 * float(size[CALIBRATED][k]),
+                commanded_mm=1e3 * float(size[COMMANDED][k]) if COMMANDED in size else float("nan"),
+                promised_mm=1e3 * float(attained.sd[k]), dx_mm=dx, dy_mm=dy, dz_mm=dz, rp_mm=1e3 * float(attained.repeatability[k]),
+                turn_mrad=float("nan") if turned is None else 1e3 * float(np.linalg.norm(turned[k])),
+                rp_turn_mrad=1e3 * float(_largest(turns.repeatability[k])) if turns else float("nan"),
+                within=None if within is None else bool(within[k]),
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def _places(attained: Attained) -> np.ndarray:
+    """Where the poses are, one point of each (n_poses, 3) [m]."""
+    return np.asarray(attained.expected[CALIBRATED][np.unique(attained.pose, return_index=True)[1]])
+
+
+def _notes(
+    attained: Attained, judged: Judged, size: Mapping[str, np.ndarray], worst: Errors, p_moved: float | None, fitted: bool
+) -> list[str]:  # fmt: skip
+    """Say what was assumed, and what looks wrong."""
+    notes = []
+    if fitted:
+        notes.append(f"the device stood elsewhere than in the calibration: its frame was fitted to these points, which took "
+                     f"{attained.lost(True)} degrees of freedom; where the robot stands is not judged")  # fmt: skip
+    elif p_moved is not None and p_moved < MOVED_P:
+        notes.append("a shift and a turn of all points together would take a good part of the errors away: where the robot's foot "
+                     "or the device may have moved, --station fitted judges without that")  # fmt: skip
+    if size[CALIBRATED].mean() > size[NOMINAL].mean():
+        notes.append("the calibrated robot errs by more than the nominal one: are these rows of the robot, tool and units that "
+                     "were calibrated?")  # fmt: skip
+    repeated = attained.table["rows"].min()
+    if 1 < repeated < CYCLES:
+        notes.append(f"ISO 9283 has each pose attained {CYCLES} times; here it was {repeated} at least")
+    if repeated > 1:
+        notes.append("repeats count as the standard's cycles: RP is the robot's only where it came to each pose anew")
+    return notes
+
+
+def _largest(values: np.ndarray) -> float:
+    return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
+
+
+def _or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

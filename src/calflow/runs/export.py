@@ -1,0 +1,48 @@
+"""Export from a run folder: its calibrated robot in a format that other programs read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from calflow.deployment.export import Export, Format, export
+from calflow.design.candidates import candidates
+from calflow.estimation.calibrated import Identified
+from calflow.files.problems import InputError
+from calflow.runs.calibrated_run import CalibratedRun
+from calflow.runs.folder import study_and_folder
+
+POSES = 500  # within the joint limits, where the measurements are not there any more
+
+
+def export_run(study_or_run: str | Path, to: Format) -> Export:
+    """Return a run's calibrated robot in a format; its notes say what the format cannot hold, and what that costs in mm.
+
+    The run is named by its folder, or by its study. The costs are told over the measured rows; where these are not to be had,
+    over random poses within the joint limits.
+
+    Raises:
+        InputError: the run has not identified yet, or its robot cannot be stated in the format.
+    """
+    run = CalibratedRun.of(study_or_run)
+    try:
+        study, _ = study_and_folder(run.folder, None)
+        data = study.measurements()
+        known, rows = run.known(data.given), data.rows
+        said: tuple[str, ...] = ()
+    except InputError:
+        known, rows = _anywhere(run)
+        said = ("the measurements are not there any more: costs are over random poses within the joint limits instead",)
+    found = export(known, rows, to)
+    return replace(found, notes=(*said, *found.notes))
+
+
+def _anywhere(run: CalibratedRun) -> tuple[Identified, np.ndarray]:
+    """The calibrated model, and packed rows (n_conditions, n) at random poses under the heaviest payload."""
+    known = run.known(())
+    payloads = run.robot.payloads
+    heaviest = max(payloads, key=lambda name: payloads[name].mass or 0.0, default="")
+    _, rows = candidates(known.model, POSES, heaviest, next(iter(run.robot.markers)), None, np.random.default_rng(1))
+    return known, rows

@@ -1,0 +1,39 @@
+"""What a command keeps in a folder of its own: tables with their schemas, summaries, and a report."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calflow.files.csv import write_csv
+from calflow.files.results import Results
+from calflow.files.tables import schema
+from calflow.files.writing import write_whole
+
+if TYPE_CHECKING:
+    from calflow.reporting.blocks import Part
+
+
+def write_results(folder: Path, results: Results, tables: Mapping[str, type]) -> None:
+    """Write tables, each with its schema beside it, and documents; tables says of each what its rows are."""
+    for name, table in results.tables.items():
+        write_csv(folder / name, table)
+        described = json.dumps(schema(table, tables[name]), indent=2, ensure_ascii=False)
+        write_whole((folder / name).with_suffix(".schema.json"), f"{described}\n".encode())
+    for name, document in results.documents.items():
+        said = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+        write_whole(folder / name, f"{said}\n".encode())
+
+
+def keep(
+    folder: Path, results: Results, tables: Mapping[str, type], title: str, parts: Callable[[], Sequence[Part]]
+) -> None:
+    """Write results and their report.pdf with its figures; parts draws and words it."""
+    from calflow.reporting.document import write
+    from calflow.reporting.style import style
+
+    write_results(folder, results, tables)
+    with style():
+        write(title, parts(), folder)

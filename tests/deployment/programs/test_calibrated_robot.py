@@ -1,0 +1,280 @@
+"""The calibrated robot: it knows postures as controllers do, and a corrected program lands where it says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from calflow.deployment.needed_conditions import NeededCondition
+from calflow.deployment.programs.calibrated_robot import CalibratedRobot
+from calflow.deployment.programs.configuration import KrlConfiguration, RapidConfiguration
+from calflow.deployment.programs.filtering import Choices, filtered
+from calflow.deployment.programs.formats import parsed
+from calflow.deployment.programs.orientation import angle_between, inverse, pose_matrix, pose_values
+from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.measurements.measurements import Measurements
+from calflow.model import build
+from robots import ASKEW, industrial, robot, ur10
+
+TOOL = pose_matrix([0.0974, 0.0, 0.2231, 0.924, 0.0, 0.383, 0.0], "quaternion")
+NUMBERS = "[[97.4,0,223.1],[0.924,0,0.383,0]]"
+NO_AXES = "[9E9,9E9,9E9,9E9,9E9,9E9]"
+
+
+def calibrated(of, effects=("geometry",), sizes=0.0, **conditions):
+    """A robot whose errors are known, of so many prior standard deviations."""
+    robot = replace(of, base=ASKEW)
+
+    def rows(q):
+        load = {"payload": "load"} if robot.payloads else {}
+        return Measurements.from_arrays(robot, q, None, pose=np.arange(len(q)), **load, **conditions)
+
+    model = build(robot, effects, tuple(conditions))
+    rng = np.random.default_rng(3)
+    p = np.clip(model.nominal + sizes * model.prior_sd * rng.standard_normal(len(model.nominal)), *model.bounds.T)
+    known = Identified(
+        model, p, 1e-16 * np.eye(len(p)), np.zeros(len(p), bool), (SeriesNoise(1e-5, "file"),), 0.0, 0.0, "linear"
+    )  # fmt: skip
+    return CalibratedRobot(known, [], rows)
+
+
+def rapid_program(corrector, readings):
+    """A program in RAPID that goes to readings, as poses and as joints."""
+    lines = ["MODULE Weld", f"  PERS tooldata gun:=[TRUE,{NUMBERS},[5,[23,0,75],[1,0,0,0],0,0,0]];"]
+    for k, (q, flange) in enumerate(zip(readings, corrector.flange(readings), strict=True)):
+        values = pose_values(flange @ TOOL, "quaternion", np.array([0, 0, 0, 1, 0, 0, 0.0]))
+        place, turn = (",".join(f"{v:.{n}f}" for v in part) for part, n in ((1e3 * values[:3], 5), (values[3:], 9)))
+        flags = ",".join(RapidConfiguration(()).of(corrector.posture(q)))
+        lines.append(f"  CONST robtarget p{k}:=[[{place}],[{turn}],[{flags}],{NO_AXES}];")
+    joints = ",".join(f"{v:.6f}" for v in np.rad2deg(readings[0]))
+    lines += [f"  CONST jointtarget home:=[[{joints}],{NO_AXES}];", "  PROC main()", "    MoveAbsJ home,v100,fine,gun;"]
+    lines += [f"    MoveL p{k},v100,fine,gun;" for k in range(len(readings))]
+    return "\r\n".join([*lines, "  ENDPROC", "ENDMODULE", ""]).encode()
+
+
+def usual(corrector, n, seed=5):
+    """Joint readings far from limits and singularities."""
+    low, high = corrector.robot.limits.T
+    q = np.random.default_rng(seed).uniform(np.maximum(low, -1.2), np.minimum(high, 1.2), (n, corrector.n_joints))
+    q[:, 4] = np.where(np.abs(q[:, 4]) < 0.4, 0.7, q[:, 4])
+    return q
+
+
+def test_a_model_that_changes_nothing_leaves_a_program_to_the_last_byte():
+    """Fails if the way through joint readings and back changes a target."""
+    corrector = calibrated(industrial())
+    source = rapid_program(corrector, usual(corrector, 4))
+    done = filtered(parsed(source, Path("weld.mod")), corrector, Choices({}, {}))
+    assert done.source == source
+    assert [row.outcome for row in done.rows] == ["unchanged"] * 5
+
+
+def test_a_corrected_program_lands_where_it_says():
+    """Fails if the real tool, at readings that the controller works out by itself, misses a target by more than digits do."""
+    corrector = calibrated(industrial(), ("geometry", "joint-compliance"), 0.3)
+    readings = usual(corrector, 4)
+    program = parsed(rapid_program(corrector, readings), Path("weld.mod"))
+    done = filtered(program, corrector, Choices({}, {}))
+    assert {row.outcome for row in done.rows} == {"moved"}
+    assert max(row.moved_mm for row in done.rows) > 1
+    before = [pose_matrix(target.values, "quaternion") for target in program.targets[:4]]
+    after = [target.values for target in parsed(done.source, Path("weld.mod")).targets]
+    commands = [inverted(pose_matrix(values, "quaternion") @ inverse(TOOL), q)
+                for values, q in zip(after[:4], readings, strict=True)]  # fmt: skip
+    landed = truly(corrector, np.array([*commands, after[4]])) @ TOOL
+    for place, aim in zip(landed, [*before, corrector.flange(readings[:1])[0] @ TOOL], strict=True):
+        assert np.linalg.norm(place[:3, 3] - aim[:3, 3]) < 3e-6
+        assert angle_between(place, aim) < 5e-6
+
+
+def inverted(flange, near):
+    """The controller's readings at a pose, by plain numpy of the maker's figures."""
+    alpha, a, d = np.deg2rad((0, -90, 0, -90, 90, -90)), (0, 0.312, 1.075, 0.225, 0, 0), (0.67, 0, 0, 1.28, 0, 0.215)
+    theta = np.deg2rad((0, -90, 0, 0, 0, 180))
+
+    def off(q):
+        pose = np.eye(4)
+        for k in range(6):
+            turn = Rotation.from_euler("x", alpha[k]) * Rotation.from_euler("z", theta[k] + q[k])
+            step = np.eye(4)
+            step[:3, :3] = turn.as_matrix()
+            step[:3, 3] = np.array([a[k], 0, 0]) + step[:3, :3] @ [0, 0, d[k]]
+            pose = pose @ step
+        apart = Rotation.from_matrix(flange[:3, :3].T @ pose[:3, :3]).as_rotvec()
+        return np.concatenate([pose[:3, 3] - flange[:3, 3], apart])
+
+    return least_squares(off, near, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+
+
+def truly(corrector, readings):
+    """Where the flange is by the calibrated model, in the base that it found, read off where its marker is."""
+    known, model = corrector.known, corrector.known.model
+    rows = corrector.rows(readings).rows
+    parameter = dict(zip([p.name for p in model.parameters], known.estimate, strict=True))
+    base = np.eye(4)
+    base[:3, 3] = [parameter[f"base.{axis}"] for axis in "xyz"]
+    base[:3, :3] = Rotation.from_euler("XYZ", [parameter[f"base.r{axis}"] for axis in "xyz"]).as_matrix()
+    stands = np.eye(4)
+    stands[:3, 3], stands[:3, :3] = ASKEW.origin, Rotation.from_euler("XYZ", ASKEW.rotation).as_matrix()
+    marker = np.array(corrector.robot.markers["E"].point)
+    marker = marker + [parameter[f"E.{axis}"] for axis in "xyz"]
+    flange = np.tile(np.eye(4), (len(readings), 1, 1))
+    flange[:, :3, :3] = model.rotation(known.estimate, rows)
+    flange[:, :3, 3] = model.point(known.estimate, rows) - flange[:, :3, :3] @ marker
+    return inverse(stands @ base) @ flange
+
+
+R2000 = {  # of an R-2000iB/165F, counted as its controller counts; its world is where axes 1 and 2 meet in height
+    "alpha_deg": (0, -90, 0, -90, 90, -90), "a_m": (0, 0.312, 1.075, 0.225, 0, 0), "d_m": (0, 0, 0, 1.28, 0, 0.27),
+    "theta_deg": (0, -90, 0, 0, 0, 0), "sign": (1, 1, -1, -1, -1, -1),
+    "limits_deg": ((-180, 180), (-60, 76), (-132, 230), (-360, 360), (-125, 125), (-360, 360)),
+}  # fmt: skip
+SHOWN = """/PROG  POSES
+/ATTR
+/MN
+   1:J P[1] 100% FINE    ;
+/POS
+P[1]{
+   GP1:
+\tUF : 0, UT : 0,\t\tCONFIG : 'N U T, 0, 0, 0',
+\tX =  1500.000  mm,\tY =     0.000  mm,\tZ =   360.000  mm,
+\tW =   135.000 deg,\tP =   -45.000 deg,\tR =     0.000 deg
+};
+P[2]{
+   GP1:
+\tUF : 0, UT : 0,\t\tCONFIG : 'F U T, 0, 0, 0',
+\tX =  1500.000  mm,\tY =     0.000  mm,\tZ =   360.000  mm,
+\tW =   135.000 deg,\tP =   -45.000 deg,\tR =     0.000 deg
+};
+/END
+"""
+
+
+def test_a_controller_shows_the_readings_that_its_configuration_means():
+    """Fails if W, P, R or N and F are taken otherwise than by the controller whose display these figures are from."""
+    joints = [dict(zip(R2000, values, strict=True)) for values in zip(*R2000.values(), strict=True)]
+    corrector = calibrated(robot("modified-dh", joints, couplings=[{"joint": 3, "source": 2, "factor": -1.0}]))
+    asked: list[np.ndarray] = []
+
+    class Watched(CalibratedRobot):
+        def corrected(self, readings, names):
+            asked.append(readings)
+            return super().corrected(readings, names)
+
+    watched = Watched(corrector.known, (), corrector.rows)
+    done = filtered(parsed(SHOWN.encode(), Path("poses.ls")), watched, Choices({}, {}))
+    assert [row.outcome for row in done.rows] == ["unchanged"] * 2
+    shown = [(7.962, -5.284, -36.25, 77.661, -51.975, -79.273), (7.962, -5.284, -36.25, -102.339, 51.975, 100.727)]
+    np.testing.assert_allclose(np.rad2deg(asked[0]), shown, atol=0.02)
+
+
+def test_base_and_flange_of_the_controller_may_be_elsewhere():
+    """Fails if a program whose poses are counted from another base, to another flange, is not reached or moved otherwise."""
+    corrector = calibrated(industrial(), ("geometry",), 0.3)
+    source = rapid_program(corrector, usual(corrector, 3))
+    plain = filtered(parsed(source, Path("w.mod")), corrector, Choices({}, {}))
+    base, flange = pose_matrix([0, 0, 0.67, 0, 0, 0], "xyz"), pose_matrix([0, 0, 0, 0, 0, np.pi], "xyz")
+    tool = inverse(flange) @ TOOL
+    other = filtered(
+        parsed(source, Path("w.mod")),
+        corrector,
+        Choices({"gun": tool}, {"wobj0": inverse(base)}, base=base, flange=flange),
+    )
+    assert other.source == plain.source
+
+
+def test_flags_of_no_way_are_said():
+    """Fails if a target whose flags fit nothing is moved unasked, or cannot be moved when it is asked for."""
+    corrector = calibrated(industrial(), ("geometry",), 0.3)
+    source = rapid_program(corrector, usual(corrector, 2))
+    flags = ",".join(RapidConfiguration(()).of(corrector.posture(usual(corrector, 2)[1])))
+    wrong = source.replace(f",[{flags}],".encode(), b",[3,3,3,0],")
+    assert wrong != source
+    done = filtered(parsed(wrong, Path("w.mod")), corrector, Choices({}, {}))
+    (row,) = [row for row in done.rows if row.outcome == "left alone"]
+    assert "configuration" in row.note
+    done = filtered(parsed(wrong, Path("w.mod")), corrector, Choices({}, {}, loosely=True))
+    assert [row.outcome for row in done.rows].count("moved") == 3
+    assert any("configuration" in row.note for row in done.rows)
+
+
+def test_joints_that_come_from_either_side_are_told_apart():
+    """Fails if play is not made up for by the side from which a joint comes, as the order of the targets has it."""
+    plain = calibrated(industrial(), ("geometry", "joint-backlash"))
+    names = [parameter.name for parameter in plain.known.model.parameters]
+    estimate = plain.known.estimate.copy()
+    play = next(k for k, name in enumerate(names) if name.startswith("joint2") and name.endswith(".b"))
+    estimate[play] = 1e-3
+    given = ("approach", "travel")
+    known = replace(plain.known, estimate=estimate, model=replace(plain.known.model, given=given))
+    needed = [NeededCondition(condition="approach", effects=("joint-backlash",), columns="approach1", spread_mm=1.0)]
+    corrector = CalibratedRobot(known, needed, plain.rows, in_order=True)
+    readings = np.tile(usual(plain, 1), (3, 1))
+    readings[1, 1] += 0.2
+    joints = [",".join(f"{v:.6f}" for v in np.rad2deg(one)) for one in readings]
+    lines = [f"  CONST jointtarget j{k}:=[[{one}],{NO_AXES}];" for k, one in enumerate(joints)]
+    source = "\n".join(["MODULE M", *lines, "ENDMODULE", ""]).encode()
+    program = parsed(source, Path("m.mod"))
+    done = filtered(program, corrector, Choices({}, {}))
+    after = parsed(done.source, Path("m.mod")).targets
+    moved = [new.values[1] - old.values[1] for old, new in zip(program.targets, after, strict=True)]
+    assert abs(moved[2] - moved[1]) == pytest.approx(abs(moved[1]) + abs(moved[2]), rel=1e-6)
+    assert abs(moved[1]) > 1e-4
+
+
+def test_what_nothing_tells_follows_the_target_before():
+    """Fails if a way without flags leaves the joint positions that it goes on in, or that it was assumed is not said."""
+    corrector = calibrated(ur10(), ("geometry",), 0.3)
+    way = usual(corrector, 1)[0] + np.linspace(0, 0.3, 5)[:, None] * np.array([1, -0.5, 0.7, 0.3, 0.4, -0.6])
+    poses = [pose_values(one, "vector", np.zeros(6)) for one in corrector.flange(way)]
+    lines = [f"movel(p[{','.join(f'{v:.9f}' for v in one)}])" for one in poses[1:]]
+    start = f"movej([{','.join(f'{v:.9f}' for v in way[0])}])"
+    source = "\n".join(["set_tcp(p[0,0,0,0,0,0])", start, *lines, ""]).encode()
+    done = filtered(parsed(source, Path("p.script")), corrector, Choices({}, {}))
+    assert [row.outcome for row in done.rows] == ["moved"] * 5
+    assert all("nearest to the target before" in row.note for row in done.rows[1:])
+    plain = corrector.corrected(way, list("abcde"))
+    told = np.rad2deg(np.abs(plain.readings - way).max(axis=1))
+    np.testing.assert_allclose([row.largest_deg for row in done.rows], told, rtol=1e-4)
+
+
+def test_what_cannot_be_reached_or_told_stays_and_is_named():
+    """Fails if a target out of reach is moved, or a posture that the program does not tell is guessed."""
+    corrector = calibrated(ur10(), ("geometry",), 0.3)
+    q = usual(corrector, 2)
+    poses = [pose_values(one, "vector", np.zeros(6)) for one in corrector.flange(q)]
+    near, told = (",".join(f"{v:.9f}" for v in one) for one in (q[1], poses[1]))
+    source = (
+        "def P():\n  set_tcp(p[0,0,0,0,0,0])\n"
+        f"  movel(p[{','.join(f'{v:.9f}' for v in poses[0])}])\n"
+        f"  movej(get_inverse_kin(p[{told}], qnear=[{near}]))\n"
+        "  movel(p[9.0,0.2,0.3,0,3.14,0])\nend\n"
+    ).encode()
+    done = filtered(parsed(source, Path("p.script")), corrector, Choices({}, {}))
+    rows = {row.line: row for row in done.rows}
+    assert (rows[3].outcome, rows[4].outcome, rows[5].outcome) == ("left alone", "moved", "not reached")
+    assert "--start" in rows[3].note
+    kept, other = source.splitlines(), done.source.splitlines()
+    assert [k for k, (a, b) in enumerate(zip(kept, other, strict=True), 1) if a != b] == [4]
+    begun = filtered(parsed(source, Path("p.script")), corrector, Choices({}, {}, start=tuple(q[0])))
+    assert [row.outcome for row in begun.rows] == ["moved", "moved", "not reached"]
+
+
+@pytest.mark.parametrize("flags", [RapidConfiguration, KrlConfiguration])
+def test_flags_tell_all_ways_to_a_pose_apart(flags):
+    """Fails if two ways to a pose have the same flags, or none has those of the readings that it was made from."""
+    corrector = calibrated(industrial())
+    for q, ways in zip(
+        usual(corrector, 3), corrector.solutions(corrector.flange(usual(corrector, 3)), 60, [None] * 3), strict=True
+    ):
+        assert np.abs(ways - q).max(axis=1).min() < 1e-6
+        named = [corrector.posture(one) for one in ways]
+        seen = [(one.front, one.elbow, *np.sign(one.readings)) for one in named]
+        if flags is RapidConfiguration:
+            seen = [flags(()).of(one) for one in named]
+        assert len(set(seen)) == len(seen) >= 2

@@ -1,0 +1,115 @@
+"""Refusals: what no controller would take is refused with its line, and what is no target is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from calflow.deployment.programs.formats import parsed, read_program
+from calflow.files.problems import InputError
+from deployment.programs.samples import FILES
+
+BROKEN = [
+    ("weld.mod", "600,-500,225.3", "600,-500 225.3", 9),
+    ("weld.mod", "600,-500,225.3", "600,-500", 9),
+    ("weld.mod", "600,-500,225.3", "6O0,-500,225.3", 9),
+    ("weld.mod", "600,-500,225.3", "600,-500,225.3.1", 9),
+    ("weld.mod", "600,-500,225.3", "600,--500,(225.3", 9),
+    ("weld.mod", "600,-500,225.3", "600,-500,225.3E999", 9),
+    ("weld.mod", "[-1,0,-1,0]", "[-1,0,-1.5,0]", 9),
+    ("weld.mod", "v1000, z50, gun;", "v1000, z50 gun;", 26),
+    ("weld.mod", "ENDPROC", "", 50),
+    ("weld.mod", "ENDMODULE", "", 54),
+    ("weld.mod", "    ENDFOR\n", "", 47),
+    ("weld.mod", '"p10:=[[600,', "p10:=[[600,", 33),
+    ("weld.mod", "z50, gun \\WObj:=fixture;", "z50, gun \\WObj:=fixture", 32),
+    ("weld.dat", "X 1025.50,Y", "X 1025.50 Y", 10),
+    ("weld.dat", "X 1025.50,Y", "X 1025.50,X", 10),
+    ("weld.dat", "S 2,T 35,E1", "S 2.5,T 35,E1", 10),
+    ("weld.dat", "S 2,T 35,E1", "S 2,T 35,Q1", 10),
+    ("weld.dat", "E6 0.0}", "E6 0.0", 10),
+    ("weld.dat", "ENDDAT", "", 23),
+    ("weld.dat", "Z 1.1E3", "Z 1.1E", 13),
+    ("weld.src", "\nENDFOR", "", 25),
+    ("weld.src", "B 90.0,C 0.0,S 2,T 35} C_PTP", "B 90.0,C 0.0,S 2,T 35 C_PTP", 12),
+    ("weld.src", "END\nDEFFCT", "DEFFCT", 26),
+    ("weld.ls", "X =  1171.166  mm,", "X =  1171.166  mm", 26),
+    ("weld.ls", "X =  1171.166  mm,", "X =  1171.166  deg,", 28),
+    ("weld.ls", "X =  1171.166  mm,", "X =  1171,166  mm,", 26),
+    ("weld.ls", "X =  1171.166  mm,", "", 28),
+    ("weld.ls", "'N U T, 0, 0, -1'", "'N U X, 0, 0, -1'", 25),
+    ("weld.ls", "'N U T, 0, 0, -1'", "'N U T, 0, 0, -1", 25),
+    ("weld.ls", "J2=   -50.000", "J3=   -50.000", 41),
+    ("weld.ls", 'P[2:"seam, start"]{', "P[1]{", 33),
+    ("weld.ls", "/END\n", "", 56),
+    ("weld.ls", "/POS\n", "", 56),
+    ("weld.script", "-.467959205379,", "-.467959205379", 4),
+    ("weld.script", "p[.433025361705, ", "p[", 4),
+    ("weld.script", ".530987104689]", ".530987104689", 5),
+    ("weld.script", "d2r(-90)", "d2r(-90", 6),
+    ("weld.script", "    end\n  end\nend", "    end\n  end", 32),
+    ("weld.script", "while (x < 3) and not done:", "while (x < 3) and not done", 14),
+]
+
+
+@pytest.mark.parametrize(("name", "old", "new", "line"), BROKEN)
+def test_what_no_controller_takes_is_refused_with_its_line(name, old, new, line):
+    """Fails if a broken program is accepted, or the line that is told is not where it breaks."""
+    text, _ = FILES[name]
+    assert old in text
+    with pytest.raises(InputError) as refused:
+        parsed(text.replace(old, new, 1).encode(), Path(name))
+    (problem,) = refused.value.problems
+    assert problem.line == line, problem
+    assert problem.file == Path(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "left"),
+    [
+        ("weld.mod", {"shifted": "computed", "Offs(…)": "shares", "p10.trans.x": "on the way", "here": "computed"}),
+        ("weld.dat", {"FIXTURE": "no move of this file", "HALF": "keeps"}),
+        ("weld.src", {"LIN_REL in line 16": "relative", "LIN in line 21": "computed", "XP9": "not stand in this file",
+                      "LIN in line 25": "does not give Y"}),
+        ("weld.ls", {"P[4]": "never taught", "P[5]": "INC", "move in line 19": "offset", "move in line 21": "register"}),
+        ("weld.script", {"movel in line 19": "computed", "feature": "no move", "movel in line 23": "there",
+                         "movej in line 29": "computed"}),
+    ],
+)  # fmt: skip
+def test_what_is_no_target_is_named(name, left):
+    """Fails if a target that is computed is guessed, or passed over in silence."""
+    text, _ = FILES[name]
+    told = {one.name: one.reason for one in parsed(text.encode(), Path(name)).left}
+    assert set(told) == set(left)
+    assert all(word in told[what] for what, word in left.items())
+
+
+def test_a_literal_in_an_expression_is_named():
+    """Fails if a target that a function returns, or that is given to a routine, is passed over in silence."""
+    literal = "[[1,2,3],[1,0,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+    lines = ["MODULE M", "FUNC robtarget f()", f"RETURN {literal};", "ENDFUNC", "PROC p()", f"go {literal}, v100;",
+             f"MoveL Offs({literal},0,0,1),v100,fine,tool0;", "ENDPROC", "ENDMODULE"]  # fmt: skip
+    program = parsed("\n".join(lines).encode(), Path("m.mod"))
+    assert not program.targets
+    assert [one.line for one in program.left] == [3, 6, 7]
+    text = "DEF P( )\nGO({X 1,Y 2,Z 3,A 0,B 0,C 0,S 2,T 2})\nEND\n"
+    assert [one.line for one in parsed(text.encode(), Path("p.src")).left] == [2]
+    text = "def go(x):\n  movel(x)\nend\ngo(p[0.1,0.2,0.3,0,0,0])\n"
+    assert [one.line for one in parsed(text.encode(), Path("p.script")).left] == [2, 4]
+
+
+def test_a_file_is_told_by_name_and_beginning(tmp_path):
+    """Fails if a file in another language than its name says is read, or one without a known name is not recognised."""
+    rapid, krl = FILES["weld.mod"][0], FILES["weld.src"][0]
+    (tmp_path / "weld.mod").write_text(krl)
+    (tmp_path / "weld.txt").write_text(rapid)
+    (tmp_path / "notes.txt").write_text("nothing\n")
+    assert read_program(tmp_path / "weld.txt").maker == "rapid"
+    for name, told in (
+        ("weld.mod", "begins as KUKA KRL does"),
+        ("notes.txt", "no robot program"),
+        ("no.ls", "no such"),
+    ):
+        with pytest.raises(InputError, match=told):
+            read_program(tmp_path / name)

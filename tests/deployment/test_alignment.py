@@ -1,0 +1,41 @@
+"""Alignment: a device that stood elsewhere is put back, and what that takes off the errors is put on again."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calflow.deployment.alignment import Alignment, can_align, restored
+
+
+def test_a_motion_is_found_and_undone():
+    """Fails if points that moved rigidly do not come back, or how far they went is not said."""
+    rng = np.random.default_rng(2)
+    expected = rng.uniform(-1, 1, (8, 3))
+    turn = Rotation.from_rotvec([0.3, -0.2, 1.0])
+    measured = turn.apply(expected) + np.array([5.0, 1.0, -2.0])
+    found = Alignment.best(measured, expected, np.ones(8))
+    np.testing.assert_allclose(found.of(measured), expected, atol=1e-12)
+    assert abs(found.angle - turn.magnitude()) < 1e-9
+
+
+def test_errors_are_as_large_as_before_the_frame_was_fitted():
+    """Fails if six numbers fitted to five poses make a robot look better: the mean square error must stay what it was."""
+    rng = np.random.default_rng(3)
+    expected = rng.uniform(-1, 1, (5, 3))
+    left, made = [], []
+    for noise in 1e-3 * rng.standard_normal((400, 5, 3)):
+        fit = Alignment.best(expected + noise, expected, np.ones(5))
+        error = fit.of(expected + noise) - expected
+        left.append((error**2).mean())
+        made.append((restored(error, expected) ** 2).mean())
+    assert np.mean(left) < 0.65e-6
+    assert 0.95e-6 < np.mean(made) < 1.05e-6
+
+
+def test_points_on_a_line_show_no_frame():
+    """Fails if a frame is fitted whose turn nothing shows."""
+    line = np.linspace(0, 1, 6)[:, None] * [1.0, 2.0, 0.5]
+    assert not can_align(line)
+    assert not can_align(np.eye(3))
+    assert can_align(np.vstack([line, [1.0, 0.0, 0.0]]))

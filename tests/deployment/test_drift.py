@@ -1,0 +1,142 @@
+"""Drift: what moved is found and named, what did not raises no alarm, and what the check poses cannot show is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calflow.deployment.drift_verdict import drift
+from calflow.deployment.movements import movements
+from calflow.design.candidates import candidates
+from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.measurements.measurements import Measurements
+from calflow.model import build
+from robots import industrial
+
+NOISE, KNOWN_TO = 5e-5, 2e-5  # m; and m and rad to which the calibration knew every figure
+EFFECTS = ("geometry", "joint-compliance")
+
+
+@pytest.fixture(scope="module")
+def robot():
+    """A calibrated robot of the 210 kg class, and eight poses to check it by."""
+    model = build(industrial(), EFFECTS)
+    n = len(model.parameters)
+    sd = np.array([1e-8 if one.effect == "joint-compliance" else KNOWN_TO for one in model.parameters])
+    estimate = model.nominal + np.where(sd < 1e-7, 2e-7, 3e-4)
+    noise = (SeriesNoise(NOISE, "file"),)
+    known = Identified(model, estimate, np.diag(sd**2), np.zeros(n, dtype=bool), noise, 0.0, 0.0, "linear")
+    return known, candidates(model, 8, "load", "E", None, np.random.default_rng(4))[0]
+
+
+def checked(known, q, seed, shift=None, since=0, dates=("",), wrong=True, **more):
+    """What the device sees of the poses at each date; a shift of readings is there from one of them on."""
+    rng = np.random.default_rng(seed)
+    model, robot = known.model, known.model.robot
+    root = np.sqrt(np.diag(known.covariance))
+    p = known.estimate + wrong * root * rng.standard_normal(len(root))
+    blocks = []
+    for k in range(len(dates)):
+        moved = q + (shift if shift is not None and k >= since else 0.0)
+        rows = Measurements.from_arrays(robot, moved, None, payload="load").stating(model.given)
+        blocks.append(model.point(p, rows.rows) + NOISE * rng.standard_normal((len(q), 3)))
+    session = {"session": np.repeat(dates, len(q))} if len(dates) > 1 else {}
+    labels = {"pose": np.tile(np.arange(len(q)), len(dates)), "repeat": np.repeat(np.arange(len(dates)), len(q))}
+    n = len(q) * len(dates)
+    return Measurements.from_arrays(
+        robot, np.tile(q, (len(dates), 1)), np.vstack(blocks), payload="load", sigma=np.full(n, NOISE), split="train",
+        **labels, **session, **more,
+    )  # fmt: skip
+
+
+def zero(joint, size):
+    """A shift of one joint's reading."""
+    return size * np.eye(6)[joint - 1]
+
+
+def test_a_shifted_zero_is_found_with_its_joint_and_size(robot):
+    """Fails if a tenth of a millirad of a joint is missed, another one is named, or its size is not within what is stated."""
+    known, q = robot
+    for joint in (2, 3):
+        found = drift(known, [], checked(known, q, joint, zero(joint, 2e-4)), station="known")
+        assert found.summary.status == "moved"
+        assert found.moved[0].joint == joint
+        own = next(one for one in found.candidates if one.movement == f"joint{joint}.zero")
+        assert abs(own.shifts[0] - 2e-4) < 4 * own.sds[0]
+        assert found.summary.left_mm < found.summary.error_mm
+
+
+def test_nothing_is_found_where_nothing_moved(robot):
+    """Fails if the calibration's own errors or the device's noise raise alarms more often than stated."""
+    known, q = robot
+    alarms = [
+        drift(known, [], checked(known, q, seed), station="known", false_alarm=0.05).summary.status != "in place"
+        for seed in range(30)
+    ]
+    assert sum(alarms) <= 5
+
+
+def test_since_when_is_told_where_there_are_dates(robot):
+    """Fails if a shift that came between two dates is told of another one, or of all."""
+    known, q = robot
+    data = checked(known, q, 5, zero(2, 3e-4), since=2, dates=("March", "April", "May"))
+    found = drift(known, [], data, station="known")
+    assert (found.moved[0].since, found.moved[0].before) == ("May", "April")
+
+
+def test_a_device_that_stood_elsewhere_is_no_drift(robot):
+    """Fails if a new station is taken for the robot's foot, or a joint's shift is not found beside it."""
+    known, q = robot
+    data = checked(known, q, 6)
+    away = data.table.assign(x=data.table["y"] + 3.0, y=-data.table["x"], z=data.table["z"] - 0.5)
+    still = drift(known, [], replace(data, table=away))
+    assert (still.summary.station, still.summary.status) == ("fitted", "in place")
+    data = checked(known, q, 6, zero(3, 4e-4))
+    away = data.table.assign(x=data.table["y"] + 3.0, y=-data.table["x"], z=data.table["z"] - 0.5)
+    found = drift(known, [], replace(data, table=away))
+    assert found.summary.status == "moved"
+    assert "station" not in [one.movement for one in found.candidates]
+
+
+def test_warm_links_are_conditions_and_no_drift(robot):
+    """Fails if ten kelvin of all links are told as a robot that moved."""
+    known, q = robot
+    data = checked(known, q, 7)
+    warm = next(one for one in movements(known, data, True) if one.name == "temperature")
+    grown = data.position + (warm.slope @ np.array([1.2e-4]))
+    found = drift(
+        known, [], replace(data, table=data.table.assign(**dict(zip("xyz", grown.T, strict=True)))), station="known"
+    )
+    assert found.summary.status in ("conditions", "cannot be told")
+    assert found.moved[0].movement == "temperature"
+
+
+def test_what_moves_points_is_the_graph_s_derivative(robot):
+    """Fails if a movement does something else to the points than moving what it names, here by differences."""
+    known, q = robot
+    data = checked(known, q, 8)
+    every = {one.name: one for one in movements(known, data, True)}
+    rows, step = data.stating(known.model.given).rows, 1e-6
+    turned = rows.copy()
+    turned[3] += step
+    there = known.model.point(known.estimate, rows)
+    moved = (known.model.point(known.estimate, turned) - there) / step
+    np.testing.assert_allclose(every["joint4.zero"].slope[:, :, 0], moved, atol=1e-5)
+    turn = every["station"].slope[:, :, 5]
+    arm = there - there.mean(axis=0)
+    np.testing.assert_allclose(turn, np.cross([0.0, 0.0, 1.0], arm), atol=1e-12)
+    assert not any(one.name == "joint2.theta" for one in every.values())  # the same as its zero
+
+
+def test_what_is_not_told_apart_gets_poses_that_would(robot):
+    """Fails if rivals are left without a proposal, or poses are proposed beyond the joints' limits."""
+    known, q = robot
+    found = drift(known, [], checked(known, q[:5], 9, zero(5, 4e-4)), station="known")
+    assert found.moved
+    assert found.next_poses
+    limits = np.rad2deg(known.model.robot.limits)
+    for one in found.next_poses:
+        values = np.array(list(one.readings.values()))
+        assert ((values >= limits[:, 0]) & (values <= limits[:, 1])).all()

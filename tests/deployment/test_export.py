@@ -1,0 +1,181 @@
+"""Export: what is read back by other readers is the calibrated robot, and what a format cannot hold is told with its cost."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import pytest
+
+from calflow.deployment.export import export
+from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.model import build
+from calflow.robot.robot import Robot
+from robots import ASKEW, base_frame, figures, frames, hh800, industrial, marker_position, placed, poses, rows, ur10
+
+MICROMETRE = 1e-6
+NUMBER = 1000
+
+
+def turned_round():
+    """A robot in modified DH that stands askew and whose second joint counts backwards."""
+    robot = replace(industrial(), base=ASKEW, tool_rotation=(0.1, 0.2, -0.3))
+    joints = tuple(replace(joint, sign=-1) if i == 1 else joint for i, joint in enumerate(robot.joints))
+    return replace(robot, joints=joints)
+
+
+def identified(robot, effects=("geometry",)):
+    """A robot whose parameters are all off."""
+    model = build(robot, effects)
+    rng = np.random.default_rng(2)
+    estimate = np.clip(model.nominal + 0.3 * model.prior_sd * rng.standard_normal(len(model.nominal)), *model.bounds.T)
+    n = len(estimate)
+    return Identified(
+        model, estimate, 1e-12 * np.eye(n), np.zeros(n, bool), (SeriesNoise(1e-5, "file"),), 0.0, 0.0, "linear"
+    )
+
+
+@pytest.fixture(scope="module", params=[ur10, turned_round, hh800], ids=["dh", "modified-dh", "loop"])
+def posed(request):
+    """A calibrated robot, 1,000 readings and where its marker is there; and the same robot as its DH file reads."""
+    known = identified(request.param())
+    robot = known.model.robot
+    angles = poses(robot, NUMBER)
+    readings = angles @ np.linalg.inv(robot.reading_matrix).T
+    packed = rows(known.model, readings, marker=next(iter(robot.markers)))
+    return known, packed, angles, known.model.point(known.estimate, packed)
+
+
+def as_file(known, packed, folder):
+    """The robot that the exported DH file states."""
+    path = folder / "robot.toml"
+    path.write_text(export(known, packed, "dh").text, encoding="utf-8")
+    return Robot.from_toml(path)
+
+
+def variables(robot, angles):
+    """The variables of a rigid chain (n, n_joints) at driven joint angles: a loop's joint by where its frames are."""
+    own = angles.copy()
+    if robot.loop:
+        k = robot.loop.joint - 1
+        at, figs = frames(robot, angles), figures(robot)
+        before = at.ends[k] @ placed(np.array([0, 0, 0, figs["alpha"][k], figs["beta"][k], 0]))
+        turn = np.linalg.inv(before) @ at.joints[k]
+        own[:, k] = np.arctan2(turn[:, 1, 0], turn[:, 0, 0]) - figs["theta"][k]
+    return own * [joint.sign for joint in robot.joints]
+
+
+def by_product(origins, axes, base, flange, marker, values):
+    """Where a marker (3,) in the flange is by the product of a chain's transforms."""
+    found = []
+    for row in values:
+        at = base
+        for origin, axis, value in zip(origins, axes, row, strict=True):
+            at = at @ origin
+            at = at @ pin.SE3(pin.exp3(np.array(axis) * value), np.zeros(3)).homogeneous
+        found.append((at @ flange @ [*marker, 1.0])[:3])
+    return np.array(found)
+
+
+def test_a_dh_file_reads_back(posed, tmp_path):
+    """Fails if a figure, the base, the tool or the loop's bars are not as calibrated: by DH products of the test's own."""
+    known, packed, angles, there = posed
+    np.testing.assert_allclose(
+        marker_position(as_file(known, packed, tmp_path), angles), there, rtol=0, atol=MICROMETRE
+    )
+
+
+def test_a_urdf_reads_back(posed, tmp_path):
+    """Fails if an origin, an axis, a sign or the base is not as calibrated: by pinocchio."""
+    known, packed, angles, there = posed
+    found = export(known, packed, "urdf")
+    model = pin.buildModelFromXML(found.text)
+    data, robot = model.createData(), as_file(known, packed, tmp_path)
+    measuring, marker = (model.getFrameId(name) for name in ("measuring_frame", f"marker_{next(iter(robot.markers))}"))
+    seen = []
+    for row in variables(robot, angles):
+        q = [
+            part
+            for joint, value in zip(model.joints[1:], row, strict=True)
+            for part in ([value] if joint.nq == 1 else [np.cos(value), np.sin(value)])
+        ]
+        pin.framesForwardKinematics(model, data, np.array(q))
+        seen.append(data.oMf[measuring].actInv(data.oMf[marker]).translation)
+    np.testing.assert_allclose(seen, there, rtol=0, atol=MICROMETRE)
+    assert any("four-bar loop" in note for note in found.notes) == bool(robot.loop)
+
+
+def test_json_and_xacro_properties_read_back(posed, tmp_path):
+    """Fails if a transform is another's, or in another order than stated."""
+    known, packed, angles, there = posed
+    robot = as_file(known, packed, tmp_path)
+    few = slice(0, None, 20)
+    values = variables(robot, angles)[few]
+    document = json.loads(export(known, packed, "json").text)
+    origins = [np.array(joint["origin"]) for joint in document["joints"]]
+    axes = [joint["axis"] for joint in document["joints"]]
+    marker = next(iter(document["markers_in_flange"].values()))
+    base, flange = (np.array(document[name]) for name in ("base_in_measuring_frame", "flange_in_last_joint"))
+    np.testing.assert_allclose(
+        by_product(origins, axes, base, flange, marker, values), there[few], rtol=0, atol=MICROMETRE
+    )
+    root = ElementTree.fromstring(export(known, packed, "xacro-properties").text)
+    said = {one.get("name"): np.array(one.get("value").split(), dtype=float) for one in root}
+
+    def place(name):
+        return pin.SE3(pin.rpy.rpyToMatrix(*said[f"{name}_rpy"]), said[f"{name}_xyz"]).homogeneous
+
+    names = [f"joint{i + 1}" for i in range(robot.n_joints)]
+    seen = by_product(
+        [place(name) for name in names], [said[f"{name}_axis"] for name in names], np.linalg.inv(place("measuring_frame")),
+        place("flange"), said[f"marker_{next(iter(robot.markers))}_xyz"], values,
+    )  # fmt: skip
+    np.testing.assert_allclose(seen, there[few], rtol=0, atol=MICROMETRE)
+
+
+def test_a_controller_s_figures_read_back(posed):
+    """Fails if a figure is in another unit than stated, or the base's angles are another maker's."""
+    known, packed, angles, there = posed
+    robot = known.model.robot
+    table = pd.read_csv(io.StringIO(export(known, packed, "controller").text)).set_index(["part", "figure"])
+    told, figs = table["calibrated"], figures(robot)
+    for i in range(robot.n_joints):
+        for name in ("alpha", "theta", "beta"):
+            figs[name][i] = np.deg2rad(told[f"joint {i + 1}", name])
+        for name in ("a", "d"):
+            figs[name][i] = told[f"joint {i + 1}", name] / 1e3
+    if robot.loop:
+        figs["bars"] = np.array([told["loop", name] / 1e3 for name in ("crank", "rod", "rocker")])
+    marker = next(iter(robot.markers))
+    figs["markers"] = np.array([[told[f"marker {marker}", axis] / 1e3] for axis in "xyz"])
+    a, b, c = (told["base", name] for name in "ABC")
+    base = np.eye(4)
+    base[:3, :3] = pin.rpy.rpyToMatrix(*np.deg2rad([c, b, a]))  # KUKA: A about z, B about the new y, C about the new x
+    base[:3, 3] = [told["base", axis] / 1e3 for axis in "xyz"]
+    seen = marker_position(robot, angles, figs)
+    at_base = (seen - base_frame(robot, figs)[:3, 3]) @ base_frame(robot, figs)[:3, :3]
+    np.testing.assert_allclose(at_base @ base[:3, :3].T + base[:3, 3], there, rtol=0, atol=MICROMETRE)
+    assert table["difference"].abs().max() > 0
+
+
+def test_what_is_left_out_is_told_with_its_cost():
+    """Fails if compliance goes without a word, its cost is another's, or figures count as left out."""
+    known = identified(hh800(), ("geometry", "joint-compliance"))
+    robot = known.model.robot
+    packed = rows(known.model, poses(robot, 50), "rated", next(iter(robot.markers)))
+    stiff = known.estimate.copy()
+    stiff[known.model.columns(known.model.effects[1])] = 0.0
+    off = known.model.point(known.estimate, packed) - known.model.point(stiff, packed)
+    found = export(known, packed, "dh")
+    whole, one = found.left_out
+    assert (one.effect, one.parts[0]) == ("joint-compliance", "joint1")
+    for lost in (whole, one):
+        assert lost.max_mm == pytest.approx(1e3 * np.linalg.norm(off, axis=1).max())
+    assert f"{one.max_mm:.3f} mm at most" in found.notes[1]
+    assert len(export(known, packed, "controller").left_out) == 3
+    assert export(identified(robot), packed, "dh").left_out == ()

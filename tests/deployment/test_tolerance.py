@@ -1,0 +1,34 @@
+"""Tolerance: a stated probability is how often it comes true."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calflow.deployment.tolerance import Errors
+
+
+def test_what_is_stated_with_nine_in_ten_is_right_in_nine_of_ten():
+    """Fails if a further pose stays below its 90 % error more or less often than that, of few poses or of many."""
+    rng = np.random.default_rng(5)
+    for number in (5, 20):
+        drawn = np.linalg.norm(rng.standard_normal((2000, number + 1, 3)), axis=2)
+        limits = np.array([Errors.of(known).reached_by(0.9) for known in drawn[:, :-1]])
+        assert 0.87 < (drawn[:, -1] < limits).mean() < 0.93
+
+
+def test_all_of_the_task_is_less_probable_than_one_pose():
+    """Fails if the task's probability is that of one pose, or that of independent poses with a scatter that is known."""
+    known = Errors.of(np.linalg.norm(np.random.default_rng(1).standard_normal((8, 3)), axis=1))
+    limit = known.reached_by(0.9)
+    assert known.within(limit) == pytest.approx(0.9, abs=1e-9)
+    assert 0.9**8 + 0.05 < known.within(limit, 8) < 0.85
+    assert known.within(limit, 1) > known.within(limit, 2) > known.within(limit, 20)
+
+
+def test_fewer_poses_and_lost_ones_make_it_less_sure():
+    """Fails if what a fitted frame took counts as measured, or two poses are enough to state a probability."""
+    error = np.array([1.0, 1.2, 0.8, 1.1, 0.9, 1.05])
+    assert Errors.of(error, lost=2.0).reached_by(0.95) > Errors.of(error).reached_by(0.95)
+    assert np.isnan(Errors.of(error[:2]).within(2.0))
+    assert np.isnan(Errors.of(error, lost=4.0).within(2.0))

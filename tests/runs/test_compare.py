@@ -1,0 +1,53 @@
+"""Comparison of runs: chance is told from difference, and the same measurements from others."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+import calflow as cf
+from calflow.files.problems import InputError
+
+
+def again(folder, name, *changes):
+    """Measure the robot once more, somewhat otherwise, and identify it into another run."""
+    folder.edit("truth.toml", ("seed = 3", "seed = 5"), *changes)
+    assert folder.calflow("simulate", folder / "truth.toml", "--out", folder / "measurements.csv", "--force").code == 0
+    assert folder.calflow("run", "--stage", "identify", "--out", folder / name).code == 0
+
+
+def test_another_robot_differs_and_the_same_one_does_not(finished):
+    """Fails if two calibrations of one robot differ beyond chance, or a longer arm is not told by its name."""
+    again(finished, "same")
+    finished.edit("truth.toml", ("seed = 5", "seed = 3"))
+    again(finished, "longer", ("a_mm = 0.5", "a_mm = 0.8"))
+    found = cf.compare(finished / "runs", finished / "same", finished / "longer")
+    same, longer, _ = found.pairs
+    assert same.p > 0.001
+    assert longer.p < 1e-6
+    beyond = {
+        one.parameter for one in found.parameters if one.significant and one.second == "longer" and one.first == "runs"
+    }
+    assert "joint2.a" in beyond
+    row = next(
+        one for one in found.parameters if one.parameter == "joint2.a" and (one.first, one.second) == ("runs", "longer")
+    )
+    assert row.difference == pytest.approx(0.3e-3, abs=4 * row.sd)
+    answer = finished.calflow("compare", finished / "runs", finished / "same", "--out", finished / "c")
+    assert answer.code == 0
+    assert "agree as well as both know them" in answer.out
+    assert (finished / "c" / "report.pdf").read_bytes().startswith(b"%PDF")
+    assert list(pd.read_csv(finished / "c" / "accuracy.csv")["run"].unique()) == ["runs", "same"]
+
+
+def test_the_same_measurements_have_no_test_of_chance(finished):
+    """Fails if runs of the very same data are compared as if their errors were independent, or a changed setting is not told."""
+    finished.edit("study.toml", ('"geometry", "joint-compliance"', '"geometry"'))
+    assert finished.calflow("run", "--stage", "identify", "--out", finished / "stiff").code == 0
+    found = cf.compare(finished / "runs", finished / "stiff")
+    assert found.pairs[0].p is None
+    assert all(one.sd is None for one in found.parameters)
+    assert found.data[0].same_data_as == ("stiff",)
+    assert "effects" in [one.setting for one in found.settings]
+    with pytest.raises(InputError, match="expected two runs"):
+        cf.compare(finished / "runs")

@@ -1,0 +1,79 @@
+"""Compensation from a run folder: a CSV of targets becomes a CSV of commands that `predict` finds on target."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+X = ["x_mm", "y_mm", "z_mm"]
+Q = ["q1_deg", "q2_deg", "q3_deg"]
+FRAMES = """\
+[frames.bench]
+within = "base"
+origin_mm = [100, 0, 0]
+rotation_deg = [0, 0, 90]
+"""
+
+
+@pytest.fixture
+def asked(finished):
+    """Some measured places as targets, with names and payloads; the last is in another hall."""
+    rows = finished.rows[:8:2].drop(columns=["sigma_mm", "repeat"]).assign(pose=["P1", "P2", "P3", "P4"])
+    rows.loc[rows.index[-1], "x_mm"] = "9000"
+    finished.measure(rows, "targets.csv")
+    return rows
+
+
+def test_commands_land_where_predict_says(finished, asked):
+    """Fails if commands are of another model, payload or unit than predictions, or one out of reach is commanded."""
+    answer = finished.calflow("compensate", finished / "runs", finished / "targets.csv", "--out", finished / "c.csv")
+    assert answer.code == 0, answer
+    assert "pose P4" in answer.err
+    assert "3 of 4 targets reached" in answer.out
+    commands = pd.read_csv(finished / "c.csv")
+    assert list(commands["reached"]) == [True, True, True, False]
+    assert commands[Q].iloc[3].isna().all()
+    np.testing.assert_array_equal(commands["nominal_q1_deg"], asked["q1_deg"].astype(float))
+    landed = commands[:3]
+    finished.measure(landed[["pose", "payload", "marker", *Q]], "rows.csv")
+    assert finished.calflow("predict", finished / "runs", finished / "rows.csv", "--out", finished / "p.csv").code == 0
+    predicted = pd.read_csv(finished / "p.csv")
+    np.testing.assert_allclose(predicted[X], landed[X], atol=1e-3)
+    expected = np.sqrt((predicted[["sd_x_mm", "sd_y_mm", "sd_z_mm"]] ** 2).sum(axis=1))
+    np.testing.assert_allclose(landed["expected_mm"], expected, rtol=1e-3)
+
+
+def test_targets_may_be_in_frames_and_without_readings(finished, asked):
+    """Fails if a frame of the user's is not applied, or rows need the nominal robot's readings."""
+    (finished / "frames.toml").write_text(FRAMES, encoding="utf-8")
+    bench = asked[:1].drop(columns=Q)
+    base = bench.assign(frame="base", x_mm=100 - bench["y_mm"].astype(float), y_mm=bench["x_mm"])
+    finished.measure(pd.concat([base, bench.assign(frame="bench")]).assign(pose=["in base", "in bench"]), "t.csv")
+    command = ("compensate", finished / "runs", finished / "t.csv", "--frames", finished / "frames.toml")
+    answer = finished.calflow(*command, "--out", finished / "c.csv")
+    assert answer.code == 0, answer
+    assert "no columns q1" in answer.err
+    commands = pd.read_csv(finished / "c.csv")
+    assert commands["reached"].all()
+    np.testing.assert_allclose(commands[Q].iloc[0], commands[Q].iloc[1], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("x_mm,y_mm\n1,2\n", "targets.csv:1: missing column: expected z_m or z_mm"),
+        ("x_mm,y_mm,z_mm,q1_deg\n1,2,3,4\n", "targets.csv:1: missing column: expected q2_rad or q2_deg"),
+        ("x_mm,y_mm,z_mm\n1,2,\n", "targets.csv:2: column 'z_mm' is empty or not a number"),
+        (
+            "x_mm,y_mm,z_mm,frame\n600,2,800,fixture\n",
+            "frame: unknown frame 'fixture': expected one of measuring, base",
+        ),
+    ],
+)
+def test_wrong_targets_are_refused(finished, text, expected):
+    """Fails if commands are made for targets that say something else or nothing."""
+    (finished / "targets.csv").write_text(text, encoding="utf-8")
+    told = finished.refused("compensate", finished / "runs", finished / "targets.csv", "--out", finished / "c.csv")
+    assert expected in told[0]
+    assert not (finished / "c.csv").exists()

@@ -1,0 +1,112 @@
+"""Filtering a program: what its user gives, gets and is told, on the command line and from Python."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calflow.deployment.needed_conditions import NeededCondition
+from calflow.deployment.programs.filtering import FilteredTarget
+from calflow.files.problems import InputError
+from calflow.files.tables import columns
+from calflow.runs.filter import _check_conditions, filter_program
+
+PAGE = Path(__file__).parents[2] / "docs" / "programs.md"
+PROGRAM = """/PROG  POINTS
+/ATTR
+/MN
+   1:J P[1] 100% FINE    ;
+   2:J P[2] 100% FINE    ;
+/POS
+P[1]{
+   GP1:
+\tUF : 0, UT : 1,\t
+\tJ1=    10.000 deg,\tJ2=   -30.000 deg,\tJ3=    60.000 deg
+};
+P[2]{
+   GP1:
+\tUF : 0, UT : 1,\t
+\tJ1=   -20.000 deg,\tJ2=   -40.000 deg,\tJ3=    50.000 deg
+};
+/END
+"""
+
+
+@pytest.fixture
+def cell(finished):
+    """A finished run of a robot with three joints, and a program for it."""
+    (finished / "points.ls").write_bytes(PROGRAM.replace("\n", "\r\n").encode())
+    return finished
+
+
+def readings(source: bytes) -> np.ndarray:
+    """The joint readings of a program [deg]."""
+    return np.array(re.findall(rb"J\d= *(-?[\d.]+)", source), dtype=float).reshape(-1, 3)
+
+
+def test_the_tool_lands_where_the_nominal_robot_has_it(cell):
+    """Fails if the corrected readings, given to a prediction of the same run, do not land where the program said."""
+    answer = cell.calflow(
+        "filter", cell / "runs", cell / "points.ls", "--payload", "heavy", "--summary", cell / "sum.csv"
+    )
+    assert answer.code == 0, answer
+    assert "2 targets that stand there by numbers: 2 moved, 0 unchanged, 0 not reached; 0 left alone" in answer.out
+    assert answer.out.endswith(f"wrote {cell / 'points.corrected.ls'}\n")
+    source = (cell / "points.corrected.ls").read_bytes()
+    assert re.sub(rb"J\d=[^d]*deg", b"", source) == re.sub(rb"J\d=[^d]*deg", b"", (cell / "points.ls").read_bytes())
+    table = pd.read_csv(cell / "sum.csv")
+    assert list(table["name"]) == ["P[1]", "P[2]"]
+    assert table["remaining_mm"].max() < 1e-3
+    assert table["moved_mm"].min() > 0.1
+    assert source == filter_program(cell / "runs", cell / "points.ls", payload="heavy").source
+
+
+def test_what_is_not_known_is_asked_for(cell):
+    """Fails if a wrong option or program ends in a traceback, is passed over, or leaves a file behind."""
+    wrong = [
+        (("--payload", "none such"), "payload"),
+        (("--tool", "1=1,2,3"), "expected X,Y,Z,W,P,R in mm and degrees"),
+        (("--start", "1,2"), "expected 3 readings, found 2"),
+        (("--condition", "temperature=20"), "expected one of temperature_degC"),
+        (("--out", cell / "points.ls"), "is the program itself"),
+    ]
+    for options, told in wrong:
+        answer = cell.calflow("filter", cell / "runs", cell / "points.ls", *options)
+        assert (answer.code, told in answer.err) == (2, True), answer
+    broken = (cell / "points.ls").read_text().replace("J2=   -40.000 deg,", "J2=   -40.000 deg")
+    (cell / "points.ls").write_text(broken)
+    (said,) = cell.refused("filter", cell / "runs", cell / "points.ls")
+    assert said.startswith("points.ls:15: is not FANUC LS that calflow understands")
+    assert not list(Path(str(cell.path)).glob("*corrected*"))
+
+
+def test_a_program_for_another_robot_is_refused(cell):
+    """Fails if six joints are given to a robot of three."""
+    (cell / "home.mod").write_text(
+        "MODULE M\n  CONST jointtarget home:=[[0,0,0,0,30,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\nENDMODULE\n"
+    )
+    (said,) = cell.refused("filter", cell / "runs", cell / "home.mod")
+    assert said == "home.mod:2: home has 6 joints, the robot 3"
+
+
+def test_conditions_that_a_program_cannot_show_are_asked_for():
+    """Fails if a model that needs them goes on in silence, or the user is not told which option says them."""
+    names = ("approach", "temperature", "wrench")
+    needed = [NeededCondition(condition=name, effects=("e",), columns="", spread_mm=1.0) for name in names]
+    _check_conditions(needed, names)
+    with pytest.raises(InputError) as refused:
+        _check_conditions(needed, ())
+    told = [str(problem) for problem in refused.value.problems]
+    for line, option in zip(told, ("--in-order", "--condition temperature_degC", "cannot say it"), strict=True):
+        assert option in line
+        assert "--without-conditions" in line
+
+
+def test_the_page_has_every_column():
+    """Fails if the summary's columns and the page that explains them part."""
+    told = dict(re.findall(r"^\| `(\w+)` \| (.*?) \|$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE))
+    assert {one.name: one.meaning for one in columns(FilteredTarget)} == told

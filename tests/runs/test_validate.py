@@ -1,0 +1,105 @@
+"""Validation of a run: new measurements, a verdict, its files and its exit code."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+import calflow as cf
+
+X = ["x_mm", "y_mm", "z_mm"]
+
+
+@pytest.fixture
+def measured(finished):
+    """Other poses of the same robot, measured twice, as a file beside the run."""
+    finished.edit("truth.toml", ("seed = 3", "seed = 4"), ("random = 40", "random = 12"))
+    assert finished.calflow("simulate", finished / "truth.toml", "--out", finished / "new.csv").code == 0
+    return finished
+
+
+def test_a_sound_robot_meets_its_tolerance_and_a_tight_one_is_not_met(measured):
+    """Fails if the verdict, its exit code or the files that a line would read are not those of the errors."""
+    answer = measured.calflow("validate", measured / "runs", measured / "new.csv", "--tolerance-mm", 1)
+    assert (answer.code, answer.out.splitlines()[0]) == (0, "The tolerance is met.")
+    folder = measured / "runs" / "validate" / "new"
+    assert (folder / "report.pdf").read_bytes().startswith(b"%PDF")
+    accuracy = pd.read_csv(folder / "accuracy.csv").set_index("model")
+    assert accuracy.loc["calibrated", "mean_mm"] < 0.1 < accuracy.loc["nominal", "mean_mm"]
+    assert accuracy.loc["calibrated", "mean_low_mm"] < accuracy.loc["calibrated", "mean_mm"]
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert (summary["poses"], summary["rows"], summary["station"]) == (12, 24, "known")
+    assert min(summary["further_within"], summary["task_within"]) > 0.95
+    tight = cf.validate(measured / "runs", measured / "new.csv", tolerance=1e-6)
+    assert tight.summary.status == "not met"
+    between = cf.validate(measured / "runs", measured / "new.csv", tolerance=tight.judged.max_mm / 1e3)
+    assert between.summary.status == "cannot be told"
+    told = measured.calflow(
+        "validate", measured / "runs", measured / "new.csv", "--tolerance-mm", 0.001, "--out", measured / "v"
+    )
+    assert told.code == 3
+
+
+def test_errors_are_the_barycentres_distances(measured):
+    """Fails if AP is not that of the rows as `predict` has them, or RP not that of the rows as measured."""
+    found = cf.validate(measured / "runs", measured / "new.csv")
+    rows = pd.read_csv(measured / "new.csv")
+    measured.measure(rows.drop(columns=[*X, "sigma_mm"]), "asked.csv")
+    predicted = cf.predict(measured / "runs", measured / "asked.csv")
+    error = (rows[X] - predicted[X]).assign(pose=rows["pose"]).groupby("pose").mean()
+    size = np.linalg.norm(error, axis=1)
+    np.testing.assert_allclose([one.calibrated_mm for one in found.poses], size, atol=1e-6)
+    own = rows.loc[rows["pose"] == rows["pose"][0], X].to_numpy()
+    distance = np.linalg.norm(own - own.mean(axis=0), axis=1)
+    assert found.poses[0].rp_mm == pytest.approx(distance.mean() + 3 * distance.std(ddof=1), abs=1e-9)
+    assert found.judged.mean_mm == pytest.approx(size.mean(), abs=1e-6)
+    assert found.summary.status == "no tolerance"
+
+
+def test_a_device_that_stood_elsewhere_is_put_back_and_that_is_said(measured):
+    """Fails if a new station makes a sound robot bad, a small shift is taken for a new station, or what it cost is kept back."""
+    rows = pd.read_csv(measured / "new.csv")
+    here = cf.validate(measured / "runs", measured / "new.csv")
+    turn = Rotation.from_euler("XYZ", [20.0, -10.0, 130.0], degrees=True)
+    elsewhere = rows.assign(**dict(zip(X, (turn.apply(rows[X]) + np.array([4000.0, 100.0, 30.0])).T, strict=True)))
+    measured.measure(elsewhere, "elsewhere.csv")
+    found = cf.validate(measured / "runs", measured / "elsewhere.csv")
+    assert (found.summary.station, found.summary.frames, found.summary.freedom_lost) == ("fitted", 1, 6)
+    assert found.judged.mean_mm == pytest.approx(here.judged.mean_mm, rel=0.5)
+    assert found.judged.further_mm > found.judged.mean_mm
+    assert found.of("nominal").mean_mm > 0.1
+    measured.measure(rows.assign(x_mm=rows["x_mm"] + 0.5), "bumped.csv")
+    bumped = cf.validate(measured / "runs", measured / "bumped.csv", tolerance=0.3e-3)
+    assert (bumped.summary.station, bumped.summary.status) == ("known", "not met")
+    assert bumped.summary.moved_p < 1e-6
+    assert any("--station fitted" in note for note in bumped.summary.notes)
+    known = cf.validate(measured / "runs", measured / "elsewhere.csv", station="known")
+    assert known.judged.mean_mm > 1000
+
+
+def test_commands_are_judged_by_their_targets(measured):
+    """Fails if a robot that was told where to go is judged by where the model says that it is."""
+    rows = pd.read_csv(measured / "new.csv")
+    targets = {f"target_{axis}_mm": rows[f"{axis}_mm"].round(0) for axis in "xyz"}
+    measured.measure(rows.assign(**targets), "commanded.csv")
+    found = cf.validate(measured / "runs", measured / "commanded.csv", tolerance=2e-3)
+    error = rows[X].groupby(rows["pose"]).mean() - rows[X].round(0).groupby(rows["pose"]).mean()
+    assert found.summary.judged == "commanded"
+    assert found.judged.mean_mm == pytest.approx(np.linalg.norm(error, axis=1).mean(), abs=1e-9)
+
+
+def test_what_cannot_be_asked_is_refused(measured):
+    """Fails if nonsense gives a verdict, or a frame is fitted to three poses."""
+    rows = pd.read_csv(measured / "new.csv")
+    measured.measure(rows[rows["pose"] <= 3], "few.csv")
+    (told,) = measured.refused("validate", measured / "runs", measured / "few.csv", "--station", "fitted")
+    assert "the device's frame cannot be fitted" in told
+    (told,) = measured.refused("validate", measured / "runs", measured / "new.csv", "--tolerance-mm", -1)
+    assert "tolerance: expected more than 0" in told
+    (told, *_) = measured.refused("validate", measured / "runs", measured / "asked.csv")
+    assert "asked.csv" in told
+    assert not (measured / "runs" / "validate").exists()
