@@ -17,40 +17,61 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from calflow.api.diagnosed import Diagnosis, diagnose
     from calflow.api.fit import Fit, identify
-    from calflow.api.model import Compensation, Model
+    from calflow.api.model import Model
     from calflow.api.report import report
     from calflow.api.sampled import Posterior, sample
+    from calflow.deployment.commands import Compensation
+    from calflow.deployment.comparison import Comparison
+    from calflow.deployment.drift_verdict import Drift
     from calflow.deployment.prediction import Prediction
+    from calflow.deployment.validation import Validation
     from calflow.files.problems import InputError
     from calflow.measurements.measurements import Measurements
     from calflow.robot.frames import Frame, dh, modified_dh
     from calflow.robot.parts import Base, Coupling, FourBar, Joint, Marker, Payload
     from calflow.robot.robot import Robot
+    from calflow.runs.compare import compare
+    from calflow.runs.compensate import compensate
+    from calflow.runs.drift import drift
+    from calflow.runs.export import export_run
+    from calflow.runs.filter import filter_program
     from calflow.runs.predict import predict
     from calflow.runs.run import Run, run
+    from calflow.runs.validate import validate
     from calflow.simulation import simulate
     from calflow.study import Study, load_study
 
 __all__ = [
-    "Base", "Compensation", "Coupling", "Diagnosis", "Fit", "FourBar", "Frame", "InputError", "Joint", "Marker", "Measurements",
-    "Model", "Payload", "Posterior", "Prediction", "Robot", "Run", "Study", "dh", "diagnose", "identify", "load_study",
-    "modified_dh", "predict", "report", "run", "sample", "simulate",
+    "Base", "Comparison", "Compensation", "Coupling", "Diagnosis", "Drift", "Fit", "FourBar", "Frame", "InputError",
+    "Joint", "Marker", "Measurements", "Model", "Payload", "Posterior", "Prediction", "Robot", "Run", "Study",
+    "Validation", "compare", "compensate", "dh", "diagnose", "drift", "export_run", "filter_program", "identify", "load_study",
+    "modified_dh", "predict", "report", "run", "sample", "simulate", "validate",
 ]  # fmt: skip
 
 _HOMES = {
     "api.diagnosed": ("Diagnosis", "diagnose"),
     "api.fit": ("Fit", "identify"),
-    "api.model": ("Compensation", "Model"),
+    "api.model": ("Model",),
     "api.report": ("report",),
     "api.sampled": ("Posterior", "sample"),
+    "deployment.commands": ("Compensation",),
+    "deployment.comparison": ("Comparison",),
+    "deployment.drift_verdict": ("Drift",),
     "deployment.prediction": ("Prediction",),
+    "deployment.validation": ("Validation",),
     "files.problems": ("InputError",),
     "measurements.measurements": ("Measurements",),
     "robot.frames": ("Frame", "dh", "modified_dh"),
     "robot.parts": ("Base", "Coupling", "FourBar", "Joint", "Marker", "Payload"),
     "robot.robot": ("Robot",),
+    "runs.compensate": ("compensate",),
+    "runs.export": ("export_run",),
+    "runs.filter": ("filter_program",),
+    "runs.compare": ("compare",),
+    "runs.drift": ("drift",),
     "runs.predict": ("predict",),
     "runs.run": ("Run", "run"),
+    "runs.validate": ("validate",),
     "simulation": ("simulate",),
     "study": ("Study", "load_study"),
 }

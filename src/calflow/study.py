@@ -16,6 +16,7 @@ from calflow.files.problems import InputError, Problem, nearest, refuse, togethe
 from calflow.files.regular import regular_file
 from calflow.files.toml import NONE, ONE, SEVERAL, FileModel, Origin, read_toml, validate
 from calflow.files.units import split_unit
+from calflow.measurements.acceptance import Acceptance
 from calflow.measurements.combined import combined
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import locate
@@ -23,6 +24,7 @@ from calflow.measurements.series import Series
 from calflow.measurements.source import MeasurementSource
 from calflow.observations import Observation, observations
 from calflow.observations import catalogue as observation_kinds
+from calflow.robot.formats import robot_file
 from calflow.robot.robot import Robot
 
 FEWEST_POSES = 3  # fewer do not even say where the robot stands
@@ -58,6 +60,7 @@ class StudyFile(FileModel):
     effects: tuple[str, ...] = ("geometry", "joint-compliance")
     measurements: OneOrSeveral = None
     confirm: str = ""
+    acceptance: Acceptance | None = None
     split: Split = Split()
     stages: dict[str, dict[str, Any]] = {}
 
@@ -184,6 +187,11 @@ class Study:
     def name(self) -> str:
         """The study's name, which names its run folder."""
         return self.file.name
+
+    @property
+    def robot_paths(self) -> tuple[Path, ...]:
+        """The robot file, and the URDF that it names, if it names one."""
+        return robot_file.files(self.robot_path)
 
     @property
     def measurement_paths(self) -> tuple[Path, ...]:

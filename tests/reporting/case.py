@@ -19,6 +19,7 @@ from calflow.diagnosis.findings.verdict import label
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy
+from calflow.estimation.alternative import AlternativeParameter
 from calflow.estimation.calibrated import calibrated, effect_table, identified, with_maps_held
 from calflow.estimation.fit_summary import FitSummary
 from calflow.files.documents import to_document
@@ -200,6 +201,7 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
     made = {
         "findings": _findings(found),
         "candidates": _candidates(told),
+        "alternatives": to_frame((), AlternativeParameter),
         "accuracy": _steps(given.results.rows("identify/accuracy.csv", Accuracy), told, parts),
         "next_poses": _poses([one for one in told if one.rivals], poses),
         "separations": _separations(told, poses),

@@ -33,7 +33,8 @@ from calflow.reporting.sections import (
     predictive,
     residuals,
 )
-from calflow.reporting.sections.verdict import fitting, headline, leftover
+from calflow.reporting.sections.further_steps import SECTION as FURTHER_STEPS
+from calflow.reporting.sections.verdict import FEWEST, headline, leftover, next_steps, split_steps
 from calflow.sampling.chain_summary import ChainSummary
 
 SUMMARY = IdentifySummary(
@@ -261,10 +262,18 @@ def test_the_most_urgent_stands_first_and_absent_tables_are_no_matter() -> None:
     assert all(isinstance(item, Advice) for item in advice(sections(), given))
 
 
-def test_lists_of_the_first_page_are_set_so_that_they_fit() -> None:
-    """Fails if a long list spills onto a second page, or a short one is set too small to read."""
-    assert [fitting(["x" * 90] * number) for number in (5, 18, 20, 25, 60)] == [10.5, 10.5, 9.5, 8.5, 8.5]
-    assert fitting(["x" * 120] * 10) == 9.5
+@pytest.mark.parametrize("number", [1, 5, 12, 40])
+def test_steps_without_room_on_the_first_page_are_told_further_on(number: int) -> None:
+    """Fails if a step is lost, told twice or out of its order, or if the section on further steps is there with none."""
+    lines = [f"step {k}: {'x' * 300}" for k in range(number)]
+    urgent, further = split_steps(lines, ["what the data cannot tell"] * 5)
+    assert urgent + further == lines
+    assert len(urgent) == min(number, 7)
+    assert split_steps(lines, ["x" * 300] * 40)[0] == lines[:FEWEST]
+    tables = {name: table for name, table in QUIET.items() if name.startswith("identify/")}
+    made = results({**tables, **summary(starts=2, starts_agreeing=1)})
+    assert [len(part) for part in next_steps(made)] == [1, 0]
+    assert not FURTHER_STEPS.worth_telling(made)
 
 
 def test_open_questions_name_what_the_data_leave_open() -> None:

@@ -36,7 +36,7 @@ from calflow.reporting.findings import (
     sureness,
 )
 from calflow.reporting.material import Material, ModelAccuracy, gathered, steps
-from calflow.reporting.section import chosen, sections
+from calflow.reporting.section import Section, chosen, sections
 from calflow.reporting.style import style
 from calflow.stages.stage import Context
 from reporting.case import (
@@ -65,15 +65,22 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Context:
 
 
 def told(given: Context) -> tuple[str, str]:
-    """The first page and the section on causes, with everything that string literals hide unescaped."""
+    """The first page, and the sections on causes and their search, with everything that string literals hide unescaped."""
     material = Material.of(given.study, given.results, given.run_folder)
+    own = {section.title: section for section in chosen(sections(), material)}
+    causes = "".join(
+        written(own[title], material)
+        for title in ("What the model lacked: causes", "The search for causes")
+        if title in own
+    )
+    return written(own["Verdict"], material), causes
+
+
+def written(section: Section, material: Material) -> str:
+    """A section's source."""
     with style():
-        parts = {section.title: section.write(material) for section in chosen(sections(), material)}
-    source = {
-        title: document.source("", [("", blocks)]).replace('\\"', '"').replace("\\\\", "\\")
-        for title, blocks in parts.items()
-    }
-    return source["Verdict"], source["What the model lacked: causes"]
+        source = document.source("", [("", section.write(material))])
+    return source.replace('\\"', '"').replace("\\\\", "\\")
 
 
 def test_a_named_cause_is_told_with_place_size_sureness_and_gain(small: Context) -> None:
@@ -259,7 +266,10 @@ def test_how_small_a_cause_the_data_show_is_told_by_joint(small: Context) -> Non
 def test_a_report_is_written_whatever_is_known(case: Case, tmp_path: Path) -> None:
     """Fails if gains that are not known, or a missing noise floor, break a section or are told as numbers."""
     found = replace(BACKLASH, gain=NO_GAIN) if not case.holdout else BACKLASH
-    _, section = told(with_diagnosis(context(tmp_path, case), found, COUPLED))
+    given = with_diagnosis(context(tmp_path, case), found, COUPLED)
+    material = Material.of(given.study, given.results, given.run_folder)
+    every = {section.title: written(section, material) for section in chosen(sections(), material)}
+    section = every["What the model lacked: causes"]
     assert ("No poses were held out" in section) == (not case.holdout)
     assert ("What the causes gained" in section) == bool(case.holdout)
     assert ("; noise alone would leave" in section) == (case.stated and bool(case.holdout))

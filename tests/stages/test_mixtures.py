@@ -111,13 +111,18 @@ def study(tables, tmp_path):
 
     def write(*series: str) -> Folder:
         shutil.copy(ROBOT, tmp_path / "robot.toml")
-        (tmp_path / "quick.toml").write_text(QUICK)
+        (tmp_path / "quick.toml").write_text(QUICK if len(series) > 1 else unsampled(QUICK))
         (tmp_path / "study.toml").write_text(STUDY + "".join(series))
         for name, table in tables.items():
             written(table).to_csv(tmp_path / f"{name}.csv", index=False)
         return Folder(tmp_path)
 
     return write
+
+
+def unsampled(workflow: str) -> str:
+    """The workflow without its sampling, which the mixture of all has."""
+    return workflow.replace('"sample", ', "").partition("\n[settings.sample]")[0] + "\n"
 
 
 def finished(folder: Folder) -> dict[str, pd.DataFrame]:

@@ -12,21 +12,22 @@ from calflow.files.problems import refuse
 
 
 def report(found: Fit | Diagnosis | str | Path, path: str | Path, title: str = "") -> Path:
-    """Write the report as a PDF and return its path.
+    """Write the report as a PDF, or as a page for browsers, and return its path.
 
     Args:
         found: a fit, a diagnosis, or a run's folder or study whose report is copied.
-        path: of the PDF.
+        path: of the file, which ends in .pdf or .html.
         title: of the report; that of a run is its study's.
 
     Raises:
-        InputError: the run has no report, or path is no PDF.
+        InputError: the run has no report, or path is neither PDF nor HTML.
     """
     path = Path(path)
-    if path.suffix.lower() != ".pdf":
-        raise refuse("expected a name that ends in .pdf", path)
+    if path.suffix.lower() not in (".pdf", ".html"):
+        raise refuse("expected a name that ends in .pdf or .html", path)
+    name = f"report{path.suffix.lower()}"
     if isinstance(found, str | Path):
-        return _copied(Path(found), path)
+        return _copied(Path(found), name, path)
     if not isinstance(found, Fit | Diagnosis):
         raise TypeError(f"expected a fit, a diagnosis or a run folder, found {type(found).__name__}")
     from calflow.reporting.written import write_report
@@ -34,14 +35,14 @@ def report(found: Fit | Diagnosis | str | Path, path: str | Path, title: str = "
     with TemporaryDirectory() as folder:
         write_report(found.material(title), Path(folder))
         path.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(Path(folder) / "report.pdf", path)
+        shutil.copyfile(Path(folder) / name, path)
     return path
 
 
-def _copied(study_or_run: Path, path: Path) -> Path:
+def _copied(study_or_run: Path, name: str, path: Path) -> Path:
     from calflow.runs.folder import run_folder
 
-    written = run_folder(study_or_run) / "report.pdf"
+    written = run_folder(study_or_run) / name
     if not written.is_file():
         raise refuse("there is no report yet; run the study", written)
     path.parent.mkdir(parents=True, exist_ok=True)

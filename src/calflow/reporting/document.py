@@ -1,85 +1,94 @@
-"""The document: blocks of typst markup with their drawings, written as one PDF and its figures."""
+"""The PDF: a report's blocks as typst markup with their drawings."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Sequence
+from functools import singledispatch
 from pathlib import Path
 
-from matplotlib.figure import Figure
+from matplotlib.text import Text
 
+from calflow.reporting.blocks import (
+    Block,
+    Bullets,
+    Card,
+    Columns,
+    Gap,
+    Heading,
+    Paragraph,
+    Part,
+    Plot,
+    RestOfPage,
+    Signatures,
+    Table,
+    plots,
+)
+from calflow.reporting.fonts import Fonts, fonts_for
+
+LONG = re.compile(r"(\S{24})(?=\S{8})")  # so many letters without a space, after which a line may end
 WHOLE = 16  # rows up to which a table is kept on one page
 
 TEMPLATE = Path(__file__).with_name("template.typ")
 
 
-@dataclass(frozen=True)
-class Block:
-    """A piece of markup, and the figures by name that it shows."""
-
-    markup: str
-    drawings: tuple[tuple[str, Figure], ...] = ()
-
-
 def plain(text: object) -> str:
     """Return text as markup that shows it letter by letter, whatever it holds."""
-    safe = str(text).replace("\\", "\\\\").replace('"', '\\"').replace("\r", " ").replace("\n", " ")
+    safe = (
+        LONG.sub("\\1\u200b", str(text)).replace("\\", "\\\\").replace('"', '\\"').replace("\r", " ").replace("\n", " ")
+    )
     return f'#"{safe}";'
 
 
-def heading(text: str, level: int = 2) -> Block:
-    """Return a heading."""
-    return Block(f"#heading(level: {level})[{plain(text)}]")
+@singledispatch
+def markup(block: Block) -> str:
+    """Return a block as typst markup."""
+    raise TypeError(f"no markup for {type(block).__name__}")
 
 
-def paragraph(text: str, size: float = 10, bold: bool = False, keep: bool = False) -> Block:
-    """Return a paragraph; keep holds it on one page with what follows."""
-    weight = ', weight: "bold"' if bold else ""
-    said = f"#par[#text({size}pt{weight})[{plain(text)}]]"
-    return Block(f"#block(sticky: true)[{said}]" if keep else said)
+@markup.register
+def _heading(block: Heading) -> str:
+    return f"#heading(level: {block.level})[{plain(block.text)}]" if block.level else f"#title[{plain(block.text)}]"
 
 
-def gap(points: float) -> Block:
-    """Return an empty space."""
-    return Block(f"#v({points}pt, weak: true)")
+@markup.register
+def _paragraph(block: Paragraph) -> str:
+    weight = ', weight: "bold"' if block.bold else ""
+    said = f"#par[#text({block.size}pt{weight})[{plain(block.text)}]]"
+    return f"#block(sticky: true)[{said}]" if block.keep else said
 
 
-def bullets(items: Iterable[str | tuple[str, str]], size: float = 10) -> Block:
-    """Return a list; an item of two parts has its first in bold."""
+@markup.register
+def _gap(block: Gap) -> str:
+    return f"#v({block.points}pt, weak: true)"
+
+
+@markup.register
+def _bullets(block: Bullets) -> str:
     lines = [
         f"- #strong[{plain(item[0])}] {plain(item[1])}" if isinstance(item, tuple) else f"- {plain(item)}"
-        for item in items
+        for item in block.items
     ]
-    return Block(f"#[#set text({size}pt)\n" + "\n".join(lines) + "\n]")
+    size = f"#set text({block.size}pt)" if block.size else ""
+    return f"#[{size}\n" + "\n".join(lines) + "\n]"
 
 
-def table(
-    header: Sequence[str],
-    rows: Sequence[Sequence[str] | str],
-    align: str,
-    shaded: frozenset[int] = frozenset(),
-    size: float = 9,
-    wide: int | None = None,
-) -> Block:
-    """Return a table whose header is repeated on each page; a short one is kept on one page.
-
-    align has a letter a column, l or r; a row that is one string is a heading across; shaded names rows; the column
-    wide takes the width that is left.
-    """
-    columns = ", ".join("1fr" if i == wide else "auto" for i in range(len(header)))
-    sides = ", ".join("right" if letter == "r" else "left" for letter in align)
-    head = ", ".join(f"[#strong[{plain(cell)}]]" for cell in header)
+@markup.register
+def _table(block: Table) -> str:
+    columns = ", ".join("1fr" if i == block.wide else "auto" for i in range(len(block.header)))
+    sides = ", ".join("right" if letter == "r" else "left" for letter in block.align)
+    head = ", ".join(f"[#strong[{plain(cell)}]]" for cell in block.header)
     lines = []
-    for k, row in enumerate(rows):
+    for k, row in enumerate(block.rows):
         if isinstance(row, str):
-            across = f"colspan: {len(header)}, align: left, inset: (top: 6pt, rest: 3pt)"
+            across = f"colspan: {len(block.header)}, align: left, inset: (top: 6pt, rest: 3pt)"
             lines.append(f"table.cell({across})[#emph[{plain(row)}]],")
         else:
-            fill = "fill: luma(232)" if k in shaded else ""
+            fill = "fill: luma(232)" if k in block.shaded else ""
             lines.append(" ".join(f"table.cell({fill})[{plain(cell)}]," for cell in row))
-    breakable = str(len(rows) > WHOLE).lower()
-    return Block(
-        f'#block(breakable: {breakable})[#set text({size}pt, number-width: "tabular")\n#set par(leading: 0.45em)\n'
+    breakable = str(len(block.rows) > WHOLE).lower()
+    return (
+        f'#block(breakable: {breakable})[#set text({block.size}pt, number-width: "tabular")\n#set par(leading: 0.45em)\n'
         f"#table(columns: ({columns},), align: ({sides},), stroke: none, inset: (x: 5pt, y: 2.4pt),\n"
         f"table.hline(stroke: 0.8pt), table.header({head}), table.hline(stroke: 0.4pt),\n"
         + "\n".join(lines)
@@ -87,32 +96,42 @@ def table(
     )
 
 
-def plot(name: str, drawn: Figure, caption: str, width: int = 100) -> Block:
-    """Return a figure with its caption; width is in percent of the text's."""
-    markup = f'#figure(image("/figures/{name}.svg", width: {width}%), caption: [{plain(caption)}])'
-    return Block(markup, ((name, drawn),))
+@markup.register
+def _plot(block: Plot) -> str:
+    image = f'image("/figures/{block.name}.svg", width: {block.width}%)'
+    return f"#figure({image}, caption: [{plain(block.caption)}])" if block.caption else f"#{image}"
 
 
-def picture(name: str, drawn: Figure) -> Block:
-    """Return a figure that needs no caption."""
-    return Block(f'#image("/figures/{name}.svg", width: 100%)', ((name, drawn),))
+@markup.register
+def _card(block: Card) -> str:
+    look = ', fill: rgb("#1f3f66"), ink: white' if block.dark else ""
+    return f"#card([{plain(block.head)}], [{plain(block.big)}], [{plain(block.small)}]{look})"
 
 
-def card(head: str, big: str, small: str, dark: bool = False) -> Block:
-    """Return a large number in mm with what it is and what it goes with."""
-    look = ', fill: rgb("#1f3f66"), ink: white' if dark else ""
-    return Block(f"#card([{plain(head)}], [{plain(big)}], [{plain(small)}]{look})")
+@markup.register
+def _columns(block: Columns) -> str:
+    fractions = ", ".join(f"{width}fr" for width in block.widths)
+    cells = ",\n".join("[" + _joined(part) + "]" for part in block.parts)
+    return f"#grid(columns: ({fractions},), column-gutter: {block.between}pt,\n{cells})"
 
 
-def side_by_side(parts: Sequence[Sequence[Block]], widths: Sequence[float], between: int = 14) -> Block:
-    """Return columns of blocks; widths are shares, the space between them is in points."""
-    fractions = ", ".join(f"{width}fr" for width in widths)
-    cells = ",\n".join("[" + "\n\n".join(block.markup for block in part) + "]" for part in parts)
-    drawings = tuple(drawing for part in parts for block in part for drawing in block.drawings)
-    return Block(f"#grid(columns: ({fractions},), column-gutter: {between}pt,\n{cells})", drawings)
+@markup.register
+def _rest_of_page(block: RestOfPage) -> str:
+    return f"#rest-of-page[\n{_joined(block.blocks)}\n]"
 
 
-def source(title: str, parts: Sequence[tuple[str, Sequence[Block]]]) -> str:
+@markup.register
+def _signatures(block: Signatures) -> str:
+    fractions = ", ".join("1fr" for _ in block.names)
+    cells = ", ".join(f"[#line(length: 100%, stroke: 0.6pt) #text(8.8pt)[{plain(name)}]]" for name in block.names)
+    return f"#block(above: 16mm, below: 8mm, breakable: false, grid(columns: ({fractions},), column-gutter: 12mm, {cells}))"
+
+
+def _joined(blocks: Sequence[Block]) -> str:
+    return "\n\n".join(markup(block) for block in blocks)
+
+
+def source(title: str, parts: Sequence[Part]) -> str:
     """Return the document's typst source; the first part stands on a page of its own, without a heading."""
     body = [
         f"#set document(title: {plain(title)[1:-1]}, date: none)\n#let title-text = [{plain(title)}]",
@@ -122,12 +141,12 @@ def source(title: str, parts: Sequence[tuple[str, Sequence[Block]]]) -> str:
         if k == 1:
             body.append("#pagebreak()")
         if k > 0:
-            body.append(heading(name, 1).markup)
-        body += [block.markup for block in blocks]
+            body.append(markup(Heading(name, 1)))
+        body.append(_joined(blocks))
     return "\n\n".join(body) + "\n"
 
 
-def write(title: str, parts: Sequence[tuple[str, Sequence[Block]]], folder: Path) -> int:
+def write(title: str, parts: Sequence[Part], folder: Path) -> int:
     """Write figures/*.svg and report.pdf into a folder; return the number of figures.
 
     The source goes to typst from memory, so that nothing but the report lies in the folder.
@@ -136,11 +155,26 @@ def write(title: str, parts: Sequence[tuple[str, Sequence[Block]]], folder: Path
 
     figures = folder / "figures"
     figures.mkdir(parents=True, exist_ok=True)
-    drawings = [drawing for _, blocks in parts for block in blocks for drawing in block.drawings]
-    for name, drawn in drawings:
-        drawn.savefig(figures / f"{name}.svg", metadata={"Date": None, "Creator": None})
-    for old in set(figures.glob("*.svg")) - {figures / f"{name}.svg" for name, _ in drawings}:
+    drawings = [plot for _, blocks in parts for plot in plots(blocks)]
+    text = source(title, parts)
+    fonts = _fonts(text, drawings)
+    for plot in drawings:
+        plot.drawn.savefig(figures / f"{plot.name}.svg", metadata={"Date": None, "Creator": None})
+    for old in set(figures.glob("*.svg")) - {figures / f"{plot.name}.svg" for plot in drawings}:
         old.unlink()  # of an earlier run with other tables
-    text = source(title, parts).encode()
-    typst.compile(text, output=str(folder / "report.pdf"), root=str(folder), ignore_system_fonts=True)  # type: ignore[type-var]
+    written = fonts.legible(text).encode()
+    places = [str(file) for file in fonts.files]
+    output = str(folder / "report.pdf")
+    typst.compile(written, output=output, root=str(folder), ignore_system_fonts=True, font_paths=places)  # type: ignore[misc]
     return len(drawings)
+
+
+def _fonts(text: str, drawings: Sequence[Plot]) -> Fonts:
+    """Return the fonts that text and figures need, and give the figures those that they lack."""
+    written = [said for plot in drawings for said in plot.drawn.findobj(Text)]
+    fonts = fonts_for({*text, *(letter for said in written for letter in said.get_text())})
+    if len(fonts.families) > 1 or fonts.lacking:
+        for said in written:
+            said.set_text(fonts.legible(said.get_text()))
+            said.set_fontfamily(list(fonts.families))
+    return fonts

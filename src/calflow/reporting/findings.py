@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calflow.diagnosis.findings.tables import FindingRow
+from calflow.diagnosis.findings.tables import UNEXPLAINED, FindingRow
 from calflow.effects import catalogue
 from calflow.effects.base import Words
 from calflow.files.results import Results
@@ -86,8 +86,9 @@ class Found:
 
     @property
     def others(self) -> tuple[Alternative, ...]:
-        """The rivals that a name of its family does not cover."""
-        return tuple(rival for rival in self.rivals if not self._is_kin(rival))
+        """The rivals that a name of its family does not cover, what nobody can name last."""
+        rivals = [rival for rival in self.rivals if not self._is_kin(rival)]
+        return tuple(sorted(rivals, key=lambda rival: rival.cause == UNEXPLAINED))
 
     def _is_kin(self, rival: Alternative) -> bool:
         return bool(_family(self.cause)) and _family(rival.cause) == _family(self.cause) and rival.joint == self.joint
@@ -190,6 +191,8 @@ def place_names(cause: str, places: Sequence[tuple[int, str]]) -> str:
 
 def cause_words(cause: str) -> Words:
     """Return a cause in its effect's words."""
+    if cause == UNEXPLAINED:
+        return Words("something unexplained")
     kind = catalogue().get(cause)
     return kind.in_words() if kind else Words(effect_words(cause))
 

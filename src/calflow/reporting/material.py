@@ -12,7 +12,7 @@ import pandas as pd
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy, errors
 from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
-from calflow.estimation.certainty import unexplained
+from calflow.estimation.certainty import position_variance
 from calflow.estimation.fit_summary import FitSummary
 from calflow.estimation.registration import in_measuring_frame
 from calflow.faults import corrected
@@ -144,8 +144,9 @@ class Material:
 
     @property
     def prediction_sd(self) -> float:
-        """How sure predicted positions are, with the model's own error: see `predict_positions` [mm]."""
-        return float(np.sqrt(self.model_sd**2 + 3 * (1e3 * unexplained(self.known)) ** 2))
+        """How sure predicted positions are, with the choice of the model and its own error: see `predict_positions` [mm]."""
+        variance = position_variance(self.known, self.data.rows[:, self.judged])
+        return 1e3 * float(np.sqrt(variance.sum(axis=1).mean()))
 
 
 def _errors(residuals: pd.DataFrame) -> np.ndarray:
@@ -180,6 +181,14 @@ def steps(accuracy: pd.DataFrame, split: str) -> list[ModelAccuracy]:
     return [
         ModelAccuracy(row.model, _name(row), row.n, row.mean_mm, row.rms_mm, row.max_mm, row.step > 1) for row in rows
     ]
+
+
+def as_table(found: list[ModelAccuracy]) -> pd.DataFrame:
+    """Return models with their accuracy as a table for whoever wants a figure's numbers."""
+    return pd.DataFrame(
+        [(one.label, one.n, one.mean, one.rms, one.max) for one in found],
+        columns=["model", "rows", "mean_mm", "rms_mm", "max_mm"],
+    )
 
 
 def gathered(found: list[ModelAccuracy], own: int) -> list[ModelAccuracy]:

@@ -8,8 +8,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from calflow.files.results import Results
-from calflow.reporting.document import Block
+from calflow.reporting.blocks import Block
 from calflow.reporting.material import Material
+from calflow.study import Study
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Section:
     """A part of the report: where it stands, the tables and documents it cannot do without, how it is written, what it advises.
 
     rules turn them into advice for the first page; they apply where they are there. worth_telling says
-    whether the section has anything to say.
+    whether the section has anything to say, asked whether the study asks for it.
     """
 
     order: int
@@ -40,6 +41,7 @@ class Section:
     write: Callable[[Material], list[Block]]
     rules: tuple[Rule, ...] = ()
     worth_telling: Callable[[Results], bool] = lambda results: True
+    asked: Callable[[Study], bool] = lambda study: True
 
 
 def sections() -> list[Section]:
@@ -54,8 +56,9 @@ def sections() -> list[Section]:
 
 def chosen(every: Sequence[Section], material: Material) -> list[Section]:
     """Return the sections whose tables are there and hold something to tell."""
-    results = material.results
-    return [section for section in every if _served(section, results) and section.worth_telling(results)]
+    results, study = material.results, material.study
+    there = [section for section in every if _served(section, results) and section.asked(study)]
+    return [section for section in there if section.worth_telling(results)]
 
 
 def advice(every: Sequence[Section], results: Results) -> list[Advice]:

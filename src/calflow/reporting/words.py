@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from calflow.robot.parameter import Parameter
 
+AXIS = 40  # letters for which a figure's axis has room
 READABLE = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
 
 
@@ -96,9 +97,15 @@ def part_words(part: str) -> str:
     return re.sub(r"^(joint|link)(\d+)$", r"\1 \2", part)
 
 
+def cut(name: str) -> str:
+    """Return a name as a figure's axis has room for it: of a very long one, its beginning and its end."""
+    return name if len(name) <= AXIS else f"{name[: AXIS // 2]}…{name[-AXIS // 2 + 1 :]}"
+
+
 def short_names(parameters: Sequence[Parameter]) -> list[str]:
     """Return names for a figure's axis: part and symbol where these are clear, else a parameter's whole name."""
     short = [f"{parameter.part}.{parameter.symbol}" for parameter in parameters]
     return [
-        name if short.count(name) == 1 else parameter.name for name, parameter in zip(short, parameters, strict=True)
+        cut(name if short.count(name) == 1 else parameter.name)
+        for name, parameter in zip(short, parameters, strict=True)
     ]

@@ -1,4 +1,4 @@
-"""The stage report: figures and one PDF from the tables of the stages before it."""
+"""The stage report: figures, one PDF and one page from the tables of the stages before it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class ReportSettings(FileModel):
 
 
 def run(context: Context) -> Results:
-    """Write report.pdf and figures/*.svg into the stage's folder; the report has no tables of its own."""
+    """Write report.pdf, report.html and figures/*.svg into the stage's folder; the report has no tables of its own."""
     from calflow.reporting.material import Material  # drawing and typesetting are loaded only where a report is made
     from calflow.reporting.written import write_report
 

@@ -56,8 +56,8 @@ class Stage:
 
     tables and documents say by path in the run folder what it may make: of which rows, or of which dataclass. problems finds
     what it would refuse of a study, its settings and (where there are any) the measurements; resumes names files of an
-    earlier run that it goes on from where only its settings changed; titled says whether the study's title stands in what it
-    writes.
+    earlier run that it goes on from where only its settings changed; titled says whether the study's title and acceptance stand in
+    what it writes.
     """
 
     name: str

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from calflow.diagnosis.findings.tables import UNEXPLAINED
+from calflow.reporting.blocks import Block, Heading, Paragraph, Plot
 from calflow.reporting.causes.gain import gain_words
 from calflow.reporting.causes.separation import apart
-from calflow.reporting.document import Block, heading, paragraph, plot
 from calflow.reporting.figures.causes import explained, in_space
 from calflow.reporting.figures.residuals import magnification
 from calflow.reporting.findings import Found, cause_name, cause_words, chance, sureness
@@ -27,7 +27,7 @@ def finding(material: Material, one: Found) -> list[Block]:
     text = " ".join(
         part for part in (_what(one), how_sure(one), *apart(one, material.results), _gain(material, one)) if part
     )
-    return [heading(head), paragraph(text), *_curves(material, one)]
+    return [Heading(head), Paragraph(text), *_curves(material, one)]
 
 
 def _what(one: Found) -> str:
@@ -50,11 +50,13 @@ def how_sure(one: Found) -> str:
         said.append(sure if one.joint else "That it goes with the time is sure; its course is not.")
         said += [f"{kin} would do as well."] if one.kin else []
     if one.others:
-        tested = [other.name for other in one.others if other.cause not in one.not_tested]
-        untested = [other.name for other in one.others if other.cause in one.not_tested]
+        named = [other for other in one.others if other.cause != UNEXPLAINED]
+        tested = [other.name for other in named if other.cause not in one.not_tested]
+        untested = [other.name for other in named if other.cause in one.not_tested]
         verb = "explains" if len(tested) == 1 else "explain"
         why = [f"{listed(tested, 5)} {verb} these data as well, or nearly so"] if tested else []
         why += [f"{listed(untested, 5)} could not be tested with these data"] if untested else []
+        why += ["something that no cause explains may be all of it"] if len(named) < len(one.others) else []
         said.append(
             f"Its name is less sure: {', and '.join(why)} (probability of {cause_name(one.cause, one.joint)}: "
             f"{sureness(one.probability)})."
@@ -96,9 +98,9 @@ def _curve(one: Found, rows: pd.DataFrame, number: int) -> Block:
         x, before, after, fitted, (rows["split"] != "train").to_numpy(), str(rows["variable"].iloc[0]), unit
     )
     said = one.name if len(one.numbers) == 1 else cause_name(str(rows["cause"].iloc[0]), one.joint)
-    return plot(
-        f"cause_{number}", drawn, f"{first_up(said)}: errors without it, with it, and against what it explains."
-    )
+    caption = f"{first_up(said)}: errors without it, with it, and against what it explains."
+    told = rows[["variable", "variable_unit", "x", "before_mm", "after_mm", "fitted_mm", "split"]]
+    return Plot(f"cause_{number}", drawn, caption, told)
 
 
 def space(material: Material, causes: Sequence[Found]) -> list[Block]:
@@ -117,4 +119,6 @@ def space(material: Material, causes: Sequence[Found]) -> list[Block]:
         f"Errors before and after the causes were added, both drawn {factor:,.0f} times enlarged; the darker, the larger. "
         "Circles: used for the fit; triangles: held out."
     )
-    return [plot("causes_workspace", drawn, said)]
+    columns = {f"{name}_{axis}_mm": values[:, k] for name, values in (("at", position), ("before", before), ("after", after))
+               for k, axis in enumerate("xyz")}  # fmt: skip
+    return [Plot("causes_workspace", drawn, said, pd.DataFrame({**columns, "held_out": held}))]

@@ -6,9 +6,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 
 from calflow.files.results import Results
-from calflow.reporting.document import Block, heading, plot
+from calflow.reporting.blocks import Block, Heading, Plot
 from calflow.reporting.figures.causes import gains
 from calflow.reporting.findings import Found
 from calflow.reporting.material import Material, split_judged, steps
@@ -70,10 +71,14 @@ def gained(material: Material, causes: Sequence[Found]) -> list[Block]:
     start = steps(before, split_judged(before))[-1].mean
     drawn = gains(start, labels(moved), [one.left for one in moved], np.array([one.gain[1:] for one in moved]),
                   material.noise_floor)  # fmt: skip
+    data = pd.DataFrame(
+        [(name, *one.gain, one.left) for name, one in zip(labels(moved), moved, strict=True)],
+        columns=["cause", "gain_mean_mm", "gain_low_mm", "gain_high_mm", "heldout_mean_mm"],
+    )
     unknown = (
         "" if material.noise_floor else " What noise alone would leave is not known: it was estimated from the fit."
     )
-    return [heading("What the causes gained"), plot("gains", drawn, GAINS + unknown)]
+    return [Heading("What the causes gained"), Plot("gains", drawn, GAINS + unknown, data)]
 
 
 def makes_it_worse(results: Results) -> list[Advice]:

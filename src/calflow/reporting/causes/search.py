@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 
 from calflow.diagnosis.findings.tables import CandidateRow
 from calflow.diagnosis.findings.verdict import WITHIN
 from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES
 from calflow.files.results import Results
+from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
 from calflow.reporting.causes.unexplained import unexplained
-from calflow.reporting.document import Block, bullets, heading, paragraph, plot, table
 from calflow.reporting.figures.causes import evidence
-from calflow.reporting.findings import Found, cause_words, chance, place_name, place_names, readable_size
+from calflow.reporting.findings import Found, cause_words, chance, findings, place_name, place_names, readable_size
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice
 from calflow.reporting.words import first_up, listed, two_digits
@@ -37,15 +38,19 @@ def candidates(results: Results) -> list[CandidateRow]:
 
 
 def went(material: Material, causes: Sequence[Found]) -> list[Block]:
-    """Draw the places that spoke most strongly; causes are those in the extended model."""
+    """Draw the places that spoke most strongly, where any spoke; causes are those in the extended model."""
     rows = _tested(candidates(material.results))[:SHOWN]
-    if not rows:
+    if not rows or not findings(material.results):
         return []
     places = {(one.cause, one.joint) for one in causes}
     added = np.array([(row.cause, row.joint or 0) in places for row in rows])
     drawn = evidence([_words(row) for row in rows], np.array([-row.delta_bic for row in rows]),
                      np.array([row.p_family for row in rows]), added, WITHIN, threshold(material))  # fmt: skip
-    return [heading("How the search went"), plot("evidence", drawn, EVIDENCE)]
+    data = pd.DataFrame(
+        [(_words(row), -row.delta_bic, row.p_family) for row in rows],
+        columns=["place", "fall_of_bic", "chance_of_a_false_alarm"],
+    ).assign(in_the_model=added)
+    return [Heading("How the search went"), Plot("evidence", drawn, EVIDENCE, data)]
 
 
 def limits(rows: Sequence[CandidateRow]) -> list[Block]:
@@ -65,9 +70,9 @@ def limits(rows: Sequence[CandidateRow]) -> list[Block]:
         lines.append((first_up(cause_words(cause).name), said, *cells))
     header = ("cause", "unit", *map(str, numbers), "whole robot")
     return [
-        heading("How small a cause these data show"),
-        paragraph(LIMITS, keep=True),
-        table(header, sorted(lines), "ll" + "r" * (len(numbers) + 1), size=8, wide=0),
+        Heading("How small a cause these data show"),
+        Paragraph(LIMITS, keep=True),
+        Table(header, sorted(lines), "ll" + "r" * (len(numbers) + 1), size=8, wide=0),
     ]
 
 
@@ -78,11 +83,11 @@ def not_tested(rows: Sequence[CandidateRow]) -> list[Block]:
         return []
     items = [(f"{first_up(_why(lacking))}:", f"{listed(names, 12)}.") for lacking, names in groups.items()]
     return [
-        heading("Not testable with these data"),
-        paragraph(
+        Heading("Not testable with these data"),
+        Paragraph(
             "Of these causes the data say nothing, neither that they are there nor that they are not.", keep=True
         ),
-        bullets(items),
+        Bullets(items),
     ]
 
 

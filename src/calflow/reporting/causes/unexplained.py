@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.files.results import Results
+from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph
 from calflow.reporting.causes.gain import worth
-from calflow.reporting.document import Block, bullets, heading, paragraph
 from calflow.reporting.findings import Found, chance, findings
 from calflow.reporting.section import Advice
 from calflow.reporting.words import first_up, listed, ratio
@@ -24,9 +24,9 @@ def still_unexplained(left: Sequence[Found]) -> list[Block]:
         for one in left
     ]  # fmt: skip
     return [
-        heading("What stays unexplained"),
-        bullets(items),
-        paragraph("It is not in the model. Where it acts, predictions are off by more than noise."),
+        Heading("What stays unexplained"),
+        Bullets(items),
+        Paragraph("It is not in the model. Where it acts, predictions are off by more than noise."),
     ]
 
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.repeats import MIN_REPEATS
 from calflow.files.results import Results
-from calflow.reporting.document import Block, paragraph, plot, table
+from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.figures.causes import waterfall
 from calflow.reporting.figures.error_budget import budget, distribution
 from calflow.reporting.findings import findings
-from calflow.reporting.material import Material, latest, latest_summary, split_judged, steps
+from calflow.reporting.material import Material, as_table, latest, latest_summary, split_judged, steps
 from calflow.reporting.section import Advice, Section
 from calflow.reporting.words import effect_words, listed, mm, ratio
 
@@ -39,22 +40,26 @@ def write(material: Material) -> list[Block]:
     final = frozenset(np.flatnonzero(accuracy["model"] == accuracy["model"].iloc[-1]).tolist())
     split = split_judged(accuracy)
     known = material.noise_floor is not None
+    errors = pd.DataFrame(
+        {"held_out": material.held, "error_mm": material.distance, "noise_per_axis_mm": material.sigma}
+    )
     draw = waterfall if len(accuracy) > own else budget
     spent = draw(steps(accuracy, split), material.noise_floor)
     name = "noise alone" if known else "normal noise"
     spread = distribution(material.distance, material.held, material.sigma, name)
     return [
-        paragraph(
+        Paragraph(
             "Distance between predicted and measured tool position. Held-out poses were never shown to a fit: they tell "
             "how the model does at poses that were not measured."
         ),
-        table(("model", "poses", "rows", "mean [mm]", "rms [mm]", "max [mm]"), rows, "llrrrr", final),
-        plot(
+        Table(("model", "poses", "rows", "mean [mm]", "rms [mm]", "max [mm]"), rows, "llrrrr", final),
+        Plot(
             "error_budget",
             spent,
             f"Where the mean error went ({words[split]} poses; logarithmic scale).{DASHED * known}",
+            as_table(steps(accuracy, split)),
         ),
-        plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if known else NORMAL)),
+        Plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if known else NORMAL), errors),
     ]
 
 

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.estimation.calibrated import DeviceNoise
 from calflow.estimation.fit_summary import IdentifySummary
-from calflow.reporting.document import Block, paragraph, table
+from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.summaries import diagnosed, identified
@@ -40,9 +40,9 @@ def write(material: Material) -> list[Block]:
         *_diagnosed(material),
     ]
     return [
-        paragraph("Hashes of all input files, durations and the state of each stage are in manifest.json; all tables named in "
+        Paragraph("Hashes of all input files, durations and the state of each stage are in manifest.json; all tables named in "
                   "this report lie beside it as CSV, in SI units unless a column says otherwise."),
-        table(("what", "value"), facts, "ll", size=8.6, wide=1),
+        Table(("what", "value"), facts, "ll", size=8.6, wide=1),
     ]  # fmt: skip
 
 

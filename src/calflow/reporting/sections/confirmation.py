@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calflow.reporting.document import Block, paragraph, plot, table
+from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.figures.confirmation import two_series
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -34,10 +34,10 @@ def write(material: Material) -> list[Block]:
         for row in rows.to_dict("records")
     ]  # fmt: skip
     header = ("joint", "correlation", "here [µrad]", "there [µrad]", "common [deg]", "what it means")
-    blocks = [paragraph(INTRODUCTION, keep=True), table(header, cells, "lrrrrl", wide=5)]
+    blocks: list[Block] = [Paragraph(INTRODUCTION, keep=True), Table(header, cells, "lrrrrl", wide=5)]
     if len(curves):
-        blocks.append(plot("confirmation", two_series(curves), CAPTION))
-    return [*blocks, paragraph(_carried(accuracy)), *_faults(material.tables.get(FAULTS))]
+        blocks.append(Plot("confirmation", two_series(curves), CAPTION, curves))
+    return [*blocks, Paragraph(_carried(accuracy)), *_faults(material.tables.get(FAULTS))]
 
 
 def _faults(faults: pd.DataFrame | None) -> list[Block]:
@@ -45,7 +45,7 @@ def _faults(faults: pd.DataFrame | None) -> list[Block]:
     if faults is None or faults.empty:
         return []
     said = "; ".join(dict.fromkeys(faults["statement"]))
-    return [paragraph(f"In the other series' file, before it was fitted: {said}. Correct that file too.")]
+    return [Paragraph(f"In the other series' file, before it was fitted: {said}. Correct that file too.")]
 
 
 def _carried(accuracy: object) -> str:
@@ -73,7 +73,7 @@ def _number(value: object, form: str) -> str:
 
 
 SECTION = Section(
-    27,
+    57,
     "Confirmation by an independent series",
     ("diagnose/confirmation.csv", "diagnose/confirmation_curves.csv", "diagnose/confirmation_accuracy.csv"),
     write,

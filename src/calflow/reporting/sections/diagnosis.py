@@ -1,4 +1,4 @@
-"""The section on causes: what the study's model lacked, how sure that is, and what stays unexplained or untested."""
+"""The section on causes: what the study's model lacked, how sure that is, and what stays unexplained."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.files.results import Results
+from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.causes.finding import finding, moves, space
 from calflow.reporting.causes.gain import gain_cells, gained, makes_it_worse
-from calflow.reporting.causes.search import candidates, limits, not_tested, strongest, threshold, untested, went
+from calflow.reporting.causes.search import candidates, strongest, threshold, untested
 from calflow.reporting.causes.separation import next_poses, other_means
 from calflow.reporting.causes.unexplained import still_unexplained, unexplained
-from calflow.reporting.document import Block, paragraph, table
 from calflow.reporting.findings import Found, chance_figure, findings, sureness
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
@@ -32,8 +32,8 @@ CURVES = (
 
 
 def write(material: Material) -> list[Block]:
-    """Tell each finding in words and figures, then what is left and what could not be tested."""
-    found, rows = findings(material.results), candidates(material.results)
+    """Tell each finding in words and figures, then what is left."""
+    found = findings(material.results)
     causes = [one for one in found if one.told]
     left = [one for one in found if one.status == "unexplained"]
     return [
@@ -42,9 +42,6 @@ def write(material: Material) -> list[Block]:
         *gained(material, causes),
         *still_unexplained(left),
         *space(material, causes),
-        *went(material, causes),
-        *limits(rows),
-        *not_tested(rows),
     ]
 
 
@@ -59,7 +56,7 @@ def _opening(material: Material, every: Sequence[Found]) -> list[Block]:
     if not found:
         best = strongest(candidates(material.results))
         unseen = f" But {summary.unseen}." if summary.unseen else ""
-        return [paragraph(NOTHING + unseen, bold=True), paragraph(f"{searched}{best}")]
+        return [Paragraph(NOTHING + unseen, bold=True), Paragraph(f"{searched}{best}")]
     rows = [
         (str(one.order or "–"), _title(one), one.amount if one.told and one.unit else "–", STATUS.get(one.status, one.status),
          chance_figure(one.p), sureness(one.probability), *gain_cells(one))
@@ -67,13 +64,13 @@ def _opening(material: Material, every: Sequence[Found]) -> list[Block]:
     ]  # fmt: skip
     header = ("", "finding", "size (± 1 sd)", "name", "false alarm", "probability", "gain [mm]", "95 % interval")
     told = any(one.told for one in found)
-    first = [] if told else [paragraph("No cause of the catalogue was found.", bold=True)]
-    listing = [paragraph(NO_PROOF), table(header, rows, "rlrlrrrr", size=8, wide=1)]
+    first = [] if told else [Paragraph("No cause of the catalogue was found.", bold=True)]
+    listing: list[Block] = [Paragraph(NO_PROOF), Table(header, rows, "rlrlrrrr", size=8, wide=1)]
     return [
         *first,
-        paragraph(searched),
+        Paragraph(searched),
         *listing,
-        *([paragraph(CURVES)] if any(moves(material, one) for one in found) else []),
+        *([Paragraph(CURVES)] if any(moves(material, one) for one in found) else []),
     ]
 
 
@@ -106,7 +103,7 @@ def _title(one: Found) -> str:
 
 
 SECTION = Section(
-    25,
+    15,
     "What the model lacked: causes",
     (*(f"diagnose/{name}.csv" for name in ("findings", "candidates", "separations", "next_poses")), SUMMARY),
     write,

@@ -6,7 +6,7 @@ import pandas as pd
 
 from calflow.faults.base import lines_in_words
 from calflow.files.results import Results
-from calflow.reporting.document import Block, paragraph, table
+from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
 from calflow.reporting.words import effect_words, plural
@@ -29,9 +29,9 @@ def write(material: Material) -> list[Block]:
         for joint, own in ((int(own["joint"].iloc[0]), own) for own in faults)
     ]
     return [
-        paragraph(INTRODUCTION, keep=True),
-        table(("fault", "joint", "where", "what was done"), rows, "lrll", wide=2),
-        *(paragraph(_sentence(own)) for own in faults),
+        Paragraph(INTRODUCTION, keep=True),
+        Table(("fault", "joint", "where", "what was done"), rows, "lrll", wide=2),
+        *(Paragraph(_sentence(own)) for own in faults),
     ]
 
 

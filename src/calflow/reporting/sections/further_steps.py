@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calflow.reporting.document import Block, bullets
+from calflow.reporting.blocks import Block, Bullets
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.sections.verdict import next_steps
@@ -10,11 +10,11 @@ from calflow.reporting.sections.verdict import next_steps
 
 def write(material: Material) -> list[Block]:
     """List them, the most urgent first."""
-    return [bullets(next_steps(material.results)[1])]
+    return [Bullets(next_steps(material.results)[1])]
 
 
 SECTION = Section(
-    85,
+    4,
     "Further steps",
     ("identify/accuracy.csv", "identify/summary.json", "identify/identifiability.csv"),
     write,

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from typing import Any
 
+from calflow.effects.geometry import Geometry
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
 from calflow.files.results import Results
-from calflow.reporting.document import Block, bullets, heading, paragraph, table
+from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
 from calflow.reporting.sections.parameters import prior_names
 from calflow.reporting.words import effect_words, first_up, interval, listed, number, part_words, readable
+from calflow.robot.robot import Robot
 
 SHOWN = 15  # correlations in the table
 NAMED = 3  # parameters that a trade on the first page names
@@ -35,22 +37,35 @@ def write(material: Material) -> list[Block]:
     by_effect = f" ({'; '.join(ranks)})" if len(ranks) > 1 else ""
     determined = f"{summary.rank} of {summary.parameters} parameters"
     return [
-        paragraph(f"The data determine {determined}{by_effect}. {HARMLESS}"),
+        Paragraph(f"The data determine {determined}{by_effect}. {HARMLESS}"),
+        *left_out_words(material.data.robot),
         *_statements(material.results),
         *_correlations(material.results),
         *_count(material.results),
     ]
 
 
+def left_out_words(robot: Robot) -> list[Block]:
+    """Name the figures of full origins that are no parameters; nothing where joints are stated otherwise."""
+    names = Geometry(robot).left_out
+    if not names:
+        return []
+    lead = (
+        "Figures of joints' origins that are no parameters, since those of the base, or a turn or shift of the joint before about "
+        "or along its own axis together with the others, move the tool in exactly the same way whatever the pose: "
+    )
+    return [Paragraph(f"{lead}{', '.join(names)}.", 9)]
+
+
 def _statements(results: Results) -> list[Block]:
     said = [_words(one) for one in left_open(results) if one.kind in ("silent", "trade", "scale")]
     said += [_bound(row) for row in results.tables["identify/parameters.csv"].to_dict("records") if row["at_bound"]]
     if not said:
-        return [paragraph("Nothing is left open: the data determine every parameter.")]
+        return [Paragraph("Nothing is left open: the data determine every parameter.")]
     return [
-        heading("What the data leave open"),
-        bullets(said),
-        *([paragraph(BRACKETS, 9)] if _of_kind(results, "trade") else []),
+        Heading("What the data leave open"),
+        Bullets(said),
+        *([Paragraph(BRACKETS, 9)] if _of_kind(results, "trade") else []),
     ]
 
 
@@ -73,13 +88,13 @@ def _correlations(results: Results) -> list[Block]:
     ]
     more = f" The strongest {SHOWN} of {len(pairs)} are shown." if len(pairs) > SHOWN else ""
     return [
-        heading("Known better together than apart"),
-        paragraph(
+        Heading("Known better together than apart"),
+        Paragraph(
             "If one of a pair were a little larger, the other could make up for it: their standard deviations are not "
             f"independent.{more}",
             keep=True,
         ),
-        table(("parameter", "with", "correlation"), rows, "llr"),
+        Table(("parameter", "with", "correlation"), rows, "llr"),
     ]
 
 
@@ -93,13 +108,13 @@ def _count(results: Results) -> list[Block]:
         lead = f"{effect_words(str(effect))}, {kept.sum()} of {len(rows)} parameters."
         items.append((lead, f"Kept: {inside}. Left out: {outside}."))
     return [
-        heading("A model with fewer parameters"),
-        paragraph(
+        Heading("A model with fewer parameters"),
+        Paragraph(
             "With the number of parameters that the study counts, a model would keep those that add most to what the data "
             "can tell. Those left out take no accuracy with them where the others can stand in for them.",
             keep=True,
         ),
-        bullets(items),
+        Bullets(items),
     ]
 
 
@@ -197,7 +212,7 @@ def _words(one: Statement) -> str:
 
 
 SECTION = Section(
-    40,
+    65,
     "What the data can tell, and what not",
     ("identify/identifiability.csv", "identify/parameters.csv", "identify/placement.csv", "identify/summary.json"),
     write,

@@ -10,11 +10,11 @@ import pandas as pd
 
 from calflow.estimation.identifiability import Statement
 from calflow.files.results import Results
-from calflow.reporting.document import Block, paragraph, plot, table
+from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.figures.estimates import estimates
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Advice, Section
-from calflow.reporting.words import effect_words, interval, listed, readable, with_sd
+from calflow.reporting.words import cut, effect_words, interval, listed, readable, with_sd
 
 FEW = 4  # parameters in a trade up to which each is marked
 BY_PRIOR = 0.5  # prior share from which a parameter is left to the prior
@@ -43,17 +43,19 @@ def write(material: Material) -> list[Block]:
     added = len(parameters) > len(material.tables["identify/parameters.csv"])
     lines, shaded = _lines(parameters, _known_together(material.results))
     nominal, estimate, sd, share = parameters[["nominal", "estimate", "sd", "prior_share"]].to_numpy(dtype=float).T
+    scaled = parameters[["parameter", "unit", "nominal", "estimate", "sd", "prior_share"]].assign(
+        prior_sd=model.prior_sd,
+        estimate_in_prior_sd=(estimate - nominal) / model.prior_sd,
+        sd_in_prior_sd=sd / model.prior_sd,
+    )
+    away, uncertain = (scaled[name].to_numpy(dtype=float) for name in ("estimate_in_prior_sd", "sd_in_prior_sd"))
     drawn = estimates(
-        _places(parameters),
-        _groups(parameters),
-        (estimate - nominal) / model.prior_sd,
-        sd / model.prior_sd,
-        share > BY_PRIOR,
+        [cut(name) for name in _places(parameters)], _groups(parameters), away, uncertain, share > BY_PRIOR
     )
     return [
-        paragraph(LEGEND + (REGISTERED if not model.robot.base.known else "") + (ADDED if added else "")),
-        table(("parameter", "unit", "estimate", "sd", "allowed", "known from"), lines, "llrrrl", shaded, 8.6),
-        plot("parameters", drawn, CAPTION),
+        Paragraph(LEGEND + (REGISTERED if not model.robot.base.known else "") + (ADDED if added else "")),
+        Table(("parameter", "unit", "estimate", "sd", "allowed", "known from"), lines, "llrrrl", shaded, 8.6),
+        Plot("parameters", drawn, CAPTION, scaled),
     ]
 
 
@@ -152,4 +154,4 @@ def prior_names(results: Results) -> list[str]:
     return parameters.loc[share > BY_PRIOR, "parameter"].astype(str).tolist()
 
 
-SECTION = Section(30, "Identified parameters", ("identify/parameters.csv",), write, (at_bound,))
+SECTION = Section(60, "Identified parameters", ("identify/parameters.csv",), write, (at_bound,))

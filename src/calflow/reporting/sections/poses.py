@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from calflow.design.candidates import reading_columns, reading_labels
-from calflow.reporting.document import Block, heading, paragraph, plot, table
+from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table
 from calflow.reporting.figures.poses import observability
 from calflow.reporting.figures.residuals import map_of_poses
 from calflow.reporting.material import Material
@@ -27,16 +27,17 @@ def write(material: Material) -> list[Block]:
     expected = float(worth["expected_sd_mm"].iloc[-1])
     position = poses[[f"nominal_{axis}_mm" for axis in "xyz"]].to_numpy(dtype=float)
     return [
-        paragraph(
+        Paragraph(
             f"{len(poses)} poses were chosen so that together they tell the most about all parameters. With all of them the "
             f"predicted tool position is expected to be certain to {mm(expected)} mm (1 sd) over the workspace.",
             keep=True,
         ),
-        plot("observability", observability(worth), WORTH),
-        plot(
+        Plot("observability", observability(worth), WORTH, worth),
+        Plot(
             "poses",
             map_of_poses(position),
             "The tool at the chosen poses, in measuring order; the square is the first.",
+            poses,
         ),
         *_first(poses, material.study.robot),
     ]
@@ -52,10 +53,10 @@ def _first(poses: pd.DataFrame, robot: Robot) -> list[Block]:
         for row in poses.head(SHOWN).to_dict("records")
     ]  # fmt: skip
     return [
-        heading("The first poses to measure"),
-        paragraph("All poses, with the side from which each joint is to arrive, are in select/poses.csv.", keep=True),
-        table(head, rows, "r" * len(head), size=7.6 if len(joints) > 6 else 8.4),
+        Heading("The first poses to measure"),
+        Paragraph("All poses, with the side from which each joint is to arrive, are in select/poses.csv.", keep=True),
+        Table(head, rows, "r" * len(head), size=7.6 if len(joints) > 6 else 8.4),
     ]
 
 
-SECTION = Section(50, "Planned poses", ("select/poses.csv", "select/observability.csv"), write)
+SECTION = Section(70, "Planned poses", ("select/poses.csv", "select/observability.csv"), write)

@@ -9,8 +9,8 @@ import pandas as pd
 
 from calflow.effects.cause import Cause
 from calflow.files.results import Results
+from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
 from calflow.reporting.chain import Chain
-from calflow.reporting.document import Block, bullets, heading, paragraph, plot, table
 from calflow.reporting.figures.chains import against_laplace, corner, traces
 from calflow.reporting.findings import cause_name
 from calflow.reporting.material import Material, latest
@@ -22,6 +22,7 @@ from calflow.sampling.chain_summary import ChainSummary
 SAME = 1.01  # R-hat up to which ensembles agree
 TRACED, PAIRED = 3, 6  # parameters in the figures
 CORNER_DRAWS = 40_000
+TOLD_DRAWS = 2_000  # of the draws in the figure, in its data
 INTRODUCTION = (
     "The standard deviations of the fit assume that errors add up linearly. Sampling makes no such assumption: it collects "
     "parameter sets that agree with the data as well as the noise allows. Agreement of the two is the check."
@@ -46,12 +47,13 @@ def write(material: Material) -> list[Block]:
     free = ~model.at_bound
     ratio = posterior["sd"].to_numpy(dtype=float)[: len(free)][free] / np.sqrt(np.diag(model.covariance))[free]
     names = short_names([p for p, is_free in zip(model.model.parameters, free, strict=True) if is_free])
+    ratios = pd.DataFrame({"parameter": names, "sampled_sd_over_that_of_the_fit": ratio})
     return [
-        paragraph(INTRODUCTION, keep=True),
-        table(("check", "found", "wanted"), _checks(posterior, summary), "lll"),
+        Paragraph(INTRODUCTION, keep=True),
+        Table(("check", "found", "wanted"), _checks(posterior, summary), "lll"),
         *_cuts(summary),
         *_held(held),
-        plot("posterior_sd", against_laplace(names, ratio), RATIO),
+        Plot("posterior_sd", against_laplace(names, ratio), RATIO, ratios),
         *_chain(material),
         *_noise(posterior),
     ]
@@ -93,7 +95,7 @@ def _cuts(summary: ChainSummary) -> list[Block]:
         "not its mean and sd."
         for one in summary.cut
     ]
-    return [bullets(said)] if said else []
+    return [Bullets(said)] if said else []
 
 
 def _held(held: Sequence[Cause]) -> list[Block]:
@@ -101,14 +103,14 @@ def _held(held: Sequence[Cause]) -> list[Block]:
     if not held:
         return []
     names = listed([cause_name(cause.id, cause.joint) for cause in held])
-    return [paragraph(f"Held at their estimates, having too many parameters to sample: {names}. What is not known of them is "
+    return [Paragraph(f"Held at their estimates, having too many parameters to sample: {names}. What is not known of them is "
                       "not in the sampled standard deviations.")]  # fmt: skip
 
 
 def _noise(posterior: pd.DataFrame) -> list[Block]:
     rows = posterior[posterior["parameter"] == "noise.factor"].to_dict("records")
     return [
-        paragraph(
+        Paragraph(
             f"The noise itself was sampled too: {row['q500']:.2f} times what the fit used (95 % between {row['q025']:.2f} "
             f"and {row['q975']:.2f})."
         )
@@ -134,18 +136,37 @@ def _chain(material: Material) -> list[Block]:
 
     slow = np.argsort(posterior["ess"].to_numpy(dtype=float), kind="stable")[:TRACED].tolist()
     traced = traces(chain.steps, chain.values(np.array(slow)) * factors(slow), labels(slow), chain.discard)
-    blocks = [plot("traces", traced, TRACES)]
+    blocks: list[Block] = [Plot("traces", traced, TRACES, _courses(chain, slow, labels(slow), factors(slow)))]
     pairs = [names.index(name) for name in corner_names(material.results)]
     if len(pairs) > 1:
-        drawn = corner(chain.draws(np.array(pairs), CORNER_DRAWS) * factors(pairs), labels(pairs))
+        draws = chain.draws(np.array(pairs), CORNER_DRAWS) * factors(pairs)
+        drawn = corner(draws, labels(pairs))
+        told = pd.DataFrame(
+            draws[:: max(1, len(draws) // TOLD_DRAWS)], columns=[_in_line(name) for name in labels(pairs)]
+        )
         width = round(100 * drawn.get_figwidth() / WIDTH)
         rows = [_row(posterior.iloc[k]) for k in pairs]
         blocks += [
-            heading("Parameters that go together"),
-            plot("corner", drawn, CORNER, width),
-            table(("parameter", "unit", "mean", "sd", "2.5 %", "median", "97.5 %"), rows, "llrrrrr"),
+            Heading("Parameters that go together"),
+            Plot("corner", drawn, CORNER, told, width),
+            Table(("parameter", "unit", "mean", "sd", "2.5 %", "median", "97.5 %"), rows, "llrrrrr"),
         ]
     return blocks
+
+
+def _courses(chain: Chain, which: Sequence[int], labels: Sequence[str], factors: np.ndarray) -> pd.DataFrame:
+    """Return what the traces show: of each parameter and ensemble, at each step, the median and the middle 95 %."""
+    quantiles = np.quantile(chain.values(np.array(which)) * factors, [0.025, 0.5, 0.975], axis=2)
+    tables = []
+    for e, k in np.ndindex(quantiles.shape[1], len(labels)):
+        low, middle, high = quantiles[:, e, :, k]
+        own = {"step": chain.steps, "q025": low, "median": middle, "q975": high}
+        tables.append(pd.DataFrame({"parameter": _in_line(labels[k]), "ensemble": e + 1, **own}))
+    return pd.concat(tables)
+
+
+def _in_line(label: str) -> str:
+    return label.replace("\n", " ")
 
 
 def corner_names(results: Results) -> list[str]:
@@ -193,7 +214,7 @@ def _summary(results: Results) -> ChainSummary:
 
 
 SECTION = Section(
-    60,
+    75,
     "How sure: the sampled posterior",
     ("sample/posterior.csv", "sample/summary.json", "identify/parameters.csv"),
     write,

@@ -6,7 +6,7 @@ import pandas as pd
 from scipy.stats import binom
 
 from calflow.files.results import Results
-from calflow.reporting.document import Block, paragraph, plot
+from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.figures.chains import predictions
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
@@ -23,8 +23,8 @@ def write(material: Material) -> list[Block]:
     error, low, high = rows[["error_mm", "low_mm", "high_mm"]].to_numpy(dtype=float).T
     drawn = predictions(error, low, high, rows["covered"].to_numpy(dtype=bool))
     return [
-        paragraph(f"The model predicts how large each error should be. {coverage_words(material.results)}", keep=True),
-        plot("predictions", drawn, f"Errors of {words} against the interval in which each was expected (95 %)."),
+        Paragraph(f"The model predicts how large each error should be. {coverage_words(material.results)}", keep=True),
+        Plot("predictions", drawn, f"Errors of {words} against the interval in which each was expected (95 %).", rows),
     ]
 
 
@@ -54,4 +54,4 @@ def too_narrow(results: Results) -> list[Advice]:
     return [Advice(2, sentence)]
 
 
-SECTION = Section(70, "Predictions put to the test", ("sample/predictive.csv",), write, (too_narrow,))
+SECTION = Section(80, "Predictions put to the test", ("sample/predictive.csv",), write, (too_narrow,))

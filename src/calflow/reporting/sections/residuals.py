@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from calflow.design.candidates import reading_factors, reading_labels
+from calflow.design.candidates import reading_columns, reading_factors, reading_labels
 from calflow.files.results import Results
-from calflow.reporting.document import Block, heading, paragraph, plot, table
+from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Scene, Table
 from calflow.reporting.figures.residuals import against_joints, against_place, in_workspace, magnification
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Advice, Section
@@ -34,19 +34,33 @@ def write(material: Material) -> list[Block]:
     """Show the errors of the calibrated model in space, against joints and place, and the rows that stand out."""
     shown = _shown(material)
     some = f" {len(shown)} of {len(material.data)} rows are shown." if len(shown) < len(material.data) else ""
-    directed = _directed(material)
+    directed, rows = _directed(material), by_row(material)
     enlarged = f", drawn {_factor(material):,.0f} times enlarged" if directed else " (lengths have no direction: dots)"
     return [
-        paragraph(INTRODUCTION, keep=True),
-        plot("residuals_place", by_place(material), PLACE),
-        plot(
+        Paragraph(INTRODUCTION, keep=True),
+        Plot("residuals_place", by_place(material), PLACE, rows),
+        Plot(
             "residuals_workspace",
             in_space(material),
             f"Errors in the measuring frame{enlarged}; the darker, the larger.{some}",
+            rows,
+            scene=Scene(rows.iloc[shown], _factor(material)),
         ),
-        plot("residuals_joints", by_joint(material), JOINTS),
+        Plot("residuals_joints", by_joint(material), JOINTS, rows),
         *_flagged(material),
     ]
+
+
+def by_row(material: Material) -> pd.DataFrame:
+    """Return what the figures show of each row: which it is, where it was, its joints' readings and its errors."""
+    robot, told = material.data.robot, material.data.table
+    place = {f"{axis}_mm": 1e3 * material.place[:, k] for k, axis in enumerate("xyz")}
+    joints = material.data.joints * reading_factors(robot)
+    readings = {name: joints[:, k] for k, name in enumerate(reading_columns(robot))}
+    error = {f"d{axis}_mm": material.error[:, k] for k, axis in enumerate("xyz")} | {"error_mm": material.distance}
+    named = {name: told[name].astype(str).to_numpy() for name in ("pose", "marker")}
+    names = [f"pose {pose}, marker {marker}" for pose, marker in zip(*named.values(), strict=True)]
+    return pd.DataFrame({"name": names, **named, "held_out": material.held, **place, **readings, **error})
 
 
 def by_place(material: Material) -> Figure:
@@ -95,7 +109,7 @@ def _flagged(material: Material) -> list[Block]:
     rows = _flags(material.results)
     flagged = rows[rows["flagged"].astype(bool)].sort_values("error_mm", ascending=False)
     if flagged.empty:
-        return [paragraph("No row stands out: none has an error too large for noise and for the spread of the rest.")]
+        return [Paragraph("No row stands out: none has an error too large for noise and for the spread of the rest.")]
     cells = [
         (*(str(row[name]) for name in ("line", "pose", "repeat", "marker")),
          "held out" if row["split"] == "holdout" else "used", mm(row["error_mm"]), ratio(row["whitened"]))
@@ -104,9 +118,9 @@ def _flagged(material: Material) -> list[Block]:
     left = f" The {SHOWN} largest of {len(flagged)} are shown." if len(flagged) > SHOWN else ""
     header = ("line of the file", "pose", "repeat", "marker", "row", "error [mm]", "times the expected")
     return [
-        heading("Rows that do not fit"),
-        paragraph(f"Their errors are too large for noise and for the spread of the rest.{left}", keep=True),
-        table(header, cells, "rrrllrr"),
+        Heading("Rows that do not fit"),
+        Paragraph(f"Their errors are too large for noise and for the spread of the rest.{left}", keep=True),
+        Table(header, cells, "rrrllrr"),
     ]
 
 
@@ -130,4 +144,4 @@ def flagged_rows(results: Results) -> list[Advice]:
     return [Advice(2, sentence)]
 
 
-SECTION = Section(20, "What is left: residuals", ("identify/residuals.csv",), write, (flagged_rows,))
+SECTION = Section(50, "What is left: residuals", ("identify/residuals.csv",), write, (flagged_rows,))

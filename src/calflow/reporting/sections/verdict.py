@@ -9,22 +9,31 @@ import numpy as np
 
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.files.results import Results
+from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Paragraph, Plot, RestOfPage
 from calflow.reporting.causes.first_page import foremost, lacked, structure, unsure
-from calflow.reporting.document import Block, bullets, card, gap, heading, paragraph, picture, side_by_side
 from calflow.reporting.figures.error_budget import before_after
 from calflow.reporting.findings import findings
-from calflow.reporting.material import Material, ModelAccuracy, gathered, latest, latest_summary, split_judged, steps
+from calflow.reporting.material import (
+    Material,
+    ModelAccuracy,
+    as_table,
+    gathered,
+    latest,
+    latest_summary,
+    split_judged,
+    steps,
+)
 from calflow.reporting.section import Section, advice, sections
 from calflow.reporting.sections.accuracy import LACKS
 from calflow.reporting.sections.identifiability import open_questions
 from calflow.reporting.sections.predictive import coverage_words
+from calflow.reporting.tolerance import judged, useless
 from calflow.reporting.words import first_up, listed, mm, plural, ratio
 
 ENOUGH = 1.1  # times the noise up to which a model counts as complete
-USELESS = 0.95  # share of the nominal error above which calibration gained nothing
 CARDS = 3
-TEXT = 10.5  # points
-SIZES = ((TEXT, 18, 95), (9.5, 22, 106), (8.5, 27, 119))  # points, lines below the figure, letters in a line
+TEXT = 10.5  # points, of what is beside the figure
+ROOM, LETTERS = 27, 119  # lines below the figure, and letters in a line, as small as it is pleasant to read
 FEWEST = 3  # steps that are told on the first page whether there is room or not
 Listed = tuple[str, list[str | tuple[str, str]]]
 TOLD = "Nothing: the data determine every parameter."
@@ -38,40 +47,39 @@ def write(material: Material) -> list[Block]:
     found = gathered(steps(accuracy, split), len(steps(material.tables["identify/accuracy.csv"], split)))
     shown = [found[0], *found[1:][-(CARDS - 1) :]]
     cards = [
-        [card(step.label, mm(step.mean), f"largest {mm(step.max)} mm", dark=step is found[-1] and len(found) > 1)]
+        [Card(step.label, mm(step.mean), f"largest {mm(step.max)} mm", dark=step is found[-1] and len(found) > 1)]
         for step in shown
     ]
     urgent, further = next_steps(material.results)
     more = [f"{plural(len(further), 'further step')}, less urgent, under “Further steps”."] if further else []
     lists: list[Listed] = [*_lists(material.results), ("What to do next", [*urgent, *more] or [FINE])]
     first = foremost(material.results)
-    size = fitting(_plain(lists) + first) if "diagnose/findings.csv" in material.results else TEXT
+    verdict = judged(material, found)
     return [
-        paragraph("Calibration report", 10),
-        paragraph(material.title, 21, bold=True),
-        paragraph(_measured(material), 10),
-        gap(20),
-        paragraph(judgement(material.results, found), 14, bold=True),
-        gap(6),
-        *(paragraph(said, 11, bold=True) for said in first),
-        paragraph(headline(found, split), 12),
-        gap(16),
-        side_by_side(cards, [1] * len(cards), 8),
-        gap(16),
-        side_by_side(
-            [[picture("before_after", before_after(found, material.noise_floor))],
-             [heading("How sure is this?"), bullets(how_sure(material), TEXT)]],
+        Paragraph("Calibration report", 10),
+        Heading(material.title, 0),
+        Paragraph(_measured(material), 10),
+        Gap(20),
+        Paragraph(judgement(material.results, found), 14, bold=True),
+        Gap(6),
+        *([Paragraph(verdict.verdict, 11, bold=True)] if verdict else []),
+        *(Paragraph(said, 11, bold=True) for said in first),
+        Paragraph(headline(found, split), 12),
+        Gap(16),
+        Columns(cards, [1] * len(cards), 8),
+        Gap(16),
+        Columns(
+            [[Plot("before_after", before_after(found, material.noise_floor), data=as_table(found))],
+             [Heading("How sure is this?"), Bullets(how_sure(material), TEXT)]],
             [1, 1],
         ),
-        *(block for title, lines in lists for block in (heading(title), bullets(lines, size))),
+        RestOfPage([block for title, lines in lists for block in (Heading(title), Bullets(lines, None))]),
     ]  # fmt: skip
 
 
 def judgement(results: Results, found: list[ModelAccuracy]) -> str:
     """Say in a few words whether to use the model."""
-    first, last = found[0], found[-1]
-    urgent = any(found.urgency == 1 for found in advice(sections(), results))
-    if urgent or last.mean > USELESS * first.mean:
+    if useless(results, found):
         return "Do not use this model: see what to do next."
     summary = latest_summary(results)
     times = summary.lack_of_fit
@@ -148,12 +156,16 @@ def leftover(times: float, discrepancy: float = 0.0, structure: str = "", signif
 
 def next_steps(results: Results) -> tuple[list[str], list[str]]:
     """Return what all sections advise, the most urgent first: what there is room for on the first page, and the rest."""
-    steps = [step.sentence for step in advice(sections(), results)]
-    _, room, width = SIZES[-1]
-    left = room - 1 - _rows(_plain(_lists(results)) + foremost(results), width)
-    ends = np.cumsum([_rows([step], width) for step in steps])
+    above = _plain(_lists(results)) + foremost(results)
+    return split_steps([step.sentence for step in advice(sections(), results)], above)
+
+
+def split_steps(steps: Sequence[str], above: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the first steps, for which there is room on the first page below the lines above, and the others."""
+    left = ROOM - 1 - _rows(above)  # a line is kept for what says that there are others
+    ends = np.cumsum([_rows([step]) for step in steps])
     many = len(steps) if not len(ends) or ends[-1] <= left + 1 else max(FEWEST, int((ends <= left).sum()))
-    return steps[:many], steps[many:]
+    return list(steps[:many]), list(steps[many:])
 
 
 def _lists(results: Results) -> list[Listed]:
@@ -169,15 +181,9 @@ def _plain(lists: Sequence[Listed]) -> list[str]:
     return [" ".join(line) if isinstance(line, tuple) else line for _, lines in lists for line in lines]
 
 
-def _rows(lines: Sequence[str], width: int) -> int:
+def _rows(lines: Sequence[str]) -> int:
     """How many lines of print they take."""
-    return sum(-(-len(line) // width) for line in lines)
-
-
-def fitting(lines: list[str]) -> float:
-    """Return the size of letters [points] in which lists have room below the figure."""
-    sizes = [size for size, room, width in SIZES if _rows(lines, width) <= room]
-    return sizes[0] if sizes else SIZES[-1][0]
+    return sum(-(-len(line) // LETTERS) for line in lines)
 
 
 def _measured(material: Material) -> str:

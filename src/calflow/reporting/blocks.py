@@ -1,0 +1,134 @@
+"""What a report is made of: blocks that know what they say, and not how a PDF or a page shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+Item = str | tuple[str, str]
+Row = Sequence[str] | str
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading; the report's title has level 0, that of a section 1."""
+
+    text: str
+    level: int = 2
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """A paragraph, its letters in points; keep holds it on one page with what follows."""
+
+    text: str
+    size: float = 10
+    bold: bool = False
+    keep: bool = False
+
+
+@dataclass(frozen=True)
+class Gap:
+    """An empty space [points]."""
+
+    points: float
+
+
+@dataclass(frozen=True)
+class Bullets:
+    """A list; an item of two parts has its first in bold. Its letters are in points, or as those around it."""
+
+    items: Sequence[Item]
+    size: float | None = 10
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table whose header is repeated on each page; a short one is kept on one page.
+
+    align has a letter a column, l or r; a row that is one string is a heading across; shaded names rows; the column
+    wide takes the width that is left.
+    """
+
+    header: Sequence[str]
+    rows: Sequence[Row]
+    align: str
+    shaded: frozenset[int] = frozenset()
+    size: float = 9
+    wide: int | None = None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Points in space with their errors, to be turned by whoever looks: what stands beside a drawing on a page.
+
+    position (x_mm, y_mm, z_mm), error (dx_mm, dy_mm, dz_mm, error_mm), held_out and what else tells a row are the columns
+    of rows; factor is by how much errors are enlarged at first.
+    """
+
+    rows: pd.DataFrame
+    factor: float
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A figure with the numbers that it shows, and its caption; width is in percent of the text's."""
+
+    name: str
+    drawn: Figure
+    caption: str = ""
+    data: pd.DataFrame = field(default_factory=pd.DataFrame)
+    width: int = 100
+    scene: Scene | None = None
+
+
+@dataclass(frozen=True)
+class Card:
+    """A large number in mm with what it is and what it goes with."""
+
+    head: str
+    big: str
+    small: str
+    dark: bool = False
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns of blocks; widths are shares, the space between them is in points."""
+
+    parts: Sequence[Sequence[Block]]
+    widths: Sequence[float]
+    between: int = 14
+
+
+@dataclass(frozen=True)
+class RestOfPage:
+    """Blocks that fill what is left of a page, in the largest letters with which they have room there."""
+
+    blocks: Sequence[Block]
+
+
+@dataclass(frozen=True)
+class Signatures:
+    """Places to sign, side by side, with what each is for."""
+
+    names: Sequence[str]
+
+
+Block = Heading | Paragraph | Gap | Bullets | Table | Plot | Card | Columns | RestOfPage | Signatures
+Part = tuple[str, Sequence[Block]]  # a section's title and what stands in it
+
+
+def plots(blocks: Sequence[Block]) -> Iterator[Plot]:
+    """Return all figures, in their order, wherever they stand."""
+    for block in blocks:
+        if isinstance(block, Plot):
+            yield block
+        elif isinstance(block, Columns):
+            for part in block.parts:
+                yield from plots(part)
+        elif isinstance(block, RestOfPage):
+            yield from plots(block.blocks)

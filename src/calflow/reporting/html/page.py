@@ -1,0 +1,216 @@
+"""The page's elements: each block as a reader sees it in a browser."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import singledispatchmethod
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from calflow.reporting.blocks import (
+    Block,
+    Bullets,
+    Card,
+    Columns,
+    Gap,
+    Heading,
+    Paragraph,
+    Plot,
+    RestOfPage,
+    Scene,
+    Signatures,
+    Table,
+)
+from calflow.reporting.html.elements import Html, element, joined
+
+DOTS_PER_INCH = 96
+NARROW = 4.0  # inches up to which a figure is read on a telephone as it is
+DIGITS = "%.7g"  # of a number in a figure's data
+LARGE, MIDDLE, SMALL = 14, 11, 9.5  # points of a paragraph's letters from which, or up to which, they count as such
+
+
+@dataclass
+class Page:
+    """Blocks as HTML; figures counts those that have a caption, folder holds their drawings."""
+
+    folder: Path
+    figures: int = 0
+    names: set[str] = field(default_factory=set)
+
+    def all(self, blocks: Iterable[Block]) -> Html:
+        """Return blocks one after the other."""
+        return joined([self.of(block) for block in blocks])
+
+    @singledispatchmethod
+    def of(self, block: Block) -> Html:
+        """Return a block as HTML."""
+        raise TypeError(f"no HTML for {type(block).__name__}")
+
+    @of.register
+    def _heading(self, block: Heading) -> Html:
+        return element(f"h{block.level + 1}", block.text)
+
+    @of.register
+    def _paragraph(self, block: Paragraph) -> Html:
+        look = (
+            "large"
+            if block.size >= LARGE
+            else "middle"
+            if block.size >= MIDDLE
+            else "small"
+            if block.size < SMALL
+            else ""
+        )
+        return element("p", block.text, class_=" ".join(filter(None, (look, "strong" if block.bold else ""))))
+
+    @of.register
+    def _gap(self, block: Gap) -> Html:
+        return Html()
+
+    @of.register
+    def _bullets(self, block: Bullets) -> Html:
+        items = [
+            element("li", element("strong", item[0]), " ", item[1]) if isinstance(item, tuple) else element("li", item)
+            for item in block.items
+        ]
+        return element("ul", *items)
+
+    @of.register
+    def _table(self, block: Table) -> Html:
+        groups: list[list[Html]] = [[]]
+        for k, row in enumerate(block.rows):
+            if isinstance(row, str):
+                groups.append(
+                    [element("tr", element("th", row, colspan=len(block.header), scope="rowgroup"), class_="group")]
+                )
+                continue
+            cells = [element("td", cell, class_=_side(side)) for cell, side in zip(row, block.align, strict=True)]
+            groups[-1].append(element("tr", *cells, class_="shaded" if k in block.shaded else ""))
+        head = [
+            element("th", element("button", name or "#", type="button"), scope="col", class_=_side(side))
+            for name, side in zip(block.header, block.align, strict=True)
+        ]
+        bodies = [element("tbody", *rows) for rows in groups if rows]
+        table = element("table", element("thead", element("tr", *head)), *bodies)
+        rows = [row for row in block.rows if not isinstance(row, str)]
+        link = download(pd.DataFrame(rows, columns=list(block.header)), self._named("table"), "This table as CSV")
+        return element(
+            "div", element("div", table, class_="scroll", tabindex=0), element("p", link, class_="get"), class_="table"
+        )
+
+    @of.register
+    def _plot(self, block: Plot) -> Html:
+        drawing = self._drawing(block)
+        seen = (
+            scene(block.scene, block.caption, drawing)
+            if block.scene
+            else element("div", drawing, class_="scroll", tabindex=0)
+        )
+        link = download(block.data, self._named(block.name), "Data as CSV")
+        if not block.caption:
+            return element("figure", seen, element("figcaption", link))
+        self.figures += 1
+        number = element("strong", f"Figure {self.figures}.")
+        return element("figure", seen, element("figcaption", number, " ", block.caption, " ", link))
+
+    @of.register
+    def _card(self, block: Card) -> Html:
+        big = element("p", element("strong", block.big), " mm", class_="big")
+        return element(
+            "div",
+            element("p", block.head),
+            big,
+            element("p", block.small),
+            class_="card dark" if block.dark else "card",
+        )
+
+    @of.register
+    def _columns(self, block: Columns) -> Html:
+        cards = all(isinstance(inner, Card) for part in block.parts for inner in part)
+        return element(
+            "div", *(element("div", self.all(part)) for part in block.parts), class_="cards" if cards else "columns"
+        )
+
+    @of.register
+    def _rest_of_page(self, block: RestOfPage) -> Html:
+        return self.all(block.blocks)
+
+    @of.register
+    def _signatures(self, block: Signatures) -> Html:
+        return element("div", *(element("p", name) for name in block.names), class_="signatures")
+
+    def _drawing(self, block: Plot) -> Html:
+        """The figure as the PDF has it, inside the page."""
+        picture = base64.b64encode((self.folder / f"{block.name}.svg").read_bytes()).decode()
+        width, height = (round(DOTS_PER_INCH * side) for side in block.drawn.get_size_inches())
+        return element("img", src=f"data:image/svg+xml;base64,{picture}", alt=block.caption or block.name.replace("_", " "),
+                       width=width, height=height, class_="narrow" if width <= NARROW * DOTS_PER_INCH else "")  # fmt: skip
+
+    def _named(self, name: str) -> str:
+        """Return a file's name that no other download of the page has."""
+        number = 1
+        while f"{name}_{number}" in self.names:
+            number += 1
+        self.names.add(f"{name}_{number}")
+        return f"{name}.csv" if number == 1 and name != "table" else f"{name}_{number}.csv"
+
+
+def scene(given: Scene, caption: str, drawing: Html) -> Html:
+    """Return points with their errors that a script turns; without scripts the drawing is there."""
+    buttons = [
+        element("button", said, type="button", data_does=does, title=title)
+        for said, does, title in (
+            ("+", "nearer", "nearer"),
+            ("−", "farther", "farther"),
+            ("Reset", "reset", "as at first"),
+        )
+    ]
+    factor = element(
+        "input", type="range", min=0, max=300, step=1, data_does="factor", aria_label="enlargement of the errors"
+    )
+    shows = [
+        element("label", element("input", type="checkbox", checked=True, data_does=name), f" {said}")
+        for name, said in (("used", "used for the fit"), ("held", "held out"))
+    ]
+    canvas = element("canvas", tabindex=0, role="img", aria_label=f"{caption} Drag to turn; arrow keys turn it too.")
+    controls = element("div", *buttons, *shows, element("label", "errors × ", element("output", class_="factor"), factor),
+                       class_="controls")  # fmt: skip
+    data = Html(json.dumps(_scene_data(given), separators=(",", ":")).replace("<", "\\u003c"))
+    return element("div", canvas, element("p", "Drag to turn.", class_="told", aria_live="polite"), controls,
+                   element("script", data, type="application/json"), element("noscript", drawing), class_="scene")  # fmt: skip
+
+
+def _scene_data(given: Scene) -> dict[str, object]:
+    """Return the rows as a script reads them: numbers by column, None where one is not known, and a name a row."""
+    rows = given.rows
+    numbers = ("x_mm", "y_mm", "z_mm", "dx_mm", "dy_mm", "dz_mm", "error_mm")
+    columns = {name: [None if np.isnan(v) else float(DIGITS % v) for v in rows[name].astype(float)] for name in numbers}
+    return {**columns, "held": rows["held_out"].astype(bool).tolist(), "name": rows["name"].astype(str).tolist(),
+            "factor": given.factor}  # fmt: skip
+
+
+def download(data: pd.DataFrame, name: str, said: str) -> Html:
+    """Return a link that saves a table as CSV, without any network."""
+    text = data.to_csv(index=False, float_format=DIGITS, lineterminator="\n")
+    packed = base64.b64encode(text.encode("utf-8", "replace")).decode()
+    return element("a", said, href=f"data:text/csv;charset=utf-8;base64,{packed}", download=name, class_="download")
+
+
+def contents(titles: Sequence[str]) -> Html:
+    """Return the list of the sections, by which a reader goes to one."""
+    links = [element("li", element("a", title, href=f"#section-{k}")) for k, title in enumerate(titles, start=1)]
+    return element("nav", element("h2", "Contents"), element("ol", *links), aria_label="Contents")
+
+
+def section(number: int, title: str, inside: Html) -> Html:
+    """Return a section with its heading."""
+    return element("section", element("h2", title), Html("\n"), inside, id=f"section-{number}")
+
+
+def _side(letter: str) -> str:
+    return "right" if letter == "r" else ""

@@ -1,0 +1,146 @@
+"""The section for the controller: the calibrated figures to type in, beside their differences from the robot file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calflow.effects.geometry import Geometry
+from calflow.reporting.blocks import Block, Heading, Paragraph, Table
+from calflow.reporting.controller import Figure, bars, base, geometry_alone, links, markers, zeros
+from calflow.reporting.material import Material, latest
+from calflow.reporting.section import Section
+from calflow.reporting.words import effect_words, listed, mm, number
+
+INTRODUCTION = (
+    "The calibrated robot as its maker counts it, and beside each figure (Δ) by how much it differs from the robot file. A Δ in "
+    "brackets is left to prior knowledge: the data do not tell it. Figures without Δ are as in the robot file: others stand for "
+    "their errors."
+)
+ORDER = {
+    "modified-dh": "Each link is Rx(alpha) Tx(a) Ry(beta) Rz(theta + joint) Tz(d).",
+    "dh": "Each link is Rz(theta + joint) Tz(d) Tx(a) Rx(alpha) Ry(beta).",
+}
+NO_BETA = (
+    " A controller that knows no beta has to be given 0 there; it turns about y where two axes are nearly parallel."
+)
+ZEROS = (
+    "A controller that takes the joints' zeros alone: add these to its readings. They count as the readings do, with signs and "
+    "couplings."
+)
+LOOPED = " The driven joint's is that of the joint itself, behind the loop, and not the motor's."
+BASE = (
+    "Where the robot stands in the measuring frame, in mm and degrees; the same turn as controllers state it: {ways}. It is that "
+    "of this measurement: on another day, or with the instrument elsewhere, it is another."
+)
+TOOL = "Where each marker sits in the flange's frame, from which a tool is measured."
+
+
+def write(material: Material) -> list[Block]:
+    """Tabulate links, zeros, base and tool, and say what these figures alone are worth."""
+    robot = material.known.model.robot
+    joints = links(material)
+    curved = any(figure.symbol == "beta" and figure.calibrated for figures in joints for figure in figures)
+    order = ORDER.get(robot.kinematics, "") + NO_BETA * curved
+    return [
+        Paragraph(f"{INTRODUCTION} {order} {_worth(material)}"),
+        _matrix("joint", [(str(i), figures) for i, figures in enumerate(joints, start=1)]),
+        *_loop(material),
+        Heading("Zeros of the joints"),
+        Paragraph(ZEROS + LOOPED * (robot.loop is not None), keep=True),
+        _zeros(material),
+        Heading("Tool"),
+        Paragraph(TOOL, keep=True),
+        _matrix("marker", list(markers(material).items())),
+        Heading("Base"),
+        *_base(material),
+    ]
+
+
+def _worth(material: Material) -> str:
+    """Say what the figures are worth without the rest of the model, which a controller may not take."""
+    others = list(dict.fromkeys(one.effect for one in material.known.model.parameters if one.effect != Geometry.id))
+    others = [effect for effect in others if effect in set(latest(material.results, "parameters")["effect"])]
+    if not others:
+        return ""
+    mean, largest = geometry_alone(material)
+    whole = material.distance[material.judged]
+    where = "At held-out poses" if material.held.any() else "At the poses that were fitted"
+    return (
+        f"{where} they alone miss by {mm(mean)} mm on average (largest {mm(largest)} mm), the whole model by {mm(whole.mean())} mm "
+        f"({mm(whole.max())} mm): it has {listed([effect_words(effect) for effect in others], 6)} besides."
+    )
+
+
+def _matrix(what: str, rows: Sequence[tuple[str, Sequence[Figure]]]) -> Table:
+    """Return a table with a row for each joint or marker: every figure that any of them has, with its difference."""
+    every = [figure for _, figures in rows for figure in figures]
+    columns = {
+        (figure.symbol, figure.unit): None for figure in every if figure.nominal or figure.difference is not None
+    }
+    header = [what, *(name for symbol, unit in columns for name in (f"{symbol} [{unit}]", "Δ"))]
+    cells = []
+    for name, figures in rows:
+        own = {(figure.symbol, figure.unit): figure for figure in figures}
+        cells.append([name, *(cell for column in columns for cell in _cells(own.get(column)))])
+    return Table(header, cells, "l" + "rr" * len(columns), size=8)
+
+
+def _cells(figure: Figure | None) -> tuple[str, str]:
+    if figure is None:
+        return "–", ""
+    digits = ".3f" if figure.unit == "mm" else ".4f"
+    if figure.difference is None:
+        return number(figure.calibrated, digits), ""
+    difference = number(figure.difference, f"+{digits}")
+    return number(figure.calibrated, digits), difference if figure.measured else f"({difference})"
+
+
+def _loop(material: Material) -> list[Block]:
+    lengths = bars(material)
+    if not lengths:
+        return []
+    return [Heading("Bars of the loop"), _matrix("", [("length of", lengths)])]
+
+
+def _zeros(material: Material) -> Table:
+    joints = material.known.model.robot.joints
+    header = [f"joint {i} [{joint.shown[0]}]" for i, joint in enumerate(joints, start=1)]
+    return Table(header, [[number(value, "+.4f") for value in zeros(material)]], "r" * len(joints), size=8)
+
+
+def _base(material: Material) -> list[Block]:
+    stands = base(material)
+    turn = Rotation.from_euler("XYZ", stands.rotation)
+    w, p, r = np.rad2deg(turn.as_euler("xyz"))
+    a, b, c = np.rad2deg(turn.as_euler("ZYX"))
+    x, y, z, scalar = turn.as_quat(canonical=True)
+    ways = (
+        f"W, P, R (FANUC) {_numbers((w, p, r), '.4f')}; A, B, C (KUKA) {_numbers((a, b, c), '.4f')}; q1 to q4 (ABB) "
+        f"{_numbers((scalar, x, y, z), '.7f')}; rotation vector in rad (Universal Robots) {_numbers(turn.as_rotvec(), '.6f')}"
+    )
+    header = ("", "x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
+    rows = [("calibrated", *_placed(stands.origin, stands.rotation))]
+    nominal = material.study.robot.base
+    if nominal.known:
+        rows.append(("robot file", *_placed(nominal.origin, nominal.rotation)))
+    return [Paragraph(BASE.format(ways=ways), keep=True), Table(header, rows, "lrrrrrr", size=8)]
+
+
+def _placed(origin: Sequence[float], rotation: Sequence[float]) -> list[str]:
+    return [*(number(1e3 * v, ".3f") for v in origin), *(number(float(np.rad2deg(v)), ".4f") for v in rotation)]
+
+
+def _numbers(values: Sequence[float] | np.ndarray, form: str) -> str:
+    return ", ".join(number(float(value), form) for value in values)
+
+
+SECTION = Section(
+    20,
+    "Figures for the controller",
+    ("identify/parameters.csv", "identify/accuracy.csv"),
+    write,
+    worth_telling=lambda results: bool((latest(results, "parameters")["effect"] == Geometry.id).any()),
+)

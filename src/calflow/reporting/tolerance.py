@@ -1,0 +1,82 @@
+"""A calibration held against the tolerance that its study asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pandas as pd
+from scipy.stats import beta
+
+from calflow.files.results import Results
+from calflow.reporting.material import Material, ModelAccuracy
+from calflow.reporting.section import advice, sections
+from calflow.reporting.words import mm, percent, plural
+
+USELESS = 0.95  # share of the nominal error above which calibration gained nothing
+SURE = 0.95  # how sure it is that at least so many poses are within
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Held-out poses against a tolerance [mm]: how many are within it, the largest error [mm], and whether the model is useless."""
+
+    tolerance: float
+    poses: int
+    within: int
+    largest: float
+    useless: bool
+
+    @property
+    def verdict(self) -> str:
+        """Passed, failed, or not judged, and why, in one sentence."""
+        if not self.poses:
+            return f"NOT JUDGED against {mm(self.tolerance)} mm: no poses were held out."
+        if self.useless:
+            return f"FAILED: the model is not to be used, whatever the tolerance of {mm(self.tolerance)} mm says."
+        if self.within < self.poses:
+            return (
+                f"FAILED: {self.poses - self.within} of {plural(self.poses, 'held-out pose')} are beyond the tolerance of "
+                f"{mm(self.tolerance)} mm; the largest error is {mm(self.largest)} mm."
+            )
+        return (
+            f"PASSED: all {plural(self.poses, 'held-out pose')} are within the tolerance of {mm(self.tolerance)} mm; the largest "
+            f"error is {mm(self.largest)} mm."
+        )
+
+    @property
+    def share(self) -> float:
+        """The least share of such poses that is within, with 95 % confidence (Clopper and Pearson 1934)."""
+        return float(beta.ppf(1 - SURE, self.within, self.poses - self.within + 1)) if self.within else 0.0
+
+    @property
+    def share_words(self) -> str:
+        """What so many poses say of others."""
+        if not self.poses:
+            return ""
+        return (
+            f"From {plural(self.poses, 'pose')} it follows with {percent(SURE)} confidence that at least {100 * self.share:.1f} % "
+            "of all poses of the kind measured are within the tolerance."
+        )
+
+
+def judged(material: Material, found: list[ModelAccuracy]) -> Judged | None:
+    """Hold the model against the study's tolerance: a pose is within it where all its rows are; None where there is none."""
+    asked = material.study.file.acceptance
+    if asked is None or asked.tolerance is None:
+        return None
+    tolerance = 1e3 * asked.tolerance
+    rows = pd.DataFrame({"pose": material.data.table["pose"].to_numpy(), "error": material.distance})[material.held]
+    largest = rows.groupby("pose")["error"].max()
+    return Judged(
+        tolerance,
+        len(largest),
+        int((largest <= tolerance).sum()),
+        float(largest.max()) if len(largest) else 0.0,
+        useless(material.results, found),
+    )
+
+
+def useless(results: Results, found: list[ModelAccuracy]) -> bool:
+    """Whether the model is not to be used: something says so, or calibration gained nothing."""
+    urgent = any(one.urgency == 1 for one in advice(sections(), results))
+    return urgent or found[-1].mean > USELESS * found[0].mean

@@ -1,0 +1,71 @@
+"""The figures for the controller: typed in as they stand, they make the calibrated robot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calflow.reporting.blocks import Table
+from calflow.reporting.controller import base, geometry_alone, links, markers, zeros
+from calflow.reporting.material import Material
+from calflow.reporting.sections.controller_figures import SECTION, write
+from reporting.case import Case, context
+
+AXES = {"alpha": "x", "beta": "y", "theta": "z"}
+
+
+@pytest.fixture(scope="module")
+def material(tmp_path_factory: pytest.TempPathFactory) -> Material:
+    given = context(tmp_path_factory.mktemp("stiff"), Case(payload=False))
+    return Material.of(given.study, given.results, given.run_folder)
+
+
+def moved(rotation: Rotation, shift: np.ndarray) -> np.ndarray:
+    """A homogeneous transform that turns, after it has shifted."""
+    made = np.eye(4)
+    made[:3, :3], made[:3, 3] = rotation.as_matrix(), shift
+    return made
+
+
+def test_the_figures_make_the_calibrated_robot(material: Material) -> None:
+    """Fails if a figure has the wrong sign or unit, is not the calibrated one, or the base is composed in another order."""
+    stands = base(material)
+    ((marker, point),) = markers(material).items()
+    place = [figure.calibrated / 1e3 for figure in point]
+    for k in range(5):
+        chain = moved(Rotation.from_euler("XYZ", stands.rotation), np.array(stands.origin))
+        for figures, reading in zip(links(material), material.data.joints[k], strict=True):
+            own = {figure.symbol: figure.calibrated for figure in figures}
+            chain = chain @ moved(Rotation.identity(), np.array([own["a"] / 1e3, 0, 0]))
+            for symbol in ("alpha", "beta", "theta"):
+                turned = np.deg2rad(own[symbol]) + (reading if symbol == "theta" else 0.0)
+                chain = chain @ moved(Rotation.from_euler(AXES[symbol], turned), np.zeros(3))
+            chain = chain @ moved(Rotation.identity(), np.array([0, 0, own["d"] / 1e3]))
+        seen = material.known.model.point(material.known.estimate, material.data.rows)[k]
+        np.testing.assert_allclose((chain @ [*place, 1.0])[:3], seen, atol=1e-9)
+    assert marker in material.known.model.robot.markers
+
+
+def test_zeros_are_those_of_the_readings(material: Material) -> None:
+    """Fails if a zero is not what makes the maker's chain turn as far as the calibrated one."""
+    robot = material.known.model.robot
+    off = [
+        next(figure.difference or 0.0 for figure in figures if figure.symbol == "theta") for figures in links(material)
+    ]
+    np.testing.assert_allclose(robot.reading_matrix @ zeros(material), off, atol=1e-9)
+
+
+def test_without_anything_else_in_the_model_the_figures_are_worth_as_much(material: Material) -> None:
+    """Fails if what the figures alone are worth is not the model's own accuracy where it has nothing besides."""
+    mean, largest = geometry_alone(material)
+    judged = material.distance[material.judged]
+    assert (mean, largest) == pytest.approx((judged.mean(), judged.max()), rel=1e-6)
+
+
+def test_the_page_holds_every_figure(material: Material) -> None:
+    """Fails if a joint or the base is missing, or the section is there without a fitted geometry."""
+    tables = [block for block in write(material) if isinstance(block, Table)]
+    assert [len(table.rows) for table in tables] == [3, 1, 1, 2]
+    assert tables[0].header[0] == "joint"
+    assert SECTION.worth_telling(material.results)

@@ -1,0 +1,65 @@
+"""What is signed: the verdict against a tolerance, and the facts that the study states."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import replace
+
+import pytest
+
+from calflow.measurements.acceptance import Acceptance
+from calflow.reporting.blocks import Signatures, Table
+from calflow.reporting.material import Material
+from calflow.reporting.section import chosen, sections
+from calflow.reporting.sections import sign_off, verdict
+from calflow.reporting.style import style
+from calflow.reporting.tolerance import Judged
+from reporting.case import context
+
+
+@pytest.mark.parametrize(
+    ("judged", "begins"),
+    [
+        (Judged(0.15, 60, 60, 0.124, False), "PASSED: all 60 held-out poses are within the tolerance of 0.150 mm"),
+        (Judged(0.15, 60, 57, 0.2, False), "FAILED: 3 of 60 held-out poses are beyond"),
+        (Judged(0.15, 60, 60, 0.124, True), "FAILED: the model is not to be used"),
+        (Judged(0.15, 0, 0, 0.0, False), "NOT JUDGED"),
+    ],
+)
+def test_the_verdict_says_what_was_judged(judged: Judged, begins: str) -> None:
+    """Fails if a model that is not to be used passes, or one passes that nobody tested."""
+    assert judged.verdict.startswith(begins)
+
+
+def test_few_poses_promise_little() -> None:
+    """Fails if the share of other poses within the tolerance is not Clopper and Pearson's lower limit."""
+    assert Judged(0.1, 59, 59, 0.0, False).share == pytest.approx(0.05 ** (1 / 59))
+    assert Judged(0.1, 59, 0, 1.0, False).share == 0
+    assert Judged(0.1, 0, 0, 0.0, False).share_words == ""
+
+
+def test_a_study_that_states_it_is_signed(tmp_path) -> None:
+    """Fails if page one does not give the verdict, a stated fact is lost, or a study without the table is to be signed."""
+    given = context(tmp_path)
+    material = Material.of(given.study, given.results, given.run_folder)
+    stated = {
+        "serial_number": "R-1 <b>",
+        "date": datetime.date(2025, 11, 20),
+        "temperature_degC": 21.4,
+        "tolerance_mm": 1.0,
+    }
+    asked = Acceptance.model_validate(stated)
+    file = given.study.file.model_copy(update={"acceptance": asked})
+    signed = replace(material, study=replace(given.study, file=file))
+    assert sign_off.SECTION not in chosen(sections(), material)
+    assert sign_off.SECTION in chosen(sections(), signed)
+    blocks = sign_off.write(signed)
+    (table,) = [block for block in blocks if isinstance(block, Table)]
+    assert {("serial number", "R-1 <b>"), ("date of the measurement", "2025-11-20"), ("temperature", "21.4 °C")} < set(
+        table.rows
+    )
+    assert "instrument" not in dict(table.rows)
+    assert any(isinstance(block, Signatures) for block in blocks)
+    with style():
+        said = [getattr(block, "text", "") for block in verdict.write(signed)]
+    assert any(text.startswith("PASSED: all 12 held-out poses are within the tolerance of 1.00 mm") for text in said)
