@@ -26,6 +26,7 @@ FLOORS = (  # an import points to a floor further up this list, or stays within 
     ("stages",),
     ("runs",),
     ("api",),
+    ("commands",),
     ("__init__", "cli"),
     ("__main__",),
 )
@@ -90,8 +91,10 @@ def test_a_file_holds_one_thing():
 
 
 def test_no_name_stands_for_three_files():
-    """Fails if a reader who looks for a file by its name finds it three times."""
+    """Fails if a reader who looks for a file by its name finds it three times; a command's file is named as the user calls it."""
     names = Counter(
-        name.rpartition(".")[2] for name, path in modules().items() if path.stem not in ("__init__", "base")
+        name.rpartition(".")[2]
+        for name, path in modules().items()
+        if path.stem not in ("__init__", "base") and room(name) != "commands"
     )
     assert not [name for name, number in names.items() if number > 2]

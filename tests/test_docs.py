@@ -1,0 +1,100 @@
+"""The tutorial and the pages of tasks, word for word: their files are written, their commands and their Python run."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from conftest import in_process
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGES = ("tutorial", "compensate", "validate", "drift", "compare")  # in the order in which a newcomer reads them
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+VERDICTS = {"validate": (0, 3, 4), "drift": (0, 3, 4)}  # exit codes that are answers
+DATA = os.environ.get("CALFLOW_DATA")
+
+
+def write(block: str, before: str) -> None:
+    """Write a block into the file that the text before it names; in the place of the table that it names, if it does."""
+    named = re.findall(r"`([^`\n]+)`", before)
+    path = Path([name for name in named if re.fullmatch(r"[\w/-]+\.\w+", name)][-1])
+    if named[-1].startswith("["):
+        head, table, _ = path.read_text(encoding="utf-8").partition(named[-1])
+        assert table, f"{path} has no {named[-1]}"
+        block = head + block
+    path.write_text(block, encoding="utf-8")
+
+
+def run(line: str) -> str:
+    """Run a line of a shell block; what it printed."""
+    program, command, *arguments = shlex.split(line)
+    assert program == "calflow"
+    answer = in_process(command, *arguments)
+    assert answer.code in VERDICTS.get(command, (0,)), f"{line}\n{answer.out}{answer.err}"
+    return answer.out + answer.err
+
+
+@pytest.fixture(scope="module")
+def followed(tmp_path_factory):
+    """The folder of somebody who did all that the pages say, and what was printed at each line."""
+    if DATA is None or not Path(DATA, "fanuc-r2000").is_dir():
+        pytest.skip("CALFLOW_DATA names no folder with fanuc-r2000, the tutorial's measurements")
+    said: dict[str, str] = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("newcomer"))
+        for page in PAGES:
+            text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+            for found in BLOCK.finditer(text):
+                kind, block = found.groups()
+                if kind == "sh":
+                    said |= {line: run(line) for line in block.splitlines()}
+                elif kind == "python":
+                    exec(compile(block, page, "exec"), {})
+                else:
+                    write(block, text[: found.start()])
+        yield Path.cwd(), said
+
+
+def test_the_tutorial_ends_with_commands_that_land(followed):
+    """Fails if a block of the pages does not run, or what it leads to is not what the text promises."""
+    folder, said = followed
+    assert "the nominal robot's position error" in said["calflow check my-robot"]
+    assert {"report.pdf", "report.html"} <= {path.name for path in (folder / "runs/my-robot").iterdir()}
+    commands = pd.read_csv(folder / "commands.csv")
+    assert len(commands)
+    assert commands["reached"].all()
+    before, after = (
+        (folder / name).read_text(encoding="utf-8").splitlines() for name in ("weld.ls", "weld.corrected.ls")
+    )
+    changed = [old for old, new in zip(before, after, strict=True) if old != new]
+    assert changed
+    assert all("J1=" in line or "J4=" in line for line in changed)
+
+
+def test_the_pages_of_tasks_write_what_they_say(followed):
+    """Fails if validate, drift or compare do not leave the files that their pages name."""
+    folder, _ = followed
+    for name in ("accepted/report.pdf", "check/moved.csv", "check/recalibration.csv", "check/next_poses.csv"):
+        assert (folder / name).is_file(), name
+    assert (folder / "compared/report.pdf").is_file()
+
+
+@pytest.mark.parametrize("page", sorted([*DOCS.glob("*.md"), DOCS.parent / "README.md"]), ids=lambda page: page.stem)
+def test_links_lead_somewhere(page):
+    """Fails if a page links to a file, or to a heading of one, that is not there."""
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if "://" in target:
+            continue
+        name, _, anchor = target.partition("#")
+        path = page.parent / name if name else page
+        assert path.exists(), target
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+            assert anchor in {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}, (
+                target
+            )
