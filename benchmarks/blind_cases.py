@@ -298,5 +298,5 @@ def _screened(bare: Bare, residual: np.ndarray, others: Sequence[np.ndarray] = (
     return Screening(replace(
         plain, residual=-residual, pull=np.zeros(jacobian.shape[1]), prior_rss=0.0, jacobian=jacobian,
         precision=np.append(plain.precision, np.zeros(len(others))),
-        products=Products.of(jacobian, plain.matrix, plain.candidates),
+        products=Products.of(-residual, jacobian, plain.matrix, plain.candidates),
     ))  # fmt: skip

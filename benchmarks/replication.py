@@ -28,19 +28,13 @@ import blind_verdicts as verdicts
 import held_out
 import numpy as np
 import pandas as pd
+from real_data import DATA, columns
 
 from calflow.files.results import Results
 from calflow.measurements.measurements import Measurements
 from calflow.runs.run import run
 from calflow.study import Study, load_study
 
-STUDIES = Path(__file__).parents[1] / "studies"
-DATA = {
-    "ur10-c": STUDIES / "ur10-tmac" / "study.toml",
-    "ur10-b": STUDIES / "ur10-tmac" / "series_b.toml",
-    "ur5": STUDIES / "ur5" / "study.toml",
-    "fanuc": STUDIES / "fanuc-r2000" / "study.toml",
-}
 WAYS = ("random", "in order")
 FAMILIES = (
     verdicts.FAMILY,
@@ -48,7 +42,6 @@ FAMILIES = (
 )  # of one angle's errors, of the device's wandering
 MAPS = "joint-error-map"  # one size whatever its resolution: other causes are compared in the same form only
 AGREE = 2.0  # standard deviations of the difference of two amplitudes
-CELSIUS = 273.15
 
 Row = dict[str, object]
 
@@ -123,11 +116,11 @@ def _written(part: Part, folder: Path) -> Path:
     """Write the part as a study of its own."""
     study = load_study(DATA[part.data])
     data = study.measurements()
-    table = _columns(data)
+    table = columns(data)
     if part.way:
         if set(data.table["split"]) == {"train", "holdout"} and not _drawn(study):
             data = data.only(data.train)  # a published test is not halved
-            table = _columns(data)
+            table = columns(data)
         table = table.loc[_half(part, data)].drop(columns="split")
     folder.joinpath("measurements.csv").write_text(table.to_csv(index=False), encoding="utf-8")
     shutil.copy(study.robot_path, folder / "robot.toml")
@@ -155,17 +148,6 @@ def _drawn(study: Study) -> bool:
     """Whether the study draws its held-out poses, rather than its file naming them."""
     source = study.measurement_path
     return source.suffix != ".csv" or "split" not in pd.read_csv(source, nrows=1)
-
-
-def _columns(data: Measurements) -> pd.DataFrame:
-    """The rows as a measurement file has them."""
-    table = data.table
-    kept = {name: table[name] for name in ("pose", "repeat", "marker", "payload", "split")}
-    kept |= {f"q{i}_rad": table[f"q{i}"] for i in range(1, data.robot.n_joints + 1)}
-    kept |= {f"{axis}_mm": 1e3 * table[axis] for axis in "xyz"}
-    if "temperature" in table:
-        kept["temperature_degC"] = table["temperature"] - CELSIUS
-    return pd.DataFrame(kept)
 
 
 def _half(part: Part, data: Measurements) -> np.ndarray:

@@ -14,6 +14,7 @@ from calflow.estimation.reweighting import fit_reweighted
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import read_measurements
 from calflow.model import build
+from calflow.observations import observations
 from calflow.study import load_study
 
 STUDY = Path(__file__).parents[1] / "studies" / "fanuc-r2000" / "study.toml"
@@ -28,7 +29,7 @@ def main() -> None:
     for seed in range(12):
         split = data.split(study.file.split.holdout, seed)
         splits.append(heldout(split, study.file.effects))
-        beyond = ", ".join(statement.split(":")[0] for statement in extrapolation(split))
+        beyond = ", ".join(f"joint {one.joint}" for one in extrapolation(split))
         print(f"{seed:5}  {splits[-1].mean():16.3f}  {beyond}")
     print(
         f"mean over splits {np.mean([s.mean() for s in splits]):.3f}, median {np.median([s.mean() for s in splits]):.3f}"
@@ -41,9 +42,10 @@ def main() -> None:
 
 def heldout(data: Measurements, effects: tuple[str, ...]) -> np.ndarray:
     """Held-out errors [mm], shape (n_rows,)."""
-    robot = registered(data.robot, data.only(data.train))
+    train = data.only(data.train)
+    robot, observed = registered(data.robot, observations(train), train)
     data = data.on(robot)
-    model = build(robot, effects, data.given)
+    model = build(robot, effects, data.given, observed)
     level = measured_noise(data).only(data.train)
     result = fit_reweighted(model, data.only(data.train), level, model.nominal[None], "linear")[0]
     return 1e3 * np.linalg.norm(errors(model, result.estimate, data), axis=1)[~data.train]
