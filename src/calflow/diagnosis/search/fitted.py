@@ -76,7 +76,7 @@ class Fitted:
         ratio = self.noise.sigma / self.device.sigma
         return np.asarray(ratio / ratio.min())
 
-    @property
+    @cached_property
     def covariance(self) -> np.ndarray:
         """Covariance of the estimate, wider where errors that rows share are fitted as if they were independent noise.
 
