@@ -173,6 +173,18 @@ def test_what_is_left_out_is_told_with_its_cost():
     assert (one.effect, one.parts[0]) == ("joint-compliance", "joint1")
     for lost in (whole, one):
         assert lost.max_mm == pytest.approx(1e3 * np.linalg.norm(off, axis=1).max())
-    assert f"{one.max_mm:.3f} mm at most" in found.notes[1]
+    assert [f"joint-compliance (joint1 … joint{robot.n_joints})" in note for note in found.notes] == [True]
+    assert f"{one.max_mm:.3f} mm at most" in found.notes[0]
     assert len(export(known, packed, "controller").left_out) == 3
     assert export(identified(robot), packed, "dh").left_out == ()
+
+
+def test_markers_have_names_that_xacro_takes():
+    """Fails if a blank or a dot in a marker's name makes a file that xacro refuses, or two markers get the same name."""
+    robot = ur10()
+    robot = replace(robot, markers=dict.fromkeys(("ball 1.5", "ball-1.5", "tip"), next(iter(robot.markers.values()))))
+    known = identified(robot)
+    packed = rows(known.model, poses(robot, 3), marker="tip")
+    root = ElementTree.fromstring(export(known, packed, "xacro-properties").text)
+    markers = [one.get("name") for one in root if one.get("name", "").startswith("marker_")]
+    assert markers == ["marker_marker1_xyz", "marker_marker2_xyz", "marker_tip_xyz"]

@@ -22,6 +22,8 @@ from calflow.robot.robot import Robot
 from calflow.robot.statics import State
 from calflow.robot.transforms import placement
 
+EVERYTHING = "everything that is not a figure of the robot"
+
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOut:
@@ -53,7 +55,7 @@ def exported(known: Identified, rows: np.ndarray) -> Exported:
     robot = _with(model.robot, _dimensions(model, kept, p))
     every = model.point(p, rows)
     bare = Model(robot, (), model.given).point(np.zeros(0), rows)
-    costs = [cost("everything that is not a figure of the robot", (), every, bare)]
+    costs = [cost(EVERYTHING, (), every, bare)]
     for name in dict.fromkeys(effect.id for effect in others):
         own = [effect for effect in others if effect.id == name]
         rest = [effect for effect in model.effects if effect not in own]

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from calflow.deployment.calibrated_robot import Exported, LeftOut, cost, exported
+from calflow.deployment.calibrated_robot import EVERYTHING, Exported, LeftOut, cost, exported
 from calflow.deployment.controller_figures import ControllerFigure, controller_figures
 from calflow.estimation.calibrated import Identified
 from calflow.files.csv import csv_text
@@ -87,6 +87,9 @@ def _points(model: Model, robot: Robot, rows: np.ndarray) -> np.ndarray:
 
 
 def _said(lost: Sequence[LeftOut]) -> tuple[str, ...]:
+    """What is left out, in words; all effects together only where they are several."""
+    if sum(bool(one.parts) for one in lost) == 1:
+        lost = [one for one in lost if one.effect != EVERYTHING]
     return tuple(
         f"left out: {one.effect}{f' ({one.parts[0]} … {one.parts[-1]})' if one.parts else ''}: without it the tool is off by "
         f"{one.mean_mm:.3f} mm on average over the measured rows, {one.max_mm:.3f} mm at most"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -53,7 +53,8 @@ class RigidChain:
 
 def rigid_chain(robot: Robot) -> RigidChain:
     """Return a robot's rigid chain."""
-    joints, at, names = [], np.eye(4), _names(robot)
+    joints, at = [], np.eye(4)
+    names = plain_names((joint.name for joint in robot.joints), "joint")
     for i, joint in enumerate(robot.joints):
         frame = joint.frame
         moving = frame.turn if joint.kind == "revolute" else frame.slide
@@ -95,10 +96,10 @@ def said_of_variables(robot: Robot) -> list[str]:
     return said
 
 
-def _names(robot: Robot) -> list[str]:
-    """Names of the joints that every format takes: the robot file's own in letters, digits and _, else joint1 …"""
-    own = [re.sub(r"\W+", "_", joint.name, flags=re.ASCII) for joint in robot.joints]
-    return [name if name.strip("_") and own.count(name) == 1 else f"joint{i + 1}" for i, name in enumerate(own)]
+def plain_names(names: Iterable[str], stem: str) -> list[str]:
+    """Return names that every format takes: their own in letters, digits and _, else the stem with their number from 1."""
+    own = [re.sub(r"\W+", "_", name, flags=re.ASCII) for name in names]
+    return [name if name.strip("_") and own.count(name) == 1 else f"{stem}{i + 1}" for i, name in enumerate(own)]
 
 
 def along(steps: Sequence[Step]) -> np.ndarray:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from xml.etree import ElementTree
 
 import numpy as np
 
-from calflow.robot.formats.rigid_chain import RigidChain
+from calflow.robot.formats.rigid_chain import RigidChain, plain_names
 from calflow.robot.origins import rpy_of
 
 BASE, FLANGE, TOOL, MEASURING = "base_link", "flange", "tool0", "measuring_frame"
@@ -41,7 +41,7 @@ def urdf_text(chain: RigidChain, notes: str) -> str:
         before = f"link{i + 1}"
     _fixed(robot, before, FLANGE, chain.flange)
     _fixed(robot, FLANGE, TOOL, chain.tool)
-    for name, point in chain.markers.items():
+    for name, point in _markers(chain):
         place = np.eye(4)
         place[:3, 3] = point
         _fixed(robot, FLANGE, f"marker_{name}", place)
@@ -64,10 +64,15 @@ def properties_text(chain: RigidChain, notes: str) -> str:
         _property(robot, f"{name}_rpy", rpy_of(place[:3, :3]))
     for i, joint in enumerate(chain.joints):
         _property(robot, f"joint{i + 1}_axis", joint.axis)
-    for name, point in chain.markers.items():
+    for name, point in _markers(chain):
         _property(robot, f"marker_{name}_xyz", point)
     ElementTree.indent(robot)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
+
+
+def _markers(chain: RigidChain) -> Iterable[tuple[str, np.ndarray]]:
+    """The markers by names that xacro takes."""
+    return zip(plain_names(chain.markers, "marker"), chain.markers.values(), strict=True)
 
 
 def _property(robot: ElementTree.Element, name: str, figures: Sequence[float] | np.ndarray) -> None:
