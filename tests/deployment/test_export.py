@@ -17,6 +17,7 @@ from calflow.deployment.export import export
 from calflow.estimation.calibrated import Identified, SeriesNoise
 from calflow.model import build
 from calflow.robot.robot import Robot
+from robot.formats import urdfs
 from robots import ASKEW, base_frame, figures, frames, hh800, industrial, marker_position, placed, poses, rows, ur10
 
 MICROMETRE = 1e-6
@@ -188,3 +189,26 @@ def test_markers_have_names_that_xacro_takes():
     root = ElementTree.fromstring(export(known, packed, "xacro-properties").text)
     markers = [one.get("name") for one in root if one.get("name", "").startswith("marker_")]
     assert markers == ["marker_marker1_xyz", "marker_marker2_xyz", "marker_tip_xyz"]
+
+
+def test_a_robot_of_a_urdf_reads_back(tmp_path):
+    """Fails if calibrated origins are not written, as a robot file, as URDF (by pinocchio) or as figures to type in."""
+    (tmp_path / "tree.urdf").write_text(urdfs.tree(5))
+    known = identified(Robot.from_urdf(tmp_path / "tree.urdf", tip="tip", base=ASKEW))
+    robot = known.model.robot
+    angles = poses(robot, NUMBER)
+    packed = rows(known.model, angles, marker="tip")
+    there = known.model.point(known.estimate, packed)
+    assert np.abs(there - known.model.point(known.model.nominal, packed)).max() > 1e-3
+    read = as_file(known, packed, tmp_path)
+    np.testing.assert_allclose(build(read, ()).point(np.zeros(0), packed), there, rtol=0, atol=MICROMETRE)
+    written = tmp_path / "written.urdf"
+    written.write_text(export(known, packed, "urdf").text)
+    reference = urdfs.Reference(written, [joint.name for joint in robot.joints])
+    seen = [reference.frame(row, "marker_tip", "measuring_frame")[:3, 3] for row in angles]
+    np.testing.assert_allclose(seen, there, rtol=0, atol=MICROMETRE)
+    table = pd.read_csv(io.StringIO(export(known, packed, "controller").text)).set_index(["part", "figure"])
+    for error, value in zip(known.model.effects[0].errors, known.estimate, strict=True):
+        if error.field == "steps":
+            said = table.loc[error.parameter.part.replace("joint", "joint "), error.parameter.symbol]
+            assert said["difference"] == pytest.approx((1e3 if said["unit"] == "mm" else np.rad2deg(1)) * value)

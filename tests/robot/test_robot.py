@@ -167,15 +167,29 @@ def test_a_first_joint_along_the_bases_z_asks_for_gravity(tmp_path):
                 Robot.from_toml(path)
 
 
-def test_frames_that_a_file_cannot_state_are_refused_by_name(tmp_path):
-    """Fails if a robot is written as another one, or a half-written file is left."""
-    own = Joint(Frame(turn=Step("rz", "theta"), mount=(Step("tx", "x", 0.1), Step("ty", "y", 0.2))))
+def test_frames_of_no_convention_read_back_equal(tmp_path):
+    """Fails if a step, which of a frame's errors are parameters, or how tables list them is lost."""
+    turn = Step("rz", "theta", 0.3, ("middle", "last"))
+    own = Joint(Frame(turn, mount=(Step("tx", "x", 0.1, ("last",)), Step("ty", "y", -0.2)), listed=("theta", "x")))
     marker = {"tool": Marker((0, 0, 0.1))}
-    with pytest.raises(InputError, match=r"robot 'odd': joints\[2\]: its frame is neither dh nor modified-dh"):
-        Robot([Joint(dh()), own], name="odd", markers=marker).to_toml(tmp_path / "robot.toml")
-    with pytest.raises(InputError, match="robot 'odd': its joints follow different conventions"):
-        Robot([Joint(dh()), Joint(modified_dh())], name="odd", markers=marker).to_toml(tmp_path / "robot.toml")
-    assert not list(tmp_path.iterdir())
+    slide = Joint(Frame(Step("rz", "r"), body=(Step("tz", "s"), Step("rx", "u", 1 / 3))), "prismatic", limits=(0, 1))
+    for joints in ([Joint(dh(alpha=0.4)), own], [Joint(dh()), Joint(modified_dh())], [slide, own]):
+        robot = Robot(joints, name="odd", markers=marker)
+        robot.to_toml(tmp_path / "robot.toml")
+        assert Robot.from_toml(tmp_path / "robot.toml") == robot
+    written = (tmp_path / "robot.toml").read_text()
+    assert '  {part = "mount", motion = "tx", symbol = "x", shift_mm = 100.0, free = ["last"]},' in written
+    for old, new, said in (
+        ("steps = [", "a_mm = 3\nsteps = [", "'a' is of a convention"),
+        ('motion = "tx", symbol = "x", shift_mm', 'motion = "rx", symbol = "x", shift_mm', "a motion rx has turn_deg"),
+        ('convention = "frames"', 'convention = "dh"', 'joint 1: steps go with convention = "frames"'),
+        ('part = "turn"', 'part = "mount"', "one of turn"),
+        ("gravity =", "# gravity =", "expected gravity"),
+    ):
+        assert old in written
+        (tmp_path / "wrong.toml").write_text(written.replace(old, new, 1))
+        with pytest.raises(InputError, match=said):
+            Robot.from_toml(tmp_path / "wrong.toml")
 
 
 def test_limits_in_two_units_are_refused(tmp_path):

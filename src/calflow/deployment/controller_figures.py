@@ -38,8 +38,8 @@ def controller_figures(nominal: Robot, calibrated: Robot) -> list[ControllerFigu
 
 def _every(robot: Robot) -> Iterator[tuple[str, str, str, float]]:
     for i, joint in enumerate(robot.joints):
-        for symbol in joint.frame.listed or tuple(step.symbol for step in joint.frame.steps):
-            yield (f"joint {i + 1}", symbol, *_shown(joint.frame.step(symbol)))
+        for step in joint.frame.every:
+            yield (f"joint {i + 1}", step.symbol, *_shown(step))
     if robot.loop:
         bars = {"crank": robot.loop.crank.length, "rod": robot.loop.rod.length, "rocker": robot.loop.rocker}
         yield from (("loop", name, "mm", 1e3 * length) for name, length in bars.items())

@@ -51,6 +51,12 @@ def to_si(suffix: str) -> tuple[float, float]:
     return _CONVERSIONS[suffix]
 
 
+def in_si(suffix: str, figure: float) -> float:
+    """Return a figure of a unit suffix in SI."""
+    factor, offset = to_si(suffix)
+    return factor * figure + offset
+
+
 def split_unit(name: str, dimension: str | None = None) -> tuple[str, str] | None:
     """Split `q1_deg` into (`q1`, `deg`); None where the name carries no unit (of that dimension)."""
     for suffix in _LONGEST_FIRST:

@@ -71,9 +71,13 @@ class Frame:
 
     def free(self, place: Place) -> tuple[Step, ...]:
         """Return the steps whose errors are parameters of their own at a place of the chain, as tables list them."""
+        return tuple(step for step in self.every if place in step.free)
+
+    @property
+    def every(self) -> tuple[Step, ...]:
+        """All steps as tables list them."""
         order = {symbol: k for k, symbol in enumerate(self.listed)}
-        free = (step for step in self.steps if place in step.free)
-        return tuple(sorted(free, key=lambda step: order.get(step.symbol, len(order))))
+        return tuple(sorted(self.steps, key=lambda step: order.get(step.symbol, len(order))))
 
     @property
     def slide(self) -> Step | None:

@@ -15,7 +15,7 @@ import numpy as np
 from calflow.files.problems import InputError
 from calflow.robot import summary
 from calflow.robot.checks import joint_problems, other_problems
-from calflow.robot.formats import robot_file, robot_toml, urdf
+from calflow.robot.formats import robot_file, toml_written, urdf
 from calflow.robot.frames import Frame, Step, kinematics
 from calflow.robot.parts import STANDARD_GRAVITY, Base, Coupling, FourBar, Joint, Marker, Named, Part, Payload, Vector
 
@@ -87,20 +87,12 @@ class Robot(Part):
         return cls(**(urdf.read(Path(path), tip, base_link) | stated))
 
     def to_toml(self, path: str | Path) -> None:
-        """Write a robot file that reads back equal.
-
-        Raises:
-            InputError: the robot's frames follow no convention that a robot file can state.
-        """
+        """Write a robot file that reads back equal; frames that follow no convention are stated by their steps."""
         Path(path).write_text(self.toml_text(), encoding="utf-8")
 
     def toml_text(self) -> str:
-        """Return what `to_toml` writes.
-
-        Raises:
-            InputError: the robot's frames follow no convention that a robot file can state.
-        """
-        return robot_toml.text({one.name: getattr(self, one.name) for one in dataclasses.fields(self)})
+        """Return what `to_toml` writes."""
+        return toml_written.text({one.name: getattr(self, one.name) for one in dataclasses.fields(self)})
 
     def canonical(self) -> str:
         """Return all that it holds as JSON, the same for equal robots."""

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from calflow.effects.geometry import Geometry
 from calflow.files.problems import InputError
 from calflow.robot.formats import robot_file
 from calflow.robot.parts import Coupling, Payload
 from calflow.robot.robot import Robot
+from robot.formats import urdfs
 from robot.formats.test_urdf import ARM
 
 FILE = """name = "mine"
@@ -80,3 +82,14 @@ def test_a_urdf_in_the_place_of_a_robot_file_is_told_how(written: Path) -> None:
     """Fails if a URDF is read as TOML."""
     with pytest.raises(InputError, match=r"expected a robot file with \[urdf\] file"):
         Robot.from_toml(written.parent / "arm.urdf")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_robot_of_a_urdf_is_written_without_it(seed: int, tmp_path: Path) -> None:
+    """Fails if a frame stated by full origins does not read back equal, or its parameters are others."""
+    (tmp_path / "tree.urdf").write_text(urdfs.tree(seed))
+    robot = Robot.from_urdf(tmp_path / "tree.urdf", tip="tip", tool_rotation=(0.1, 0.2, 0.3))
+    robot.to_toml(tmp_path / "robot.toml")
+    read = Robot.from_toml(tmp_path / "robot.toml")
+    assert read == robot
+    assert Geometry(read).parameters() == Geometry(robot).parameters()

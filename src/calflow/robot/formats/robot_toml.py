@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import json
-import re
-from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from calflow.files.problems import InputError, Problem, shortened
+from calflow.files.problems import shortened
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Mass, Moment
-from calflow.files.units import SUFFIXES, to_si
-from calflow.robot.frames import CONVENTIONS, convention_of, follows
+from calflow.files.units import in_si
+from calflow.robot.frames import CONVENTIONS, Frame, Motion, Place, Step
 from calflow.robot.parts import STANDARD_GRAVITY, Bar, Base, Coupling, FourBar, Joint, Marker, Payload
 
 UNKNOWN = "unknown"  # a payload's mass
+OWN_FRAMES = "frames"  # the convention of a robot whose frames follow none
+PARTS = ("reach", "mount", "turn", "body")  # of a frame, in order
+CONVENTIONAL = ("alpha", "a", "d", "theta", "beta")
 UPRIGHT = 0.5  # cosine of a slide's angle to gravity from which it is no rail
 
 Limits = tuple[float, float] | None
@@ -64,12 +64,35 @@ class DriveTable(FileModel):
         """The limits in SI."""
         if self.limits_deg or self.limits_mm:
             low, high = self.limits_deg or self.limits_mm or (0.0, 0.0)
-            return _in_si("deg" if self.limits_deg else "mm", low), _in_si("deg" if self.limits_deg else "mm", high)
+            return in_si("deg" if self.limits_deg else "mm", low), in_si("deg" if self.limits_deg else "mm", high)
         return self.limits_rad or self.limits_m
 
 
+class StepTable(FileModel):
+    """An elementary transform of a frame that follows no convention: a shift along an axis or a turn about it."""
+
+    part: Literal["reach", "mount", "turn", "body"]
+    motion: Motion
+    symbol: str
+    shift: Length | None = None
+    turn: Angle | None = None
+    free: tuple[Place, ...] = ()
+
+    @model_validator(mode="after")
+    def _of_its_motion(self) -> Self:
+        own, other = ("shift", self.turn) if self.motion[0] == "t" else ("turn", self.shift)
+        if other is not None:
+            raise ValueError(f"a motion {self.motion} has {own}_{'mm' if own == 'shift' else 'deg'}, nothing else")
+        return self
+
+    @property
+    def step(self) -> Step:
+        """The step."""
+        return Step(self.motion, self.symbol, self.shift or self.turn or 0.0, self.free)
+
+
 class JointTable(DriveTable):
-    """One joint and the link it moves: five figures of its frame, and what drives it."""
+    """One joint and the link it moves: five figures of its frame, or all steps of it, and what drives it."""
 
     kind: Literal["revolute", "prismatic"] = "revolute"
     alpha: Angle = 0.0
@@ -77,6 +100,19 @@ class JointTable(DriveTable):
     d: Length = 0.0
     theta: Angle = 0.0
     beta: Angle = 0.0
+    steps: tuple[StepTable, ...] = ()
+    listed: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _one_frame(self) -> Self:
+        if not self.steps:
+            return self
+        if figures := sorted({*CONVENTIONAL} & self.model_fields_set):
+            raise ValueError(f"'{figures[0]}' is of a convention: a joint stated by its steps has none")
+        parts = [step.part for step in self.steps]
+        if parts != sorted(parts, key=PARTS.index) or parts.count("turn") != 1:
+            raise ValueError("steps: expected those of reach, then of mount, one of turn, then those of body")
+        return self
 
     @model_validator(mode="after")
     def _limits_of_its_kind(self) -> Self:
@@ -88,9 +124,17 @@ class JointTable(DriveTable):
 
     def part(self, convention: str) -> Joint:
         """Return the joint."""
-        frame = CONVENTIONS[convention](alpha=self.alpha, a=self.a, d=self.d, theta=self.theta, beta=self.beta)
+        if convention == OWN_FRAMES:
+            frame = self._own_frame()
+        else:
+            frame = CONVENTIONS[convention](**{name: getattr(self, name) for name in CONVENTIONAL})
         same = ("kind", "limits", "sign", "gear_ratio", "rated_torque", "mass", "com", "name")
         return Joint(frame, **{name: getattr(self, name) for name in same})
+
+    def _own_frame(self) -> Frame:
+        own = {part: tuple(one.step for one in self.steps if one.part == part) for part in PARTS}
+        (turn,) = own["turn"]
+        return Frame(turn, own["reach"], own["mount"], own["body"], self.listed)
 
 
 class BarTable(FileModel):
@@ -198,10 +242,22 @@ class RobotFile(Surroundings):
     """A robot file as written."""
 
     name: str
-    convention: Literal["dh", "modified-dh"]
+    convention: Literal["dh", "modified-dh", "frames"]
     joints: tuple[JointTable, ...] = Field(min_length=1)
     couplings: tuple[CouplingTable, ...] = ()
     loop: LoopTable | None = None
+
+    @field_validator("joints")
+    @classmethod
+    def _stated_alike(cls, joints: tuple[JointTable, ...], info: ValidationInfo) -> tuple[JointTable, ...]:
+        own = info.data.get("convention") == OWN_FRAMES
+        for i, joint in enumerate(joints, start=1):
+            if own != bool(joint.steps):
+                expected = f'with convention = "{OWN_FRAMES}"'
+                raise ValueError(
+                    f"joint {i}: missing: expected steps, {expected}" if own else f"joint {i}: steps go {expected}"
+                )
+        return joints
 
     @field_validator("couplings")
     @classmethod
@@ -224,6 +280,8 @@ class RobotFile(Surroundings):
     def _up_is_known(self) -> RobotFile:
         """A first joint that slides along the base's z is a lift, or a rail that takes what is said of no gravity along itself."""
         first = self.joints[0]
+        if first.steps and self.gravity is None:
+            raise ValueError("missing: expected gravity, in the base's axes, of a robot stated by its frames' steps")
         upright = first.kind == "prismatic" and (
             self.convention == "dh" or abs(np.cos(first.alpha) * np.cos(first.beta)) > UPRIGHT
         )
@@ -250,117 +308,3 @@ def _joint_exists(joint: int, info: ValidationInfo) -> None:
     joints = info.data.get("joints")  # not there where they are wrong themselves
     if joints is not None and joint > len(joints):
         raise ValueError(f"there is no joint {joint}: this robot has joints 1 to {len(joints)}")
-
-
-# --- Writing -----------------------------------------------------------------------------------------
-
-
-def text(fields: Mapping[str, Any]) -> str:
-    """Return the fields of a robot as the text of a robot file that reads back equal.
-
-    Raises:
-        InputError: its frames are not all of one convention.
-    """
-    return "\n".join(_lines(fields)) + "\n"
-
-
-def _lines(fields: Mapping[str, Any]) -> Iterator[str]:
-    """The file's lines; what is as it is where the file says nothing is left out."""
-    joints: Sequence[Joint] = fields["joints"]
-    yield from _entries({"name": fields["name"], "notes": fields["notes"] or None})
-    yield f"convention = {json.dumps(_convention(fields['name'], joints))}"
-    usual = fields["gravity"] == STANDARD_GRAVITY and joints[0].kind == "revolute"
-    yield from _entries({"gravity": None if usual else fields["gravity"]})
-    yield from _quantity("tool_rotation", fields["tool_rotation"], "angle")
-    base: Base = fields["base"]
-    if base != Base():
-        yield from ("", "[base]")
-        yield from _quantity("origin", base.origin, "length")
-        yield from _quantity("rotation", base.rotation, "angle")
-        yield from _entries({"known": None if base.known else False})
-    for joint in joints:
-        yield from ("", "[[joints]]", *_joint(joint))
-    for coupling in fields["couplings"]:
-        yield from ("", "[[couplings]]", *_entries(vars(coupling)))
-    loop: FourBar | None = fields["loop"]
-    if loop:
-        yield from ("", "[loop]", *_entries({"joint": loop.joint, "assembly": loop.assembly}))
-        yield from _quantity("rocker", loop.rocker, "length")
-        yield from _quantity("offset", loop.offset or None, "angle")
-        for name, bar in (("crank", loop.crank), ("rod", loop.rod)):
-            yield from ("", f"[loop.{name}]", *_quantity("length", bar.length, "length"), *_mass(bar))
-    for name, payload in fields["payloads"].items():
-        yield from ("", f"[payloads.{_key(name)}]")
-        yield from _entries({"mass_kg": UNKNOWN if payload.mass is None else None})
-        yield from _mass(payload)
-    for name, marker in fields["markers"].items():
-        yield from ("", f"[markers.{_key(name)}]", *_quantity("point", marker.point, "length"))
-        yield from _quantity("relative_sd", marker.relative_sd, "length")
-        yield from _entries({"known": None if marker.known else False})
-
-
-def _convention(name: str, joints: Sequence[Joint]) -> str:
-    if found := convention_of([joint.frame for joint in joints]):
-        return found
-    own = [i for i, joint in enumerate(joints) if not any(follows(joint.frame, known) for known in CONVENTIONS)]
-    reason = f"its frame is neither {' nor '.join(CONVENTIONS)}, which is all that a robot file can state"
-    problems = [Problem(reason, key=f"robot '{name}': joints[{i + 1}]") for i in own]
-    mixed = f"its joints follow different conventions ({', '.join(CONVENTIONS)}); a robot file states one"
-    raise InputError(problems or [Problem(mixed, key=f"robot '{name}'")])
-
-
-def _joint(joint: Joint) -> Iterator[str]:
-    yield from _entries({"name": joint.name or None, "kind": None if joint.kind == "revolute" else joint.kind})
-    for step in joint.frame.steps:
-        yield from _quantity(step.symbol, step.value or None, "length" if step.is_length else "angle")
-    yield from _quantity("limits", joint.limits, "angle" if joint.kind == "revolute" else "length")
-    yield from _entries({"sign": None if joint.sign == 1 else joint.sign, "gear_ratio": joint.gear_ratio})
-    yield from _quantity("rated_torque", joint.rated_torque, "moment")
-    yield from _mass(joint)
-
-
-def _mass(part: Joint | Bar | Payload) -> Iterator[str]:
-    yield from _quantity("mass", part.mass, "mass")
-    yield from _quantity("com", part.com if any(part.com) else None, "length")
-
-
-def _entries(values: Mapping[str, Any]) -> Iterator[str]:
-    return (f"{name} = {_value(value)}" for name, value in values.items() if value is not None)
-
-
-def _quantity(name: str, value: Any, dimension: str) -> Iterator[str]:
-    """A key with the unit that people use, where the figure in it reads back the same; else with the SI unit."""
-    if value is None:
-        return
-    values = value if isinstance(value, tuple) else (value,)
-    unit, figures = SUFFIXES[dimension][0], values
-    everyday = {"length": "mm", "angle": "deg"}.get(dimension)
-    if everyday:
-        short = tuple(_short(v, everyday) for v in values)
-        if all(_in_si(everyday, figure) == v for figure, v in zip(short, values, strict=True)):
-            unit, figures = everyday, short
-    yield f"{name}_{unit} = {_value(figures if isinstance(value, tuple) else figures[0])}"
-
-
-def _short(value: float, unit: str) -> float:
-    """The figure of fewest decimals that means an SI value in a unit, as near as one gets."""
-    exact = value / to_si(unit)[0]
-    shorter = (round(exact, digits) for digits in range(16))
-    return next((figure for figure in shorter if _in_si(unit, figure) == value), exact)
-
-
-def _in_si(unit: str, figure: float) -> float:
-    factor, offset = to_si(unit)
-    return factor * figure + offset
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(_value, value))}]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return json.dumps(value) if isinstance(value, bool | int) else repr(float(np.float64(value)))
-
-
-def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _value(name)
