@@ -22,6 +22,7 @@ from calflow.estimation.identification import Identification, NoiseSource, ident
 from calflow.estimation.judgement import JudgedResidual, judged
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
+from calflow.estimation.redundancy import Redundant, redundant
 from calflow.estimation.repeats import measured_noise
 from calflow.faults import Fault, FaultyRow, as_table, examined
 from calflow.files.documents import to_document
@@ -81,6 +82,9 @@ def results(found: Identification, faults: tuple[Fault, ...]) -> Results:
         "identify/placement.csv": placement_table(found.data.robot, observed),
         "identify/needed_conditions.csv": to_frame(needed_conditions(found.known, found.data), NeededCondition),
     }
+    left_out = redundant(found.data.robot)
+    if len(left_out):
+        tables["identify/redundant.csv"] = left_out
     return Results(tables, {"identify/summary.json": to_document(found.summary)})
 
 
@@ -133,6 +137,7 @@ STAGE = Stage(
         "identify/placement.csv": Placed,
         "identify/needed_conditions.csv": NeededCondition,
         "identify/count.csv": Counted,
+        "identify/redundant.csv": Redundant,
     },
     documents={"identify/summary.json": IdentifySummary},
     problems=problems,

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
+from itertools import groupby
 from typing import Any
 
-from calflow.effects.geometry import Geometry
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
+from calflow.estimation.redundancy import Redundant
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
 from calflow.reporting.sections.parameters import prior_names
 from calflow.reporting.words import effect_words, first_up, interval, listed, number, part_words, readable
-from calflow.robot.robot import Robot
 
 SHOWN = 15  # correlations in the table
 NAMED = 3  # parameters that a trade on the first page names
@@ -25,8 +25,11 @@ HARMLESS = (
 BRACKETS = (
     "Numbers in brackets: by how many of its prior standard deviations a parameter makes up for one of the first."
 )
-
-
+LEFT_OUT = (
+    "The robot file states each joint by a place and a turn in full. Some of these figures move the tool in exactly the same way "
+    "as others, whatever the pose: no measurement tells them apart. They keep the robot file's value, and predictions lose nothing."
+)
+TOGETHER = ", with the joint's other figures"
 LOAD_DRIVEN = ("rad/Nm", "m/N")  # units of what only a load shows
 
 
@@ -38,23 +41,29 @@ def write(material: Material) -> list[Block]:
     determined = f"{summary.rank} of {summary.parameters} parameters"
     return [
         Paragraph(f"The data determine {determined}{by_effect}. {HARMLESS}"),
-        *left_out_words(material.data.robot),
         *_statements(material.results),
+        *left_out_words(material.results),
         *_correlations(material.results),
         *_count(material.results),
     ]
 
 
-def left_out_words(robot: Robot) -> list[Block]:
+def left_out_words(results: Results) -> list[Block]:
     """Name the figures of full origins that are no parameters; nothing where joints are stated otherwise."""
-    names = Geometry(robot).left_out
-    if not names:
+    if "identify/redundant.csv" not in results:
         return []
-    lead = (
-        "Figures of joints' origins that are no parameters, since those of the base, or a turn or shift of the joint before about "
-        "or along its own axis together with the others, move the tool in exactly the same way whatever the pose: "
-    )
-    return [Paragraph(f"{lead}{', '.join(names)}.", 9)]
+    left_out = results.rows("identify/redundant.csv", Redundant)
+    rows = []
+    for joint, own in groupby(left_out, key=lambda one: one.joint):
+        figures = list(own)
+        rows.append(
+            (str(joint), ", ".join(one.symbol for one in figures), f"{figures[0].same}{TOGETHER * (joint > 1)}")
+        )
+    return [
+        Heading("Figures that are no parameters"),
+        Paragraph(LEFT_OUT, keep=True),
+        Table(("joint", "left out", "the same is done by"), rows, "rll", wide=2),
+    ]
 
 
 def _statements(results: Results) -> list[Block]:
