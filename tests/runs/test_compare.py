@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pandas as pd
 import pytest
 
@@ -51,3 +53,29 @@ def test_the_same_measurements_have_no_test_of_chance(finished):
     assert "effects" in [one.setting for one in found.settings]
     with pytest.raises(InputError, match="expected two runs"):
         cf.compare(finished / "runs")
+
+
+def test_what_describes_the_robot_is_no_measurement(finished):
+    """Fails if runs of one URDF count as of the same measurements, or files of one name as one file."""
+    again(finished, "same")
+    for run in ("runs", "same"):
+        path = finished / run / "manifest.json"
+        manifest = json.loads(path.read_text())
+        manifest["inputs"] |= {
+            "/robots/arm.urdf": "1" * 64,
+            f"/other/{run}/measurements.csv": ("2" if run == "same" else "3") * 64,
+        }
+        path.write_text(json.dumps(manifest))
+    found = cf.compare(finished / "runs", finished / "same")
+    assert found.pairs[0].p is not None
+    assert found.data[0].files == ("measurements.csv", "measurements.csv")
+    assert "robot file's content" not in [one.setting for one in found.settings]
+
+
+def test_another_robot_is_told(finished):
+    """Fails if runs of different robot files are compared without a word."""
+    finished.edit("robot.toml", ("a_mm = 700", "a_mm = 701"))
+    again(finished, "other")
+    found = cf.compare(finished / "runs", finished / "other")
+    own = next(one for one in found.settings if one.setting == "robot file's content")
+    assert len(set(own.of.values())) == 2

@@ -5,34 +5,40 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigh
 from scipy.stats import chi2
 
 from calflow.estimation.calibrated import Identified
 
-TELLING = 1e-7  # variance of a direction, in those of the priors, below which two calibrations say the same: nothing
+TELLING = 1e-7  # share of both variances that a difference has, below which two calibrations say the same: nothing
 
 
 @dataclass(frozen=True)
 class Difference:
-    """The parameters that two models share, as indices into each (n,), second minus first (n,), and its covariance (n, n)."""
+    """The parameters that two models share, as indices into each (n,), second minus first (n,), and its covariance (n, n).
+
+    apart (n, n) is the covariance that it would have if the two had no prior in common: the sum of both.
+    """
 
     first: np.ndarray
     second: np.ndarray
     value: np.ndarray
     covariance: np.ndarray
-    prior_sd: np.ndarray
+    apart: np.ndarray
 
     @staticmethod
     def of(first: Identified, second: Identified) -> Difference:
         """Compare parameters of the same name that refer to the same figure and are off their bounds in both.
 
-        Estimates from independent measurements that were drawn to the same priors P differ by chance with covariance
-        C1 + C2 - C1 P C2 - C2 P C1: where only the prior knows, both say the same, and nothing of it.
+        Estimates from independent measurements that were drawn to priors of the same precision P differ by chance with
+        covariance C1 + C2 - C1 P C2 - C2 P C1: where only the prior knows, both say the same, and nothing of it. What base and
+        tool are off counts from where each calibration placed them: they are compared where that is the same place.
         """
+        elsewhere = _elsewhere(first, second)
         known = {parameter.name: k for k, parameter in enumerate(second.model.parameters)}
         pairs = [
             (k, known[one.name]) for k, one in enumerate(first.model.parameters)
-            if one.name in known and one.figure == second.model.parameters[known[one.name]].figure
+            if one.name in known and one.part not in elsewhere and one.figure == second.model.parameters[known[one.name]].figure
             and one.prior_sd == second.model.parameters[known[one.name]].prior_sd
             and not first.at_bound[k] and not second.at_bound[known[one.name]]
         ]  # fmt: skip
@@ -40,7 +46,7 @@ class Difference:
         sd = first.model.prior_sd[i]
         c1, c2 = first.covariance[np.ix_(i, i)], second.covariance[np.ix_(j, j)]
         shared = c1 @ np.diag(sd**-2.0) @ c2
-        return Difference(i, j, second.estimate[j] - first.estimate[i], c1 + c2 - shared - shared.T, sd)
+        return Difference(i, j, second.estimate[j] - first.estimate[i], c1 + c2 - shared - shared.T, c1 + c2)
 
     @property
     def sd(self) -> np.ndarray:
@@ -52,8 +58,16 @@ class Difference:
         """Chi² of all differences together with their covariances, its degrees of freedom, and the chance of so much."""
         if not len(self.value):
             return 0.0, 0, 1.0
-        values, vectors = np.linalg.eigh(self.covariance / np.outer(self.prior_sd, self.prior_sd))
-        telling = values > TELLING
-        along = (vectors.T @ (self.value / self.prior_sd))[telling]
-        squared = float((along**2 / values[telling]).sum())
+        scale = np.sqrt(np.outer(np.diag(self.apart), np.diag(self.apart)))
+        share, vectors = eigh(self.covariance / scale, self.apart / scale)
+        telling = share > TELLING
+        along = (vectors.T @ (self.value / np.sqrt(np.diag(self.apart))))[telling]
+        squared = float((along**2 / share[telling]).sum())
         return squared, int(telling.sum()), float(chi2.sf(squared, max(1, int(telling.sum()))))
+
+
+def _elsewhere(first: Identified, second: Identified) -> set[str]:
+    """The parts that two calibrations placed apart."""
+    one, other = first.model.robot, second.model.robot
+    same = {"base": one.base == other.base, "tool": one.tool_rotation == other.tool_rotation}
+    return {part for part, agrees in same.items() if not agrees}

@@ -25,7 +25,9 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.difference import Difference
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.files.problems import refuse
+from calflow.runs.cache_key import robot_digest
 from calflow.runs.calibrated_run import CalibratedRun
+from calflow.runs.manifest import is_measured
 
 DIFFERENT = 0.01  # chance below which a difference is told
 
@@ -48,9 +50,7 @@ def compare(*studies_or_runs: str | Path, out: str | Path | None = None) -> Comp
     runs = [CalibratedRun.of(one) for one in studies_or_runs]
     names = _names(runs)
     measured = [_measured(run) for run in runs]
-    same = {
-        (a, b) for a, b in combinations(range(len(runs)), 2) if set(measured[a].values()) & set(measured[b].values())
-    }
+    same = {(a, b) for a, b in combinations(range(len(runs)), 2) if measured[a].keys() & measured[b].keys()}
     parameters, pairs = [], []
     for a, b in combinations(range(len(runs)), 2):
         rows, pair = _compared(runs[a], runs[b], (names[a], names[b]), (a, b) in same)
@@ -80,8 +80,8 @@ def _names(runs: Sequence[CalibratedRun]) -> list[str]:
 
 
 def _measured(run: CalibratedRun) -> dict[str, str]:
-    """SHA-256 of each measurement file, by name."""
-    return {Path(path).name: digest for path, digest in run.manifest.inputs.items() if not path.endswith(".toml")}
+    """The name of each measurement file, by its SHA-256."""
+    return {digest: Path(path).name for path, digest in run.manifest.inputs.items() if is_measured(path)}
 
 
 def _compared(
@@ -122,11 +122,15 @@ def _holm(p: np.ndarray) -> np.ndarray:
 
 
 def _settings(runs: Sequence[CalibratedRun], names: Sequence[str]) -> tuple[Setting, ...]:
-    """Keys in which the studies, their stages' settings or the versions differ."""
+    """Keys in which the studies, their robots, their stages' settings or the versions differ."""
     flat = []
     for run in runs:
         own = dict(_flat("", run.file.model_dump(mode="json", exclude_defaults=True)))
-        own |= {"workflow": run.manifest.workflow, "calflow": run.manifest.calflow}
+        own |= {
+            "robot file's content": f"{run.robot.name} ({robot_digest(run.robot)})",
+            "workflow": run.manifest.workflow,
+            "calflow": run.manifest.calflow,
+        }
         own |= {f"version of {name}": version for name, version in run.manifest.versions.items()}
         flat.append(own)
     keys = dict.fromkeys(key for own in flat for key in own)
@@ -151,7 +155,7 @@ def _data(
     summary = run.results.document("identify/summary.json", IdentifySummary)
     others = tuple(names[a + b - k] for a, b in sorted(same) if k in (a, b))
     return RunData(
-        run=names[k], files=tuple(measured[k]), poses=summary.training_poses, held_out=summary.heldout_poses,
+        run=names[k], files=tuple(measured[k].values()), poses=summary.training_poses, held_out=summary.heldout_poses,
         noise_mm=summary.sigma_mm, noise_from=summary.noise_sources, discrepancy_mm=summary.discrepancy_mm, same_data_as=others,
     )  # fmt: skip
 

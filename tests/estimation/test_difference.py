@@ -1,0 +1,62 @@
+"""The difference of two calibrations: chance is told from difference whatever the priors are, and a place from another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import kstest
+
+from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.estimation.difference import Difference
+from calflow.model import build
+from robots import ASKEW, ur10
+
+ONE_IN = 4  # figures of which no measurement tells
+
+
+def calibrations(rng, shift=None):
+    """Two calibrations of one robot from independent linear measurements of most figures; a shift is of the second's truth."""
+    model = build(replace(ur10(), base=replace(ASKEW, known=False)), ("geometry",))
+    n, sd = len(model.parameters), model.prior_sd
+    truth = sd * rng.standard_normal(n)
+    found = []
+    for moved in (0.0, 0.0 if shift is None else shift):
+        slope = rng.standard_normal((3 * n, n)) / 1e-5
+        slope[:, ::ONE_IN] = 0.0
+        seen = slope @ (truth + moved) + rng.standard_normal(3 * n)
+        covariance = np.linalg.inv(slope.T @ slope + np.diag(sd**-2.0))
+        estimate = covariance @ slope.T @ seen
+        found.append(
+            Identified(model, estimate, covariance, np.zeros(n, bool), (SeriesNoise(1e-5, "file"),), 0.0, 0.0, "linear")
+        )
+    return found
+
+
+def test_chance_is_uniform_and_counts_what_measurements_tell():
+    """Fails if directions known far better than by their prior are left out of the test, or those of which only it knows count."""
+    every = [Difference.of(*calibrations(np.random.default_rng(seed))) for seed in range(150)]
+    n = len(every[0].value)
+    told = n - len(range(0, n, ONE_IN))
+    assert {one.joint[1] for one in every} == {told}
+    assert kstest([one.joint[2] for one in every], "uniform").pvalue > 0.001
+
+
+def test_no_parameter_alone_differs_by_more_than_all_together():
+    """Fails if a base that stands 27 standard deviations elsewhere is told to agree, since its prior is wide."""
+    found = Difference.of(
+        *calibrations(np.random.default_rng(3), shift=2e-4 * np.eye(len(build(ur10(), ("geometry",)).parameters))[1])
+    )
+    squared, _, chance = found.joint
+    assert squared >= ((found.value / np.where(found.sd > 0, found.sd, np.inf)) ** 2).max() > 25
+    assert chance < 1e-6
+
+
+def test_a_base_is_compared_where_both_count_from_the_same_place():
+    """Fails if calibrations that placed the base apart count what each corrected of its own place as a difference of the robot."""
+    first, second = calibrations(np.random.default_rng(4))
+    robot = replace(second.model.robot, base=replace(ASKEW, origin=(0.5, -1.2, 0.301), known=False))
+    apart = replace(second, model=replace(second.model, robot=robot))
+    compared = {first.model.parameters[k].part for k in Difference.of(first, second).first}
+    assert {first.model.parameters[k].part for k in Difference.of(first, apart).first} == compared - {"base"}
+    assert "base" in compared
