@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import re
+import warnings
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -16,6 +18,8 @@ from scipy.spatial.transform import Rotation
 from calflow.deployment.export import export
 from calflow.estimation.calibrated import Identified, SeriesNoise
 from calflow.model import build
+from calflow.robot.formats.rigid_chain import rigid_chain
+from calflow.robot.formats.urdf_written import properties_text, urdf_text
 from calflow.robot.robot import Robot
 from robot.formats import urdfs
 from robots import ASKEW, base_frame, figures, frames, hh800, industrial, marker_position, placed, poses, rows, ur10
@@ -159,6 +163,48 @@ def test_a_controller_s_figures_read_back(posed):
     at_base = (seen - base_frame(robot, figs)[:3, 3]) @ base_frame(robot, figs)[:3, :3]
     np.testing.assert_allclose(at_base @ base[:3, :3].T + base[:3, 3], there, rtol=0, atol=MICROMETRE)
     assert table["difference"].abs().max() > 0
+
+
+def test_a_controller_s_figures_are_beside_the_maker_s_file():
+    """Fails if a place counts from where the calibration began, or a base that turns past half a turn differs by a whole one."""
+    maker = replace(
+        ur10(), base=replace(ASKEW, rotation=tuple(np.deg2rad((0.0, 0.0, 180.0)))), tool_rotation=(0.0, np.pi / 2, 0.0)
+    )
+    began = replace(
+        maker, base=replace(maker.base, origin=(0.6, -1.2, 0.3), rotation=tuple(np.deg2rad((0.0, 0.0, -179.9))))
+    )
+    known = identified(began)
+    known = replace(known, estimate=0.0 * known.estimate)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        text = export(
+            known, rows(known.model, poses(began, 3), marker=next(iter(began.markers))), "controller", maker
+        ).text
+    table = pd.read_csv(io.StringIO(text)).set_index(["part", "figure"])
+    assert table["nominal"]["base", "x"] == pytest.approx(500.0)
+    assert table["difference"]["base", "x"] == pytest.approx(100.0)
+    for figure in ("rz", "A", "R"):
+        assert table["difference"]["base", figure] == pytest.approx(0.1)
+    assert table["difference"]["base"][["q1", "q2", "q3", "q4"]].abs().max() < 1e-3
+    assert table["difference"]["base"][["vx", "vy", "vz"]].abs().max() == pytest.approx(np.deg2rad(0.1))
+    assert table["difference"]["tool"].abs().max() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_names_of_the_user_s_make_no_file_that_cannot_be_read():
+    """Fails if two joints get one name, a property's name is none, or a note ends the comment that it stands in."""
+    joints = [
+        replace(joint, name=name)
+        for joint, name in zip(ur10().joints, ("joint2", "", "A 1", "A-1", "软", "x"), strict=True)
+    ]
+    marker = next(iter(ur10().markers.values()))
+    chain = rigid_chain(replace(ur10(), joints=tuple(joints), markers={"Marke 1": marker, "目标": marker, "E": marker}))
+    assert [joint.name for joint in chain.joints] == ["joint1", "joint2", "joint3", "joint4", "joint5", "x"]
+    assert pin.buildModelFromXML(urdf_text(chain, "a --- b")).nq == 12 - sum(
+        joint.limits is not None for joint in joints
+    )
+    names = [one.get("name") for one in ElementTree.fromstring(properties_text(chain, "--- c"))]
+    assert all(re.fullmatch(r"\w+", name, flags=re.ASCII) for name in names)
+    assert names[-3:] == ["marker_Marke_1_xyz", "marker_2_xyz", "marker_E_xyz"]
 
 
 def test_what_is_left_out_is_told_with_its_cost():

@@ -13,6 +13,7 @@ from calflow.effects import Effect
 from calflow.estimation.calibrated import Identified
 from calflow.files.tables import column
 from calflow.model import Model
+from calflow.robot.angles import angles
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import OPTIONAL, Row
 from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads
@@ -137,4 +138,4 @@ def _matrix(six: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 def _angles(stands: np.ndarray) -> Vector:
-    return vector(Rotation.from_matrix(stands[:3, :3]).as_euler("XYZ"))
+    return vector(angles(Rotation.from_matrix(stands[:3, :3])))

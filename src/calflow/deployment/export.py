@@ -33,13 +33,14 @@ class Export:
     left_out: tuple[LeftOut, ...]
 
 
-def export(known: Identified, rows: np.ndarray, to: Format) -> Export:
+def export(known: Identified, rows: np.ndarray, to: Format, maker: Robot | None = None) -> Export:
     """Return a calibrated model in a format.
 
     Args:
         known: the calibrated model.
         rows: packed conditions (n_conditions, n) of the measured rows, over which costs are told.
         to: the format; dh is a robot file with the calibrated figures in the place of the maker's.
+        maker: the robot as its file has it, where the calibration placed base, tool or markers elsewhere before it began.
 
     Raises:
         InputError: the robot's frames cannot be stated in it.
@@ -50,7 +51,7 @@ def export(known: Identified, rows: np.ndarray, to: Format) -> Export:
         return Export(found.robot.toml_text(), notes, lost)
     if to == "controller":
         lost = (*found.without, _zeros_alone(known, found, rows))
-        table = to_frame(controller_figures(found.nominal, found.robot), ControllerFigure)
+        table = to_frame(controller_figures(maker or found.nominal, found.robot), ControllerFigure)
         return Export(csv_text(table), _said(lost), lost)
     chain = rigid_chain(found.robot)
     notes = (*_said(found.without), *said_of_variables(found.robot))

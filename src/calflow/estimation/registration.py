@@ -19,6 +19,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
 from calflow.observations import Observation
 from calflow.observations.position import Position
+from calflow.robot.angles import angles
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions
 from calflow.robot.parts import Base, Vector, vector
@@ -135,4 +136,4 @@ def _tool(robot: Robot) -> Rotation:
 
 
 def _angles(turn: Rotation) -> Vector:
-    return vector(turn.as_euler("XYZ"))
+    return vector(angles(turn))

@@ -15,6 +15,7 @@ from calflow.estimation.scatter import Pooled, Scatter, pooled, scatter
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
+from calflow.robot.angles import angles
 
 ESTIMATE_START = 1e-4  # m; only the weight of the data against the priors in the very first fit
 MIN_REPEATS = 10  # degrees of freedom below which repeats say too little
@@ -101,11 +102,11 @@ def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
     if data.rotation is not None and noise.rotation is not None:
         oriented = np.isfinite(data.rotation).all(axis=(1, 2))
         turns = Rotation.from_matrix(data.rotation[oriented])
-        angles = np.full((len(count), 3), np.nan)
+        found = np.full((len(count), 3), np.nan)
         for k in np.unique(group[oriented]):
-            angles[k] = turns[np.flatnonzero(group[oriented] == k)].mean().as_euler("XYZ")
+            found[k] = angles(turns[np.flatnonzero(group[oriented] == k)].mean())
         table = table.drop(columns=["qw", "qx", "qy", "qz"], errors="ignore")
-        table[["rx", "ry", "rz"]] = angles
+        table[["rx", "ry", "rz"]] = found
         means = replace(means, rotation=of_means(noise.rotation))
         table["sigma_rotation"] = means.rotation
     return replace(data, table=table), means

@@ -9,6 +9,7 @@ from calflow.effects.geometry import PLACED_BOUND
 from calflow.faults.nominal_misfit import FEWEST, ROWS
 from calflow.faults.reference import Models, chosen, lengths, motion, rough
 from calflow.measurements.measurements import Measurements
+from calflow.robot.angles import angles
 
 FAR_BETTER = 3.0  # times by which the positions must be met better than with the base as stated
 
@@ -33,9 +34,7 @@ def base_elsewhere(data: Measurements) -> str:
     if before < FAR_BETTER * after:
         return ""
     origin = ", ".join(f"{1e3 * value:.4g}" for value in placed.shift)
-    degrees = ", ".join(
-        f"{value:.4g}" for value in Rotation.from_matrix(placed.turn).as_euler("XYZ", degrees=True) + 0.0
-    )
+    degrees = ", ".join(f"{value:.4g}" for value in np.rad2deg(angles(Rotation.from_matrix(placed.turn))) + 0.0)
     return (
         f"the base does not stand where the robot file says: with it the positions are missed by {1e3 * before:.3g} mm, with a "
         f"base turned by {np.rad2deg(angle):.3g} deg and shifted by {1e3 * distance:.3g} mm from there by {1e3 * after:.3g} mm: "

@@ -14,6 +14,7 @@ from calflow.measurements.columns import ANGLES, LABELS, POSITION, SIGMAS, colum
 from calflow.measurements.labels import labelled
 from calflow.measurements.layout import Layout
 from calflow.measurements.rows import Rows, beyond, beyond_words, kept, placed_in_time
+from calflow.robot.angles import angles
 from calflow.robot.robot import Robot
 
 CONDITIONS = ("approach", "travel", "wrench", "torque", "time", "temperature")
@@ -73,7 +74,7 @@ def _numbers(name: str, values: ArrayLike, n_rows: int, robot: Robot) -> dict[st
             raise ValueError(f"expected shape ({n_rows}, 3, 3), found {array.shape}")
         from scipy.spatial.transform import Rotation
 
-        array, names = Rotation.from_matrix(array).as_euler("XYZ"), [*ANGLES]
+        array, names = angles(Rotation.from_matrix(array)), [*ANGLES]
     else:
         names = {"q": condition_columns("reading", robot), "position": [*POSITION]}.get(name) or (
             [name] if name in SIZES else condition_columns(name, robot)

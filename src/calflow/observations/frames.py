@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calflow.measurements.series import Station
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Placement
+from calflow.robot.angles import angles
 from calflow.robot.parameter import Parameter
 from calflow.robot.transforms import placement
 
@@ -91,7 +92,7 @@ class Frames:
             centre, aim = measured[own].mean(axis=0), points[own].mean(axis=0)
             turn, _ = Rotation.align_vectors(points[own] - aim, measured[own] - centre)
             x, y, z = map(float, aim - turn.apply(centre))
-            rx, ry, rz = map(float, turn.as_euler("XYZ"))
+            rx, ry, rz = map(float, angles(turn))
             found.append((x, y, z, rx, ry, rz))
         return replace(self, nominal=tuple(found))
 

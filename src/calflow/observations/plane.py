@@ -15,6 +15,7 @@ from calflow.files.toml import FileModel, Lengths3
 from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
+from calflow.robot.angles import angles
 from calflow.robot.parameter import Parameter
 from calflow.robot.transforms import placement
 
@@ -67,7 +68,7 @@ class Plane(Observation):
         if not isinstance(point, tuple):
             raise ValueError("state where the plane will be, roughly: point_mm = [x, y, z] on it, and its normal")
         turn = Rotation.align_vectors(np.array([normal], dtype=float), np.array([[0.0, 0.0, 1.0]]))[0]
-        return cls(series, ("",), ((*point, *map(float, turn.as_euler("XYZ"))),))
+        return cls(series, ("",), ((*point, *map(float, angles(turn))),))
 
     def _part(self, plane: str) -> str:
         return f"{self.part}-{plane}" if plane else self.part
@@ -110,7 +111,7 @@ class Plane(Observation):
                 continue
             foot, normal = _laid(points[own], reported[0, own])
             turn = Rotation.align_vectors(normal[None], np.array([[0.0, 0.0, 1.0]]))[0]
-            found.append((*map(float, foot), *map(float, turn.as_euler("XYZ"))))
+            found.append((*map(float, foot), *map(float, angles(turn))))
         return replace(self, nominal=tuple(found))
 
     @property

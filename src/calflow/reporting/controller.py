@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import errors
 from calflow.reporting.material import Material, latest
+from calflow.robot.angles import angles
 from calflow.robot.parts import Base
 
 BY_PRIOR = 0.5  # prior share from which a figure is left to the prior
@@ -75,7 +76,7 @@ def base(material: Material) -> Base:
     turn = Rotation.from_euler("XYZ", [own.get(angle, 0.0) for angle in ANGLES])
     stands = Rotation.from_euler("XYZ", nominal.rotation)
     x, y, z = np.array(nominal.origin) + stands.apply(shift)
-    rx, ry, rz = (stands * turn).as_euler("XYZ")
+    rx, ry, rz = angles(stands * turn)
     return Base(origin=(x, y, z), rotation=(rx, ry, rz), known=nominal.known)
 
 

@@ -61,10 +61,10 @@ def rpy_of(rotation: np.ndarray) -> Vector:
     """Return the turns about fixed x, y and z in turn [rad] that make up a rotation (3, 3)."""
     across = float(np.hypot(rotation[0, 0], rotation[1, 0]))
     pitch = float(np.arctan2(-rotation[2, 0], across))
-    if across < NO_TURN:  # x and z turn about the same line: all of it is said by x
-        return float(np.arctan2(-rotation[1, 2], rotation[1, 1])), pitch, 0.0
-    roll = float(np.arctan2(rotation[2, 1], rotation[2, 2]))
-    return roll, pitch, float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    # Near a right angle x and z turn about nearly the same line: x takes what rounding leaves of z, and at one all of it.
+    yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0])) if across > NO_TURN else 0.0
+    y = np.cos(yaw) * rotation[1] - np.sin(yaw) * rotation[0]
+    return float(np.arctan2(-y[2], y[1])), pitch, yaw
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ def export_run(study_or_run: str | Path, to: Format) -> Export:
     except InputError:
         known, rows = _anywhere(run)
         said = ("the measurements are not there any more: costs are over random poses within the joint limits instead",)
-    found = export(known, rows, to)
+    found = export(known, rows, to, run.robot)
     return replace(found, notes=(*said, *found.notes))
 
 

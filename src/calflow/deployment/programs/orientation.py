@@ -36,7 +36,7 @@ def pose_values(matrix: np.ndarray, turn: Turn, like: np.ndarray) -> np.ndarray:
         figures = rotation.as_quat(scalar_first=True)
         figures = figures if figures @ before >= 0 else -figures
     elif turn == "vector":
-        figures = _nearest_vector(rotation.as_rotvec(), before)
+        figures = nearest_vector(rotation.as_rotvec(), before)
     else:
         figures = _nearest_angles(matrix[:3, :3], turn, before)
     return np.concatenate([matrix[:3, 3], figures])
@@ -58,8 +58,8 @@ def angle_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.asarray(Rotation.from_matrix(turned.reshape(-1, 3, 3)).magnitude().reshape(turned.shape[:-2]))
 
 
-def _nearest_vector(vector: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """The rotation vector of the same turn, whole turns more or less, that is nearest to another."""
+def nearest_vector(vector: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Return the rotation vector of the same turn, whole turns more or less, that is nearest to another."""
     length = np.linalg.norm(vector)
     axis = vector / length if length > LOCKED else before / max(np.linalg.norm(before), LOCKED)
     turns = np.round((axis @ before - length) / (2 * np.pi)) if np.linalg.norm(axis) > 0.5 else 0.0

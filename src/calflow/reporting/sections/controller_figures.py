@@ -13,6 +13,7 @@ from calflow.reporting.controller import Figure, bars, base, geometry_alone, lin
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Section
 from calflow.reporting.words import effect_words, listed, mm, number
+from calflow.robot.angles import angles
 
 INTRODUCTION = (
     "The calibrated robot as its maker counts it, and beside each figure (Δ) by how much it differs from the robot file. A Δ in "
@@ -114,8 +115,8 @@ def _zeros(material: Material) -> Table:
 def _base(material: Material) -> list[Block]:
     stands = base(material)
     turn = Rotation.from_euler("XYZ", stands.rotation)
-    w, p, r = np.rad2deg(turn.as_euler("xyz"))
-    a, b, c = np.rad2deg(turn.as_euler("ZYX"))
+    w, p, r = np.rad2deg(angles(turn, "xyz"))
+    a, b, c = np.rad2deg(angles(turn, "ZYX"))
     x, y, z, scalar = turn.as_quat(canonical=True)
     ways = (
         f"W, P, R (FANUC) {_numbers((w, p, r), '.4f')}; A, B, C (KUKA) {_numbers((a, b, c), '.4f')}; q1 to q4 (ABB) "

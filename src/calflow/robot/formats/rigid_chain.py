@@ -97,9 +97,11 @@ def said_of_variables(robot: Robot) -> list[str]:
 
 
 def plain_names(names: Iterable[str], stem: str) -> list[str]:
-    """Return names that every format takes: their own in letters, digits and _, else the stem with their number from 1."""
+    """Return names that every format takes: in letters, digits and _, or where that leaves nothing of its own stem and number."""
     own = [re.sub(r"\W+", "_", name, flags=re.ASCII) for name in names]
-    return [name if name.strip("_") and own.count(name) == 1 else f"{stem}{i + 1}" for i, name in enumerate(own)]
+    usual = [f"{stem}{i + 1}" for i in range(len(own))]
+    told = [bool(name.strip("_")) and own.count(name) == 1 and name not in usual for name in own]
+    return [name if its_own else other for name, other, its_own in zip(own, usual, told, strict=True)]
 
 
 def along(steps: Sequence[Step]) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from xml.etree import ElementTree
 
@@ -19,7 +20,7 @@ def urdf_text(chain: RigidChain, notes: str) -> str:
     notes stand in a comment. What calflow does not know (shapes, inertia, speeds) is not in it, or zero where URDF asks for it.
     """
     robot = ElementTree.Element("robot", name=chain.name)
-    robot.append(ElementTree.Comment(f" {notes.replace('--', '- -')} "))
+    robot.append(ElementTree.Comment(_commented(notes)))
     _link(robot, BASE)
     _fixed(robot, BASE, MEASURING, np.linalg.inv(chain.base))
     before = BASE
@@ -53,10 +54,10 @@ def properties_text(chain: RigidChain, notes: str) -> str:
     """Return a rigid chain as properties of xacro, to be included where a robot's own xacro states its origins.
 
     Joint 1 has `joint1_xyz` and `joint1_rpy`, its origin in the joint before, and `joint1_axis`, and so on; flange, tool0 and
-    measuring_frame have their places likewise, and each marker.
+    measuring_frame have their places likewise, and each marker: by its name in letters, digits and _, or else its number.
     """
     robot = ElementTree.Element("robot", {"xmlns:xacro": "http://www.ros.org/wiki/xacro"})
-    robot.append(ElementTree.Comment(f" {notes.replace('--', '- -')} "))
+    robot.append(ElementTree.Comment(_commented(notes)))
     places = {f"joint{i + 1}": joint.origin for i, joint in enumerate(chain.joints)}
     places |= {FLANGE: chain.flange, TOOL: chain.tool, MEASURING: np.linalg.inv(chain.base)}
     for name, place in places.items():
@@ -72,7 +73,12 @@ def properties_text(chain: RigidChain, notes: str) -> str:
 
 def _markers(chain: RigidChain) -> Iterable[tuple[str, np.ndarray]]:
     """The markers by names that xacro takes."""
-    return zip(plain_names(chain.markers, "marker"), chain.markers.values(), strict=True)
+    return zip(plain_names(chain.markers, ""), chain.markers.values(), strict=True)
+
+
+def _commented(notes: str) -> str:
+    """What stands in a comment, in which XML allows no two hyphens in a row."""
+    return f" {re.sub('-(?=-)', '- ', notes)} "
 
 
 def _property(robot: ElementTree.Element, name: str, figures: Sequence[float] | np.ndarray) -> None:
