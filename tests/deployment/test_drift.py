@@ -78,6 +78,17 @@ def test_nothing_is_found_where_nothing_moved(robot):
     assert sum(alarms) <= 5
 
 
+def test_false_alarms_rarer_than_draws_can_tell_still_let_a_shift_be_found(robot):
+    """Fails if a level below one of all draws is never reached, or a limit is stated that such a level does not keep."""
+    known, q = robot
+    found = drift(known, [], checked(known, q, 3, zero(2, 5e-4)), station="known", false_alarm=1e-4)
+    assert found.moved[0].joint == 2
+    assert found.moved[0].p < 1e-4
+    rare, usual = (drift(known, [], checked(known, q, 3), station="known", false_alarm=alarm) for alarm in (1e-4, 1e-2))
+    at = [next(x.limits[0] for x in one.candidates if x.movement == "joint2.zero") for one in (rare, usual)]
+    assert 1.1 * at[1] < at[0] < 2 * at[1]
+
+
 def test_since_when_is_told_where_there_are_dates(robot):
     """Fails if a shift that came between two dates is told of another one, or of all."""
     known, q = robot

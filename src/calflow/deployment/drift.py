@@ -2,7 +2,8 @@
 
 What the check poses miss the calibrated robot by is normal with the device's noise, the model's discrepancy and what the
 calibration itself did not know of the parameters. Every movement is tested against that; the smallest p-value of all is
-compared with those of as many draws where nothing moved, so that false alarms are as rare as asked for.
+compared with those of draws where nothing moved, so that false alarms are as rare as asked for; where that is rarer than draws
+can tell, with the number of tests times itself (Bonferroni).
 """
 
 from __future__ import annotations
@@ -93,22 +94,23 @@ def explained(check: Check, every: Sequence[Movement], alarm: float, rng: np.ran
     """
     factor = np.linalg.inv(np.linalg.cholesky(check.covariance))
     whitened, n = factor @ check.error, len(check.error)
-    drawn = rng.standard_normal((n, DRAWS))
-    least = np.ones(DRAWS)
-    tested = []
+    tested, bases = [], []
     for movement in every:
         for since in range(check.sessions):
             slope = factor @ check.columns(movement, since)
             basis = _basis(slope)
-            if basis.shape[1] == 0 or basis.shape[1] >= n - 1:
-                continue
-            least = np.minimum(least, _p(drawn, basis))
-            tested.append((movement, since, slope, float(_p(whitened[:, None], basis)[0])))
-    threshold = float(np.quantile(least, alarm))
-    results = [_explained(whitened, *one, threshold) for one in tested]
-    results.sort(key=lambda one: -one.evidence)
-    smallest = min((one.p for one in results), default=1.0)
-    return Step(tuple(results), float((1 + (least <= smallest).sum()) / (1 + DRAWS)))
+            if 0 < basis.shape[1] < n - 1:
+                bases.append(basis)
+                p = float(chi2.sf(_taken(whitened[:, None], basis)[0], basis.shape[1]))
+                tested.append((movement, since, slope, p))
+    if not tested:
+        return Step((), 1.0)
+    least = _least_p(rng.standard_normal((n, DRAWS)), bases)
+    threshold = max(float(np.quantile(least, alarm)), alarm / len(tested))
+    results = sorted((_explained(whitened, *one, threshold) for one in tested), key=lambda one: -one.evidence)
+    smallest = min(one.p for one in results)
+    counted = (1 + (least <= smallest).sum()) / (1 + DRAWS)
+    return Step(tuple(results), float(min(counted, len(tested) * smallest)))
 
 
 def together(check: Check, steps: Sequence[Step]) -> tuple[Explained, ...]:
@@ -148,12 +150,21 @@ def _basis(slope: np.ndarray) -> np.ndarray:
     return np.asarray(left[:, values > 1e-6 * values[0]])
 
 
-def _p(whitened: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """P-values of whitened errors (n, m) along a basis (n, k), shape (m,)."""
+def _taken(whitened: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """What of whitened errors (n, m) lies along a basis (n, k), over what is left a degree of freedom where that is more than 1."""
     k, n = basis.shape[1], len(whitened)
     taken = ((basis.T @ whitened) ** 2).sum(axis=0)
     left = ((whitened**2).sum(axis=0) - taken) / (n - k)
-    return np.asarray(chi2.sf(taken / np.maximum(1.0, left), k))
+    return np.asarray(taken / np.maximum(1.0, left))
+
+
+def _least_p(drawn: np.ndarray, bases: Sequence[np.ndarray]) -> np.ndarray:
+    """The smallest p-value of all bases for each draw (n, m), shape (m,): of bases of one rank it is that of the largest share."""
+    most: dict[int, np.ndarray] = {}
+    for basis in bases:
+        k = basis.shape[1]
+        most[k] = np.maximum(most.get(k, 0.0), _taken(drawn, basis))
+    return np.min([chi2.sf(taken, k) for k, taken in most.items()], axis=0)
 
 
 def _explained(
