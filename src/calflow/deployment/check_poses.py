@@ -1,0 +1,44 @@
+"""Check poses: a few of the poses of a calibration by which a shift of any joint's zero shows best."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from calflow.deployment.movements import ZERO_SD, movements
+from calflow.design.optimality import exchange, greedy
+from calflow.estimation.calibrated import Identified
+from calflow.estimation.certainty import unexplained
+from calflow.measurements.measurements import Measurements
+
+
+def check_poses(known: Identified, data: Measurements, number: int) -> Measurements:
+    """Return the first rows of so many of data's poses: with the load that most poses carry, every marker seen there once.
+
+    They are D-optimal for the zeros of all joints (Fedorov's exchange), told of the device's noise and of what the model errs by.
+    Poses that were measured once can be reached, and seen, again.
+    """
+    load = data.table.groupby("payload", sort=False)["pose"].nunique().idxmax()
+    loaded = data.only((data.table["payload"] == load).to_numpy())
+    there = loaded.only((~loaded.table.duplicated(["pose", "marker"])).to_numpy())
+    pose = there.table.groupby("pose", sort=False).ngroup().to_numpy()
+    slope = _by_pose(_zeros(known, there), pose)
+    prior = np.eye(slope.shape[2])
+    chosen = exchange(slope, prior, greedy(slope, prior, min(number, len(slope))))
+    return there.only(np.isin(pose, chosen))
+
+
+def _zeros(known: Identified, data: Measurements) -> np.ndarray:
+    """What a usual shift of each joint's zero does to rows, over what they err by of themselves (n, 3, n_joints)."""
+    noise = known.noise(data).sigma if known.noise_known else np.zeros(len(data))
+    slopes = [one.slope for one in movements(known, data, False) if one.kind == "zero"]
+    sigma = np.sqrt(noise**2 + unexplained(known) ** 2)
+    return np.concatenate(slopes, axis=2) * (ZERO_SD / sigma)[:, None, None]
+
+
+def _by_pose(slope: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """The slopes of all rows of each pose under one another (n_poses, 3 most, k); rows that a pose lacks tell nothing."""
+    place = pd.Series(pose).groupby(pose).cumcount().to_numpy()
+    whole = np.zeros((pose.max() + 1, place.max() + 1, *slope.shape[1:]))
+    whole[pose, place] = slope
+    return whole.reshape(len(whole), -1, slope.shape[2])

@@ -1,0 +1,45 @@
+"""Check poses: eight of those that were measured, by which a shift of any joint's zero shows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calflow.deployment.check_poses import check_poses
+from calflow.deployment.movements import movements
+from calflow.design.candidates import candidates
+from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.measurements.measurements import Measurements
+from calflow.model import build
+from robots import industrial
+
+NOISE = 5e-5
+
+
+def test_eight_chosen_poses_show_the_zeros_better_than_any_others_drawn():
+    """Fails if poses are taken that show the joints' zeros less than chance does, twice, or under a load that few carried."""
+    model = build(industrial(), ("geometry",))
+    n = len(model.parameters)
+    device = (SeriesNoise(NOISE, "file"),)
+    known = Identified(model, model.nominal, 0 * np.eye(n), np.zeros(n, dtype=bool), device, 0.0, 0.0, "linear")
+    rng = np.random.default_rng(2)
+    q = candidates(model, 60, "load", "E", None, rng)[0]
+    payload = np.where(np.arange(60) < 50, "load", "")
+    every = Measurements.from_arrays(
+        model.robot, np.repeat(q, 2, axis=0), np.zeros((120, 3)), payload=np.repeat(payload, 2), pose=np.repeat(np.arange(60), 2),
+        repeat=np.tile([1, 2], 60), sigma=np.full(120, NOISE),
+    )  # fmt: skip
+    chosen = check_poses(known, every, 8)
+    assert len(chosen) == chosen.table["pose"].nunique() == 8
+    assert set(chosen.table["payload"]) == {"load"}
+
+    def told(rows: Measurements) -> float:
+        slope = np.concatenate([one.slope for one in movements(known, rows, False) if one.kind == "zero"], axis=2)
+        flat = slope.reshape(-1, 6)
+        return float(np.linalg.slogdet(flat.T @ flat)[1])
+
+    loaded = every.only(((every.table["payload"] == "load") & (every.table["repeat"].astype(str) == "1")).to_numpy())
+    drawn = [rng.choice(50, 8, replace=False) for _ in range(100)]
+    others = [told(replace(loaded, table=loaded.table.iloc[own].reset_index(drop=True))) for own in drawn]
+    assert told(chosen) > max(others)
