@@ -13,7 +13,10 @@ import pytest
 from conftest import in_process
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = ("tutorial", "compensate", "validate", "drift", "compare")  # in the order in which a newcomer reads them
+PAGES = (  # in the order in which a newcomer reads them
+    *("tutorial", "robots", "select", "identify", "diagnose", "sample"),
+    *("compensate", "programs", "export", "validate", "drift", "compare"),
+)
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 VERDICTS = {"validate": (0, 3, 4), "drift": (0, 3, 4)}  # exit codes that are answers
 DATA = os.environ.get("CALFLOW_DATA")
