@@ -234,7 +234,7 @@ def test_markers_have_names_that_xacro_takes():
     packed = rows(known.model, poses(robot, 3), marker="tip")
     root = ElementTree.fromstring(export(known, packed, "xacro-properties").text)
     markers = [one.get("name") for one in root if one.get("name", "").startswith("marker_")]
-    assert markers == ["marker_marker1_xyz", "marker_marker2_xyz", "marker_tip_xyz"]
+    assert markers == ["marker_1_xyz", "marker_2_xyz", "marker_tip_xyz"]
 
 
 def test_a_robot_of_a_urdf_reads_back(tmp_path):
