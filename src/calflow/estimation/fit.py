@@ -29,20 +29,35 @@ SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two 
 class Fit:
     """An estimate (n_parameters,) and what it is worth.
 
-    residual (n,) is whitened by the noise, stacking says what each of them is; r_factor (n_parameters, n_parameters) is
-    Householder's R factor of their Jacobian, which tells all of it but the rows. covariance is Laplace's, over the
-    parameters off their bounds; a parameter at a bound has zeros there. objective is half of chi² plus half of the priors' part.
+    residual (n,) is whitened by the problem's noise, information (n_parameters, n_parameters) the Gauss-Newton Hessian of the
+    objective, priors included, to which rows far off give less by the loss. covariance is Laplace's, over the parameters off
+    their bounds; a parameter at a bound has zeros there. objective is half of chi² plus half of the priors' part.
     """
 
-    model: Model
+    problem: LeastSquares
     estimate: np.ndarray
     objective: float
     residual: np.ndarray
-    stacking: Stacking
-    r_factor: np.ndarray
+    information: np.ndarray
     iterations: int
     converged: bool
     status: str
+    loss: Loss = "linear"
+
+    @property
+    def model(self) -> Model:
+        """The model."""
+        return self.problem.model
+
+    @property
+    def stacking(self) -> Stacking:
+        """What each of the residuals is."""
+        return self.problem.stacking
+
+    @cached_property
+    def r_factor(self) -> np.ndarray:
+        """Householder's R factor of the Jacobian, (n_parameters, n_parameters): it tells small directions that squares lose."""
+        return self.problem.reweighted(self.estimate, self.loss).reduced(self.estimate)[1]
 
     @cached_property
     def at_bound(self) -> np.ndarray:
@@ -50,11 +65,6 @@ class Fit:
         lower, upper = self.model.bounds.T
         margin = AT_BOUND * np.sqrt(np.diag(self._inverse(np.full(len(self.estimate), True))))
         return (self.estimate < lower + margin) | (self.estimate > upper - margin)
-
-    @cached_property
-    def information(self) -> np.ndarray:
-        """Gauss-Newton Hessian of the objective, priors included, shape (n_parameters, n_parameters)."""
-        return self.r_factor.T @ self.r_factor + np.diag(self.model.prior_sd**-2.0)
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -99,35 +109,28 @@ def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "l
         if solver.stats()["return_status"] == INTERRUPTED:
             raise KeyboardInterrupt
         at = np.array(found["x"]).ravel()
-        solutions.append((expanded(at.tobytes()).value, at, solver.stats()))
-    objective, x, stats = min(solutions, key=lambda solution: solution[0])
-    agree = sum(other[0] - objective < SAME_OPTIMUM for other in solutions)
-    estimate = x * model.prior_sd
-    residual, r_factor = _reduced(problem, estimate, loss)
+        solutions.append((expanded(at.tobytes()), at, solver.stats()))
+    there, x, stats = min(solutions, key=lambda solution: solution[0].value)
+    agree = sum(other.value - there.value < SAME_OPTIMUM for other, _, _ in solutions)
     result = Fit(
-        model,
-        estimate,
-        objective,
-        residual,
-        problem.stacking,
-        r_factor,
+        problem,
+        x * model.prior_sd,
+        there.value,
+        there.residual,
+        there.information(model.prior_sd),
         stats["iter_count"],
         stats["success"],
         stats["return_status"],
+        loss,
     )
     return result, agree
 
 
-def restated(result: Fit, problem: LeastSquares, loss: Loss) -> Fit:
+def restated(result: Fit, problem: LeastSquares) -> Fit:
     """Return a fit's residuals and information by the weights of a problem, at the same estimate."""
-    residual, r_factor = _reduced(problem, result.estimate, loss)
-    return replace(result, residual=residual, r_factor=r_factor)
-
-
-def _reduced(problem: LeastSquares, estimate: np.ndarray, loss: Loss) -> tuple[np.ndarray, np.ndarray]:
-    """The whitened residual, and the r_factor of the information that rows far off give less of."""
-    residual, r_factor = problem.reduced(estimate)
-    return residual, r_factor if loss == "linear" else problem.reweighted(estimate, loss).reduced(estimate)[1]
+    prior_sd = problem.model.prior_sd
+    there = expansion(problem, result.estimate / prior_sd, result.loss)
+    return replace(result, problem=problem, residual=there.residual, information=there.information(prior_sd))
 
 
 def draw_starts(model: Model, n_starts: int, rng: np.random.Generator) -> np.ndarray:
@@ -138,18 +141,26 @@ def draw_starts(model: Model, n_starts: int, rng: np.random.Generator) -> np.nda
 
 @dataclass(frozen=True)
 class Expansion:
-    """The objective at one point, its gradient and Gauss-Newton Hessian, in coordinates scaled by the priors."""
+    """The objective at one point, its gradient and Gauss-Newton Hessian, in coordinates scaled by the priors.
+
+    residual (n,) are the stacked whitened residuals.
+    """
 
     value: float
     gradient: np.ndarray
     hessian: np.ndarray
+    residual: np.ndarray
+
+    def information(self, prior_sd: np.ndarray) -> np.ndarray:
+        """Return the Hessian in the parameters' own units."""
+        return np.asarray(self.hessian / np.outer(prior_sd, prior_sd))
 
 
 def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
     """Expand the objective about scaled parameters x, block by block of rows, so that memory does not grow with them."""
     model, n = problem.model, len(x)
     offset = x - model.nominal / model.prior_sd
-    value, gradient, hessian = 0.5 * offset @ offset, offset.copy(), np.eye(n)
+    value, gradient, hessian, residuals = 0.5 * offset @ offset, offset.copy(), np.eye(n), []
     for _, residual, jacobian in problem.linearised(x * model.prior_sd):
         squared = (residual**2).sum(axis=1)
         slope = rho_slope(squared, loss)[:, None, None]
@@ -158,7 +169,8 @@ def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
         value += 0.5 * float(rho(squared, loss).sum())
         gradient += weighted.T @ residual.ravel()
         hessian += weighted.T @ scaled
-    return Expansion(value, gradient, hessian)
+        residuals.append(residual.ravel())
+    return Expansion(value, gradient, hessian, np.concatenate(residuals))
 
 
 class _Objective(ca.Callback):

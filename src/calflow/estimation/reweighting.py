@@ -42,7 +42,7 @@ def fit_reweighted(
         before, noise = noise, _agreeing(result, problem, noise, told, loss)
         problem = LeastSquares.of(model, train, noise)
         if _alike(noise, before, tolerance):
-            result = restated(result, problem, loss)
+            result = restated(result, problem)
             break
         result, _ = fit(problem, result.estimate[None], loss)
     return result, noise, against_noise, agree

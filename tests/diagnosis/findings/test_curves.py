@@ -15,7 +15,7 @@ from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 from calflow.estimation.lack_of_fit import LackOfFit
-from calflow.estimation.least_squares import Stacking
+from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
 from calflow.files.tables import columns
 from calflow.measurements.columns import numbered
@@ -33,11 +33,6 @@ FUNCTIONS = {  # rad, of the joint's angle [rad] and approach
 }
 
 
-def positions(n):
-    """The layout of so many measured positions."""
-    return Stacking(np.repeat(np.arange(n), 3), np.tile(np.arange(3), n), np.zeros(3 * n, dtype=bool), n)
-
-
 def drawn(*names, q, approach):
     """The curves of some causes in a model whose values are true, at joint angles and approaches (n_rows, 6)."""
     causes = [Cause(ROBOT, catalogue()[name](ROBOT), f"joint{FUNCTIONS[name][0]}") for name in names]
@@ -51,8 +46,9 @@ def drawn(*names, q, approach):
     noise = NOISE * np.random.default_rng(1).standard_normal((len(q), 3))
     table[["x", "y", "z"]] = model.position(estimate, Measurements(ROBOT, table).rows) + noise
     data = Measurements(ROBOT, table)
-    fit = Fit(model, estimate, 0.0, (noise / NOISE).ravel(), positions(len(q)), np.eye(len(estimate)), 0, True, "")
     level = Noise(np.full(len(q), NOISE), ("file",))
+    problem = LeastSquares.of(model, data, level)
+    fit = Fit(problem, estimate, 0.0, (noise / NOISE).ravel(), np.eye(len(estimate)), 0, True, "")
     fitted = Fitted(fit, data, level, LackOfFit(1.0, 0.5, 0.0), "linear", level)
     return curves(fitted, causes, data), noise
 
@@ -129,18 +125,9 @@ def test_no_finding_draws_nothing(rows):
         ROBOT, pd.DataFrame(rows["q"], columns=numbered("q", 6)).assign(x=0.0, y=0.0, z=0.0, marker="E", payload="")
     )
     model = build(ROBOT, ("geometry",))
-    fit = Fit(
-        model,
-        model.nominal,
-        0.0,
-        np.zeros(3 * len(data)),
-        positions(len(data)),
-        np.eye(len(model.nominal)),
-        0,
-        True,
-        "",
-    )
     level = Noise(np.ones(len(data)), ("file",))
+    problem = LeastSquares.of(model, data, level)
+    fit = Fit(problem, model.nominal, 0.0, np.zeros(3 * len(data)), np.eye(len(model.nominal)), 0, True, "")
     none = curves(Fitted(fit, data, level, LackOfFit(1.0, 0.5, 0.0), "linear", level), [], data)
     assert list(none.columns) == [column.name for column in columns(CurvePoint)]
     assert none.empty
