@@ -162,7 +162,15 @@ def _fill(
     for basis in bases:
         slopes = over_rows(basis.function, np.zeros(0), state, conditions)[0].T
         for layer in basis.layers:
-            columns[:, :, basis.column[layer]] += levers[:, :, basis.quantity[layer]] * slopes[:, None, layer]
+            moved, here = np.take(levers, basis.quantity[layer], axis=2), side_by_side(basis.column[layer])
+            moved *= slopes[:, None, side_by_side(layer)]
+            columns[:, :, here] += moved
+
+
+def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:
+    """Return rising numbers (n,) as a slice where none is left out: NumPy copies nothing then."""
+    first, last = int(numbers[0]), int(numbers[-1])
+    return slice(first, last + 1) if last - first == len(numbers) - 1 else numbers
 
 
 def _bases(effects: Sequence[Effect], given: tuple[str, ...]) -> tuple[list[Basis], int]:

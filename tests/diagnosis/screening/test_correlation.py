@@ -7,7 +7,7 @@ import pytest
 
 from calflow.diagnosis.screening.correlation import Background
 
-N, WAVES = 60, 7
+N, WAVES = 300, 7  # more rows than are whitened at once
 
 
 @pytest.fixture(scope="module")
@@ -20,10 +20,16 @@ def left():
     return background, np.eye(N) + sum(part @ part.T for part in waves)
 
 
+def whitened(correlation, values):
+    """The values as tests see them."""
+    correlation.whiten(values)
+    return values
+
+
 def test_whitened_is_independent(left):
     """Fails if what is whitened keeps a correlation, or its scale changes."""
     background, covariance = left
-    root = background.correlation(background.weight).whitened(np.eye(N))
+    root = whitened(background.correlation(background.weight), np.eye(N))
     assert root @ covariance @ root.T == pytest.approx(np.eye(N), abs=0.05)
 
 
@@ -31,7 +37,7 @@ def test_rows_that_count_less_show_less_of_it(left):
     """Fails if weights that rows get later do not reach the background, or their common level does."""
     background, covariance = left
     factor = np.linspace(1.0, 3.0, N)
-    root = background.correlation(5 * background.weight / factor).whitened(np.eye(N))
+    root = whitened(background.correlation(5 * background.weight / factor), np.eye(N))
     scaled = np.median(1 / factor) ** -2 * (covariance - np.eye(N)) / np.outer(factor, factor) + np.eye(N)
     assert root @ scaled @ root.T == pytest.approx(np.eye(N), abs=0.05)
 
@@ -41,8 +47,8 @@ def test_what_a_part_makes_uncertain_is_as_sure_as_its_size(left):
     background, _ = left
     correlation = background.correlation(background.weight)
     inside, outside = 30 * background.parts[1][:, 0], np.linalg.svd(np.hstack(background.parts))[0][:, -1]
-    whitened = correlation.whitened(np.column_stack([inside, outside]))
-    sure = correlation.degrees_of_freedom(correlation.modes.T @ whitened, (whitened**2).sum(axis=0), 500.0)
+    both = whitened(correlation, np.column_stack([inside, outside]))
+    sure = correlation.degrees_of_freedom(correlation.modes.T @ both, (both**2).sum(axis=0), 500.0)
     assert sure[0] < 6
     assert sure[1] == pytest.approx(500.0, rel=0.01)
 

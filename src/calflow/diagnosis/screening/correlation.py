@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+ROWS = 256  # that are whitened at once
 SMALL = 0.02  # of a mode's variance over the noise's: less changes no test
 
 
@@ -34,12 +35,13 @@ class Correlation:
     parts: tuple[Part, ...]
     shared: float
 
-    def whitened(self, values: np.ndarray) -> np.ndarray:
-        """Return values (n, …) times (V/s²)^-1/2."""
+    def whiten(self, values: np.ndarray) -> None:
+        """Multiply values (n, …) by (V/s²)^-1/2 in their place: these are the largest arrays of all."""
         shrunk = 1 - (1 + self.variance) ** -0.5
-        found = self.modes @ (-shrunk * (self.modes.T @ values).T).T
-        found += values  # in its place: these are the largest arrays of all
-        return np.asarray(found)
+        along = (shrunk * (self.modes.T @ values).T).T
+        for start in range(0, len(values), ROWS):
+            part = slice(start, start + ROWS)
+            values[part] -= self.modes[part] @ along
 
     def degrees_of_freedom(self, along: np.ndarray, visible: np.ndarray, of_noise: float) -> np.ndarray:
         """Return those of the variance of each column's amplitude, shape (n_columns,) (Satterthwaite 1946).

@@ -15,7 +15,7 @@ from calflow.effects import Effect
 from calflow.effects.cause import Cause, parts
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares, Stacking
-from calflow.estimation.probing import probed
+from calflow.estimation.probing import probed, side_by_side
 
 USUAL = 1e-3  # m, per axis: what a model leaves of a usual robot at most
 SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
@@ -61,7 +61,7 @@ class Products:
         squared = np.zeros(len(own))
         for candidate in candidates:
             columns = candidate.columns
-            x = _taken(matrix, columns)
+            x = matrix[:, side_by_side(columns)]
             product = x.T @ x
             own[columns, : len(columns)], squared[columns] = product, product.diagonal()
         modes = correlation.modes.T if correlation else np.zeros((0, len(residual)))
@@ -87,12 +87,6 @@ class Products:
             left=self.left - self.mixed[gone].T @ value,
             along_fitted=self.along_fitted[:, keep],
         )
-
-
-def _taken(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Some columns, in rising order, of a matrix (n, n_columns), without a copy where they stand side by side."""
-    first, last = int(columns[0]), int(columns[-1])
-    return matrix[:, first : last + 1] if last - first == len(columns) - 1 else matrix[:, columns]
 
 
 @dataclass(frozen=True)
@@ -145,7 +139,8 @@ class Regressors(Generic[H]):
             shared = correlation.shared if correlation else shared
             left, matrix = counted_once(left, matrix, group, shared)
         if correlation is not None:
-            left, matrix = correlation.whitened(left), correlation.whitened(matrix)
+            correlation.whiten(left)
+            correlation.whiten(matrix)
         free = np.flatnonzero(~fit.at_bound)
         offset = fit.estimate - model.nominal
         precision = model.prior_sd**-2.0
