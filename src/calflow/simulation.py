@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, field_validator, model_validator
 
-from calflow.design.candidates import candidates, pack
+from calflow.design.candidates import candidates, pack, reading_columns, shown_readings
 from calflow.effects import catalogue
 from calflow.effects.needs import unmet
 from calflow.files.problems import InputError, Problem, nearest, refuse, shortened, together
@@ -228,8 +228,9 @@ def _stated_poses(file: Path, model: Model) -> np.ndarray:
     if table.empty:
         raise refuse("holds no poses", file)
     factors = [to_si((split_unit(name) or ("", ""))[1])[0] for name in columns]
-    stated = factors * table[columns].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
-    finite = np.isfinite(stated).all(axis=1)
+    stated = np.zeros((len(table), model.robot.n_joints))
+    stated[:, model.robot.driven] = factors * table[columns].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    finite = np.asarray(np.isfinite(stated).all(axis=1))
     packed = pack(model, np.where(finite[:, None], stated, 0.0), "", "")
     closed = np.abs(model.closure_cosine(model.nominal, packed)) < 1
     lines = table.index.to_numpy() + 2
@@ -245,7 +246,8 @@ def _joint_columns(there: list[str], robot: Robot, file: Path) -> list[str]:
     """The column of each joint's reading, whatever its unit."""
     found: list[str] = []
     problems: list[Problem] = []
-    for i, joint in enumerate(robot.joints):
+    for i in robot.driven:
+        joint = robot.joints[i]
         ways = [f"q{i + 1}_{unit}" for unit in SUFFIXES["angle" if joint.kind == "revolute" else "length"]]
         name = next((way for way in ways if way in there), None)
         if name is None:
@@ -280,10 +282,10 @@ def _measure(
             block = pd.DataFrame({"pose": poses, "repeat": repeat, "marker": marker, "payload": carried})
             if pose_set.split:
                 block["split"] = pose_set.split
-            for name, column in zip(_reading_columns(robot), (readings / _reading_units(robot)).T, strict=True):
+            for name, column in zip(reading_columns(robot), shown_readings(robot, readings).T, strict=True):
                 block[name] = np.round(column, 4)
             if truth.approach:
-                for i in range(robot.n_joints):
+                for i in robot.driven:
                     block[f"approach{i + 1}"] = approach[:, i]
             for i, axis in enumerate("xyz"):
                 block[f"{axis}_mm"] = np.round(1e3 * seen[:, i], 4)
@@ -292,10 +294,6 @@ def _measure(
                 block["sigma_mm"] = np.where(stated > 0, stated, 1e3 * sigma)
             blocks.append(block)
     return pd.concat(blocks).sort_values(["pose", "repeat"], kind="stable")
-
-
-def _reading_columns(robot: Robot) -> list[str]:
-    return [f"q{i + 1}_{joint.shown[0]}" for i, joint in enumerate(robot.joints)]
 
 
 def _reading_units(robot: Robot) -> np.ndarray:

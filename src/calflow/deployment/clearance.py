@@ -44,7 +44,7 @@ def clearance(model: Model, rows: np.ndarray, oriented: bool) -> Clearance:
 def _to_singularity(rigid: Model, rows: np.ndarray, oriented: bool) -> np.ndarray:
     p, c, predicted = rigid.symbols
     readings = c[: rigid.robot.n_joints]
-    mixed = ca.sparsify(ca.DM(np.linalg.inv(rigid.robot.reading_matrix)))
+    mixed = ca.sparsify(ca.DM(rigid.robot.angle_matrix))
     slope = ca.jacobian(predicted.point, readings) @ mixed
     if oriented:
         slope = ca.vertcat(slope, turning(predicted.rotation, readings) @ mixed)

@@ -9,9 +9,8 @@ import numpy as np
 import pandas as pd
 
 from calflow.deployment.commands import Compensation
-from calflow.design.candidates import READINGS, reading_columns, reading_factors
+from calflow.design.candidates import READINGS, reading_columns, shown_readings
 from calflow.files.tables import column, typed
-from calflow.measurements.columns import numbered
 
 AXES = ("x", "y", "z")
 
@@ -58,9 +57,9 @@ class Command:
 def command_table(found: Compensation, in_order: bool) -> pd.DataFrame:
     """Return the table of `Command`s, a row a target."""
     robot = found.data.robot
-    names, factors = reading_columns(robot), reading_factors(robot)
+    names = reading_columns(robot)
     columns: dict[str, object] = {"reached": found.reached}
-    given = np.where(found.reached[:, None], found.readings, np.nan) * factors
+    given = shown_readings(robot, np.where(found.reached[:, None], found.readings, np.nan))
     columns |= dict(zip(names, given.T, strict=True))
     oriented, none = found.turn_sd is not None, np.full((len(given), 3), np.nan)
     columns |= {
@@ -71,18 +70,21 @@ def command_table(found: Compensation, in_order: bool) -> pd.DataFrame:
     columns |= {f"sd_{axis}_mm": 1e3 * found.sd[:, k] for k, axis in enumerate(AXES)}
     turns = none if found.turn_sd is None else 1e3 * found.turn_sd
     columns |= {f"sd_r{axis}_mrad": turns[:, k] for k, axis in enumerate(AXES)}
-    columns |= {f"nominal_{name}": values for name, values in zip(names, (found.nominal * factors).T, strict=True)}
+    columns |= {
+        f"nominal_{name}": values for name, values in zip(names, shown_readings(robot, found.nominal).T, strict=True)
+    }
     columns |= {
         "nominal_miss_mm": 1e3 * found.nominal_miss,
         "nominal_miss_mrad": 1e3 * found.nominal_turned if oriented else none[:, 0],
         "limit_joint": found.clearance.joint + 1,
     }
     units = np.array([joint.shown[0] for joint in robot.joints])
+    factors = np.array([joint.shown[1] for joint in robot.joints])
     for unit in dict.fromkeys(units):
         own = units[found.clearance.joint] == unit
         columns[f"to_limit_{unit}"] = np.where(own, found.clearance.limit * factors[found.clearance.joint], np.nan)
     columns["to_singularity_deg"] = np.rad2deg(found.clearance.singular)
-    sides = numbered("approach", robot.n_joints)
+    sides = [f"approach{i + 1}" for i in robot.driven]
     if in_order and sides[0] in found.data.table:
         columns |= {name: found.data.table[name].astype(int).to_numpy() for name in sides}
     return typed(pd.DataFrame(columns), Command)

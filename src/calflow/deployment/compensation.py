@@ -61,7 +61,7 @@ def landing(
         near: readings from which the rounds begin, where better ones than start are known.
     """
     robot, n = model.robot, model.robot.n_joints
-    mixed = np.linalg.inv(robot.reading_matrix)  # readings of joint angles
+    mixed = robot.angle_matrix
     low, high = robot.limits.T
     graph = _tool(model, mixed, targets.rotation is not None)
 
@@ -94,7 +94,10 @@ def landing(
         moving = moving[(longest >= SETTLED) & (waited[moving] < STALLED)]
     remaining = np.nan_to_num(lacking, nan=np.inf)
     away, turned = np.linalg.norm(remaining[:, :3], axis=1), np.linalg.norm(remaining[:, 3:], axis=1)
-    return Landing(best @ mixed.T, away, turned, (np.maximum(away, turned) < LANDED) & reachable(robot, best))
+    readings = best @ mixed.T
+    angles = readings @ robot.reading_matrix.T
+    there = reachable(robot, angles) & robot.within_limits(angles, WITHIN)
+    return Landing(readings, away, turned, (np.maximum(away, turned) < LANDED) & there)
 
 
 def _tool(model: Model, mixed: np.ndarray, oriented: bool) -> ca.Function:

@@ -15,7 +15,7 @@ from calflow.deployment.movements import Kind, movements
 from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.settling import Settling, settling
 from calflow.deployment.validation import Station, stands
-from calflow.design.candidates import READINGS, reading_columns, reading_factors
+from calflow.design.candidates import READINGS, reading_columns, shown_readings
 from calflow.estimation.calibrated import Identified
 from calflow.files.documents import to_document
 from calflow.files.results import Results
@@ -270,7 +270,7 @@ def _next(known: Identified, settle: Settling | None) -> tuple[SettlingPose, ...
     if settle is None:
         return ()
     names = reading_columns(known.model.robot)
-    shown = np.round(settle.readings * reading_factors(known.model.robot), 4)
+    shown = np.round(shown_readings(known.model.robot, settle.readings), 4)
     readings = [dict(zip(names, map(float, row), strict=True)) for row in shown]
     return tuple(SettlingPose(readings=one, payload=settle.payload, marker=settle.marker) for one in readings)
 

@@ -78,8 +78,8 @@ def _zeros(known: Identified, rows: np.ndarray) -> Iterator[Movement]:
         p, c, predicted = model.symbols
         model.made[ZEROS] = ca.Function("zeros", [p, c], [ca.densify(ca.jacobian(predicted.point, c[:n]).T)])
     slope = over_rows(model.made[ZEROS], known.estimate, rows)[0].T.reshape(rows.shape[1], 3, n)
-    for i, joint in enumerate(model.robot.joints):
-        unit = joint.unit
+    for i in model.robot.driven:
+        unit = model.robot.joints[i].unit
         yield Movement(f"joint{i + 1}.zero", "zero", f"zero of joint {i + 1}", i + 1, (unit,), ("zero",), slope[:, :, i : i + 1],
                        np.array([ZERO_SD]))  # fmt: skip
 

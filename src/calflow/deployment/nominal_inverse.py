@@ -12,6 +12,7 @@ from calflow.model import Model
 from calflow.robot.loop import reachable
 from calflow.robot.robot import Robot
 
+ROUNDING = 1e-9  # rad or m
 DRAWN = 4000  # poses drawn within the limits
 TRIED = (0, 4, 12, 28)  # how many of the nearest of them a target is approached from, as long as none leads there
 BLOCK = 500  # targets whose distances from all poses are worked out at once
@@ -27,8 +28,9 @@ def nominal_readings(model: Model, rows: np.ndarray, targets: Targets, rng: np.r
     rigid, none = Model(robot, (), model.given), np.zeros(0)
     low, high = robot.limits.T
     drawn = rng.uniform(low, high, (DRAWN, robot.n_joints))
-    drawn = drawn[reachable(robot, drawn)]
-    readings = drawn @ np.linalg.inv(robot.reading_matrix).T
+    readings = drawn @ robot.angle_matrix.T
+    angles = readings @ robot.reading_matrix.T
+    readings = readings[reachable(robot, angles) & robot.within_limits(angles, ROUNDING)]
     nearest = _nearest(rigid, readings, rows, targets)
     found = readings[nearest[:, 0]]
     left = np.arange(len(targets))

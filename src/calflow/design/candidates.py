@@ -14,6 +14,7 @@ from calflow.robot.robot import Robot
 
 READINGS = "q{joint}_{deg|mm}"  # the columns of joint readings
 LARGEST_DRAW = 1 << 15  # poses drawn at once
+ROUNDING = 1e-9  # rad or m
 MAX_DRAWS = 40  # rounds of drawing before the region counts as out of reach
 
 
@@ -40,15 +41,15 @@ def candidates(
     rounds = MAX_DRAWS * max(1, number // size)
     for _ in range(rounds):
         drawn = qmc.scale(sobol.random(size), *model.robot.limits.T)
-        readings = np.linalg.solve(model.robot.reading_matrix, drawn.T).T
+        readings = drawn @ model.robot.angle_matrix.T
         rows = pack(model, readings, payload, marker)
-        good = reachable(model.robot, drawn)
+        angles = readings @ model.robot.reading_matrix.T
+        good = reachable(model.robot, angles) & model.robot.within_limits(angles, ROUNDING)
         if observation is not None and observation.touches:
             readings, touching = brought(model, observation, readings, rows)
             rows = pack(model, readings, payload, marker)
             angles = readings @ model.robot.reading_matrix.T
-            within = ((angles >= model.robot.limits[:, 0]) & (angles <= model.robot.limits[:, 1])).all(axis=1)
-            good &= touching & within
+            good &= touching & model.robot.within_limits(angles)
         elif region is not None:
             position = model.position(model.nominal, rows)
             good &= ((position > region[0]) & (position < region[1])).all(axis=1)
@@ -63,18 +64,18 @@ def candidates(
 
 
 def reading_columns(robot: Robot) -> list[str]:
-    """Return the columns of joint readings by their names, e.g. q1_deg."""
-    return [f"q{i + 1}_{joint.shown[0]}" for i, joint in enumerate(robot.joints)]
+    """Return the columns of joint readings by their names, e.g. q1_deg; joints that follow others have none."""
+    return [f"q{i + 1}_{robot.joints[i].shown[0]}" for i in robot.driven]
 
 
 def reading_labels(robot: Robot) -> list[str]:
     """Return the same for people, e.g. q1 [deg]."""
-    return [f"q{i + 1} [{joint.shown[0]}]" for i, joint in enumerate(robot.joints)]
+    return [f"q{i + 1} [{robot.joints[i].shown[0]}]" for i in robot.driven]
 
 
-def reading_factors(robot: Robot) -> np.ndarray:
-    """Return what makes readings in rad and m those of these columns, shape (n_joints,)."""
-    return np.array([joint.shown[1] for joint in robot.joints])
+def shown_readings(robot: Robot, readings: np.ndarray) -> np.ndarray:
+    """Return readings (n, n_joints) [rad, or m] as these columns have them, shape (n, number of columns)."""
+    return np.asarray(readings[:, robot.driven] * [robot.joints[i].shown[1] for i in robot.driven])
 
 
 def pack(model: Model, readings: np.ndarray, payload: str, marker: str) -> np.ndarray:

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 
-from calflow.design.candidates import READINGS, candidates, reading_columns, reading_factors
+from calflow.design.candidates import READINGS, candidates, reading_columns, shown_readings
 from calflow.design.planned import Planned
 from calflow.design.t_optimality import Choices, Explanation, Pair, TCriterion, closest, propose
 from calflow.diagnosis.findings.tables import Diagnosis
@@ -253,19 +253,19 @@ def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
     """Return diagnose/next_poses.csv: the poses that tell each finding from its rivals, as far as poses can."""
     robot = fitted.model.robot
     names = reading_columns(robot)
-    sides = [f"approach{i + 1}" for i in range(robot.n_joints)] if "approach" in fitted.model.given else []
+    sides = [f"approach{i + 1}" for i in robot.driven] if "approach" in fitted.model.given else []
     rows: list[NextPose] = []
     for one in questions:
         if one.plan is None:
             continue
         plan, own = one.plan, (one.cause.id, one.cause.joint)
         rivals, first, second = [(r.id, r.joint) for r in plan.rivals], *_unzipped(plan.left_open)
-        readings = np.round(plan.poses.readings * reading_factors(robot), 4)
+        readings = np.round(shown_readings(robot, plan.poses.readings), 4)
         for k, payload in enumerate(plan.poses.payloads):
             rows.append(
                 NextPose(
                     pose=len(rows) + 1, readings=dict(zip(names, readings[k], strict=True)),
-                    approach=dict(zip(sides, plan.poses.approach[k].astype(int), strict=False)), payload=payload,
+                    approach=dict(zip(sides, plan.poses.approach[k][robot.driven].astype(int), strict=False)), payload=payload,
                     tells=label(*own), rivals=tuple(label(*place) for place in rivals),
                     leaves_open="; ".join(f"{label(*a)} or {label(*b)}" for a, b in plan.left_open),
                     separation_before_sd=plan.before, separation_after_sd=plan.after, chance_after=plan.chance,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from calflow.design.candidates import READINGS, candidates, reading_columns, reading_factors
+from calflow.design.candidates import READINGS, candidates, reading_columns, shown_readings
 from calflow.design.optimality import exchange, greedy, indices, log_determinant
 from calflow.design.planned import Planned
 from calflow.estimation.identifiability import NULL
@@ -147,9 +147,9 @@ def _poses(model: Model, readings: np.ndarray, rows: np.ndarray, payload: str, m
     """
     robot = model.robot
     table: dict[str, object] = {"pose": np.arange(1, len(readings) + 1)}
-    table |= dict(zip(reading_columns(robot), np.round(readings * reading_factors(robot), 4).T, strict=True))
+    table |= dict(zip(reading_columns(robot), np.round(shown_readings(robot, readings), 4).T, strict=True))
     came = np.sign(np.diff(readings, axis=0, prepend=readings[:1])).astype(int)
-    for i in range(robot.n_joints):
+    for i in robot.driven:
         table[f"approach{i + 1}"] = came[:, i]
     position = 1e3 * model.position(model.nominal, rows)
     table |= {f"nominal_{axis}_mm": np.round(position[:, i], 1) for i, axis in enumerate("xyz")}

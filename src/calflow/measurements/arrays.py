@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from calflow.files.problems import InputError, Problem, nearest
 from calflow.measurements.checks import at_rows, check_values
 from calflow.measurements.columns import ANGLES, LABELS, POSITION, SIGMAS, column_names, condition_columns
+from calflow.measurements.followers import filled
 from calflow.measurements.labels import labelled
 from calflow.measurements.layout import Layout
 from calflow.measurements.rows import Rows, beyond, beyond_words, kept, placed_in_time
@@ -51,8 +52,9 @@ def rows_of(
     problems = _not_finite(table, robot, gone)
     if problems:
         raise InputError(problems)
+    table, following = filled(table, robot, None)
     table, notes = labelled(table, robot)
-    problems = check_values(table, robot, None)
+    problems = following + check_values(table, robot, None)
     if problems:
         raise InputError(problems)
     rows = placed_in_time(table.assign(missing=gone), robot, layout, position is None, time_origin)
@@ -79,6 +81,8 @@ def _numbers(name: str, values: ArrayLike, n_rows: int, robot: Robot) -> dict[st
         names = {"q": condition_columns("reading", robot), "position": [*POSITION]}.get(name) or (
             [name] if name in SIZES else condition_columns(name, robot)
         )
+    if array.ndim == 2 and array.shape[1] == len(robot.driven) < robot.n_joints and len(names) == robot.n_joints:
+        names = [names[i] for i in robot.driven]
     wide = (n_rows, len(names))
     if array.ndim < 2 and len(names) == 1:
         array = np.broadcast_to(array.reshape(-1, 1) if array.ndim else array, wide)

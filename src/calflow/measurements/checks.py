@@ -85,6 +85,7 @@ def _missing(
         required.append("marker")
     groups = [*(numbered(stem, n) for stem in STEMS.values()), WRENCH, ANGLES, QUATERNION]
     required += [name for group in groups if own.keys() & set(group) for name in group]
+    following = {f"{stem}{joint + 1}" for joint in robot.followers for stem in STEMS.values()}
     where = ""
     if layout.columns or layout.markers:
         place = f"markers.{marker}" if marker else "columns"
@@ -92,7 +93,7 @@ def _missing(
     return [
         f"missing column: expected {' or '.join(f'{name}_{s}' if s else name for s in SUFFIXES.get(known[name], ('',)))}{where}"
         for name in dict.fromkeys(required)
-        if name not in own
+        if name not in own and name not in following
     ]
 
 

@@ -13,6 +13,7 @@ from calflow.files.units import LARGEST, SUFFIXES, to_si
 from calflow.measurements.cells import EMPTY, read_cells
 from calflow.measurements.checks import MAX_ROWS_TOLD, at_rows, check_header, check_values
 from calflow.measurements.columns import SIGMAS, column_names, numbered
+from calflow.measurements.followers import filled
 from calflow.measurements.header import ReadColumn, columns_read
 from calflow.measurements.labels import labelled
 from calflow.measurements.layout import Layout
@@ -71,9 +72,9 @@ def read_rows(
     ]
     if problems:
         raise InputError(problems + wrong)
-    table = _assembled(read, gone, layout)
+    table, following = filled(_assembled(read, gone, layout), robot, path)
     table, notes = labelled(table if layout.reports.measured else _to_come(table, robot), robot)
-    problems = wrong + check_values(table, robot, path)
+    problems = wrong + following + check_values(table, robot, path)
     if problems:
         raise InputError(problems)
     to_come = conditions_only or not layout.reports.measured

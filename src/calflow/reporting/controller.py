@@ -91,7 +91,7 @@ def zeros(material: Material) -> list[float]:
     found = _geometry(material)
     off = [found.loc[(found["joint"] == i) & (found["symbol"] == symbol), "estimate"].sum()
            for i, symbol in enumerate(symbols, start=1)]  # fmt: skip
-    readings = np.linalg.solve(robot.reading_matrix, np.array(off))
+    readings = robot.angle_matrix @ np.array(off)
     return [float(value * joint.shown[1]) for value, joint in zip(readings, robot.joints, strict=True)]
 
 

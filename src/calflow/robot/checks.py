@@ -24,12 +24,29 @@ def joint_problems(joints: Any) -> Told:
         if not isinstance(joint, Joint):
             continue
         yield from _choice(f"{where}.kind", joint.kind, ("revolute", "prismatic"))
+        yield from _kind(f"{where}.driven", joint.driven, bool)
         yield from _choice(f"{where}.sign", joint.sign, (1, -1))
         yield from _frame(where, joint)
         yield from _limits(where, joint)
         for name, value in (("gear_ratio", joint.gear_ratio), ("rated_torque", joint.rated_torque)):
             yield from _number(f"{where}.{name}", value, above=0, optional=True)
         yield from _mass(where, joint)
+
+
+def follower_problems(joints: Any, couplings: Any, loop: Any) -> Told:
+    """Tell what is wrong with joints that follow others, of joints and couplings that are right in themselves."""
+    if not all(isinstance(one, Joint) for one in joints) or not all(isinstance(one, Coupling) for one in couplings):
+        return
+    followers = {i for i, joint in enumerate(joints, start=1) if not joint.driven}
+    led = {coupling.joint for coupling in couplings}
+    for joint in sorted(followers - led):
+        yield Problem("is not driven, and no coupling moves it: expected one", key=f"joints[{joint}]")
+    for i, coupling in enumerate(couplings, start=1):
+        if coupling.source in followers:
+            said = f"joint {coupling.source} follows another itself: expected a driven joint"
+            yield Problem(said, key=f"couplings[{i}].source")
+    if isinstance(loop, FourBar) and followers & {loop.joint, loop.joint - 1}:
+        yield Problem("a joint of the loop is not driven: expected one with a motor", key="loop.joint")
 
 
 def other_problems(

@@ -54,7 +54,8 @@ class Joint(Part):
     """One joint and the link that it moves.
 
     limits are of the joint's own variable, after sign and couplings [rad, or m for a prismatic joint], rated_torque [Nm, or
-    N], mass [kg] and com [m] in the link's frame; a reading counts sign times.
+    N], mass [kg] and com [m] in the link's frame; a reading counts sign times. A joint that is not driven has no reading: it
+    follows others, as couplings say.
     """
 
     frame: Frame
@@ -66,6 +67,7 @@ class Joint(Part):
     mass: float | None = None
     com: Vector = (0.0, 0.0, 0.0)
     name: str = ""
+    driven: bool = True
 
     @property
     def range(self) -> tuple[float, float]:

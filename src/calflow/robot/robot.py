@@ -14,7 +14,7 @@ import numpy as np
 
 from calflow.files.problems import InputError
 from calflow.robot import summary
-from calflow.robot.checks import joint_problems, other_problems
+from calflow.robot.checks import follower_problems, joint_problems, other_problems
 from calflow.robot.formats import robot_file, toml_written, urdf
 from calflow.robot.frames import Frame, Step, kinematics
 from calflow.robot.parts import STANDARD_GRAVITY, Base, Coupling, FourBar, Joint, Marker, Named, Part, Payload, Vector
@@ -50,6 +50,7 @@ class Robot(Part):
         n_joints = len(self.joints) if isinstance(self.joints, tuple) else 0
         rest = (self.gravity, self.base, self.couplings, self.loop, self.tool_rotation, self.payloads, self.markers)
         problems = [*joint_problems(self.joints), *other_problems(n_joints, *rest)]
+        problems = problems or list(follower_problems(self.joints, self.couplings, self.loop))
         if problems:
             raise InputError(dataclasses.replace(one, key=f"robot '{self.name}': {one.key}") for one in problems)
 
@@ -151,6 +152,29 @@ class Robot(Part):
         for coupling in self.couplings:
             matrix[coupling.joint - 1, coupling.source - 1] += coupling.factor
         return matrix
+
+    @property
+    def driven(self) -> list[int]:
+        """The joints (from 0) that have a reading of their own."""
+        return [i for i, joint in enumerate(self.joints) if joint.driven]
+
+    @property
+    def followers(self) -> list[int]:
+        """The joints (from 0) that have none, since only others move them."""
+        return [i for i, joint in enumerate(self.joints) if not joint.driven]
+
+    @cached_property
+    def angle_matrix(self) -> np.ndarray:
+        """Matrix with reading = matrix · q, shape (n_joints, n_joints); a follower's reading is 0 and its angle does not count."""
+        own = np.ix_(self.driven, self.driven)
+        matrix = np.zeros((self.n_joints, self.n_joints))
+        matrix[own] = np.linalg.inv(self.reading_matrix[own])
+        return matrix
+
+    def within_limits(self, q: np.ndarray, by: float = 0.0) -> np.ndarray:
+        """Return which joint angles (n, n_joints) [rad, or m] are within all limits, or past one by so much at most, (n,)."""
+        low, high = self.limits.T
+        return np.asarray(((q >= low - by) & (q <= high + by)).all(axis=1))
 
     def __repr__(self) -> str:
         return summary.text(self.name, self.joints, self.payloads, self.markers)

@@ -69,7 +69,10 @@ def _of_urdf(path: Path, tip: str | None, base: str | None) -> dict[str, str]:
         "URDF_FILE": json.dumps(path.name),
         "URDF_BASE": json.dumps(chain.base),
         "URDF_TIP": json.dumps(chain.tip),
-        "JOINTS": "\n".join(f"#   {i}  {name}" for i, name in enumerate(names, start=1)),
+        "JOINTS": "\n".join(
+            f"#   {i}  {joint.name}{f' (follows {joint.mimic.joint}: no column)' if joint.mimic else ''}"
+            for i, joint in enumerate(chain.moving, start=1)
+        ),
         "FIRST_JOINT": json.dumps(names[0]),
     }
     text = path.read_text(encoding="utf-8-sig")

@@ -82,7 +82,7 @@ def test_what_is_read_of_a_joint(arm: Path) -> None:
     robot = Robot.from_urdf(arm, name="mine", base=Base(known=False))
     assert not robot.base.known
     assert (robot.name, [joint.name for joint in robot.joints]) == ("mine", ["shoulder", "elbow", "wrist"])
-    assert [joint.limits for joint in robot.joints] == [(-2.0, 2.0), None, (-3.0, 3.0)]
+    assert [joint.limits for joint in robot.joints] == [(-2.0, 2.0), None, (-3.2, 2.8)]
     assert robot.markers == {"tool": Marker((0, 0, 0))}
     assert robot.couplings == (Coupling(3, 2, -0.5),)
     assert robot.joints[2].frame.turn.value == 0.2

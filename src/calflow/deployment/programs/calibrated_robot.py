@@ -72,7 +72,7 @@ class CalibratedRobot:
         robot = self.robot
         low, high = robot.limits.T
         angles = np.random.default_rng(self.seed).uniform(low, high, (DRAWN, self.n_joints))
-        drawn = angles[reachable(robot, angles)] @ np.linalg.inv(robot.reading_matrix).T
+        drawn = angles[reachable(robot, angles)] @ robot.angle_matrix.T
         places = self.flange(drawn)
         there = features(places[:, :3, 3], places[:, :3, :3])
         asked = features(flanges[:, :3, 3], flanges[:, :3, :3])
@@ -153,7 +153,7 @@ class CalibratedRobot:
                 continue
             turned = np.concatenate([every + 2 * np.pi * k * np.eye(self.n_joints)[joint] for k in (-2, -1, 0, 1, 2)])
             every = turned[(turned[:, joint] >= low[joint] - ALIKE) & (turned[:, joint] <= high[joint] + ALIKE)]
-        return _different(every @ np.linalg.inv(robot.reading_matrix).T)
+        return _different(every @ robot.angle_matrix.T)
 
 
 def _frames(model: Model, p: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

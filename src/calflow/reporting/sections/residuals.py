@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from calflow.design.candidates import reading_columns, reading_factors, reading_labels
+from calflow.design.candidates import reading_columns, reading_labels, shown_readings
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Scene, Table
 from calflow.reporting.figures.residuals import against_joints, against_place, in_workspace, magnification
@@ -55,7 +55,7 @@ def by_row(material: Material) -> pd.DataFrame:
     """Return what the figures show of each row: which it is, where it was, its joints' readings and its errors."""
     robot, told = material.data.robot, material.data.table
     place = {f"{axis}_mm": 1e3 * material.place[:, k] for k, axis in enumerate("xyz")}
-    joints = material.data.joints * reading_factors(robot)
+    joints = shown_readings(robot, material.data.joints)
     readings = {name: joints[:, k] for k, name in enumerate(reading_columns(robot))}
     error = {f"d{axis}_mm": material.error[:, k] for k, axis in enumerate("xyz")} | {"error_mm": material.distance}
     named = {name: told[name].astype(str).to_numpy() for name in ("pose", "marker")}
@@ -79,7 +79,7 @@ def in_space(material: Material) -> Figure:
 def by_joint(material: Material) -> Figure:
     """Draw the errors against each joint's reading."""
     robot = material.data.robot
-    reading = material.data.joints * reading_factors(robot)
+    reading = shown_readings(robot, material.data.joints)
     return against_joints(reading, _components(material), material.held, reading_labels(robot))
 
 

@@ -35,6 +35,7 @@ class DriveTable(FileModel):
     rated_torque: Moment | None = Field(default=None, gt=0)
     mass: Mass | None = Field(default=None, ge=0)
     com: Lengths3 = (0.0, 0.0, 0.0)
+    driven: bool = True
 
     @field_validator("limits_deg", "limits_mm", "limits_rad", "limits_m")
     @classmethod
@@ -128,7 +129,7 @@ class JointTable(DriveTable):
             frame = self._own_frame()
         else:
             frame = CONVENTIONS[convention](**{name: getattr(self, name) for name in CONVENTIONAL})
-        same = ("kind", "limits", "sign", "gear_ratio", "rated_torque", "mass", "com", "name")
+        same = ("kind", "limits", "sign", "gear_ratio", "rated_torque", "mass", "com", "name", "driven")
         return Joint(frame, **{name: getattr(self, name) for name in same})
 
     def _own_frame(self) -> Frame:

@@ -68,6 +68,7 @@ def _joint(joint: Joint, convention: str) -> Iterator[str]:
             yield from _quantity(step.symbol, step.value or None, "length" if step.is_length else "angle")
     yield from _quantity("limits", joint.limits, "angle" if joint.kind == "revolute" else "length")
     yield from _entries({"sign": None if joint.sign == 1 else joint.sign, "gear_ratio": joint.gear_ratio})
+    yield from _entries({"driven": None if joint.driven else False})
     yield from _quantity("rated_torque", joint.rated_torque, "moment")
     yield from _mass(joint)
 

@@ -64,10 +64,11 @@ def read(path: Path, tip: str | None = None, base: str | None = None) -> dict[st
             Joint(
                 frame,
                 kind="prismatic" if axes[i].slides else "revolute",
-                limits=joint.limits,
+                limits=_own_limits(joint),
                 mass=carried.mass if carried else None,
                 com=_seen_from(tip_origin, com) if i == last else com,
                 name=joint.name,
+                driven=joint.mimic is None,
             )
         )
     return {
@@ -144,6 +145,14 @@ def _couplings(chain: Chain) -> tuple[Coupling, ...]:
         for joint in chain.moving
         if joint.mimic
     )
+
+
+def _own_limits(joint: UrdfJoint) -> tuple[float, float] | None:
+    """A joint's limits; what follows another counts from its offset, which is its zero."""
+    if joint.limits is None or joint.mimic is None:
+        return joint.limits
+    low, high = joint.limits
+    return low - joint.mimic.offset, high - joint.mimic.offset
 
 
 def _gravity(chain: Chain) -> Vector:

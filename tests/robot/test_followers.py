@@ -1,0 +1,103 @@
+"""Followers: joints that others move have no reading, in files, in what is planned and in what is commanded."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+
+from calflow.deployment.compensation import landing
+from calflow.deployment.nominal_inverse import nominal_readings
+from calflow.deployment.targets import Targets
+from calflow.design.candidates import candidates, reading_columns
+from calflow.files.problems import InputError
+from calflow.measurements.measurements import Measurements
+from calflow.model import build
+from calflow.robot.parts import Coupling
+from calflow.robot.robot import Robot
+from robot.formats.test_urdf import ARM
+
+LIMIT = '<limit lower="-3" upper="3" effort="0" velocity="1"/>'
+MULTIPLIER, OFFSET = -0.5, 0.2  # of the file's wrist
+ROWS = "q1_deg,q2_deg,x_mm,y_mm,z_mm\n10,20,700,0,100\n30,-40,600,0,200\n-20,60,500,0,300\n"
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Robot:
+    """An arm whose wrist, joint 3, follows its elbow, joint 2."""
+    (tmp_path / "arm.urdf").write_text(ARM)
+    return Robot.from_urdf(tmp_path / "arm.urdf")
+
+
+@pytest.fixture
+def csv(tmp_path: Path) -> Path:
+    """Measurements without a column of joint 3."""
+    (tmp_path / "rows.csv").write_text(ROWS)
+    return tmp_path / "rows.csv"
+
+
+def test_a_follower_is_where_pinocchio_has_it(arm: Robot, csv: Path) -> None:
+    """Fails if multiplier, offset or the zero reading of a follower is lost between the file and the graph."""
+    data = Measurements.from_csv(csv, arm, sigma=1e-4)
+    text = re.sub("<inertial>.*</inertial>", "", ARM).replace("continuous", "revolute")
+    text = re.sub("<limit[^/]*/>", "", text).replace('<axis xyz="0 1 0"/>', f'<axis xyz="0 1 0"/>{LIMIT}')
+    reference = pin.buildModelFromXML(text, mimic=True)
+    assert reference.nq == 2
+    there, tool = reference.createData(), reference.getFrameId("tool")
+    model = build(arm, (), data.given)
+    for own, place in zip(data.joints, model.point(np.zeros(0), data.rows), strict=True):
+        pin.framesForwardKinematics(reference, there, own[:2])
+        assert_allclose(place, there.oMf[tool].translation, atol=1e-12)
+    assert not data.joints[:, 2].any()
+
+
+def test_what_a_file_says_of_a_follower_is_compared(arm: Robot, csv: Path) -> None:
+    """Fails if a log of all joints' own angles counts the follower's as a drive's besides, or a wrong one is taken."""
+    table = pd.read_csv(csv)
+    plain = Measurements.from_csv(csv, arm, sigma=1e-4)
+    for offset in (0.0, OFFSET):
+        table.assign(q3_deg=MULTIPLIER * table["q2_deg"] + np.rad2deg(offset)).to_csv(csv, index=False)
+        assert_allclose(Measurements.from_csv(csv, arm, sigma=1e-4).joints, plain.joints)
+    table.assign(q3_deg=0).to_csv(csv, index=False)
+    assert_allclose(Measurements.from_csv(csv, arm, sigma=1e-4).joints, plain.joints)
+    table.assign(q3_deg=[0, 5, 0]).to_csv(csv, index=False)
+    with pytest.raises(InputError, match=r"q3: joint 3 has no drive of its own, it follows q2: .* off by up to"):
+        Measurements.from_csv(csv, arm, sigma=1e-4)
+    two = Measurements.from_arrays(arm, plain.joints[:, :2], plain.position, sigma=1e-4)
+    assert_allclose(two.joints, plain.joints)
+
+
+def test_planned_and_commanded_readings_leave_a_follower_out(arm: Robot) -> None:
+    """Fails if a pose is planned or a target reached by moving a joint that has no drive."""
+    model = build(arm, ())
+    readings, rows = candidates(model, 64, "", "tool", None, np.random.default_rng(1))
+    assert not readings[:, 2].any()
+    angles = readings @ arm.reading_matrix.T
+    assert_allclose(angles[:, 2], MULTIPLIER * angles[:, 1])
+    assert arm.within_limits(angles, 1e-6).all()
+    assert reading_columns(arm) == ["q1_deg", "q2_deg"]
+    targets = Targets(model.point(np.zeros(0), rows))
+    for start in (
+        readings + np.array([0.05, -0.04, 0.0]),
+        nominal_readings(model, rows, targets, np.random.default_rng(2)),
+    ):
+        found = landing(model, np.zeros(0), rows, targets, start)
+        assert found.reached.mean() > 0.9
+        assert not found.readings[:, 2].any()
+
+
+def test_what_cannot_follow_is_refused(arm: Robot, tmp_path: Path) -> None:
+    """Fails if a joint without drive moves by nothing, or follows one that follows."""
+    with pytest.raises(InputError, match=r"joints\[3\]: is not driven, and no coupling moves it"):
+        replace(arm, couplings=())
+    with pytest.raises(InputError, match=r"couplings\[2\].source: joint 3 follows another itself"):
+        replace(arm, couplings=(*arm.couplings, Coupling(1, 3, 1.0)))
+    arm.to_toml(tmp_path / "robot.toml")
+    assert Robot.from_toml(tmp_path / "robot.toml") == arm
+    assert "driven = false" in (tmp_path / "robot.toml").read_text()
