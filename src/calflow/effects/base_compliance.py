@@ -32,7 +32,7 @@ class BaseCompliance(Effect):
         "tilt of the base", "the base or its foundation tilts under the overturning moment", "compliance"
     )
     whole: ClassVar[str] = "base"
-    needs: ClassVar[tuple[str, ...]] = ("masses",)
+    needs: ClassVar[tuple[str, ...]] = ("masses", "floor")
     told_by: ClassVar[str] = "watch a marker on the robot's foot while the arm reaches out"
 
     @classmethod

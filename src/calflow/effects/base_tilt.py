@@ -71,6 +71,7 @@ class BaseTilt(Effect):
     words: ClassVar[Words] = Words(
         "tilt of the base", "the base or its foundation tilts under the robot's own weight", "tilt"
     )
+    needs: ClassVar[tuple[str, ...]] = ("floor",)
     whole: ClassVar[str] = "base"
     told_by: ClassVar[str] = "watch a marker on the robot's foot while the arm reaches out"
 

@@ -92,7 +92,7 @@ class GravityDeflection(Effect):
 
     def _pulled(self, at: Posture, row: Row) -> dict[str, ca.SX]:
         """What gravity pulls down, by parameter: its slopes along the joints are what the parameter multiplies."""
-        down, loads = ca.DM(self.robot.down), nominal_loads(self.robot)
+        down, loads = at.down(self.robot), nominal_loads(self.robot)
         none = replace(loads, mass=0 * loads.mass, bar_mass=0 * loads.bar_mass)
         own = {
             f"phi{k + 1}{'xy'[axis]}": ca.dot(down, frame[:3, axis])
@@ -121,7 +121,8 @@ class GravityDeflection(Effect):
         robot, n = self.robot, self.robot.n_joints
         at = pose(robot, nominal_dimensions(robot), ca.SX.zeros(n), Deflection.zero(n))
         axes = [np.array(ca.DM(ca.evalf(frame[:3, 2]))).ravel() for frame in at.joints]
-        return tuple(bool(np.linalg.norm(np.cross(axis, robot.down)) < 1e-6) for axis in axes)
+        down = np.array(ca.DM(ca.evalf(at.down(robot)))).ravel()
+        return tuple(bool(np.linalg.norm(np.cross(axis, down)) < 1e-6) for axis in axes)
 
     def variable(self, joint: int) -> Variable:
         """Return the joint's angle."""

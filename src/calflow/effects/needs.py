@@ -28,6 +28,10 @@ NEEDS = {
         "mass_kg and com_mm of every link and payload in the robot file, or measured torques tau1_Nm …",
         lambda robot, given: robot.has_masses or "torque" in given,
     ),
+    "floor": Need(
+        "a chain that begins at what stands on the floor (ground = 0 in the robot file)",
+        lambda robot, given: robot.ground == 0,
+    ),
     "payload": Need(
         "a payload with a mass in the robot file",
         lambda robot, given: any(load.mass != 0 for load in robot.payloads.values()),

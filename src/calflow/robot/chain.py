@@ -55,6 +55,19 @@ class Posture:
     bars: tuple[ca.SX, ...]
     closure: Closure | None
 
+    def grounded(self, robot: Robot, point: ca.SX) -> ca.SX:
+        """Return a point (3,) of the base's frame as the link that stands on the floor sees it."""
+        if not robot.ground:
+            return point
+        floor = self.links[robot.ground - 1]
+        return floor[:3, :3].T @ (point - floor[:3, 3])
+
+    def down(self, robot: Robot) -> ca.SX:
+        """Return gravity's direction in the base's frame, (3,)."""
+        if not robot.ground:
+            return ca.SX(ca.DM(robot.down))
+        return self.links[robot.ground - 1][:3, :3] @ ca.DM(robot.down)
+
     @property
     def flange(self) -> ca.SX:
         """The flange's frame."""

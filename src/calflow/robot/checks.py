@@ -11,6 +11,7 @@ from calflow.robot.frames import Frame
 from calflow.robot.parts import Bar, Base, Coupling, FourBar, Joint, Marker, Named, Payload
 
 Told = Iterator[Problem]
+MOST_EXTERNAL = 6  # external axes that a controller counts
 
 
 def joint_problems(joints: Any) -> Told:
@@ -25,6 +26,8 @@ def joint_problems(joints: Any) -> Told:
             continue
         yield from _choice(f"{where}.kind", joint.kind, ("revolute", "prismatic"))
         yield from _kind(f"{where}.driven", joint.driven, bool)
+        if joint.external is not None:
+            yield from _joint(f"{where}.external", joint.external, 1, MOST_EXTERNAL)
         yield from _choice(f"{where}.sign", joint.sign, (1, -1))
         yield from _frame(where, joint)
         yield from _limits(where, joint)
@@ -37,6 +40,11 @@ def follower_problems(joints: Any, couplings: Any, loop: Any) -> Told:
     """Tell what is wrong with joints that follow others, of joints and couplings that are right in themselves."""
     if not all(isinstance(one, Joint) for one in joints) or not all(isinstance(one, Coupling) for one in couplings):
         return
+    external = [joint.external for joint in joints if joint.external is not None]
+    for number in sorted({one for one in external if external.count(one) > 1}):
+        yield Problem(f"several joints are external axis {number}", key="joints")
+    if len(external) == len(joints):
+        yield Problem("all joints are external axes: expected an arm", key="joints")
     followers = {i for i, joint in enumerate(joints, start=1) if not joint.driven}
     led = {coupling.joint for coupling in couplings}
     for joint in sorted(followers - led):
@@ -50,10 +58,20 @@ def follower_problems(joints: Any, couplings: Any, loop: Any) -> Told:
 
 
 def other_problems(
-    n_joints: int, gravity: Any, base: Any, couplings: Any, loop: Any, tool_rotation: Any, payloads: Any, markers: Any
+    n_joints: int,
+    gravity: Any,
+    ground: Any,
+    base: Any,
+    couplings: Any,
+    loop: Any,
+    tool_rotation: Any,
+    payloads: Any,
+    markers: Any,
 ) -> Told:
     """Tell what is wrong with all that is no joint."""
     yield from _vector("gravity", gravity)
+    if ground != 0:
+        yield from _joint("ground", ground, 0, n_joints)
     yield from _kind("base", base, Base)
     if isinstance(base, Base):
         yield from _vector("base.origin", base.origin)
@@ -151,7 +169,12 @@ def _joint(where: str, joint: Any, first: int, last: int) -> Told:
     if not isinstance(joint, int) or isinstance(joint, bool) or joint < first:
         yield Problem(f"expected a whole number from {first}, found {joint!r}", key=where)
     elif joint > last:
-        yield Problem(f"there is no joint {joint}: this robot has joints 1 to {last}", key=where)
+        what = (
+            f"external axis {joint}: there are"
+            if where.endswith("external")
+            else f"joint {joint}: this robot has joints"
+        )
+        yield Problem(f"there is no {what} 1 to {last}", key=where)
 
 
 def _kind(where: str, value: Any, kind: type) -> Told:

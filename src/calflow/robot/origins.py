@@ -38,6 +38,14 @@ class Origin:
         """Return a point (3,) of the frame as the other frame sees it."""
         return np.array(self.xyz) + self.rotation @ np.array(point)
 
+    @property
+    def inverse(self) -> Origin:
+        """Where the frame in which it stands is, seen from its own."""
+        if self == Origin():
+            return self
+        x, y, z = map(float, -self.rotation.T @ np.array(self.xyz))
+        return Origin((x, y, z), rpy_of(self.rotation.T))
+
     def then(self, inner: Origin) -> Origin:
         """Return the origin of a frame that stands in this one."""
         if self == Origin():

@@ -55,7 +55,8 @@ class Joint(Part):
 
     limits are of the joint's own variable, after sign and couplings [rad, or m for a prismatic joint], rated_torque [Nm, or
     N], mass [kg] and com [m] in the link's frame; a reading counts sign times. A joint that is not driven has no reading: it
-    follows others, as couplings say.
+    follows others, as couplings say. external is the number of the controller's external axis (a rail, a turntable) that it
+    is: it stays where it is commanded, and corrections move the arm alone.
     """
 
     frame: Frame
@@ -68,6 +69,7 @@ class Joint(Part):
     com: Vector = (0.0, 0.0, 0.0)
     name: str = ""
     driven: bool = True
+    external: int | None = None
 
     @property
     def range(self) -> tuple[float, float]:

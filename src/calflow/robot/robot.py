@@ -24,9 +24,10 @@ from calflow.robot.parts import STANDARD_GRAVITY, Base, Coupling, FourBar, Joint
 class Robot(Part):
     """A serial robot, possibly with one four-bar loop.
 
-    gravity [m/s²] is in the base's frame, payloads and markers are in the flange's; tool_rotation [rad, about x, y and z in
-    turn] leads from the flange to the frame whose orientation is measured. Two robots are equal where all that they hold
-    is, the order of payloads and markers included.
+    gravity [m/s²] is in the frame of link `ground`, which stands on the floor: 0 is the base. Where the chain begins at a work
+    piece, the joints up to that link carry the piece (a turntable), and those after it are the arm's. Payloads and markers are
+    in the flange's frame; tool_rotation [rad, about x, y and z in turn] leads from the flange to the frame whose orientation is
+    measured. Two robots are equal where all that they hold is, the order of payloads and markers included.
 
     Raises:
         InputError: with all values that cannot be.
@@ -36,6 +37,7 @@ class Robot(Part):
     name: str = "robot"
     notes: str = ""
     gravity: Vector = STANDARD_GRAVITY
+    ground: int = 0
     base: Base = field(default_factory=Base)
     couplings: tuple[Coupling, ...] = ()
     loop: FourBar | None = None
@@ -48,7 +50,16 @@ class Robot(Part):
         for name in ("payloads", "markers"):
             object.__setattr__(self, name, Named(getattr(self, name)))
         n_joints = len(self.joints) if isinstance(self.joints, tuple) else 0
-        rest = (self.gravity, self.base, self.couplings, self.loop, self.tool_rotation, self.payloads, self.markers)
+        rest = (
+            self.gravity,
+            self.ground,
+            self.base,
+            self.couplings,
+            self.loop,
+            self.tool_rotation,
+            self.payloads,
+            self.markers,
+        )
         problems = [*joint_problems(self.joints), *other_problems(n_joints, *rest)]
         problems = problems or list(follower_problems(self.joints, self.couplings, self.loop))
         if problems:
@@ -136,7 +147,7 @@ class Robot(Part):
 
     @property
     def down(self) -> np.ndarray:
-        """Gravity's direction in the base's frame, of length 1 (0 where nothing weighs anything), shape (3,)."""
+        """Gravity's direction in the frame of link `ground`, of length 1 (0 where nothing weighs anything), shape (3,)."""
         size = np.linalg.norm(self.gravity)
         return np.array(self.gravity) / size if size else np.zeros(3)
 
@@ -162,6 +173,16 @@ class Robot(Part):
     def followers(self) -> list[int]:
         """The joints (from 0) that have none, since only others move them."""
         return [i for i, joint in enumerate(self.joints) if not joint.driven]
+
+    @property
+    def external(self) -> list[int]:
+        """The joints (from 0) that are external axes, which no correction moves."""
+        return [i for i, joint in enumerate(self.joints) if joint.external is not None]
+
+    @property
+    def arm(self) -> list[int]:
+        """The driven joints (from 0) that are no external axes."""
+        return [i for i in self.driven if self.joints[i].external is None]
 
     @cached_property
     def angle_matrix(self) -> np.ndarray:

@@ -51,12 +51,12 @@ def potential_energy(robot: Robot, loads: Loads, row: Row, at: Posture) -> ca.SX
     gravity = ca.DM(robot.gravity)
     energy = ca.SX(0)
     for i, frame in enumerate(at.links):
-        energy -= loads.mass[i] * ca.dot(gravity, apply(frame, loads.com[:, i]))
+        energy -= loads.mass[i] * ca.dot(gravity, at.grounded(robot, apply(frame, loads.com[:, i])))
     for i, frame in enumerate(at.bars):
-        energy -= loads.bar_mass[i] * ca.dot(gravity, apply(frame, loads.bar_com[:, i]))
+        energy -= loads.bar_mass[i] * ca.dot(gravity, at.grounded(robot, apply(frame, loads.bar_com[:, i])))
     for i in range(len(robot.payloads)):
         mass = row.payload[i] * loads.payload_mass[i]
-        energy -= mass * ca.dot(gravity, apply(at.flange, loads.payload_com[:, i]))
+        energy -= mass * ca.dot(gravity, at.grounded(robot, apply(at.flange, loads.payload_com[:, i])))
     return energy
 
 
@@ -111,7 +111,7 @@ def _of_gravity(robot: Robot) -> ca.Function:
     """
     there, loads, row = _Symbols.of(robot), symbols_like(nominal_loads(robot)), Row.symbols(robot, ())
     force = ca.gradient(-potential_energy(robot, loads, row, there.at), there.motion)
-    down = there.at.flange[:3, :3].T @ ca.DM(robot.down)
+    down = there.at.flange[:3, :3].T @ there.at.down(robot)
     return ca.Function("gravity", [*there.inputs, *vars(loads).values(), row.payload], [force, down])
 
 

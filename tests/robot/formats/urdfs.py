@@ -50,6 +50,23 @@ def tree(seed: int) -> str:
     return f'<?xml version="1.0"?>\n<robot name="tree {seed}">\n{text}</robot>\n'
 
 
+def cell(seed: int) -> str:
+    """A positioner that tilts and turns a `piece`, and an arm on a rail up to `tip`, both on the floor `world`."""
+    rng = np.random.default_rng(seed)
+    text = link("world", rng, weighs=False)
+    for names, joints, end in (
+        (("tilted", "turned"), ("tilt", "turn"), "piece"),
+        (("wagon", *(f"l{k}" for k in range(1, 7))), ("rail", *(f"j{k}" for k in range(1, 7))), "tip"),
+    ):
+        at = "world"
+        for name, own in zip(names, joints, strict=True):
+            text += link(name, rng, weighs=name != "turned")
+            text += joint(own, "prismatic" if own == "rail" else "revolute", at, name, rng)
+            at = name
+        text += link(end, rng, weighs=False) + joint(f"to_{end}", "fixed", at, end, rng)
+    return f'<?xml version="1.0"?>\n<robot name="cell {seed}">\n{text}</robot>\n'
+
+
 class Reference:
     """A URDF as pinocchio has it; q are the variables of some joints by name, all others are at zero."""
 

@@ -36,6 +36,7 @@ class DriveTable(FileModel):
     mass: Mass | None = Field(default=None, ge=0)
     com: Lengths3 = (0.0, 0.0, 0.0)
     driven: bool = True
+    external: int | None = Field(default=None, ge=1)
 
     @field_validator("limits_deg", "limits_mm", "limits_rad", "limits_m")
     @classmethod
@@ -129,7 +130,7 @@ class JointTable(DriveTable):
             frame = self._own_frame()
         else:
             frame = CONVENTIONS[convention](**{name: getattr(self, name) for name in CONVENTIONAL})
-        same = ("kind", "limits", "sign", "gear_ratio", "rated_torque", "mass", "com", "name", "driven")
+        same = ("kind", "limits", "sign", "gear_ratio", "rated_torque", "mass", "com", "name", "driven", "external")
         return Joint(frame, **{name: getattr(self, name) for name in same})
 
     def _own_frame(self) -> Frame:
@@ -244,6 +245,7 @@ class RobotFile(Surroundings):
 
     name: str
     convention: Literal["dh", "modified-dh", "frames"]
+    ground: int = Field(default=0, ge=0)
     joints: tuple[JointTable, ...] = Field(min_length=1)
     couplings: tuple[CouplingTable, ...] = ()
     loop: LoopTable | None = None
@@ -280,6 +282,10 @@ class RobotFile(Surroundings):
     @model_validator(mode="after")
     def _up_is_known(self) -> RobotFile:
         """A first joint that slides along the base's z is a lift, or a rail that takes what is said of no gravity along itself."""
+        if self.ground > len(self.joints):
+            raise ValueError(f"ground: there is no link {self.ground}: this robot has links 0 to {len(self.joints)}")
+        if self.ground and self.gravity is None:
+            raise ValueError(f"missing: expected gravity, in the axes of link {self.ground}, which stands on the floor")
         first = self.joints[0]
         if first.steps and self.gravity is None:
             raise ValueError("missing: expected gravity, in the base's axes, of a robot stated by its frames' steps")
@@ -299,6 +305,7 @@ class RobotFile(Surroundings):
             **self.around(),
             "name": self.name,
             "gravity": self.gravity or STANDARD_GRAVITY,
+            "ground": self.ground,
             "joints": tuple(joint.part(self.convention) for joint in self.joints),
             "couplings": tuple(Coupling(**vars(coupling)) for coupling in self.couplings),
             "loop": self.loop and self.loop.part(),

@@ -29,8 +29,9 @@ def _lines(fields: Mapping[str, Any]) -> Iterator[str]:
     yield from _entries({"name": fields["name"], "notes": fields["notes"] or None})
     convention = convention_of([joint.frame for joint in joints]) or OWN_FRAMES
     yield f"convention = {json.dumps(convention)}"
-    usual = fields["gravity"] == STANDARD_GRAVITY and joints[0].kind == "revolute" and convention != OWN_FRAMES
-    yield from _entries({"gravity": None if usual else fields["gravity"]})
+    level = fields["gravity"] == STANDARD_GRAVITY and joints[0].kind == "revolute"
+    usual = level and convention != OWN_FRAMES and not fields["ground"]
+    yield from _entries({"gravity": None if usual else fields["gravity"], "ground": fields["ground"] or None})
     yield from _quantity("tool_rotation", fields["tool_rotation"], "angle")
     base: Base = fields["base"]
     if base != Base():
@@ -68,7 +69,7 @@ def _joint(joint: Joint, convention: str) -> Iterator[str]:
             yield from _quantity(step.symbol, step.value or None, "length" if step.is_length else "angle")
     yield from _quantity("limits", joint.limits, "angle" if joint.kind == "revolute" else "length")
     yield from _entries({"sign": None if joint.sign == 1 else joint.sign, "gear_ratio": joint.gear_ratio})
-    yield from _entries({"driven": None if joint.driven else False})
+    yield from _entries({"driven": None if joint.driven else False, "external": joint.external})
     yield from _quantity("rated_torque", joint.rated_torque, "moment")
     yield from _mass(joint)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +24,28 @@ SUFFIX = ".urdf"
 
 @dataclass(frozen=True)
 class Chain:
-    """The joints from a base link to a tip link."""
+    """The joints from a base link to a tip link: up, against their direction, to the link of which both hang, and down."""
 
     document: Document
     base: str
     tip: str
-    joints: tuple[UrdfJoint, ...]
+    up: tuple[UrdfJoint, ...]
+    down: tuple[UrdfJoint, ...]
+
+    @property
+    def joints(self) -> tuple[UrdfJoint, ...]:
+        """All, in order."""
+        return (*self.up, *self.down)
 
     @property
     def moving(self) -> tuple[UrdfJoint, ...]:
         """Those that move, in order."""
         return tuple(joint for joint in self.joints if joint.moves)
+
+    @property
+    def ground(self) -> int:
+        """How many of those that move lead up: they carry what the base link is of, a work piece say."""
+        return sum(joint.moves for joint in self.up)
 
 
 def read(path: Path, tip: str | None = None, base: str | None = None) -> dict[str, Any]:
@@ -49,7 +61,10 @@ def read(path: Path, tip: str | None = None, base: str | None = None) -> dict[st
     moving = chain.moving
     origins, tip_origin = _origins(chain)
     last = len(moving) - 1
-    axes = [Axis(joint.axis, joint.kind == "prismatic") for joint in moving]
+    axes = [
+        Axis(vector(-np.array(joint.axis)) if i < chain.ground else joint.axis, joint.kind == "prismatic")
+        for i, joint in enumerate(moving)
+    ]
     joints = []
     for i, (joint, origin, carried) in enumerate(zip(moving, origins, masses, strict=True)):
         frame = joint_frame(
@@ -65,7 +80,11 @@ def read(path: Path, tip: str | None = None, base: str | None = None) -> dict[st
                 frame,
                 kind="prismatic" if axes[i].slides else "revolute",
                 limits=_own_limits(joint),
-                mass=carried.mass if carried else None,
+                mass=carried.mass
+                if carried
+                else 0.0
+                if i == chain.ground - 1
+                else None,  # the floor bears what stands on it
                 com=_seen_from(tip_origin, com) if i == last else com,
                 name=joint.name,
                 driven=joint.mimic is None,
@@ -75,6 +94,7 @@ def read(path: Path, tip: str | None = None, base: str | None = None) -> dict[st
         "name": chain.document.name,
         "joints": tuple(joints),
         "gravity": _gravity(chain),
+        "ground": chain.ground,
         "couplings": _couplings(chain),
         "markers": {chain.tip: Marker((0.0, 0.0, 0.0))},
     }
@@ -98,14 +118,9 @@ def find_chain(document: Document, tip: str | None, base: str | None) -> Chain:
     ]
     if unknown:
         raise InputError(unknown)
-    way = document.above(tip)
-    links = [document.root, *(joint.child for joint in way)]
-    if start not in links:
-        raise refuse(
-            f"base: link '{start}' is not on the way from '{document.root}' to '{tip}' ({', '.join(links)})",
-            document.path,
-        )
-    chain = Chain(document, start, tip, tuple(way[links.index(start) :]))
+    above_base, above_tip = document.above(start), document.above(tip)
+    common = sum(1 for _ in takewhile(lambda both: both[0] == both[1], zip(above_base, above_tip, strict=False)))
+    chain = Chain(document, start, tip, tuple(above_base[common:][::-1]), tuple(above_tip[common:]))
     problems = [_problem(chain, joint, f"calflow has no joint of type '{joint.kind}' between base and tip")
                 for joint in chain.joints if joint.kind in ("floating", "planar")]  # fmt: skip
     names = [joint.name for joint in chain.moving]
@@ -129,7 +144,12 @@ def _problem(chain: Chain, joint: UrdfJoint, message: str) -> Problem:
 def _origins(chain: Chain) -> tuple[list[Origin], Origin]:
     """Each moving joint's origin in the frame of the one before (the first one's in the base), and the tip's in the last one's."""
     origins, at = [], Origin()
-    for joint in chain.joints:
+    for joint in chain.up:
+        if joint.moves:
+            origins.append(at)
+            at = Origin()
+        at = at.then(joint.origin.inverse)
+    for joint in chain.down:
         at = at.then(joint.origin)
         if joint.moves:
             origins.append(at)
@@ -156,9 +176,13 @@ def _own_limits(joint: UrdfJoint) -> tuple[float, float] | None:
 
 
 def _gravity(chain: Chain) -> Vector:
-    """Gravity in the base's frame: along the root's z, all joints between them at zero."""
+    """Gravity in the frame of what stands on the floor: along the root's z, all joints between them at zero.
+
+    That frame is the base's, or that of the last of the joints that lead up.
+    """
+    last = next((joint for joint in reversed(chain.up) if joint.moves), None)
     turn = np.eye(3)
-    for joint in chain.document.above(chain.base):
+    for joint in chain.document.above(last.child if last else chain.base):
         turn = turn @ joint.origin.rotation
     return STANDARD_GRAVITY if np.array_equal(turn, np.eye(3)) else vector(turn.T @ np.array(STANDARD_GRAVITY))
 
@@ -168,19 +192,25 @@ def _carried(chain: Chain) -> list[Inertia | None]:
 
     In the joint's frame; None where no link of it has a mass.
     """
-    hanging: dict[str, list[UrdfJoint]] = {}
-    for joint in chain.document.joints.values():
-        hanging.setdefault(joint.parent, []).append(joint)
+    beside: dict[str, list[tuple[str, Origin]]] = {}
     names = {joint.name for joint in chain.moving}
-    return [_lumped(chain.document.links, hanging, names, joint.child) for joint in chain.moving]
+    for joint in chain.document.joints.values():
+        if joint.name not in names:
+            beside.setdefault(joint.parent, []).append((joint.child, joint.origin))
+            beside.setdefault(joint.child, []).append((joint.parent, joint.origin.inverse))
+    starts = [
+        (joint.parent, joint.origin.inverse) if i < chain.ground else (joint.child, Origin())
+        for i, joint in enumerate(chain.moving)
+    ]
+    return [_lumped(chain.document.links, beside, link, at) for link, at in starts]
 
 
 def _lumped(
-    links: Mapping[str, Inertia | None], hanging: Mapping[str, Sequence[UrdfJoint]], chain: set[str], link: str
+    links: Mapping[str, Inertia | None], beside: Mapping[str, Sequence[tuple[str, Origin]]], link: str, at: Origin
 ) -> Inertia | None:
-    """The inertia of a link and of all that hangs on it but for the joints of the chain."""
+    """The inertia of a link that stands at an origin, and of all that is joined to it but by the joints of the chain."""
     mass, moment, weighed = 0.0, np.zeros(3), False
-    to_do = [(link, Origin())]
+    to_do, done = [(link, at)], {link}
     while to_do:
         here, at = to_do.pop()
         inertia = links[here]
@@ -188,7 +218,9 @@ def _lumped(
             weighed = True
             mass += inertia.mass
             moment += inertia.mass * at.at(inertia.com)
-        to_do += [(one.child, at.then(one.origin)) for one in hanging.get(here, ()) if one.name not in chain]
+        further = [(other, at.then(origin)) for other, origin in beside.get(here, ()) if other not in done]
+        to_do += further
+        done |= {other for other, _ in further}
     if not weighed:
         return None
     return Inertia(mass, vector(moment / mass) if mass else (0.0, 0.0, 0.0))

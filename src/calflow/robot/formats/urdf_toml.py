@@ -98,6 +98,9 @@ def _completed(joint: Joint, table: NamedJointTable | None) -> Joint:
     """A joint with what a table says of it."""
     if table is None:
         return joint
-    given = {name: getattr(table, name) for name in ("sign", "gear_ratio", "rated_torque", "mass", "com", "driven")}
+    given = {
+        name: getattr(table, name)
+        for name in ("sign", "gear_ratio", "rated_torque", "mass", "com", "driven", "external")
+    }
     said = {name: value for name, value in given.items() if name in table.model_fields_set}
     return replace(joint, limits=table.limits or joint.limits, **said)
