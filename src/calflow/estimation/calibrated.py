@@ -125,14 +125,16 @@ class Identified:
         return self.device[0].sigma
 
     def noise(self, data: Measurements) -> Noise:
-        """Return the noise of these rows, from where it was taken."""
+        """Return the noise of these rows, from where it was taken: of rows that state none, that of the rows which were fitted."""
         stated = stated_noise(data)
         sigma = stated.sigma.copy()
         for k, one in enumerate(self.device):
             own = data.of_series(k)
             if one.growth:
                 sigma[own] = one.sigma + one.growth * data.table["range"].to_numpy()[own]
-            elif one.source != "file":
+            elif one.source == "file":
+                sigma[own] = np.where(np.isnan(sigma[own]), one.at_rows, sigma[own])
+            else:
                 sigma[own] = one.sigma
         return replace(
             stated, sigma=sigma, sources=tuple(one.source for one in self.device), discrepancy=self.discrepancy,
@@ -290,10 +292,10 @@ def placed(robot: Robot, results: Results) -> Robot:
     rows = results.rows("identify/placement.csv", Placed)
     if all(row.source == ROBOT_FILE for row in rows):
         return robot
-    at = {row.what: vector((row.x_m, row.y_m, row.z_m)) for row in rows}
-    turn = {row.what: vector(np.deg2rad((row.rx_deg, row.ry_deg, row.rz_deg))) for row in rows}
-    base = robot.base if robot.base.known else Base(origin=at["base"], rotation=turn["base"], known=False)
-    markers = {name: replace(marker, point=at[name]) for name, marker in robot.markers.items()}
+    at = {(row.kind, row.what): vector((row.x_m, row.y_m, row.z_m)) for row in rows}  # a marker may be called 'tool'
+    turn = {row.kind: vector(np.deg2rad((row.rx_deg, row.ry_deg, row.rz_deg))) for row in rows}
+    base = robot.base if robot.base.known else Base(origin=at["base", "base"], rotation=turn["base"], known=False)
+    markers = {name: replace(marker, point=at["marker", name]) for name, marker in robot.markers.items()}
     tool = robot.tool_rotation and turn["tool"]
     return replace(robot, base=base, markers=markers, tool_rotation=tool)
 

@@ -1,0 +1,62 @@
+"""What identify kept is read back: places where they were, and a noise for every row."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calflow.estimation.calibrated import Identified, SeriesNoise, observation_table, placed, placement_table
+from calflow.files.results import Results
+from calflow.measurements.measurements import Measurements
+from calflow.model import build
+from calflow.observations import observations
+from calflow.robot.parts import Marker
+from robots import ASKEW, ur10
+
+
+def test_a_marker_called_tool_is_not_taken_for_the_tool_s_turn():
+    """Fails if a robot whose marker is called as in the template, and whose tool is turned, has its marker at the flange."""
+    robot = replace(
+        ur10(), base=replace(ASKEW, known=False), tool_rotation=(0.2, 0.7, -0.9),
+        markers={"tool": Marker((0.06, -0.02, 0.1), known=False), "B": Marker((0.0, 0.1, 0.2), known=False)},
+    )  # fmt: skip
+    observed = observations(
+        Measurements.from_arrays(robot, np.zeros((2, 6)), np.ones((2, 3)), marker="B", payload="load")
+    )
+    kept = Results(
+        {
+            "identify/placement.csv": placement_table(robot, observed),
+            "identify/observations.csv": observation_table(observed),
+        }
+    )
+    file = replace(
+        robot,
+        base=replace(robot.base, origin=(0.0, 0.0, 0.0)),
+        markers={name: Marker((0.0, 0.0, 0.1), known=False) for name in robot.markers},
+    )
+    found = placed(file, kept)
+    for name, marker in robot.markers.items():
+        np.testing.assert_allclose(found.markers[name].point, marker.point, atol=1e-12)
+    np.testing.assert_allclose(found.tool_rotation, robot.tool_rotation, atol=1e-12)
+    np.testing.assert_allclose(found.base.rotation, robot.base.rotation, atol=1e-12)
+
+
+@pytest.mark.parametrize(("source", "expected"), [("file", [2e-5, 7e-5]), ("repeats", [4e-5, 4e-5])])
+def test_rows_that_state_no_noise_have_that_of_the_fit(source, expected):
+    """Fails if new rows without a column sigma have a noise that is no number, or one that is stated does not count."""
+    model = build(ur10(), ())
+    known = Identified(
+        model,
+        np.zeros(0),
+        np.zeros((0, 0)),
+        np.zeros(0, bool),
+        (SeriesNoise(4e-5, source, typical=7e-5),),
+        0.0,
+        0.0,
+        "linear",
+    )
+    rows = Measurements.from_arrays(ur10(), np.zeros((2, 6)), np.ones((2, 3)), payload="load", sigma=[2e-5, 3e-5])
+    assert known.noise(rows).sigma[0] == expected[0]
+    assert known.noise(replace(rows, table=rows.table.drop(columns="sigma"))).sigma[1] == expected[1]
