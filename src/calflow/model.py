@@ -33,12 +33,14 @@ class Prediction(NamedTuple):
 
     point (3,) [m] is where the marker is in the measuring frame and rotation (3, 3) how the tool is turned, position (3,) [m] what
     a device in the measuring frame reports of it, which `device` says of any frame; closure is the cosine of the loop's closure.
+    tool (3, 3) is how the tool is turned on the flange.
     dims, loads and state are what the robot's effects made of it.
     """
 
     point: ca.SX
     position: ca.SX
     rotation: ca.SX
+    tool: ca.SX
     closure: ca.SX
     device: Callable[[ca.SX], ca.SX]
     dims: Dimensions
@@ -137,10 +139,10 @@ class Model:
             return seen
 
         nominal_turn = placement(ca.DM([0, 0, 0, *(self.robot.tool_rotation or (0, 0, 0))]))
-        tool = nominal_turn @ placement(ca.vertcat(0, 0, 0, dims.tool_rotation))
-        rotation = (stands @ at.flange @ tool)[:3, :3]
+        tool = (nominal_turn @ placement(ca.vertcat(0, 0, 0, dims.tool_rotation)))[:3, :3]
+        rotation = (stands @ at.flange)[:3, :3] @ tool
         cosine = at.closure.cosine if at.closure else ca.SX(0)
-        return Prediction(point, device(point), rotation, cosine, device, dims, loads, now)
+        return Prediction(point, device(point), rotation, tool, cosine, device, dims, loads, now)
 
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, Prediction]:

@@ -68,6 +68,32 @@ def test_a_shifted_zero_is_found_with_its_joint_and_size(robot):
         assert found.summary.left_mm < found.summary.error_mm
 
 
+def test_dates_are_told_by_time_alone(robot):
+    """Fails if the same poses, measured again days later, are averaged with those from before the joint moved."""
+    known, q = robot
+    days = np.repeat([0.0, 5 * 86400.0], len(q))
+    data = checked(known, q, 5, zero(3, 4e-4), since=1, dates=("mon", "sat"), time=days)
+    found = drift(known, [], replace(data, table=data.table.drop(columns="session")), station="known")
+    assert (found.moved[0].joint, found.summary.sessions, found.summary.poses) == (3, 2, 2 * len(q))
+    assert (found.moved[0].since, found.moved[0].before) == ("120.0 h", "0.0 h")
+    assert abs(found.recalibration[0].shift - 4e-4) < 4 * found.recalibration[0].sd
+
+
+def test_a_tool_s_shift_is_in_the_flange_s_axes():
+    """Fails if a tool that is turned on its flange has its shift told in its own axes, which no marker is stated in."""
+    model = build(replace(industrial(), tool_rotation=(0.3, 1.2, -0.8)), ("geometry",))
+    q = candidates(model, 8, "load", "E", None, np.random.default_rng(4))[0]
+    rows = Measurements.from_arrays(model.robot, q, None, payload="load").stating(())
+    known = Identified(model, model.nominal, 1e-12 * np.eye(len(model.nominal)), np.zeros(len(model.nominal), dtype=bool),
+                       (SeriesNoise(NOISE, "file"),), 0.0, 0.0, "linear")  # fmt: skip
+    shift = np.array([2e-4, -1e-4, 3e-4])
+    marker = model.robot.markers["E"]
+    moved = replace(model.robot, markers={"E": replace(marker, point=tuple(np.add(marker.point, shift)))})
+    there = build(moved, ()).point(np.zeros(0), rows.rows) - build(model.robot, ()).point(np.zeros(0), rows.rows)
+    tool = next(one for one in movements(known, rows, False) if one.name == "tool")
+    np.testing.assert_allclose(tool.slope @ shift, there, rtol=0, atol=1e-12)
+
+
 def test_nothing_is_found_where_nothing_moved(robot):
     """Fails if the calibration's own errors or the device's noise raise alarms more often than stated."""
     known, q = robot

@@ -43,19 +43,20 @@ class Check:
     def of(known: Identified, needed: list[NeededCondition], data: Measurements, fitted: bool) -> Check:
         """Set it up from rows; fitted says that the device's frame, one a session, is to be fitted to them.
 
-        Repeats are brought together. The covariance is that of the parameters, of the choice among models, of the discrepancy,
-        which is another at each pose, of the device's noise, and of conditions that the rows lack.
+        Repeats of a session are brought together. The covariance is that of the parameters, of the choice among models, of the
+        discrepancy, which is another at each pose, of the device's noise, and of conditions that the rows lack.
 
         Raises:
             InputError: a frame cannot be fitted.
         """
         model = known.model
         rows = data.stating(model.given).on(model.robot).rows
-        group = np.unique(conditions(data), return_inverse=True)[1]
+        date, names = _sessions(data.table)
+        group = np.unique(date * len(data) + conditions(data), return_inverse=True)[1]
         first = np.unique(group, return_index=True)[1]
         share = (group == np.arange(len(first))[:, None]) / np.bincount(group)[:, None]
         table = data.table.iloc[first].reset_index(drop=True)
-        session, names = _sessions(table)
+        session = date[first]
         points, seen = share @ model.point(known.estimate, rows), share @ data.position
         slope = np.einsum("nm,mai->nai", share, model.point_jacobian(known.estimate, rows)).reshape(3 * len(first), -1)
         noise = known.noise(data).sigma if known.noise_known else np.zeros(len(data))
@@ -100,7 +101,7 @@ class Check:
 
 
 def _sessions(table: pd.DataFrame) -> tuple[np.ndarray, tuple[str, ...]]:
-    """The number of each point's session in order of time, or of the rows, and their names; hours apart are sessions too."""
+    """The number of each row's session in order of time, or of the rows, and their names; hours apart are sessions too."""
     if "session" in table:
         order = table.sort_values("time", kind="stable") if "time" in table else table
         names = tuple(dict.fromkeys(order["session"].astype(str)))

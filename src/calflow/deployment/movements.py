@@ -26,7 +26,7 @@ CHANGED = 0.3  # of a cause's usual size, by which it changes as a robot ages
 EXPANSION_SD = 1e-4  # share by which links grow with temperature: some 8 K of steel
 WARMER = 1.0  # K: growth is linear in it
 MOST = 6  # parameters of one part, beyond which it is no single movement
-ZEROS, CONDITIONS = (-1,), (-2,)  # what the functions made here are known by among those of a model
+ZEROS, CONDITIONS, FLANGE = (-1,), (-2,), (-3,)  # what the functions made here are known by among those of a model
 SAME = 0.9999  # cosine from which two movements do the same
 
 
@@ -85,8 +85,12 @@ def _zeros(known: Identified, rows: np.ndarray) -> Iterator[Movement]:
 
 
 def _tool(known: Identified, data: Measurements, rows: np.ndarray) -> Iterator[Movement]:
-    """The place of all markers on the tool, and of each alone where there are several."""
-    turn = known.model.rotation(known.estimate, rows)
+    """The place of all markers on the tool, in the flange's axes, and of each alone where there are several."""
+    model = known.model
+    if FLANGE not in model.made:
+        p, c, predicted = model.symbols
+        model.made[FLANGE] = ca.Function("flange", [p, c], [ca.densify(predicted.tool @ predicted.rotation.T)])
+    turn = over_rows(model.made[FLANGE], known.estimate, rows)[0].T.reshape(-1, 3, 3)
     names = list(dict.fromkeys(data.table["marker"]))
     sd, told = np.full(3, PLACED_SD), ("m",) * 3
     yield Movement("tool", "tool", "tool on its flange", 0, told, ("x", "y", "z"), turn, sd)

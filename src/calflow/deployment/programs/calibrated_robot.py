@@ -161,9 +161,7 @@ def _frames(model: Model, p: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, 
     symbol, c, predicted = model.symbols
     first = model.robot.n_joints + len(model.robot.payloads)
     marker = predicted.dims.markers @ c[first : first + len(model.robot.markers)]
-    turn = placement(ca.DM([0, 0, 0, *(model.robot.tool_rotation or (0, 0, 0))]))
-    turn = (turn @ placement(ca.vertcat(0, 0, 0, predicted.dims.tool_rotation)))[:3, :3]
-    outputs = [predicted.point, ca.vec(predicted.rotation), marker, ca.vec(turn)]
+    outputs = [predicted.point, ca.vec(predicted.rotation), marker, ca.vec(predicted.tool)]
     function = ca.Function("frames", [symbol, c], [ca.densify(ca.SX(one)) for one in outputs])
     point, rotation, shift, turned = over_rows(function, p, rows)
     return _transforms(point, rotation), _transforms(shift, turned)
