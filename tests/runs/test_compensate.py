@@ -44,6 +44,18 @@ def test_commands_land_where_predict_says(finished, asked):
     np.testing.assert_allclose(landed["expected_mm"], expected, rtol=1e-3)
 
 
+def test_a_user_s_own_file_is_not_written_over(finished, asked):
+    """Fails if --out may name the file that is read, which would be gone."""
+    before = (finished / "targets.csv").read_bytes()
+    for command in ("compensate", "predict"):
+        answer = finished.calflow(
+            command, finished / "runs", finished / "targets.csv", "--out", finished / "targets.csv"
+        )
+        assert answer.code == 2
+        assert "would write over" in answer.err
+    assert (finished / "targets.csv").read_bytes() == before
+
+
 def test_targets_may_be_in_frames_and_without_readings(finished, asked):
     """Fails if a frame of the user's is not applied, or rows need the nominal robot's readings."""
     (finished / "frames.toml").write_text(FRAMES, encoding="utf-8")

@@ -70,9 +70,14 @@ def test_what_is_not_known_is_asked_for(cell):
     wrong = [
         (("--payload", "none such"), "payload"),
         (("--tool", "1=1,2,3"), "expected X,Y,Z,W,P,R in mm and degrees"),
+        (("--payload", "heavi"), "--payload heavi: unknown payload: expected one of light, heavy"),
         (("--start", "1,2"), "expected 3 readings, found 2"),
+        (("--start", "nan,1,2"), "expected finite readings"),
+        (("--condition", "temperature_degC=nan"), "--condition temperature_degC: expected a finite number"),
         (("--condition", "temperature=20"), "expected one of temperature_degC"),
-        (("--out", cell / "points.ls"), "is the program itself"),
+        (("--out", cell / "points.ls"), "would write over"),
+        (("--summary", cell / "points.ls"), "would write over"),
+        (("--summary", cell / "points.corrected.ls"), "would write over"),
     ]
     for options, told in wrong:
         answer = cell.calflow("filter", cell / "runs", cell / "points.ls", *options)

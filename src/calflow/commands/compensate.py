@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.options import FILE
+from calflow.commands.options import FILE, apart
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,6 +40,7 @@ def compensate(
     from calflow.files.csv import csv_text, write_csv
     from calflow.runs.compensate import compensate as compensate_targets
 
+    apart(out, "--out", targets)
     table = compensate_targets(
         study_or_run, targets, frames=frames, in_order=in_order, missing="widen" if without_conditions else "refuse"
     )

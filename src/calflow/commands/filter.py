@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.options import FILE
+from calflow.commands.options import FILE, apart
 
 MOST_TOLD = 20  # of one kind that are printed
 
@@ -53,8 +53,8 @@ def filter_targets(
     from calflow.runs.filter import filter_program
 
     target = out or program.with_name(f"{program.stem}.corrected{program.suffix}")
-    if target.resolve() == program.resolve():
-        raise click.UsageError(f"{program} is the program itself: --out must be another file")
+    apart(target, "--out", program)
+    apart(summary, "--summary", program, target)
     done = filter_program(
         study_or_run, program, payload=payload, tools=tools, frames=frames, base=base, flange=flange,
         start=_numbers("--start", start), any_configuration=any_configuration, in_order=in_order,

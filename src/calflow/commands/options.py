@@ -18,3 +18,14 @@ STATION = click.option(
     show_default=True,
     help="Whether the device stood where it stood in the calibration.",
 )
+
+
+def apart(written: Path | None, option: str, *others: Path) -> None:
+    """Check that a file that an option names is none of the others, which it would write over.
+
+    Raises:
+        UsageError: it is.
+    """
+    for other in others:
+        if written is not None and written.resolve() == other.resolve():
+            raise click.UsageError(f"{option} {written} would write over {other}: expected another file")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from calflow.commands.options import FILE
+from calflow.commands.options import FILE, apart
 
 
 @click.command()
@@ -26,6 +26,7 @@ def predict(study_or_run: Path, rows: Path, out: Path | None, without_conditions
     from calflow.files.csv import csv_text, write_csv
     from calflow.runs.predict import predict as predict_rows
 
+    apart(out, "--out", rows)
     table = predict_rows(study_or_run, rows, "widen" if without_conditions else "refuse")
     for note in table.attrs["notes"]:
         click.echo(f"note: {note}", err=True)

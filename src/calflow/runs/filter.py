@@ -67,6 +67,9 @@ def filter_program(
         _check_conditions(run.needed, given)
     known = run.known(given)
     robot = known.model.robot
+    if payload is not None and payload not in robot.payloads:
+        there = f"expected one of {', '.join(robot.payloads)}" if robot.payloads else "the robot file has none"
+        raise refuse(f"unknown payload: {there}{nearest(payload, robot.payloads)}", key=f"--payload {payload}")
     origin = {"time_origin": run.time_origin} if "time" in stated else {}
     carried = {} if payload is None else {"payload": payload}
 
@@ -106,6 +109,8 @@ def _start(robot: Robot, start: Sequence[float] | None) -> tuple[float, ...] | N
         return None
     if len(start) != robot.n_joints:
         raise refuse(f"expected {robot.n_joints} readings, found {len(start)}", key="--start")
+    if not np.isfinite(start).all():
+        raise refuse(f"expected finite readings, found {', '.join(f'{one:g}' for one in start)}", key="--start")
     return tuple(value / joint.shown[1] for value, joint in zip(start, robot.joints, strict=True))
 
 
@@ -117,6 +122,8 @@ def _conditions(stated: Mapping[str, float]) -> dict[str, float]:
         if split is None or split[0] not in CONDITIONS or split_unit(name, split[0]) is None:
             known = ("temperature_degC", "temperature_K", "time_s", "time_min", "time_h")
             raise refuse(f"expected one of {', '.join(known)}{nearest(name, known)}", key=f"--condition {name}")
+        if not np.isfinite(value):
+            raise refuse(f"expected a finite number, found {value:g}", key=f"--condition {name}")
         factor, offset = to_si(split[1])
         found[split[0]] = factor * value + offset
     return found

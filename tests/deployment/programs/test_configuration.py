@@ -63,6 +63,17 @@ def test_only_what_crosses_a_boundary_changes():
     assert wrist.changes(posture(0, 0, 0, 0, 0.01, 0), posture(0, 0, 0, 0, -0.01, 0)) == ((wrist.flags[0], "N"),)
 
 
+def test_a_flag_at_a_boundary_is_that_of_the_corrected_posture():
+    """Fails if a joint at a boundary, which the file counts to one side and the solution to the other, ends on the wrong one."""
+    before, after = posture(-1e-9, -90, 90, 10, 15, 89.9999999), posture(0.01, -90, 90, 10, 15, 90.01)
+    told = KrlConfiguration(flags("2", "2"), ("S", "T"))  # bit 0 of T is not set: A1 counts as 0 and more
+    assert told.agrees(before)
+    assert told.changes(before, after) == ()
+    quarters = RapidConfiguration(flags("0", "0", "1", "0"))
+    assert quarters.agrees(before)
+    assert quarters.changes(before, after) == ()
+
+
 def test_a_flag_that_some_robots_do_not_use_is_not_asked_for_twice():
     """Fails if a cfx that is always 0 makes a target's posture unknown."""
     unused = RapidConfiguration(flags("0", "0", "0", "0"))

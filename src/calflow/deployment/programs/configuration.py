@@ -72,7 +72,7 @@ class Listed(Configuration):
     def changes(self, before: Posture, after: Posture) -> tuple[tuple[Flag, str], ...]:
         """Return the flags that change between two postures."""
         pairs = zip(self.flags, self.of(before), self.of(after), strict=True)
-        return tuple((flag, new) for flag, old, new in pairs if new is not None and old is not None and new != old)
+        return tuple((flag, new) for flag, old, new in pairs if new not in (None, old, flag.text) and old is not None)
 
 
 @dataclass(frozen=True)
@@ -138,10 +138,13 @@ class KrlConfiguration(Configuration):
         if len(before.readings) != 6:
             return ()
         old, new = _krl_bits(before), _krl_bits(after)
-        changed = [
-            (flag, _krl_value(flag) ^ old[name] ^ new[name]) for name, flag in self._pairs if old[name] != new[name]
-        ]
-        return tuple((flag, _krl_spelled(value, flag)) for flag, value in changed)
+        found = []
+        for name, flag in self._pairs:
+            crossed = old[name] ^ new[name]
+            value = (_krl_value(flag) & ~crossed) | (new[name] & crossed)
+            if value != _krl_value(flag):
+                found.append((flag, _krl_spelled(value, flag)))
+        return tuple(found)
 
     @property
     def _pairs(self) -> tuple[tuple[str, Flag], ...]:
