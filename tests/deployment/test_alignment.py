@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calflow.deployment.alignment import Alignment, can_align, restored
+from calflow.deployment.alignment import Alignment, can_align, errors_left_out, restored
 
 
 def test_a_motion_is_found_and_undone():
@@ -31,6 +31,22 @@ def test_errors_are_as_large_as_before_the_frame_was_fitted():
         made.append((restored(error, expected) ** 2).mean())
     assert np.mean(left) < 0.65e-6
     assert 0.95e-6 < np.mean(made) < 1.05e-6
+
+
+def test_a_pose_left_out_errs_as_a_further_one_does():
+    """Fails if a pose helps the frame in which it is judged, or two points of one pose help each other's."""
+    rng = np.random.default_rng(4)
+    expected = rng.uniform(-1, 1, (12, 3))
+    pose, near, later = np.repeat(np.arange(5), 2), np.arange(10), np.arange(10, 12)
+    left_out, further = [], []
+    for noise in 1e-3 * rng.standard_normal((600, 12, 3)):
+        noise[1:10:2] = noise[0:10:2]  # the two points of a pose err alike
+        measured = expected + noise
+        frame = Alignment.best(measured[near], expected[near], np.ones(10))
+        left_out.append((errors_left_out(measured[near], expected[near], pose) ** 2).mean())
+        further.append(((frame.of(measured[later]) - expected[later]) ** 2).mean())
+    assert 0.9 < np.mean(left_out) / np.mean(further) < 2.0
+    assert np.isnan(errors_left_out(expected[:3], expected[:3], np.arange(3))).all()
 
 
 def test_points_on_a_line_show_no_frame():

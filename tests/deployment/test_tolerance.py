@@ -26,6 +26,25 @@ def test_all_of_the_task_is_less_probable_than_one_pose():
     assert known.within(limit, 1) > known.within(limit, 2) > known.within(limit, 20)
 
 
+@pytest.mark.parametrize(("factor", "poses"), [(0.0, 12), (0.6, 40)])
+def test_the_task_is_met_as_often_as_stated_where_errors_differ_from_place_to_place(factor, poses):
+    """Fails if the largest of many further errors is taken for that of noise alone where places differ by factors."""
+    rng = np.random.default_rng(8)
+    places = np.exp(factor * rng.standard_normal((500, 2 * poses)))
+    drawn = places * np.linalg.norm(rng.standard_normal((500, 2 * poses, 3)), axis=2)
+    limits = np.array([Errors.of(known).reached_by(0.9, poses) for known in drawn[:, :poses]])
+    assert 0.86 < (drawn[:, poses:].max(axis=1) < limits).mean() < 0.955
+
+
+def test_errors_that_are_nothing_or_all_alike_are_no_trouble():
+    """Fails if a pose without any error, or poses with the same, make a probability that is no number."""
+    assert 0.5 < Errors.of(np.array([0.0, 0.2, 0.3, 0.25, 0.1])).within(0.6) < 1
+    assert Errors.of(np.zeros(5)).within(0.1) == 1
+    alike = Errors.of(np.full(5, 0.2))
+    assert (alike.within(0.3), alike.within(0.1)) == (1, 0)
+    assert alike.reached_by(0.9) == pytest.approx(0.2)
+
+
 def test_fewer_poses_and_lost_ones_make_it_less_sure():
     """Fails if what a fitted frame took counts as measured, or two poses are enough to state a probability."""
     error = np.array([1.0, 1.2, 0.8, 1.1, 0.9, 1.05])

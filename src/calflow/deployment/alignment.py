@@ -68,3 +68,18 @@ def restored(errors: np.ndarray, points: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(left)
     root = np.maximum(values, 1e-12) ** -0.5
     return np.asarray(np.einsum("nai,ni,nbi,nb->na", vectors, root, vectors, errors))
+
+
+def errors_left_out(measured: np.ndarray, expected: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Return measured minus expected points (n, 3) [m], those of each pose (n,) in the frame that fits all other poses best.
+
+    So a further pose is seen: it errs by what the frame is off there besides, of which the frame's own poses show the less the
+    fewer they are. nan where the other poses are too few, or lie on one line.
+    """
+    found = np.full_like(measured, np.nan)
+    for name in np.unique(pose):
+        own = pose == name
+        if can_align(measured[~own]):
+            frame = Alignment.best(measured[~own], expected[~own], np.ones((~own).sum()))
+            found[own] = frame.of(measured[own]) - expected[own]
+    return found

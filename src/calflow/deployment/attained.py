@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from calflow.deployment.alignment import FEWEST, FREEDOM, Alignment, can_align, restored
+from calflow.deployment.alignment import FEWEST, FREEDOM, Alignment, can_align, errors_left_out, restored
 from calflow.deployment.iso_9283 import angle_repeatability, pose_repeatability
 from calflow.estimation.calibrated import Identified
 from calflow.estimation.certainty import position_variance
@@ -105,6 +105,14 @@ class Attained:
             own = self.frame == frame
             left = alignment.of(self.measured[own]) - self.expected[model][own]
             found[own] = restored(left, self.measured[own])
+        return found
+
+    def errors_of_further(self, model: str, fitted: bool) -> np.ndarray:
+        """Return errors (n, 3) [m] as further poses would show them; nan where a frame cannot be fitted without a pose."""
+        found = self.errors(model, False)
+        for frame in range(self.frame.max() + 1) if fitted else ():
+            own = self.frame == frame
+            found[own] = errors_left_out(self.measured[own], self.expected[model][own], self.pose[own])
         return found
 
     def lost(self, fitted: bool) -> int:

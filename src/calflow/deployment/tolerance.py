@@ -1,7 +1,9 @@
 """Tolerance: how probable it is that further poses err by less than one, by the errors of some measured poses.
 
-The cube root of an error's square, e^(2/3), is nearly normal for errors along any number of axes (Wilson and Hilferty 1931).
-A further one is then distributed as Student's t about the measured ones' mean, which is exact for normal figures.
+Some power of the errors is taken for normal (Box and Cox 1964): 2/3 where they differ by noise alone, along any number of axes
+(Wilson and Hilferty 1931), 0, the logarithm, where they differ by factors from place to place, more where they are much alike.
+Which one is not known: each counts as probable as the errors make it. A further error is then distributed as Student's t about
+the measured ones' mean, which is exact for normal figures.
 """
 
 from __future__ import annotations
@@ -9,29 +11,45 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.special import ndtr
 from scipy.stats import chi, norm, t
 
 FEWEST = 3  # poses, of fewer no spread is known
+POWERS = np.arange(5) / 3.0  # as many below 2/3 as above, as probable as each other before any error is seen
 NODES = 64  # quantiles of the mean and of the standard deviation over which the task's probability is averaged
+SMALLEST = 1e-6  # of the largest error: what is below it is rounding
+FAR = 25.0  # in logarithms of the typical error: no error is further from it
 
 
 @dataclass(frozen=True)
 class Errors:
-    """What errors of poses tell of further ones like them: mean and standard deviation of e^(2/3), and how many they count as.
+    """What errors of poses tell of further ones like them: their geometric mean, and of each power the mean, sd and probability.
 
     weight is how many independent poses they are worth, which a fitted frame makes fewer.
     """
 
-    mean: float
-    sd: float
+    typical: float
+    mean: np.ndarray
+    sd: np.ndarray
+    probability: np.ndarray
     weight: float
 
     @staticmethod
     def of(error: np.ndarray, lost: float = 0.0) -> Errors:
         """Take the sizes of errors (n_poses,), of which a fit took so many poses' worth away."""
-        root = np.cbrt(np.asarray(error, dtype=float) ** 2)
-        sd = float(root.std(ddof=1)) if len(root) > 1 else float("nan")
-        return Errors(float(root.mean()), sd, len(root) - lost)
+        size, weight = np.asarray(error, dtype=float), len(error) - lost
+        size = np.maximum(size, max(SMALLEST * size.max(), np.finfo(float).tiny))
+        typical = float(np.exp(np.log(size).mean()))
+        powers = _powers(size / typical)
+        mean = powers.mean(axis=1)
+        if len(size) < 2 or np.ptp(size) == 0:
+            sd = np.full(len(POWERS), 0.0 if len(size) > 1 else np.nan)
+            return Errors(typical, mean, sd, np.full(len(POWERS), 1 / len(POWERS)), weight)
+        sd = powers.std(axis=1, ddof=1)
+        # the likelihood of a power, mean and sd integrated out; in units of the geometric mean the powers' Jacobian is 1
+        likelihood = (sd / sd.min()) ** -max(weight - 1, 0.0)
+        return Errors(typical, mean, sd, likelihood / likelihood.sum(), weight)
 
     def within(self, tolerance: float, poses: int = 1) -> float:
         """Return the probability that so many further poses all err by less than a tolerance, in the errors' unit.
@@ -42,21 +60,27 @@ class Errors:
         freedom = self.weight - 1
         if not freedom >= FEWEST - 1:
             return float("nan")
-        limit = float(np.cbrt(tolerance**2))
-        if self.sd == 0:
-            return float(limit > self.mean)
-        spread = self.sd * np.sqrt(1 + 1 / self.weight)
+        if not self.sd.any():
+            return float(tolerance > self.typical)
+        off = (_powers(np.array([tolerance / self.typical]))[:, 0] - self.mean) / self.sd
         if poses == 1:
-            return float(t.cdf((limit - self.mean) / spread, freedom))
+            return float(self.probability @ t.cdf(off / np.sqrt(1 + 1 / self.weight), freedom))
         share = (np.arange(NODES) + 0.5) / NODES
         scale = np.sqrt(freedom) / chi.ppf(share, freedom)  # the true standard deviation over the found one
-        off = norm.ppf(share)[:, None] / np.sqrt(self.weight)  # the true mean's distance, in true standard deviations
-        return float((norm.cdf((limit - self.mean) / (self.sd * scale) - off) ** poses).mean())
+        aside = norm.ppf(share)[:, None] / np.sqrt(self.weight)  # the true mean's distance, in true standard deviations
+        return float(self.probability @ (ndtr(off[:, None, None] / scale - aside) ** poses).mean(axis=(1, 2)))
 
-    def reached_by(self, share: float) -> float:
-        """Return the error that a further pose stays below with a probability; nan where too few were measured."""
-        freedom = self.weight - 1
-        if not freedom >= FEWEST - 1:
+    def reached_by(self, share: float, poses: int = 1) -> float:
+        """Return the error that so many further poses all stay below with a probability; nan where too few were measured."""
+        if np.isnan(self.within(self.typical)):
             return float("nan")
-        limit = self.mean + t.ppf(share, freedom) * self.sd * np.sqrt(1 + 1 / self.weight)
-        return float(max(limit, 0.0) ** 1.5)
+        if not self.sd.any():
+            return self.typical
+        found = brentq(lambda u: self.within(self.typical * np.exp(u), poses) - share, -FAR, FAR, xtol=1e-9)
+        return float(self.typical * np.exp(found))
+
+
+def _powers(size: np.ndarray) -> np.ndarray:
+    """Each of the POWERS of sizes (n,), in Box and Cox's form, which goes over into the logarithm, shape (n_powers, n)."""
+    power = POWERS[1:, None]
+    return np.vstack([np.log(size), (size**power - 1) / power])

@@ -185,8 +185,9 @@ def validate(
     error = {model: attained.errors(model, fitted) for model in attained.expected}
     size = {model: np.linalg.norm(own, axis=1) for model, own in error.items()}
     lost = attained.lost(fitted)
-    accuracy = tuple(_statistics(model, attained, own, lost) for model, own in size.items())  # type: ignore[arg-type]
-    worst = Errors.of(attained.by_pose(size[judged], "max"), lost / COORDINATES)
+    further_ones = {model: _further(attained, model, fitted, len(frames)) for model in attained.expected}
+    accuracy = tuple(_statistics(model, attained, own, lost, further_ones[model]) for model, own in size.items())  # type: ignore[arg-type]
+    worst = further_ones[judged]
     asked = task or int(attained.pose.max() + 1)
     within = None if tolerance is None else size[judged] <= tolerance
     beyond = 0 if tolerance is None else int((size[judged] - ONE_SIDED * attained.noise > tolerance).sum())
@@ -247,14 +248,19 @@ def _moved_p(attained: Attained, error: np.ndarray, frames: tuple[Alignment, ...
     return float(fisher.sf(max(squares - remaining, 0.0) / taken / (remaining / rest), taken, rest))
 
 
-def _statistics(model: Judged, attained: Attained, size: np.ndarray, lost: int) -> ValidatedModel:
+def _further(attained: Attained, model: str, fitted: bool, frames: int) -> Errors:
+    """What the poses tell of further ones, each judged by its worst point; those that share a fitted frame count as one less."""
+    size = np.linalg.norm(attained.errors_of_further(model, fitted), axis=1)
+    return Errors.of(attained.by_pose(size, "max"), frames if fitted else 0)
+
+
+def _statistics(model: Judged, attained: Attained, size: np.ndarray, lost: int, worst: Errors) -> ValidatedModel:
     """Mean, root mean square and largest error over poses, with what a further pose stays below."""
     of_pose = attained.by_pose(size, "mean")
     n = len(of_pose) - lost / COORDINATES
     mean, low, high = _interval(of_pose, n)
     square, least, most = _interval(of_pose**2, n)
-    further = Errors.of(attained.by_pose(size, "max"), lost / COORDINATES).reached_by(CONFIDENCE)
-    figures = (mean, low, high, *np.sqrt((square, least, most)), size.max(), further)
+    figures = (mean, low, high, *np.sqrt((square, least, most)), size.max(), worst.reached_by(CONFIDENCE))
     names = ("mean_mm", "mean_low_mm", "mean_high_mm", "rms_mm", "rms_low_mm", "rms_high_mm", "max_mm", "further_mm")
     return ValidatedModel(
         model=model, poses=len(of_pose), **{k: 1e3 * float(v) for k, v in zip(names, figures, strict=True)}
