@@ -14,7 +14,7 @@ from calflow.files.results import Results
 from calflow.files.tables import to_frame
 from calflow.reporting.figures.residuals import magnification
 from calflow.reporting.material import steps
-from calflow.reporting.sections.parameters import known_from
+from calflow.reporting.sections.parameters import known_from, lines
 from calflow.reporting.sections.posterior import corner_names
 from calflow.reporting.words import interval, listed, mm, number, part_words, plural, readable, short_names, with_sd
 from calflow.robot.parameter import Parameter
@@ -159,3 +159,18 @@ def test_corner_shows_bounds_then_correlated_pairs_then_compliances() -> None:
     pairs = pd.DataFrame({"first": ["p5"], "second": ["p1"], "correlation": [-0.99]})
     tables = {"identify/parameters.csv": parameters, "identify/correlations.csv": pairs}
     assert corner_names(Results(tables)) == ["p1", "p3", "p5", "p7", "p8"]
+
+
+def test_a_curves_figures_stand_in_one_line() -> None:
+    """Fails if pages of a report are filled with figures of a curve, or single parameters are told with them."""
+    wave = [f"wave{k}" for k in range(30)]
+    parameters = pd.DataFrame({"symbol": ["a", *wave, "d"], "part": ["joint1", *["joint1"] * 30, "joint2"]}).assign(
+        effect=["geometry", *["joint-error-map"] * 30, "geometry"], variant="", unit=["m", *["rad"] * 30, "m"], nominal=0.0,
+        estimate=[1e-3, *np.linspace(-2e-4, 3e-4, 30), 2e-3], sd=1e-5, lower=-1.0, upper=1.0, at_bound=False, prior_share=0.0,
+    )  # fmt: skip
+    parameters["parameter"] = parameters["part"] + "." + parameters["symbol"]
+    told, _ = lines(parameters, set())
+    assert [row if isinstance(row, str) else row[0] for row in told] == [
+        "geometry", "joint1.a", "joint error map", "joint1, 30 figures", "geometry", "joint2.d"
+    ]  # fmt: skip
+    assert told[3][1:4] == ("mrad", "−0.2 … 0.3", "0.01 … 0.01")

@@ -16,6 +16,7 @@ from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Advice, Section
 from calflow.reporting.words import cut, effect_words, interval, listed, readable, with_sd
 
+MANY = 20  # figures of one part's curve beyond which one line tells of all: the curve is drawn with its cause
 FEW = 4  # parameters in a trade up to which each is marked
 BY_PRIOR = 0.5  # prior share from which a parameter is left to the prior
 LEGEND = (
@@ -30,6 +31,7 @@ ADDED = (
     " At the end: the causes that the section before names. Outside this table their parameters have the cause in their "
     "names, as in joint3.joint-backlash.b."
 )
+CURVES = " A curve's figures stand in one line, with the least and the largest; all are in parameters.csv."
 CAPTION = (
     "Estimates in units of what was thought likely beforehand (grey band: one prior standard deviation). Bars are ± 2 sd; "
     "where none is seen it is smaller than the dot."
@@ -41,37 +43,62 @@ def write(material: Material) -> list[Block]:
     parameters = latest(material.results, "parameters")
     model = material.known.model
     added = len(parameters) > len(material.tables["identify/parameters.csv"])
-    lines, shaded = _lines(parameters, _known_together(material.results))
+    rows, shaded = lines(parameters, _known_together(material.results))
     nominal, estimate, sd, share = parameters[["nominal", "estimate", "sd", "prior_share"]].to_numpy(dtype=float).T
     scaled = parameters[["parameter", "unit", "nominal", "estimate", "sd", "prior_share"]].assign(
         prior_sd=model.prior_sd,
         estimate_in_prior_sd=(estimate - nominal) / model.prior_sd,
         sd_in_prior_sd=sd / model.prior_sd,
     )
-    away, uncertain = (scaled[name].to_numpy(dtype=float) for name in ("estimate_in_prior_sd", "sd_in_prior_sd"))
-    drawn = estimates(
-        [cut(name) for name in _places(parameters)], _groups(parameters), away, uncertain, share > BY_PRIOR
+    single = _number_in_part(parameters) <= MANY
+    away, uncertain = (
+        scaled[name].to_numpy(dtype=float)[single] for name in ("estimate_in_prior_sd", "sd_in_prior_sd")
     )
+    places, groups = ([name for name, alone in zip(names, single, strict=True) if alone]
+                      for names in (map(cut, _places(parameters)), _groups(parameters)))  # fmt: skip
+    drawn = estimates(places, groups, away, uncertain, share[single] > BY_PRIOR)
+    curves = "" if single.all() else CURVES
     return [
-        Paragraph(LEGEND + (REGISTERED if not model.robot.base.known else "") + (ADDED if added else "")),
-        Table(("parameter", "unit", "estimate", "sd", "allowed", "known from"), lines, "llrrrl", shaded, 8.6),
+        Paragraph(LEGEND + (REGISTERED if not model.robot.base.known else "") + (ADDED if added else "") + curves),
+        Table(("parameter", "unit", "estimate", "sd", "allowed", "known from"), rows, "llrrrl", shaded, 8.6),
         Plot("parameters", drawn, CAPTION, scaled),
     ]
 
 
-def _lines(parameters: pd.DataFrame, together: set[str]) -> tuple[list[tuple[str, ...] | str], frozenset[int]]:
+def lines(parameters: pd.DataFrame, together: set[str]) -> tuple[list[tuple[str, ...] | str], frozenset[int]]:
     """Return the table's rows with a heading for each effect, and which rows are left to the prior."""
-    lines: list[tuple[str, ...] | str] = []
+    told: list[tuple[str, ...] | str] = []
     shaded = []
     before = ""
-    for row, group, name in zip(parameters.to_dict("records"), _groups(parameters), _places(parameters), strict=True):
+    rows = parameters.assign(group=_groups(parameters), place=_places(parameters))
+    for _, own in rows.groupby(["group", "part"], sort=False):
+        group = str(own["group"].iloc[0])
         if group != before:
             before = group
-            lines.append(group)
-        if row["prior_share"] > BY_PRIOR:
-            shaded.append(len(lines))
-        lines.append((name, *_line(row, row["parameter"] in together)))
-    return lines, frozenset(shaded)
+            told.append(group)
+        if len(own) > MANY:
+            told.append(_curve(own))
+            continue
+        for row in own.to_dict("records"):
+            if row["prior_share"] > BY_PRIOR:
+                shaded.append(len(told))
+            told.append((row["place"], *_line(row, row["parameter"] in together)))
+    return told, frozenset(shaded)
+
+
+def _number_in_part(parameters: pd.DataFrame) -> np.ndarray:
+    """Return of each parameter how many of its group belong to its part, shape (n_parameters,)."""
+    places = parameters.assign(group=_groups(parameters)).groupby(["group", "part"], sort=False)
+    return places["parameter"].transform("size").to_numpy()
+
+
+def _curve(own: pd.DataFrame) -> tuple[str, ...]:
+    """Tell of a curve's figures, which mean nothing one by one, in one line: how many, and between what they lie."""
+    factor, unit = readable(str(own["unit"].iloc[0]))
+    moved = factor * (own["estimate"] - own["nominal"])
+    said = interval(float(f"{moved.min():.2g}"), float(f"{moved.max():.2g}"))
+    sd = interval(*(float(f"{factor * end:.2g}") for end in (own["sd"].min(), own["sd"].max())))
+    return f"{own['part'].iloc[0]}, {len(own)} figures", unit, said, sd, "", "of a curve"
 
 
 def _groups(parameters: pd.DataFrame) -> list[str]:
