@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import re
+import struct
 from collections import Counter
+from collections.abc import Sequence
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image, ImageColor
 
 from calflow.reporting.blocks import Bullets, Card, Columns, Heading, Paragraph, Part, Plot, RestOfPage, Scene, Table
 from calflow.reporting.html import writing
 from calflow.reporting.html.elements import VOID, Html, element
-from calflow.reporting.style import figure, style
+from calflow.reporting.html.pictures import pictures
+from calflow.reporting.html.store import packed
+from calflow.reporting.style import DARK, figure, style
 from reporting.browser import CHROMIUM, browser
 
 NASTY = "</script><img src=x onerror=alert(1)> & \"two\" 'three' \x00 工業ロボット " + "long" * 60
@@ -29,7 +36,7 @@ def parts() -> list[Part]:
     rows = pd.DataFrame(rng.normal(0, 1000, (40, 3)), columns=["x_mm", "y_mm", "z_mm"])
     rows[["dx_mm", "dy_mm", "dz_mm"]] = rng.normal(0, 0.1, (40, 3))
     rows.loc[3, ["dx_mm", "dy_mm", "dz_mm"]] = np.nan  # a length has no direction
-    rows = rows.assign(error_mm=0.1, held_out=rows.index % 3 == 0, name=[f"pose {k} {NASTY}" for k in rows.index])
+    rows = rows.assign(error_mm=0.1, held_out=rows.index % 3 == 0, pose=[f"{k} {NASTY}" for k in rows.index])
     with style():
         drawn = figure(2.0)
         drawn.add_subplot().plot([0, 1], [0, 1])
@@ -43,7 +50,8 @@ def parts() -> list[Part]:
     return [
         ("Verdict", [Heading(NASTY, 0), cards, RestOfPage([Heading("Next"), Bullets([("Bold:", NASTY), "plain"], None)])]),
         ("Tables", [Paragraph(NASTY), table]),
-        ("Space", [Plot("space", drawn, "Errors in space.", rows, scene=Scene(rows, 2000.0)),
+        ("Space", [Plot("same", drawn, "The same rows.", rows),
+                   Plot("space", drawn, "Errors in space.", rows, scene=Scene([*range(0, 40, 2)], 2000.0, ("pose",))),
                    Plot("flat", drawn, "A line.", pd.DataFrame({"x": [0.0, 1.0], "name": [NASTY, ","]}))]),
     ]  # fmt: skip
 
@@ -53,7 +61,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The file, written beside its figures."""
     folder = tmp_path_factory.mktemp("page")
     (folder / "figures").mkdir()
-    for name in ("space", "flat"):
+    for name in ("space", "same", "flat"):
         (folder / "figures" / f"{name}.svg").write_text(
             '<svg xmlns="http://www.w3.org/2000/svg" width="10" height="10"/>'
         )
@@ -122,17 +130,66 @@ def test_nothing_is_fetched(page: Path, read: Reader) -> None:
     assert not [name for name, _ in read.attributes if name.startswith("on") or name == "style"]
 
 
-def test_every_figures_and_tables_numbers_are_in_the_page(read: Reader) -> None:
-    """Fails if a figure or a table cannot be downloaded, or its CSV does not read back."""
-    names = [value for name, value in read.attributes if name == "download"]
-    assert names == ["table_1.csv", "space.csv", "flat.csv"]
-    links = [value for name, value in read.attributes if value.startswith("data:text/csv")]
-    table, space, flat = (pd.read_csv(io.BytesIO(base64.b64decode(link.partition(",")[2]))) for link in links)
-    assert table.iloc[:, 1].tolist() == list(SIZES)
-    given = parts()[2][1][0]
+def test_every_figures_numbers_are_in_the_page_once(page: Path, read: Reader) -> None:
+    """Fails if a figure or a table cannot be saved, a column does not read back, or one is stored for each figure that has it."""
+    text = page.read_text(encoding="utf-8")
+    assert [value for name, value in read.attributes if name == "data-file"] == [
+        "table_1.csv",
+        "same.csv",
+        "space.csv",
+        "flat.csv",
+    ]
+    stored = json.loads(text.partition('class="numbers">')[2].partition("</script>")[0])
+    same, space, flat = (json.loads(value) for name, value in read.attributes if name == "data-columns")
+    assert same == space
+    assert len(stored) == len(space) + len(flat)
+    (_, (_, given, line)) = parts()[2]
     assert isinstance(given, Plot)
-    np.testing.assert_allclose(space[["x_mm", "dx_mm"]], given.data[["x_mm", "dx_mm"]], rtol=1e-6)
-    assert flat["name"].tolist() == [NASTY, ","]
+    assert isinstance(line, Plot)
+    for plot, numbers in ((given, space), (line, flat)):
+        found = pd.DataFrame({name: column(stored[number]) for name, number in numbers.items()})
+        for name in plot.data:
+            if plot.data[name].dtype == float:
+                np.testing.assert_allclose(found[name].astype(float), plot.data[name], rtol=1e-6)
+            else:
+                assert found[name].tolist() == plot.data[name].tolist()
+
+
+def column(stored: dict[str, Any]) -> list[Any]:
+    """A column's values, read from what the page holds of it."""
+    if "codes" in stored:
+        return [stored["values"][code] for code in base64.b64decode(stored["codes"])]
+    return list(struct.iter_unpack("<f", base64.b64decode(stored["floats"]))) if "floats" in stored else stored["texts"]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [[True, False, True], ["a", "", "a"], [1.5, np.nan, 1.5], range(300), [f"pose {k}" for k in range(300)], []],
+)
+def test_a_column_reads_back(values: Sequence[Any]) -> None:
+    """Fails if a kind of column loses its values, or what is not known is more than nothing."""
+    found = column(packed(pd.Series(values, dtype=None if len(values) else float)))
+    found = [value[0] if isinstance(value, tuple) else value for value in found]
+    assert [None if isinstance(value, float) and np.isnan(value) else value for value in values] == found
+
+
+def test_pictures_are_small_and_keep_their_colours(tmp_path: Path) -> None:
+    """Fails if a drawing of thousands of points makes the page large, or comes out in other colours."""
+    rng = np.random.default_rng(0)
+    with style():
+        drawn = figure(2.0)
+        drawn.add_subplot().scatter(*rng.normal(size=(2, 5000)), s=2, color=DARK, linewidths=0)
+        drawn.savefig(tmp_path / "crowd.svg")
+    assert (tmp_path / "crowd.svg").stat().st_size > 300_000
+    (seen,) = pictures(tmp_path, ["crowd"]).values()
+    assert len(seen) < 60_000
+    colours = Image.open(io.BytesIO(seen)).convert("RGB").getcolors(1 << 16)
+    assert colours is not None
+    assert sorted(colours)[-1][1] == (255, 255, 255)
+    near = [
+        n for n, colour in colours if max(abs(a - b) for a, b in zip(colour, ImageColor.getrgb(DARK), strict=True)) < 12
+    ]
+    assert sum(near) > 1000
 
 
 def test_an_element_escapes_all_but_html() -> None:
@@ -147,6 +204,11 @@ def test_an_element_escapes_all_but_html() -> None:
 PICTURE = "document.querySelector('canvas').toDataURL()"
 FRAME = "(() => { const c = document.querySelector('canvas'); c.scrollIntoView({block: 'center'});" \
         " const f = c.getBoundingClientRect(); return [f.x + f.width / 2, f.y + f.height / 2] })()"  # fmt: skip
+SAVED = """new Promise(done => {
+  URL.createObjectURL = blob => { blob.text().then(done); return 'data:,' };
+  HTMLAnchorElement.prototype.click = () => {};
+  document.querySelector('[data-file="%s"]').click();
+})"""  # what a button saves, without a file
 COLUMN = "[...document.querySelectorAll('tbody tr:not(.group)')].map(row => row.cells[1].textContent)"
 
 
@@ -173,4 +235,10 @@ def test_the_page_works_in_a_browser(page: Path, tmp_path: Path) -> None:
         ]  # within each group, what is not known last
         seen.value("document.querySelectorAll('th button')[1].click()")
         assert seen.value(COLUMN) == ["1,234.5", "−0.3", "–", "12", "< 10⁻⁶"]
+        saved = pd.read_csv(io.StringIO(seen.value(SAVED % "space.csv")))
+        given = parts()[2][1][1]
+        assert isinstance(given, Plot)
+        pd.testing.assert_frame_equal(saved, given.data, rtol=1e-6)
+        table = pd.read_csv(io.StringIO(seen.value(SAVED % "table_1.csv")), dtype=str)
+        assert sorted(table.iloc[:, 1]) == sorted(SIZES)
         assert seen.complaints == []

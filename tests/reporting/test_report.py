@@ -165,8 +165,7 @@ def test_other_data_are_reported(case: Case, tmp_path: Path) -> None:
     files = built(given, tmp_path / "out")
     assert files["report.pdf"].startswith(b"%PDF")
     assert len(files["report.pdf"]) < 3e6
-    page = files.pop("report.html")  # every figure's numbers are in it
-    assert len(page) < 1e7
+    assert len(files.pop("report.html")) < 2e6  # with every figure and its numbers, to be sent by mail
     assert max(map(len, files.values())) < 2e6  # crowds of points are pictures
 
 

@@ -65,12 +65,14 @@ class Table:
 class Scene:
     """Points in space with their errors, to be turned by whoever looks: what stands beside a drawing on a page.
 
-    position (x_mm, y_mm, z_mm), error (dx_mm, dy_mm, dz_mm, error_mm), held_out and what else tells a row are the columns
-    of rows; factor is by how much errors are enlarged at first.
+    They are rows of the plot's data: shown has their numbers there. Its columns have position (x_mm, y_mm, z_mm), error (dx_mm,
+    dy_mm, dz_mm, error_mm) and held_out; told names those that say which row it is. factor is by how much errors are enlarged
+    at first.
     """
 
-    rows: pd.DataFrame
+    shown: Sequence[int]
     factor: float
+    told: Sequence[str]
 
 
 @dataclass(frozen=True)

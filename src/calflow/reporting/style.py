@@ -19,7 +19,7 @@ ALONE = (
     ("#000000", ":", "D"),
     ("#5a9bd4", (0, (5, 1)), "v"),
 )
-MANY = 5000  # points in a figure beyond which they are drawn as a picture
+MANY = 1000  # points in a figure beyond which they are drawn as a picture
 
 SETTINGS: dict[str, Any] = {
     "font.family": "DejaVu Sans",

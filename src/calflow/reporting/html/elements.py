@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from html import escape
 
@@ -28,6 +29,11 @@ def element(tag: str, *children: str, **attributes: str | int | bool) -> Html:
 def shown(text: str) -> Html:
     """Return text as HTML that shows it letter by letter, and HTML as it is."""
     return text if isinstance(text, Html) else Html(escape(UNSPEAKABLE.sub("\ufffd", text), quote=False))
+
+
+def as_json(value: object) -> Html:
+    """Return a value as JSON that a script's element holds: nothing in it ends the element."""
+    return Html(json.dumps(value, separators=(",", ":")).replace("<", "\\u003c"))
 
 
 def joined(parts: list[Html]) -> Html:

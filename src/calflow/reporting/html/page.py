@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import singledispatchmethod
-from pathlib import Path
-
-import numpy as np
-import pandas as pd
 
 from calflow.reporting.blocks import (
     Block,
@@ -26,21 +22,22 @@ from calflow.reporting.blocks import (
     Signatures,
     Table,
 )
-from calflow.reporting.html.elements import Html, element, joined
+from calflow.reporting.html.elements import Html, as_json, element, joined
+from calflow.reporting.html.store import Store
 
 DOTS_PER_INCH = 96
 NARROW = 4.0  # inches up to which a figure is read on a telephone as it is
-DIGITS = "%.7g"  # of a number in a figure's data
 LARGE, MIDDLE, SMALL = 14, 11, 9.5  # points of a paragraph's letters from which, or up to which, they count as such
 
 
 @dataclass
 class Page:
-    """Blocks as HTML; figures counts those that have a caption, folder holds their drawings."""
+    """Blocks as HTML; pictures has the drawings by their plots' names, store what they show, figures counts their captions."""
 
-    folder: Path
+    pictures: Mapping[str, bytes]
     figures: int = 0
     names: set[str] = field(default_factory=set)
+    store: Store = field(default_factory=Store)
 
     def all(self, blocks: Iterable[Block]) -> Html:
         """Return blocks one after the other."""
@@ -97,26 +94,26 @@ class Page:
         ]
         bodies = [element("tbody", *rows) for rows in groups if rows]
         table = element("table", element("thead", element("tr", *head)), *bodies)
-        rows = [row for row in block.rows if not isinstance(row, str)]
-        link = download(pd.DataFrame(rows, columns=list(block.header)), self._named("table"), "This table as CSV")
+        save = element("button", "This table as CSV", type="button", class_="save", data_file=self._named("table"))
         return element(
-            "div", element("div", table, class_="scroll", tabindex=0), element("p", link, class_="get"), class_="table"
+            "div", element("div", table, class_="scroll", tabindex=0), element("p", save, class_="get"), class_="table"
         )
 
     @of.register
     def _plot(self, block: Plot) -> Html:
-        drawing = self._drawing(block)
+        drawing, columns = self._drawing(block), self.store.numbers(block.data)
         seen = (
-            scene(block.scene, block.caption, drawing)
+            scene(block.scene, columns, block.caption, drawing)
             if block.scene
             else element("div", drawing, class_="scroll", tabindex=0)
         )
-        link = download(block.data, self._named(block.name), "Data as CSV")
+        save = element("button", "Data as CSV", type="button", class_="save", data_file=self._named(block.name),
+                       data_columns=json.dumps(columns))  # fmt: skip
         if not block.caption:
-            return element("figure", seen, element("figcaption", link))
+            return element("figure", seen, element("figcaption", save))
         self.figures += 1
         number = element("strong", f"Figure {self.figures}.")
-        return element("figure", seen, element("figcaption", number, " ", block.caption, " ", link))
+        return element("figure", seen, element("figcaption", number, " ", block.caption, " ", save))
 
     @of.register
     def _card(self, block: Card) -> Html:
@@ -146,9 +143,9 @@ class Page:
 
     def _drawing(self, block: Plot) -> Html:
         """The figure as the PDF has it, inside the page."""
-        picture = base64.b64encode((self.folder / f"{block.name}.svg").read_bytes()).decode()
+        picture = base64.b64encode(self.pictures[block.name]).decode()
         width, height = (round(DOTS_PER_INCH * side) for side in block.drawn.get_size_inches())
-        return element("img", src=f"data:image/svg+xml;base64,{picture}", alt=block.caption or block.name.replace("_", " "),
+        return element("img", src=f"data:image/webp;base64,{picture}", alt=block.caption or block.name.replace("_", " "),
                        width=width, height=height, class_="narrow" if width <= NARROW * DOTS_PER_INCH else "")  # fmt: skip
 
     def _named(self, name: str) -> str:
@@ -160,7 +157,7 @@ class Page:
         return f"{name}.csv" if number == 1 and name != "table" else f"{name}_{number}.csv"
 
 
-def scene(given: Scene, caption: str, drawing: Html) -> Html:
+def scene(given: Scene, columns: Mapping[str, int], caption: str, drawing: Html) -> Html:
     """Return points with their errors that a script turns; without scripts the drawing is there."""
     buttons = [
         element("button", said, type="button", data_does=does, title=title)
@@ -180,25 +177,16 @@ def scene(given: Scene, caption: str, drawing: Html) -> Html:
     canvas = element("canvas", tabindex=0, role="img", aria_label=f"{caption} Drag to turn; arrow keys turn it too.")
     controls = element("div", *buttons, *shows, element("label", "errors × ", element("output", class_="factor"), factor),
                        class_="controls")  # fmt: skip
-    data = Html(json.dumps(_scene_data(given), separators=(",", ":")).replace("<", "\\u003c"))
-    return element("div", canvas, element("p", "Drag to turn.", class_="told", aria_live="polite"), controls,
-                   element("script", data, type="application/json"), element("noscript", drawing), class_="scene")  # fmt: skip
-
-
-def _scene_data(given: Scene) -> dict[str, object]:
-    """Return the rows as a script reads them: numbers by column, None where one is not known, and a name a row."""
-    rows = given.rows
-    numbers = ("x_mm", "y_mm", "z_mm", "dx_mm", "dy_mm", "dz_mm", "error_mm")
-    columns = {name: [None if np.isnan(v) else float(DIGITS % v) for v in rows[name].astype(float)] for name in numbers}
-    return {**columns, "held": rows["held_out"].astype(bool).tolist(), "name": rows["name"].astype(str).tolist(),
-            "factor": given.factor}  # fmt: skip
-
-
-def download(data: pd.DataFrame, name: str, said: str) -> Html:
-    """Return a link that saves a table as CSV, without any network."""
-    text = data.to_csv(index=False, float_format=DIGITS, lineterminator="\n")
-    packed = base64.b64encode(text.encode("utf-8", "replace")).decode()
-    return element("a", said, href=f"data:text/csv;charset=utf-8;base64,{packed}", download=name, class_="download")
+    told = {"columns": columns, "shown": list(given.shown), "factor": given.factor, "told": list(given.told)}
+    return element(
+        "div",
+        canvas,
+        element("p", "Drag to turn.", class_="told", aria_live="polite"),
+        controls,
+        element("script", as_json(told), type="application/json"),
+        element("noscript", drawing),
+        class_="scene",
+    )
 
 
 def contents(titles: Sequence[str]) -> Html:

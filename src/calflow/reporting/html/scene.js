@@ -21,20 +21,24 @@
   }
 
   function start(box) {
-    const given = JSON.parse(box.querySelector("script").textContent);
+    const { columns, shown, factor: enlarged, told: telling } = JSON.parse(box.querySelector("script").textContent);
+    const values = (name) => ((all) => shown.map((row) => all[row]))(data.column(columns[name]));
+    const along = (names) => ((all) => shown.map((_, k) => all.map((one) => one[k])))(names.map(values));
     const canvas = box.querySelector("canvas");
     const pen = canvas.getContext("2d");
     const told = box.querySelector(".told");
     const control = (name) => box.querySelector(`[data-does=${name}]`);
-    const points = given.x_mm.map((x, k) => [x, given.y_mm[k], given.z_mm[k]]);
-    const errors = given.dx_mm.map((x, k) => [x, given.dy_mm[k], given.dz_mm[k]]);
-    const largest = Math.max(...given.error_mm, 1e-12);
+    const points = along(["x_mm", "y_mm", "z_mm"]);
+    const errors = along(["dx_mm", "dy_mm", "dz_mm"]);
+    const [held, size] = ["held_out", "error_mm"].map(values);
+    const names = along(telling).map((row) => row.map((value, i) => `${telling[i]} ${value}`).join(", "));
+    const largest = Math.max(...size, 1e-12);
     const low = [0, 1, 2].map((i) => points.reduce((least, point) => Math.min(least, point[i]), Infinity));
     const high = [0, 1, 2].map((i) => points.reduce((most, point) => Math.max(most, point[i]), -Infinity));
     const middle = low.map((value, i) => (value + high[i]) / 2);
     const reach = Math.hypot(...high.map((value, i) => value - low[i])) / 2 || 1;
     let view = { ...FIRST };
-    let factor = given.factor;
+    let factor = enlarged;
     let seen = []; // of each point drawn: its place on the canvas and its number
     let waiting = false;
 
@@ -75,16 +79,16 @@
 
     function drawPoints() {
       const shows = [control("used").checked, control("held").checked];
-      const rows = points.map((point, k) => k).filter((k) => shows[given.held[k] ? 1 : 0] && points[k][0] !== null);
+      const rows = points.map((point, k) => k).filter((k) => shows[held[k] ? 1 : 0] && points[k][0] !== null);
       seen = rows.map((k) => [...project(points[k]), k]).sort((a, b) => b[2] - a[2]);
       for (const [x, y, , k] of seen) {
-        pen.strokeStyle = pen.fillStyle = colour(given.error_mm[k] / largest);
+        pen.strokeStyle = pen.fillStyle = colour(size[k] / largest);
         if (errors[k][0] !== null) {
           pen.lineWidth = 1.4;
           line([x, y], project(points[k].map((value, i) => value + factor * errors[k][i])));
         }
         pen.beginPath();
-        if (given.held[k]) {
+        if (held[k]) {
           pen.moveTo(x, y - 4);
           pen.lineTo(x + 4, y + 3);
           pen.lineTo(x - 4, y + 3);
@@ -147,7 +151,7 @@
         if (away < least) [best, least] = [k, away];
       }
       told.textContent = best < 0 ? "Drag to turn; point at a row to read it."
-        : `${given.name[best]}: ${given.error_mm[best].toPrecision(3)} mm${given.held[best] ? " (held out)" : ""}`;
+        : `${names[best]}: ${size[best].toPrecision(3)} mm${held[best] ? " (held out)" : ""}`;
     }
 
     const fingers = new Map();
@@ -189,12 +193,12 @@
     control("farther").addEventListener("click", () => nearer(1 / 1.3));
     control("reset").addEventListener("click", () => {
       control("factor").value = 150;
-      factor = given.factor;
+      factor = enlarged;
       changed(FIRST);
     });
     control("factor").value = 150;
     control("factor").addEventListener("input", (event) => {
-      factor = round(given.factor * 10 ** ((event.target.value - 150) / 100));
+      factor = round(enlarged * 10 ** ((event.target.value - 150) / 100));
       changed({});
     });
     for (const name of ["used", "held"]) control(name).addEventListener("change", () => changed({}));

@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 
-from calflow.reporting.blocks import Part
-from calflow.reporting.html.elements import Html, element, joined
+from calflow.reporting.blocks import Part, plots
+from calflow.reporting.html.elements import Html, as_json, element, joined
 from calflow.reporting.html.page import Page, contents, section
+from calflow.reporting.html.pictures import pictures
 
-STYLE, SCRIPTS = "report.css", ("tables.js", "scene.js")
+STYLE, SCRIPTS = "report.css", ("data.js", "tables.js", "scene.js")  # scene.js asks data.js
 
 
 def write(title: str, parts: Sequence[Part], folder: Path) -> None:
@@ -22,7 +23,8 @@ def write(title: str, parts: Sequence[Part], folder: Path) -> None:
 
 def page(title: str, parts: Sequence[Part], figures: Path) -> str:
     """Return the page; the first part stands before the list of contents, without a heading."""
-    blocks = Page(figures)
+    drawn = [plot.name for _, own in parts for plot in plots(own)]
+    blocks = Page(pictures(figures, drawn))
     (_, first), *others = parts
     begin = element("header", blocks.all(first))
     body = [section(k, name, blocks.all(own)) for k, (name, own) in enumerate(others, start=1)]
@@ -34,7 +36,8 @@ def page(title: str, parts: Sequence[Part], figures: Path) -> str:
         element("title", title),
         element("style", style),
     ]
-    said = [begin, contents([name for name, _ in others]), element("main", Html("\n"), joined(body))]
+    numbers = element("script", as_json(blocks.store.columns), type="application/json", class_="numbers")
+    said = [begin, contents([name for name, _ in others]), element("main", Html("\n"), joined(body)), numbers]
     return "<!doctype html>\n" + element(
         "html",
         element("head", joined(head)),

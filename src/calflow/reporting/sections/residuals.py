@@ -44,7 +44,7 @@ def write(material: Material) -> list[Block]:
             in_space(material),
             f"Errors in the measuring frame{enlarged}; the darker, the larger.{some}",
             rows,
-            scene=Scene(rows.iloc[shown], _factor(material)),
+            scene=Scene(shown.tolist(), _factor(material), ("pose", "marker")),
         ),
         Plot("residuals_joints", by_joint(material), JOINTS, rows),
         *_flagged(material),
@@ -59,8 +59,7 @@ def by_row(material: Material) -> pd.DataFrame:
     readings = {name: joints[:, k] for k, name in enumerate(reading_columns(robot))}
     error = {f"d{axis}_mm": material.error[:, k] for k, axis in enumerate("xyz")} | {"error_mm": material.distance}
     named = {name: told[name].astype(str).to_numpy() for name in ("pose", "marker")}
-    names = [f"pose {pose}, marker {marker}" for pose, marker in zip(*named.values(), strict=True)]
-    return pd.DataFrame({"name": names, **named, "held_out": material.held, **place, **readings, **error})
+    return pd.DataFrame({**named, "held_out": material.held, **place, **readings, **error})
 
 
 def by_place(material: Material) -> Figure:
