@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
+from scipy.stats import ttest_1samp
 
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Heading, Plot
@@ -16,7 +17,9 @@ from calflow.reporting.material import Material, split_judged, steps
 from calflow.reporting.section import Advice
 from calflow.reporting.words import mm, number
 
-WORSE = 1.02  # times the error without causes from which they do harm
+WORSE = 1.02  # times the error without causes from which they do not help
+HARM = 1.25  # times that error from which they do harm, however few poses say so
+SURE = 0.05  # chance of so large a loss from which it is none
 GAINS = (
     "What each cause takes off the mean error at held-out poses, in the order in which they were added. The order matters "
     "where causes hide each other."
@@ -90,11 +93,31 @@ def makes_it_worse(results: Results) -> list[Advice]:
     )
     if last <= WORSE * own:
         return []
+    said = f"{mm(last)} mm against {mm(own)} mm"
+    if last > HARM * own or loss_by_chance(results) < SURE:
+        sentence = (
+            f"Do not use the model with the causes: at held-out poses it is worse than without them ({said}). The fitted poses "
+            "are too few or too alike for so many causes; measure more."
+        )
+        return [Advice(1, sentence)]
     sentence = (
-        f"Do not use the model with the causes: at held-out poses it is worse than without them ({mm(last)} mm against "
-        f"{mm(own)} mm). The fitted poses are too few or too alike for so many causes; measure more."
+        f"At held-out poses the model with the causes is no better than without them ({said}), which may be chance. Measure more "
+        "poses before you rely on what was found, or leave it out (stages.diagnose.leave_out)."
     )
-    return [Advice(1, sentence)]
+    return [Advice(2, sentence)]
+
+
+def loss_by_chance(results: Results) -> float:
+    """Return the chance of so large a loss at held-out poses where the causes change nothing: Student's test of poses in pairs.
+
+    1 where there are fewer than two poses, or all are alike.
+    """
+    by_pose = [
+        rows[rows["split"] == "holdout"].groupby("pose")["error_mm"].mean()
+        for rows in (results.tables[f"{stage}/residuals.csv"] for stage in ("diagnose", "identify"))
+    ]
+    lost = (by_pose[0] - by_pose[1]).dropna()
+    return float(ttest_1samp(lost, 0.0, alternative="greater").pvalue) if len(lost) > 1 and lost.std() > 0 else 1.0
 
 
 def labels(causes: Sequence[Found]) -> list[str]:
