@@ -15,7 +15,7 @@ from conftest import in_process
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = (  # in the order in which a newcomer reads them
     *("tutorial", "robots", "select", "identify", "diagnose", "sample"),
-    *("compensate", "programs", "export", "validate", "drift", "compare"),
+    *("compensate", "programs", "export", "validate", "drift", "compare", "residual_field"),
 )
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 VERDICTS = {"validate": (0, 3, 4), "drift": (0, 3, 4)}  # exit codes that are answers
@@ -85,6 +85,13 @@ def test_the_pages_of_tasks_write_what_they_say(followed):
     for name in ("accepted/report.pdf", "check/moved.csv", "check/recalibration.csv", "check/next_poses.csv"):
         assert (folder / name).is_file(), name
     assert (folder / "compared/report.pdf").is_file()
+
+
+def test_a_correction_that_is_not_physical_is_called_so(followed):
+    """Fails if the page's study does not ask for the field, or a field is used on so few poses that gain nothing by it."""
+    folder, said = followed
+    assert "residual field (not physical) not applied" in said["calflow run my-robot --stage residual_field"]
+    assert "not_physical_x_mm" not in pd.read_csv(folder / "predicted.csv", sep=None, engine="python")
 
 
 @pytest.mark.parametrize("page", sorted([*DOCS.glob("*.md"), DOCS.parent / "README.md"]), ids=lambda page: page.stem)

@@ -27,6 +27,7 @@ from calflow.observations import catalogue as observation_kinds
 from calflow.robot.formats import robot_file
 from calflow.robot.robot import Robot
 
+MODELS, FIELD = ("identify", "diagnose"), "residual_field"  # stages
 FEWEST_POSES = 3  # fewer do not even say where the robot stands
 
 
@@ -50,7 +51,10 @@ OneOrSeveral = Annotated[
 
 
 class StudyFile(FileModel):
-    """A study file as written; confirm names the study of an independent series of the same robot."""
+    """A study file as written; confirm names the study of an independent series of the same robot.
+
+    residual_field: whether a correction that no cause explains is to be made of what the final model leaves.
+    """
 
     name: str
     title: str = ""
@@ -60,6 +64,7 @@ class StudyFile(FileModel):
     effects: tuple[str, ...] = ("geometry", "joint-compliance")
     measurements: OneOrSeveral = None
     confirm: str = ""
+    residual_field: bool = False
     acceptance: Acceptance | None = None
     split: Split = Split()
     stages: dict[str, dict[str, Any]] = {}
@@ -187,6 +192,15 @@ class Study:
     def name(self) -> str:
         """The study's name, which names its run folder."""
         return self.file.name
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The workflow's stages, and after the last one that makes a model the residual field, where the study asks for it."""
+        names = self.workflow.stages
+        models = [k for k, name in enumerate(names) if name in MODELS]
+        if not self.file.residual_field or not models or FIELD in names:
+            return names
+        return (*names[: models[-1] + 1], FIELD, *names[models[-1] + 1 :])
 
     @property
     def robot_paths(self) -> tuple[Path, ...]:

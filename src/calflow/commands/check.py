@@ -23,7 +23,7 @@ def check(study: Path) -> None:
     loaded = load_study(study)
     checked = check_study(loaded)
     click.echo(f"study {loaded.name}: {loaded.robot.name}, workflow {loaded.workflow.name} "
-               f"({', '.join(loaded.workflow.stages)})")  # fmt: skip
+               f"({', '.join(loaded.stages)})")  # fmt: skip
     if checked is None:
         click.echo("no measurements yet: 'calflow run --stage select' proposes poses")
         return

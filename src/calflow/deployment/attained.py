@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from calflow.deployment.alignment import FEWEST, FREEDOM, Alignment, can_align, errors_left_out, restored
 from calflow.deployment.iso_9283 import angle_repeatability, pose_repeatability
 from calflow.estimation.calibrated import Identified
-from calflow.estimation.certainty import position_variance
+from calflow.estimation.certainty import expected_point, position_variance
 from calflow.estimation.repeats import conditions
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
@@ -53,7 +53,10 @@ class Attained:
         labels = [name for name in ("pose", "marker", "payload", "session") if name in data.table]
         table = data.table.iloc[first][labels].reset_index(drop=True).assign(rows=count)
         estimates = {NOMINAL: known.model.nominal, CALIBRATED: known.estimate}
-        expected = {name: mean(known.model.point(p, rows)) for name, p in estimates.items()}
+        expected = {
+            NOMINAL: mean(known.model.point(known.model.nominal, rows)),
+            CALIBRATED: mean(expected_point(known, rows)),
+        }
         if TARGET[0] in data.table:
             expected[COMMANDED] = mean(data.table[[*TARGET]].to_numpy(dtype=float))
         sigma = known.noise(data).sigma if known.noise_known else np.zeros(len(data))

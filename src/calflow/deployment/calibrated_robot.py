@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from calflow.effects import Effect
 from calflow.estimation.calibrated import Identified
+from calflow.estimation.certainty import expected_point
+from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.tables import column
 from calflow.model import Model
 from calflow.robot.angles import angles
@@ -54,7 +56,7 @@ def exported(known: Identified, rows: np.ndarray) -> Exported:
     kept = [effect for effect in model.effects if is_of_figures(effect)]
     others = [effect for effect in model.effects if effect not in kept]
     robot = _with(model.robot, _dimensions(model, kept, p))
-    every = model.point(p, rows)
+    every = expected_point(known, rows)
     bare = Model(robot, (), model.given).point(np.zeros(0), rows)
     costs = [cost(EVERYTHING, (), every, bare)]
     for name in dict.fromkeys(effect.id for effect in others):
@@ -63,9 +65,11 @@ def exported(known: Identified, rows: np.ndarray) -> Exported:
         lean = replace(model, effects=tuple(rest))
         without = lean.point(np.concatenate([p[:0], *(p[model.columns(part)] for part in lean.parts)]), rows)
         parts = dict.fromkeys(one.part for effect in own for one in effect.declared)
-        costs.append(cost(name, tuple(parts), every, without))
+        costs.append(cost(name, tuple(parts), model.point(p, rows), without))
+    if known.field:
+        costs.append(cost(f"residual field ({NOT_PHYSICAL})", (), every, model.point(p, rows)))
     lost = tuple(one for one in costs if one.max_mm > 0)  # what only the measuring device does costs nothing
-    return Exported(robot, model.robot, lost if others else ())
+    return Exported(robot, model.robot, lost if others or known.field else ())
 
 
 def is_of_figures(effect: Effect) -> bool:

@@ -41,6 +41,10 @@ class Command:
     )
     nominal_miss_mm: float = column("what these would miss the target by, by the model", "mm")
     nominal_miss_mrad: float = column("the same of the orientation; empty: none was asked for", "mrad")
+    not_physical: Mapping[str, float] = column(
+        "what of the position a residual field adds, which is not physical; only where the run has such a field", "mm",
+        name="not_physical_{x|y|z}_mm",
+    )  # fmt: skip
     limit_joint: int = column("the joint that is nearest to a limit, by share of its travel")
     to_limit: Mapping[str, float] = column(
         "how far it is from there; empty: it is of the other kind", name="to_limit_{deg|mm}"
@@ -78,6 +82,8 @@ def command_table(found: Compensation, in_order: bool) -> pd.DataFrame:
         "nominal_miss_mrad": 1e3 * found.nominal_turned if oriented else none[:, 0],
         "limit_joint": found.clearance.joint + 1,
     }
+    if found.not_physical is not None:
+        columns |= {f"not_physical_{axis}_mm": 1e3 * found.not_physical[:, k] for k, axis in enumerate(AXES)}
     units = np.array([joint.shown[0] for joint in robot.joints])
     factors = np.array([joint.shown[1] for joint in robot.joints])
     for unit in dict.fromkeys(units):

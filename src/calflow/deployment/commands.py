@@ -9,14 +9,15 @@ import numpy as np
 import pandas as pd
 
 from calflow.deployment.clearance import Clearance, clearance
-from calflow.deployment.compensation import Landing, landing
+from calflow.deployment.compensation import Landing
+from calflow.deployment.field_landing import field_landing
 from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.nominal_inverse import nominal_readings
 from calflow.deployment.orientation import not_known, turn_sd
-from calflow.deployment.prediction import Missing, Told, as_told
+from calflow.deployment.prediction import Missing, Told, as_told, of_field
 from calflow.deployment.targets import Targets
 from calflow.estimation.calibrated import Identified
-from calflow.estimation.certainty import position_variance
+from calflow.estimation.certainty import expected_point, field_correction, position_variance
 from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.sequence import approach_and_travel
@@ -36,6 +37,7 @@ class Compensation:
     about the tool's own axes; None where no orientation was asked for. nominal (n, n_joints) are the readings that the nominal
     robot would be sent to, which miss by nominal_miss (n,) [m] and nominal_turned (n,) [rad]. A target that is not reached has
     the readings that come nearest. data are the rows at the readings; notes say what is out of reach, and what is not known.
+    not_physical (n, 3) [m] is what of the positions is a residual field's, which no cause explains; None without such a field.
     """
 
     readings: np.ndarray
@@ -50,6 +52,7 @@ class Compensation:
     clearance: Clearance
     data: Measurements
     notes: tuple[str, ...] = ()
+    not_physical: np.ndarray | None = None
 
     @property
     def expected(self) -> np.ndarray:
@@ -84,17 +87,15 @@ def compensated(
     if start is None:
         start = nominal_readings(told.known.model, told.data.rows, targets, np.random.default_rng(seed))
     told = _led(told, start, ways)
-    found = landing(told.known.model, known.estimate, told.data.rows, targets, start)
+    found = field_landing(told.known, told.data.rows, targets, start)
     settled = np.ones(len(data), dtype=bool)
     for _ in range(SETTLES if ways else 0):
         before, told = told, _led(told, found.readings, ways)
         settled = _same_way(before.data, told.data)
         if settled.all():
             break
-        again = landing(
-            told.known.model, known.estimate, told.data.rows[:, ~settled], targets.only(~settled), start[~settled],
-            found.readings[~settled],
-        )  # fmt: skip
+        rows, aims = told.data.rows[:, ~settled], targets.only(~settled)
+        again = field_landing(told.known, rows, aims, start[~settled], found.readings[~settled])
         found = found.with_rows(~settled, again)
     return _judged(told, targets, start, found, ways, settled)
 
@@ -138,7 +139,7 @@ def _judged(
 
     def misses(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rotation = model.rotation(known.estimate, rows) if oriented else None
-        lacking = targets.lacking(model.point(known.estimate, rows), rotation)
+        lacking = targets.lacking(expected_point(known, rows), rotation)
         return np.linalg.norm(lacking[:, :3], axis=1), np.linalg.norm(lacking[:, 3:], axis=1)
 
     data = _led(told, found.readings, ways).data
@@ -154,6 +155,7 @@ def _judged(
         ),
         *_of_rows("a joint moves there by so little that its side of approach hangs on the correction itself", ~settled, names),
         *told.notes,
+        *of_field(known, data.rows),
         *(not_known(known, data.rows) if oriented else ()),
     ]  # fmt: skip
     return Compensation(
@@ -161,6 +163,7 @@ def _judged(
         np.sqrt(position_variance(known, data.rows) + told.widened),
         turn_sd(known, data.rows) if oriented else None,
         start, nominal_miss, nominal_turned, clear, data, tuple(notes),
+        field_correction(known, data.rows) if known.field else None,
     )  # fmt: skip
 
 

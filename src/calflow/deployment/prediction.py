@@ -10,7 +10,8 @@ import numpy as np
 
 from calflow.deployment.needed_conditions import NeededCondition, check_stated
 from calflow.estimation.calibrated import Identified
-from calflow.estimation.certainty import position_variance
+from calflow.estimation.certainty import expected_point, field_correction, position_variance, readings
+from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.measurements.measurements import Measurements
 
 Missing = Literal["refuse", "widen"]
@@ -18,11 +19,15 @@ Missing = Literal["refuse", "widen"]
 
 @dataclass(frozen=True)
 class Prediction:
-    """Predicted positions (n_rows, 3) [m] and their standard deviations per axis (n_rows, 3) [m]; notes say what was assumed."""
+    """Predicted positions (n_rows, 3) [m] and their standard deviations per axis (n_rows, 3) [m]; notes say what was assumed.
+
+    not_physical (n_rows, 3) [m] is what of the positions is a residual field's, which no cause explains; None without such a field.
+    """
 
     position: np.ndarray
     sd: np.ndarray
     notes: tuple[str, ...] = ()
+    not_physical: np.ndarray | None = None
 
 
 def predict_positions(
@@ -45,9 +50,26 @@ def predict_positions(
     """
     told = as_told(known, needed, data, missing)
     rows = told.data.rows
-    position = told.known.model.point(known.estimate, rows)
+    position = expected_point(told.known, rows)
     variance = position_variance(told.known, rows) + told.widened
-    return Prediction(position, np.sqrt(variance), (*told.notes, *beyond_limits(data)))
+    notes = (*told.notes, *of_field(told.known, rows), *beyond_limits(data))
+    return Prediction(position, np.sqrt(variance), notes, field_correction(known, rows) if known.field else None)
+
+
+def of_field(known: Identified, rows: np.ndarray) -> list[str]:
+    """Say what a residual field does at packed rows (n_conditions, n_rows); nothing where the model has none."""
+    if known.field is None:
+        return []
+    size = 1e3 * np.linalg.norm(field_correction(known, rows), axis=1)
+    faded = int((known.field.share(readings(known, rows)) < 1).sum())
+    beyond = (
+        f"; {faded} of {len(size)} rows are beyond the measured joint ranges, where it fades to nothing"
+        if faded
+        else ""
+    )
+    return [
+        f"a residual field is added, which is {NOT_PHYSICAL}: {size.mean():.3f} mm on average, {size.max():.3f} mm at most{beyond}"
+    ]
 
 
 @dataclass(frozen=True)

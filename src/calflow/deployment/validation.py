@@ -14,7 +14,7 @@ from calflow.deployment.alignment import FREEDOM, Alignment, can_align
 from calflow.deployment.attained import CALIBRATED, COMMANDED, NOMINAL, Attained
 from calflow.deployment.iso_9283 import CYCLES, cube_edge
 from calflow.deployment.needed_conditions import NeededCondition, check_stated
-from calflow.deployment.prediction import beyond_limits
+from calflow.deployment.prediction import beyond_limits, of_field
 from calflow.deployment.tolerance import Errors
 from calflow.estimation.calibrated import Identified
 from calflow.files.documents import to_document
@@ -179,7 +179,9 @@ def validate(
     """
     check_stated(needed, data.given)
     given = data.stating([one.condition for one in needed]).given
-    attained = Attained.of(replace(known, model=replace(known.model, given=given)), data)
+    stated = replace(known, model=replace(known.model, given=given))
+    attained = Attained.of(stated, data)
+    field_notes = of_field(stated, data.stating(given).on(stated.model.robot).rows)
     judged: Judged = "commanded" if COMMANDED in attained.expected else "calibrated"
     fitted, frames = stands(attained, station)
     error = {model: attained.errors(model, fitted) for model in attained.expected}
@@ -218,7 +220,12 @@ def validate(
         rp_mm=_or_none(1e3 * float(_largest(attained.repeatability))),
         fewest_cycles=int(attained.table["rows"].min()),
         cube_edge_mm=_or_none(1e3 * cube_edge(_places(attained))),
-        notes=(*data.notes, *_notes(attained, judged, size, worst, p_moved, fitted), *beyond_limits(data)),
+        notes=(
+            *data.notes,
+            *_notes(attained, judged, size, worst, p_moved, fitted),
+            *field_notes,
+            *beyond_limits(data),
+        ),
     )
     return Validation(accuracy, _points(attained, error, size, judged, within, frames if fitted else ()), summary)
 

@@ -15,10 +15,12 @@ from pydantic import TypeAdapter
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Carried, Cause
 from calflow.estimation.alternative import Alternative, AlternativeParameter
+from calflow.estimation.field_tables import read_field
 from calflow.estimation.fit_summary import FitSummary
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import Noise, Source
 from calflow.estimation.repeats import stated_noise
+from calflow.estimation.residual_field import ResidualField
 from calflow.files.problems import refuse
 from calflow.files.results import Results
 from calflow.files.tables import column, to_frame
@@ -101,7 +103,7 @@ class SeriesNoise:
 class Identified:
     """The fitted model with its estimate, covariance (SI units), each series' noise, and the discrepancy it left [m, rad].
 
-    alternatives are other models that explain the data about as well.
+    alternatives are other models that explain the data about as well; field is a correction beside the model that is not physical.
     """
 
     model: Model
@@ -113,6 +115,7 @@ class Identified:
     rotation_discrepancy: float
     loss: Loss
     alternatives: tuple[Alternative, ...] = ()
+    field: ResidualField | None = None
 
     @property
     def noise_known(self) -> bool:
@@ -151,15 +154,16 @@ def identified(robot: Robot, results: Results, given: tuple[str, ...]) -> Identi
 
 
 def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> Identified:
-    """Rebuild the best model there is: the one that diagnose extended, else identify's."""
+    """Rebuild the best model there is: the one that diagnose extended, else identify's; with the residual field if there is one."""
+    field = read_field(results, robot)
     if "diagnose/effects.csv" not in results:
-        return identified(robot, results, given)
+        return replace(identified(robot, results, given), field=field)
     robot = placed(robot, results)
     observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
     effects = read_effects(results.rows("diagnose/effects.csv", ModelEffect), robot)
     model = Model(robot, effects, given, observed)
     others = results.rows("diagnose/alternatives.csv", AlternativeParameter)
-    return replace(_read("diagnose", model, results), alternatives=_alternatives(others, model))
+    return replace(_read("diagnose", model, results), alternatives=_alternatives(others, model), field=field)
 
 
 def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[Alternative, ...]:

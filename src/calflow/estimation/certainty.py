@@ -14,12 +14,28 @@ def position_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
     """Return the variance of each row's predicted position per axis, shape (n_rows, 3) [m²].
 
     It holds what is not known of the parameters, the choice of the model, and the model's own discrepancy, which no further
-    measurement of the same poses takes away. Where the noise was estimated from the fit discrepancy and noise cannot be told
-    apart, and both are in.
+    measurement of the same poses takes away; of a residual field its own variance in the discrepancy's place. Where the noise was
+    estimated from the fit discrepancy and noise cannot be told apart, and both are in.
     """
     jacobian = known.model.point_jacobian(known.estimate, rows)
     of_choice = choice_variance(known.alternatives, known.model, known.estimate, rows)
-    return np.asarray(_of_parameters(jacobian, known.covariance) + of_choice + unexplained(known) ** 2)
+    left = known.field.variance(readings(known, rows))[:, None] if known.field else unexplained(known) ** 2
+    return np.asarray(_of_parameters(jacobian, known.covariance) + of_choice + left)
+
+
+def expected_point(known: Identified, rows: np.ndarray) -> np.ndarray:
+    """Return where the markers are to be expected, shape (n_rows, 3) [m]: by the model, and its residual field if it has one."""
+    return known.model.point(known.estimate, rows) + field_correction(known, rows)
+
+
+def field_correction(known: Identified, rows: np.ndarray) -> np.ndarray:
+    """Return what the residual field adds to the model's points, shape (n_rows, 3) [m]: nothing where there is none."""
+    return known.field.correction(readings(known, rows)) if known.field else np.zeros((rows.shape[1], 3))
+
+
+def readings(known: Identified, rows: np.ndarray) -> np.ndarray:
+    """Return the joint readings (n_rows, n_joints) of packed rows."""
+    return np.asarray(rows[: known.model.robot.n_joints].T)
 
 
 def rotation_variance(known: Identified, rows: np.ndarray) -> np.ndarray:

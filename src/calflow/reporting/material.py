@@ -60,7 +60,7 @@ class Material:
     def of(study: Study, results: Results, run_folder: Path) -> Material:
         """Read the measurements and rebuild the fitted model."""
         data = corrected(study.measurements(), results.tables["identify/faults.csv"])
-        known = calibrated(study.robot, results, data.given)
+        known = replace(calibrated(study.robot, results, data.given), field=None)  # the pages tell of causes
         used = data.only(data.train | data.held_out)
         return Material(study, used.on(known.model.robot), known, results, run_folder)
 

@@ -18,7 +18,12 @@ from calflow.study import Study, StudyFile
 
 NUMERICAL = ("arviz-stats", "casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "scipy", "typst")
 SAID = ("title", "acceptance")  # of a study: what the report alone says
-ELSEWHERE = {"stages", "workflow", *SAID}  # its settings have entries of their own
+ELSEWHERE = {
+    "stages",
+    "workflow",
+    "residual_field",
+    *SAID,
+}  # its settings have entries of their own, its stages run or do not
 
 
 def common_key(study: Study) -> dict[str, str]:
@@ -45,10 +50,12 @@ def stage_key(
         key |= _confirming_key(study)
     settings = study.validated_settings(stage.name, stage.settings).model_dump(mode="json")
     key |= {f"setting {name}": json.dumps(value) for name, value in settings.items()}
-    for name in (*stage.needs, *stage.uses):
-        if name in upstream:
-            key[f"after {name}"] = digest(json.dumps(upstream[name], sort_keys=True))
-    return key
+    return key | after({name: upstream[name] for name in (*stage.needs, *stage.uses) if name in upstream})
+
+
+def after(upstream: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+    """Return what the key of a stage holds of the keys of those that it goes on from."""
+    return {f"after {name}": digest(json.dumps(key, sort_keys=True)) for name, key in upstream.items()}
 
 
 def _confirming_key(study: Study) -> dict[str, str]:

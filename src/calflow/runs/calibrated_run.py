@@ -13,21 +13,26 @@ from calflow.files.results import Results
 from calflow.files.toml import read_toml
 from calflow.measurements.source import MeasurementSource
 from calflow.robot.robot import Robot
+from calflow.runs.cache_key import after
 from calflow.runs.folder import read_results, run_folder
 from calflow.runs.manifest import Manifest, read_manifest
 from calflow.runs.reasons import outdated
-from calflow.study import StudyFile
+from calflow.study import FIELD, StudyFile, WorkflowFile
 
 
 @dataclass(frozen=True)
 class CalibratedRun:
-    """A run folder that holds an identified robot: its study's and robot's files, and the results of identify and diagnose."""
+    """A run folder that holds an identified robot: its study's and robot's files, and the results of identify and diagnose.
+
+    without_field says why the residual field that the study asks for is not there; None where it is, or is not asked for.
+    """
 
     folder: Path
     manifest: Manifest
     robot: Robot
     file: StudyFile
     results: Results
+    without_field: str | None = None
 
     @staticmethod
     def of(study_or_run: str | Path) -> CalibratedRun:
@@ -47,7 +52,12 @@ class CalibratedRun:
         results = read_results(manifest, folder, "identify")
         if outdated(manifest, folder, "diagnose", robot) is None:
             results |= read_results(manifest, folder, "diagnose")
-        return CalibratedRun(folder, manifest, robot, read_toml(folder / "inputs" / "study.toml", StudyFile), results)
+        file = read_toml(folder / "inputs" / "study.toml", StudyFile)
+        asked = file.residual_field or FIELD in read_toml(folder / "inputs" / "workflow.toml", WorkflowFile).stages
+        lacking = _without_field(manifest, folder, robot, "diagnose/effects.csv" in results) if asked else None
+        if asked and lacking is None:
+            results |= read_results(manifest, folder, FIELD)
+        return CalibratedRun(folder, manifest, robot, file, results, lacking)
 
     def known(self, given: tuple[str, ...]) -> Identified:
         """Return the best model there is, for rows with these optional conditions."""
@@ -79,3 +89,28 @@ class CalibratedRun:
         faults = self.results.tables["identify/faults.csv"]
         whole = faults[(faults["row"] == 0) & (faults["action"] == "corrected")]
         return [f"{said}; the rows given now are taken to be right" for said in whole["statement"]]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What there is to say of it whatever rows are given."""
+        field = self.without_field
+        said = (
+            ()
+            if field is None
+            else (f"without the residual field that the study asks for: {field}; run the study again",)
+        )
+        return (*self.columns_mended, *said)
+
+
+def _without_field(manifest: Manifest, folder: Path, robot: Robot, diagnosed: bool) -> str | None:
+    """Return why a residual field does not hold for the results of identify, or of diagnose; None where it does."""
+    reason = outdated(manifest, folder, FIELD, robot)
+    if reason:
+        return reason
+    made = {name: key for name, key in manifest.stages[FIELD].key.items() if name.startswith("after ")}
+    own = ("identify", "diagnose") if diagnosed else ("identify",)
+    return (
+        None
+        if made == after({name: manifest.stages[name].key for name in own})
+        else f"{FIELD} was made of other results"
+    )

@@ -57,12 +57,12 @@ def _confirming(study: Study) -> None:
 
 def _settings(study: Study, data: Measurements | None) -> None:
     """Ask every stage what it would refuse; one that the workflow leaves out is asked for its settings alone."""
-    names = dict.fromkeys((*study.workflow.stages, *study.workflow.settings, *study.file.stages))
+    names = dict.fromkeys((*study.stages, *study.workflow.settings, *study.file.stages))
     problems: list[Problem] = []
     for name in names:
         stage = STAGES[name]
         settings = study.validated_settings(name, stage.settings)
-        problems += stage.problems(study, settings, data if name in study.workflow.stages else None)
+        problems += stage.problems(study, settings, data if name in study.stages else None)
     if problems:
         raise InputError(problems)
 

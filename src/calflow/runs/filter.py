@@ -84,7 +84,7 @@ def filter_program(
     except InputError as error:
         problems = (replace(one, file=path) if one.line else one for one in error.problems)
         raise InputError(problems) from None
-    return replace(done, notes=(*run.columns_mended, *done.notes))
+    return replace(done, notes=(*run.notes, *done.notes))
 
 
 def _check_conditions(needed: Iterable[NeededCondition], given: Collection[str]) -> None:

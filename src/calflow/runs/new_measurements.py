@@ -46,5 +46,5 @@ def read_new(run: CalibratedRun, rows: str | Path) -> Measurements:
     return replace(
         measured,
         table=measured.table.assign(split="train"),
-        notes=(*measured.notes, *run.columns_mended),
+        notes=(*measured.notes, *run.notes),
     )

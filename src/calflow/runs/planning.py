@@ -28,12 +28,12 @@ class PlannedStage:
 
 
 def stages_of(study: Study) -> list[Stage]:
-    """Return the stages of a study's workflow, in order.
+    """Return the stages of a study, in order: its workflow's, and what it asks for besides.
 
     Raises:
         InputError: the workflow or the study names a stage that does not exist or lacks what it needs, or has wrong settings.
     """
-    known, names = STAGES, study.workflow.stages
+    known, names = STAGES, study.stages
     workflow, own = Origin.of(study.workflow_path), Origin.of(study.path)
     problems = []
     for name in names:

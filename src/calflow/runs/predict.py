@@ -19,7 +19,8 @@ def predict(study_or_run: str | Path, rows: str | Path, missing: Missing = "refu
 
     The run is named by its folder, or by its study. rows has a measurement file's columns without x, y and z, with the
     separator and decimal sign of the study's measurements. The standard deviations are those of `predict_positions`, as is
-    what missing says of conditions that the rows lack. What was assumed of the rows stands in attrs["notes"].
+    what missing says of conditions that the rows lack. Where the run has a residual field, columns not_physical_x_mm … say what
+    of the position is its. What was assumed of the rows stands in attrs["notes"].
 
     Raises:
         InputError: the run has not identified yet, or the rows are at fault.
@@ -38,5 +39,8 @@ def predict(study_or_run: str | Path, rows: str | Path, missing: Missing = "refu
         asked[f"{axis}_mm"] = 1e3 * predicted.position[:, i]
     for i, axis in enumerate("xyz"):
         asked[f"sd_{axis}_mm"] = 1e3 * predicted.sd[:, i]
-    asked.attrs["notes"] = (*data.notes, *run.columns_mended, *predicted.notes)
+    if predicted.not_physical is not None:
+        for i, axis in enumerate("xyz"):
+            asked[f"not_physical_{axis}_mm"] = 1e3 * predicted.not_physical[:, i]
+    asked.attrs["notes"] = (*data.notes, *run.notes, *predicted.notes)
     return asked

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from calflow.stages import diagnose, identify, report, sample, select
+from calflow.stages import diagnose, identify, report, residual_field, sample, select
 from calflow.stages.stage import Stage
 
 STAGES: Mapping[str, Stage] = {
-    module.STAGE.name: module.STAGE for module in (select, identify, diagnose, sample, report)
+    module.STAGE.name: module.STAGE for module in (select, identify, diagnose, residual_field, sample, report)
 }

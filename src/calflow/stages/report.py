@@ -27,6 +27,6 @@ STAGE = Stage(
     ReportSettings,
     run,
     needs=("identify",),
-    uses=("select", "diagnose", "sample"),
+    uses=("select", "diagnose", "residual_field", "sample"),
     titled=True,
 )

@@ -26,12 +26,12 @@ def write(material: Material) -> list[Block]:
         ("robot", f"{study.robot.name}: {study.robot.n_joints} joints, {study.robot.kinematics}"),
         ("effects", ", ".join(effect_words(effect) for effect in study.file.effects)),
         ("measurements", ", ".join(source.file for source in study.file.sources) or "none"),
-        ("workflow", f"{study.workflow.name}: {', '.join(study.workflow.stages)}"),
+        ("workflow", f"{study.workflow.name}: {', '.join(study.stages)}"),
         ("seed", str(study.file.seed)),
         ("versions", ", ".join(f"{name} {version(name)}" for name in PACKAGES)),
         *(
             (f"settings of {stage}", _settings(study.settings(stage)))
-            for stage in study.workflow.stages
+            for stage in study.stages
             if study.settings(stage)
         ),
         "found by identify",

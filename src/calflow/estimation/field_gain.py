@@ -1,0 +1,155 @@
+"""Whether a residual field gains anything: judged on left-out blocks of the rows that were fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from calflow.estimation.accuracy import errors
+from calflow.estimation.calibrated import Identified
+from calflow.estimation.progress import SAME, Draws
+from calflow.estimation.repeats import conditions
+from calflow.estimation.residual_field import NOT_PHYSICAL, STILL, ResidualField, learnt
+from calflow.measurements.measurements import Measurements
+
+FEWEST = 16  # poses, of fewer no smooth function is learnt
+MOST = 2000  # poses that it is learnt from: time grows with the cube
+ALIKE = 1e-6  # rad or m within which readings are the same
+FOLDS = 8
+MOST_BLOCKS = 32
+LEAST_POSES = 4  # of a block
+FALSE_GAIN = 0.01  # chance that a correction which gains nothing is applied
+CERTAIN = 1.96  # standard deviations of a 95 % interval
+
+
+@dataclass(frozen=True, eq=False)
+class FieldGain:
+    """What a field does to poses that it was not learnt from: distances (n,) [m] without it and with it, block by block (n,).
+
+    poses is how many there were, n is 0 where these are too few. covered is the share of the coordinates that are within their
+    95 % intervals.
+    """
+
+    poses: int
+    block: np.ndarray
+    without: np.ndarray
+    corrected: np.ndarray
+    covered: float = float("nan")
+
+    @property
+    def blocks(self) -> int:
+        """The number of blocks that were left out in turn."""
+        return len(np.unique(self.block))
+
+    @property
+    def p(self) -> float:
+        """The chance of so much where nothing is gained; the gains of blocks are taken for independent of each other."""
+        if self.blocks < 2:
+            return 1.0
+        gained = np.bincount(self.block, self.without**2 - self.corrected**2) / np.bincount(self.block)
+        sem = float(gained.std(ddof=1)) / np.sqrt(len(gained))
+        return float(student.sf(gained.mean() / sem, len(gained) - 1)) if sem > 0 else 1.0
+
+    @property
+    def gains(self) -> bool:
+        """Whether the correction is to be applied."""
+        return self.p < FALSE_GAIN
+
+    @property
+    def statement(self) -> str:
+        """What was found, in a sentence."""
+        if not self.blocks:
+            return f"residual field ({NOT_PHYSICAL}) not applied: {self.poses} poses with positions are too few for it"
+        before, after = (1e3 * float(np.sqrt((one**2).mean())) for one in (self.without, self.corrected))
+        were = f"the root mean square goes from {before:.3f} mm to {after:.3f} mm"
+        if not self.gains:
+            return (
+                f"residual field ({NOT_PHYSICAL}) not applied: it gains nothing beyond chance at training poses left out of it "
+                f"({were})"
+            )
+        return f"residual field ({NOT_PHYSICAL}) applied: at training poses left out of it {were}"
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """What a model leaves of its training rows: readings (n, n_joints), measured minus predicted (n, 3) [m], noise of these [m]."""
+
+    readings: np.ndarray
+    left: np.ndarray
+    noise: float
+    spent: float
+
+    @staticmethod
+    def of(known: Identified, data: Measurements, rng: np.random.Generator) -> Nodes:
+        """Bring rows of the same readings together; of very many poses some are drawn."""
+        train = data.only(data.train)
+        left = -errors(known.model, known.estimate, train)
+        whole = ~np.isnan(left).any(axis=1)
+        train, left = train.only(whole), left[whole]
+        pose = train.table.groupby("pose", sort=False).ngroup().to_numpy()
+        joints = np.stack([np.bincount(pose, q) / np.bincount(pose) for q in train.joints.T], axis=1)[pose]
+        readings, group = np.unique(np.round(joints / ALIKE), axis=0, return_inverse=True)
+        count = np.maximum(np.bincount(group.ravel(), minlength=len(readings)), 1)
+        mean = np.stack([np.bincount(group.ravel(), axis, len(readings)) for axis in left.T], axis=1) / count[:, None]
+        sigma = known.noise(train).sigma if known.noise_known else np.zeros(len(train))
+        noise = np.sqrt(np.mean(np.nan_to_num(sigma) ** 2 / count[group.ravel()])) if len(train) else 0.0
+        some = np.sort(rng.permutation(len(readings))[:MOST])
+        return Nodes(ALIKE * readings[some], mean[some], float(noise), _spent(known, train))
+
+
+def gainful_field(known: Identified, data: Measurements, rng: Draws = SAME) -> tuple[ResidualField | None, FieldGain]:
+    """Return the residual field of what a model leaves of its training rows, and what it gains; None where it gains nothing."""
+    nodes = Nodes.of(known, data, rng("nodes"))
+    gain = gain_of(nodes, rng("blocks"))
+    if not gain.gains:
+        return None, gain
+    return learnt(nodes.readings, nodes.left, nodes.noise, nodes.spent, rng("field")), gain
+
+
+def gain_of(nodes: Nodes, rng: np.random.Generator) -> FieldGain:
+    """Leave out blocks in turn, and learn lengths, sizes and field from the others alone.
+
+    Blocks lie together in the space of the readings, so that what is left out has no twin beside it.
+    """
+    n = len(nodes.readings)
+    if n < FEWEST:
+        return FieldGain(n, np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
+    block = blocks(nodes.readings)
+    fold = block % min(FOLDS, block.max() + 1)
+    found, variance = np.zeros_like(nodes.left), np.zeros(n)
+    for k in range(fold.max() + 1):
+        out = fold == k
+        field = learnt(nodes.readings[~out], nodes.left[~out], nodes.noise, nodes.spent, rng)
+        found[out] = field.correction(nodes.readings[out])
+        variance[out] = field.variance(nodes.readings[out]) + field.rest**2 - field.own**2
+    off = nodes.left - found
+    covered = float((np.abs(off) < CERTAIN * np.sqrt(variance)[:, None]).mean())
+    return FieldGain(n, block, np.linalg.norm(nodes.left, axis=1), np.linalg.norm(off, axis=1), covered)
+
+
+def blocks(readings: np.ndarray) -> np.ndarray:
+    """Return each pose's block (n,), from 0: the readings (n, n_joints) halved again and again where they are widest apart."""
+    scaled = readings / np.maximum(np.ptp(readings, axis=0), STILL)
+    parts = [np.arange(len(scaled))]
+    while len(parts) < MOST_BLOCKS and min(map(len, parts)) >= 2 * LEAST_POSES:
+        parts = [half for part in parts for half in _halves(scaled, part)]
+    found = np.empty(len(scaled), dtype=int)
+    for k, part in enumerate(parts):
+        found[part] = k
+    return found
+
+
+def _halves(scaled: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    widest = int(scaled[part].std(axis=0).argmax())
+    order = part[np.argsort(scaled[part, widest], kind="stable")]
+    return order[: len(order) // 2], order[len(order) // 2 :]
+
+
+def _spent(known: Identified, train: Measurements) -> float:
+    """The share of what is independent in the rows that the parameters took up."""
+    free = ~known.at_bound
+    kept = np.diag(known.covariance)[free] / known.model.prior_sd[free] ** 2
+    equations = 3 * len(np.unique(conditions(train), return_index=True)[1]) if len(train) else 1
+    return float(np.clip(1 - kept, 0, 1).sum() / equations)
