@@ -257,7 +257,7 @@ class Model:
         return over_rows(self._compiled[name], p, *rows)
 
     @cached_property
-    def made(self) -> dict[tuple[int, ...], ca.Function]:
+    def made(self) -> dict[tuple[int | str, ...], ca.Function]:
         """Functions that others made of this model's graph, since making one takes longer than a fit's few evaluations."""
         return {}
 

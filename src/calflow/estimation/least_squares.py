@@ -91,23 +91,23 @@ class SeriesBlock:
     @cached_property
     def graph(self) -> ca.Function:
         """The function of (p, conditions, reported, whitening): whitened residual and its Jacobian, transposed."""
-        if self._key not in self.model.made:
+        if self.key not in self.model.made:
             inputs, residual = self.expression()
             residual = ca.cse(residual)  # a third of the operations are there twice
             jacobian = ca.densify(ca.jacobian(residual, inputs[0])).T
-            self.model.made[self._key] = ca.Function("linearised", inputs, [residual, jacobian])
-        return self.model.made[self._key]
+            self.model.made[self.key] = ca.Function("linearised", inputs, [residual, jacobian])
+        return self.model.made[self.key]
 
     @cached_property
     def function(self) -> ca.Function:
         """The same, compiled where that pays."""
-        key = (*self._key, len(self.rows))
+        key = (*self.key, len(self.rows))
         if key not in self.model.made:
             self.model.made[key] = compiled(self.graph, EXPECTED_EVALUATIONS * len(self.rows))
         return self.model.made[key]
 
     @property
-    def _key(self) -> tuple[int, int]:
+    def key(self) -> tuple[int, int]:
         """What its function is known by among those of the model: the observation's number, and how many weights a row has."""
         return self.model.observations.index(self.observation), len(self.whitening)
 

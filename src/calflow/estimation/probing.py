@@ -66,41 +66,34 @@ class Inner:
 
 @dataclass(frozen=True)
 class Levers(Effect):
-    """A parameter for each of some inner quantities (numbers of `Inner.packed`), which is added to it."""
-
-    which: tuple[int, ...] = ()
+    """A parameter for each inner quantity, as they stand in `Inner.packed`, which is added to it."""
 
     id: ClassVar[str] = "levers"
     title: ClassVar[str] = "inner quantities"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return one for each quantity."""
-        return tuple(Parameter(self.id, str(k), "", "1", 1.0, -1.0, 1.0) for k in self.which)
+        return tuple(Parameter(self.id, str(k), "", "1", 1.0, -1.0, 1.0) for k in range(Inner.width(self.robot)))
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Add to the dimensions."""
-        return _sum(dims, self._inner(p).dims)
+        return _sum(dims, Inner.unpacked(self.robot, p).dims)
 
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
         """Add to the masses."""
-        return _sum(loads, self._inner(p).loads)
+        return _sum(loads, Inner.unpacked(self.robot, p).loads)
 
     def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
         """Add to the torques."""
-        return self._inner(p).torque
+        return Inner.unpacked(self.robot, p).torque
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Move joints, bearings and link ends."""
-        return self._inner(p).deflection
+        return Inner.unpacked(self.robot, p).deflection
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Add to what is reported."""
-        return point + self._inner(p).reported
-
-    def _inner(self, p: ca.SX) -> Inner:
-        column = ca.SX(Inner.width(self.robot), 1)
-        column[list(self.which)] = p
-        return Inner.unpacked(self.robot, column)
+        return point + Inner.unpacked(self.robot, p).reported
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,20 +125,19 @@ def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> t
         return problem.screened(p)  # by the graph that the fit has made
     robot, given, n = problem.model.robot, problem.model.given, len(p)
     bases, width = _bases(effects, given)
-    which = np.unique(np.concatenate([basis.quantity for basis in bases]))
-    bases = [replace(basis, quantity=np.searchsorted(which, basis.quantity)) for basis in bases]
-    levers = problem.on(replace(problem.model, probes=(Levers(robot, tuple(map(int, which))),)))
-    graphs = [_graph(block, len(which)) for block in levers.blocks]
+    levers = Levers(robot)
+    moved = problem.on(replace(problem.model, probes=(levers,)))
+    graphs = [_graph(block, with_levers) for block, with_levers in zip(problem.blocks, moved.blocks, strict=True)]
     known = [graph for graph in graphs if graph]
     if len(known) < len(graphs):
         large = replace(problem.model, probes=tuple(effects))
         return problem.on(large).screened(np.concatenate([p, large.nominal[n:]]))
-    residual, start = np.empty(problem.size), 0
+    residual, start, still = np.empty(problem.size), 0, np.concatenate([p, np.zeros(len(levers.declared))])
     matrix = np.zeros((problem.size, n + width))
-    for block, graph in zip(levers.blocks, known, strict=True):
+    for block, graph in zip(problem.blocks, known, strict=True):
         for first in range(0, len(block.rows), ROWS):
             data = [values[:, first : first + ROWS] for values in block.data]
-            left, slopes, state = over_rows(graph, np.concatenate([p, np.zeros(len(which))]), *data)
+            left, slopes, state = over_rows(graph, still, *data)
             rows = slice(start, start + left.size)
             residual[rows] = left.T.ravel()
             matrix[rows, :n] = slopes.T[:, :n]
@@ -187,11 +179,19 @@ def _bases(effects: Sequence[Effect], given: tuple[str, ...]) -> tuple[list[Basi
     return found, int(start[-1])
 
 
-def _graph(block: SeriesBlock, n_levers: int) -> ca.Function | None:
+def _graph(block: SeriesBlock, moved: SeriesBlock) -> ca.Function | None:
     """Return the function of a row: whitened residual, its Jacobian by parameters and levers, transposed, and the row's state.
 
-    None where an observation asks the device for several points, so that there is no single thing that it reports.
+    It is made once for a model, moved being the block of the same with levers. None where an observation asks the device for
+    several points, so that there is no single thing that it reports.
     """
+    key, made = ("levers", *block.key), block.model.made
+    if key not in made and (function := _with_levers(moved)):
+        made[key] = function
+    return made.get(key)
+
+
+def _with_levers(block: SeriesBlock) -> ca.Function | None:
     reports: list[ca.SX] = []
     inputs, residual = block.expression(reports.append)
     if len(reports) > 1:
@@ -204,8 +204,9 @@ def _graph(block: SeriesBlock, n_levers: int) -> ca.Function | None:
     )
     residual, state = ca.cse([residual, state])  # a third of the operations are there twice
     outputs = [residual, ca.jacobian(residual, p).T, state]
-    levers = p[p.numel() - n_levers :]
-    outputs = ca.substitute(outputs, [levers], [ca.SX.zeros(n_levers, 1)])
+    (probe,) = block.model.probes
+    levers = p[block.model.columns(probe).tolist()]
+    outputs = ca.substitute(outputs, [levers], [ca.SX.zeros(levers.numel())])
     return ca.Function("levers", inputs, [ca.densify(output) for output in outputs])
 
 
