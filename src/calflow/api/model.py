@@ -76,7 +76,8 @@ class Model:
         Args:
             targets: positions (n, 3), or (3,), or poses (n, 4, 4), or (4, 4), in the measuring frame [m]. A pose is where the
                 marker is, and how the frame of the last link is turned, with the robot's tool_rotation where it has one.
-            start: readings (n, n_joints), or (n_joints,) for all [rad, or m].
+            start: readings (n, n_joints), or (n_joints,) for all [rad, or m]; of a robot with external axes theirs must be there,
+                and the arm's may be nan.
             payload: what is carried, for all or one a target.
             marker: which marker, likewise.
             in_order: the robot goes from target to target, so that the side from which each joint comes follows from the commands.
@@ -88,13 +89,19 @@ class Model:
             InputError: a condition is missing that an effect needs, or an array is at fault.
         """
         asked, n = Targets.of(targets), self.robot.n_joints
-        given = np.zeros(n) if start is None else np.asarray(start, dtype=float)
+        given = np.full(n, np.nan) if start is None else np.asarray(start, dtype=float)
         if given.shape not in ((n,), (len(asked), n)):
             raise refuse(f"expected shape ({n},) or ({len(asked)}, {n}), found {given.shape}", key="start")
         begun = np.broadcast_to(given, (len(asked), n))
-        data = self._rows(begun, payload, marker, conditions)
+        if np.isnan(begun[:, self.robot.external]).any():
+            named = ", ".join(str(i + 1) for i in self.robot.external)
+            raise refuse(
+                f"expected readings of the external axes (joints {named}): they stay where they are", key="start"
+            )
+        data = self._rows(np.nan_to_num(begun), payload, marker, conditions)
+        known = not np.isnan(begun).any()
         return compensated(
-            self.known, self.needed, data, asked, start=None if start is None else begun, in_order=in_order,
+            self.known, self.needed, data, asked, start=begun if known else None, in_order=in_order,
             missing=missing, seed=seed,
         )  # fmt: skip
 

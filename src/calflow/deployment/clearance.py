@@ -44,7 +44,8 @@ def clearance(model: Model, rows: np.ndarray, oriented: bool) -> Clearance:
 def _to_singularity(rigid: Model, rows: np.ndarray, oriented: bool) -> np.ndarray:
     p, c, predicted = rigid.symbols
     readings = c[: rigid.robot.n_joints]
-    mixed = ca.sparsify(ca.DM(rigid.robot.angle_matrix))
+    moved = np.where(np.isin(np.arange(rigid.robot.n_joints), rigid.robot.external), 0.0, 1.0)
+    mixed = ca.sparsify(ca.DM(rigid.robot.angle_matrix * moved))
     slope = ca.jacobian(predicted.point, readings) @ mixed
     if oriented:
         slope = ca.vertcat(slope, turning(predicted.rotation, readings) @ mixed)

@@ -10,6 +10,7 @@ import numpy as np
 from calflow.deployment.targets import Targets
 from calflow.model import Model, over_rows
 from calflow.robot.loop import reachable
+from calflow.robot.robot import Robot
 from calflow.robot.transforms import turning
 
 LANDED = 1e-6  # m, and rad: what is as near as this is there
@@ -49,7 +50,8 @@ def landing(
     """Return the readings nearest to a start that land on the targets.
 
     Gauss-Newton on the graph: of all readings that land there, by its slope, each round takes those with the smallest change
-    from the start; a joint that would pass its limit stays there, and the others make up for it. A round that leads away is
+    from the start; a joint that would pass its limit stays there, and the others make up for it. External axes stay where the
+    start has them. A round that leads away is
     taken back, and damped (Levenberg 1944).
 
     Args:
@@ -62,7 +64,8 @@ def landing(
     """
     robot, n = model.robot, model.robot.n_joints
     mixed = robot.angle_matrix
-    low, high = robot.limits.T
+    low, high = _bounds(robot)
+    fixed = np.isin(np.arange(n), robot.external)
     graph = _tool(model, mixed, targets.rotation is not None)
 
     def at(q: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -88,7 +91,7 @@ def landing(
         damping[moving] = np.where(led_away, np.maximum(10 * damping[moving], DAMPED), damping[moving] / 10)
         here = best[moving]
         missing, slope = np.nan_to_num(lacking[moving]), np.nan_to_num(jacobian[moving])
-        step = _aimed(begun[moving], here, missing, slope, low, high, damping[moving]) - here
+        step = _aimed(begun[moving], here, missing, slope, low, high, damping[moving], fixed) - here
         longest, allowed = np.abs(step).max(axis=1), LONGEST_STEP / (1 + damping[moving] / DAMPED)
         tried[moving] = here + step * np.minimum(1.0, allowed / np.maximum(longest, WITHIN))[:, None]
         moving = moving[(longest >= SETTLED) & (waited[moving] < STALLED)]
@@ -98,6 +101,13 @@ def landing(
     angles = readings @ robot.reading_matrix.T
     there = reachable(robot, angles) & robot.within_limits(angles, WITHIN)
     return Landing(readings, away, turned, (np.maximum(away, turned) < LANDED) & there)
+
+
+def _bounds(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """The limits within which joints are moved: external axes are not, and stay also where they are past theirs."""
+    low, high = robot.limits.T.copy()
+    low[robot.external], high[robot.external] = -np.inf, np.inf
+    return low, high
 
 
 def _tool(model: Model, mixed: np.ndarray, oriented: bool) -> ca.Function:
@@ -113,10 +123,10 @@ def _tool(model: Model, mixed: np.ndarray, oriented: bool) -> ca.Function:
 
 def _aimed(
     begun: np.ndarray, q: np.ndarray, lacking: np.ndarray, jacobian: np.ndarray, low: np.ndarray, high: np.ndarray,
-    damping: np.ndarray,
+    damping: np.ndarray, fixed: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """Angles (n, n_joints) nearest to those begun with that land by the slope at q, within the limits."""
-    held, aim, left = np.zeros(q.shape, dtype=bool), q.copy(), np.arange(len(q))
+    """Angles (n, n_joints) nearest to those begun with that land by the slope at q, within the limits; fixed ones stay."""
+    held, aim, left = np.tile(fixed, (len(q), 1)), q.copy(), np.arange(len(q))
     for _ in range(q.shape[1] + 1):
         still = held[left]
         anchor = np.where(still, np.clip(aim[left], low, high), q[left])

@@ -22,15 +22,33 @@ def nominal_readings(model: Model, rows: np.ndarray, targets: Targets, rng: np.r
     """Return readings (n, n_joints) with which the nominal robot lands on the targets, or comes nearest to them.
 
     It approaches each target from the nearest of many poses drawn within the limits, and takes what lands there furthest
-    from the limits. rows are packed conditions (n_conditions, n), whose readings do not count.
+    from the limits. rows are packed conditions (n_conditions, n), of whose readings only those of external axes count: these
+    stay.
     """
+    external = model.robot.external
+    if not external:
+        return _readings(model, rows, targets, rng, np.zeros(0))
+    found = np.empty((len(targets), model.robot.n_joints))
+    places, of = np.unique(rows[external].T, axis=0, return_inverse=True)
+    for k, place in enumerate(places):
+        own = np.flatnonzero(of.ravel() == k)
+        found[own] = _readings(model, rows[:, own], targets.only(own), rng, place)
+    return found
+
+
+def _readings(
+    model: Model, rows: np.ndarray, targets: Targets, rng: np.random.Generator, place: np.ndarray
+) -> np.ndarray:
+    """The readings with the external axes at one place."""
     robot = model.robot
     rigid, none = Model(robot, (), model.given), np.zeros(0)
     low, high = robot.limits.T
     drawn = rng.uniform(low, high, (DRAWN, robot.n_joints))
     readings = drawn @ robot.angle_matrix.T
+    readings[:, robot.external] = place
     angles = readings @ robot.reading_matrix.T
-    readings = readings[reachable(robot, angles) & robot.within_limits(angles, ROUNDING)]
+    possible = reachable(robot, angles) & robot.within_limits(angles, ROUNDING)
+    readings = readings[possible] if possible.any() else readings
     nearest = _nearest(rigid, readings, rows, targets)
     found = readings[nearest[:, 0]]
     left = np.arange(len(targets))

@@ -84,6 +84,8 @@ def _missing(
     if len(robot.markers) > 1 and not marker:
         required.append("marker")
     groups = [*(numbered(stem, n) for stem in STEMS.values()), WRENCH, ANGLES, QUATERNION]
+    if not layout.reports.measured:  # external axes are stated where the arm's joints are asked for
+        groups[0] = [f"q{joint + 1}" for joint in robot.arm]
     required += [name for group in groups if own.keys() & set(group) for name in group]
     following = {f"{stem}{joint + 1}" for joint in robot.followers for stem in STEMS.values()}
     where = ""

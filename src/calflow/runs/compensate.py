@@ -12,7 +12,9 @@ from calflow.deployment.commands import compensated
 from calflow.deployment.prediction import Missing
 from calflow.deployment.target_frames import in_measuring_frame, read_frames
 from calflow.deployment.targets import Targets
+from calflow.design.candidates import reading_columns
 from calflow.estimation.plausibility import plausible
+from calflow.files.problems import InputError, Problem
 from calflow.measurements.columns import FRAME, numbered
 from calflow.measurements.measurements import Measurements
 from calflow.runs.calibrated_run import CalibratedRun
@@ -45,7 +47,9 @@ def compensate(
     how = {"separator": run.source.separator, "decimal": run.source.decimal}
     data = Measurements.to_reach(path, run.robot, run.time_origin, **how)
     started = not np.isnan(data.joints).any()
-    if started and FRAME not in data.table:
+    if not started:
+        _check_external(data, path)
+    elif FRAME not in data.table:
         data = plausible(data, path)
     known = run.known(data.given)
     names = data.table[FRAME].astype(str) if FRAME in data.table else [""] * len(data)
@@ -67,12 +71,28 @@ def compensate(
     return table
 
 
+def _check_external(data: Measurements, path: Path) -> None:
+    """Check that it is said where the external axes are: no correction moves them.
+
+    Raises:
+        InputError: of some target it is not.
+    """
+    problems = [
+        Problem(f"expected {reading_columns(data.robot)[data.robot.driven.index(i)]} of every target: joint {i + 1} is an external "
+                "axis, which stays where it is commanded", path)
+        for i in data.robot.external if np.isnan(data.joints[:, i]).any()
+    ]  # fmt: skip
+    if problems:
+        raise InputError(problems)
+
+
 def _start_notes(data: Measurements, started: bool) -> list[str]:
     """Say what was assumed of the rows, and of the readings that the nominal robot would be sent to."""
     if started:
         return list(data.notes)
+    asked = "of the arm's joints" if data.robot.external else "q1 …"
     return [
         *data.notes,
-        "no columns q1 …: of the nominal robot's poses at each target the one furthest from its joint limits is taken; to keep a "
-        "configuration, give the readings that the nominal robot would be sent to",
+        f"no columns {asked}: of the nominal robot's poses at each target the one furthest from its joint limits is taken; to keep "
+        "a configuration, give the readings that the nominal robot would be sent to",
     ]

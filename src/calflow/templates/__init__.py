@@ -11,7 +11,7 @@ from pathlib import Path
 
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.robot.formats import urdf
-from calflow.robot.formats.urdf_document import read_document
+from calflow.robot.formats.urdf_document import UrdfJoint, read_document
 from calflow.robot.frames import places
 from calflow.robot.robot import Robot
 from calflow.templates import library
@@ -70,13 +70,21 @@ def _of_urdf(path: Path, tip: str | None, base: str | None) -> dict[str, str]:
         "URDF_BASE": json.dumps(chain.base),
         "URDF_TIP": json.dumps(chain.tip),
         "JOINTS": "\n".join(
-            f"#   {i}  {joint.name}{f' (follows {joint.mimic.joint}: no column)' if joint.mimic else ''}"
-            for i, joint in enumerate(chain.moving, start=1)
+            f"#   {i}  {joint.name}{_beside(joint, i <= chain.ground)}" for i, joint in enumerate(chain.moving, start=1)
         ),
         "FIRST_JOINT": json.dumps(names[0]),
     }
     text = path.read_text(encoding="utf-8-sig")
     return {"robot.toml": _filled(_template("given/urdf.toml"), said), path.name: text}
+
+
+def _beside(joint: UrdfJoint, carries: bool) -> str:
+    """What is to be known of a joint."""
+    said = [
+        *([f"follows {joint.mimic.joint}: no column"] if joint.mimic else []),
+        *(["carries what the base link is of; the robot stands beside it"] if carries else []),
+    ]
+    return f"  ({'; '.join(said)})" if said else ""
 
 
 def _asked(study: str, described: Mapping[str, str]) -> dict[str, str]:
