@@ -81,26 +81,31 @@ class GravityCompensator(Effect):
         """Return the torque's two phases, and those of the part that grows with a spring's length."""
         if not self._has_arm:
             return ()
-        rated = float(rated_torques(self.robot)[1])
+        rated = float(rated_torques(self.robot)[self._carried])
         of = {"T": "torque"} | ({"K": "torque by the spring's rate"} if self.spring else {})
         return tuple(
-            Parameter(self.id, "joint2", f"{letter}{phase}", "Nm", SD * rated, -BOUND * rated, BOUND * rated,
-                      meaning=f"compensator's {what}, {wave} part", joint=2)
+            Parameter(self.id, f"joint{self._carried + 1}", f"{letter}{phase}", "Nm", SD * rated, -BOUND * rated, BOUND * rated,
+                      meaning=f"compensator's {what}, {wave} part", joint=self._carried + 1)
             for letter, what in of.items() for phase, wave in (("c", "cosine"), ("s", "sine"))
         )  # fmt: skip
 
     @property
     def _has_arm(self) -> bool:
-        """Whether joint 2 turns an arm that a cylinder can carry."""
-        return self.robot.n_joints > 1 and self.robot.joints[1].kind == "revolute"
+        """Whether the arm's joint 2 turns what a cylinder can carry."""
+        return len(self.robot.arm) > 1 and self.robot.joints[self._carried].kind == "revolute"
+
+    @property
+    def _carried(self) -> int:
+        """The arm's joint 2 (from 0): external axes do not count."""
+        return self.robot.arm[1]
 
     @cached_property
     def upright(self) -> float:
         """The angle of joint 2 [rad] at which the arm points against gravity, the others at zero."""
         robot = self.robot
         at = pose(robot, nominal_dimensions(robot), ca.SX(robot.n_joints, 1), Deflection.zero(robot.n_joints))
-        frame, end = (np.array(ca.DM(ca.evalf(one))) for one in (at.joints[1], at.ends[2]))
-        axis, arm, up = frame[:3, 2], end[:3, 3] - frame[:3, 3], -np.array(robot.gravity)
+        frame, end = (np.array(ca.DM(ca.evalf(one))) for one in (at.joints[self._carried], at.ends[self._carried + 1]))
+        axis, arm, up = frame[:3, 2], end[:3, 3] - frame[:3, 3], -np.array(ca.DM(ca.evalf(at.down(robot)))).ravel()
         across = up - axis * (axis @ up)
         return float(np.arctan2(axis @ np.cross(arm, across), arm @ across))
 
@@ -108,7 +113,7 @@ class GravityCompensator(Effect):
         """Add the cylinder's torque."""
         if not self._has_arm:
             return 0.0
-        q = state.q[1]
+        q = state.q[self._carried]
         length = ca.SX(1)
         if self.ratio:
             angle = q - self.upright - np.deg2rad(self.hinge)
@@ -118,7 +123,7 @@ class GravityCompensator(Effect):
         if self.gas and row.temperature.nnz():
             push *= row.temperature / REFERENCE
         torque = ca.SX(self.robot.n_joints, 1)
-        torque[1] = push
+        torque[self._carried] = push
         return torque
 
     def size(self, p: ca.SX) -> ca.SX:
@@ -127,4 +132,4 @@ class GravityCompensator(Effect):
 
     def variable(self, joint: int) -> Variable:
         """Return joint 2's angle."""
-        return joint_variable(self.robot, 2)
+        return joint_variable(self.robot, self._carried + 1)
