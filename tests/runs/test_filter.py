@@ -71,7 +71,7 @@ def test_what_is_not_known_is_asked_for(cell):
         (("--payload", "none such"), "payload"),
         (("--tool", "1=1,2,3"), "expected X,Y,Z,W,P,R in mm and degrees"),
         (("--payload", "heavi"), "--payload heavi: unknown payload: expected one of light, heavy"),
-        (("--start", "1,2"), "expected 3 readings, found 2"),
+        (("--start", "1,2"), "expected 3 readings of the arm, found 2"),
         (("--start", "nan,1,2"), "expected finite readings"),
         (("--condition", "temperature_degC=nan"), "--condition temperature_degC: expected a finite number"),
         (("--condition", "temperature=20"), "expected one of temperature_degC"),
@@ -95,7 +95,7 @@ def test_a_program_for_another_robot_is_refused(cell):
         "MODULE M\n  CONST jointtarget home:=[[0,0,0,0,30,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\nENDMODULE\n"
     )
     (said,) = cell.refused("filter", cell / "runs", cell / "home.mod")
-    assert said == "home.mod:2: home has 6 joints, the robot 3"
+    assert said == "home.mod:2: home has 6 joints, the robot's arm 3"
 
 
 def test_conditions_that_a_program_cannot_show_are_asked_for():

@@ -104,14 +104,16 @@ def _check_conditions(needed: Iterable[NeededCondition], given: Collection[str])
 
 
 def _start(robot: Robot, start: Sequence[float] | None) -> tuple[float, ...] | None:
-    """Readings in SI."""
+    """Readings in SI; external axes, which a target gives, at 0."""
     if start is None:
         return None
-    if len(start) != robot.n_joints:
-        raise refuse(f"expected {robot.n_joints} readings, found {len(start)}", key="--start")
+    if len(start) != len(robot.arm):
+        raise refuse(f"expected {len(robot.arm)} readings of the arm, found {len(start)}", key="--start")
     if not np.isfinite(start).all():
         raise refuse(f"expected finite readings, found {', '.join(f'{one:g}' for one in start)}", key="--start")
-    return tuple(value / joint.shown[1] for value, joint in zip(start, robot.joints, strict=True))
+    found = np.zeros(robot.n_joints)
+    found[robot.arm] = [value / robot.joints[i].shown[1] for value, i in zip(start, robot.arm, strict=True)]
+    return tuple(map(float, found))
 
 
 def _conditions(stated: Mapping[str, float]) -> dict[str, float]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calflow.deployment.programs.axes import Axes
 from calflow.deployment.programs.configuration import Posture
 from calflow.deployment.programs.correction import Correction
 from calflow.deployment.programs.filtering import Choices
@@ -231,9 +232,9 @@ class Hand:
     shift: tuple[float, ...] = (0.0,) * 6
 
     @property
-    def n_joints(self) -> int:
-        """Six."""
-        return 6
+    def axes(self) -> Axes:
+        """Six, and nothing else."""
+        return Axes(6, tuple(range(6)), {}, {})
 
     def flange(self, readings: np.ndarray) -> np.ndarray:
         """Transforms of readings."""
@@ -242,7 +243,9 @@ class Hand:
         poses[:, :3, :3] = Rotation.from_rotvec(readings[:, 3:]).as_matrix()
         return poses
 
-    def solutions(self, flanges: np.ndarray, starts: int, near: list[np.ndarray | None]) -> list[np.ndarray]:
+    def solutions(
+        self, flanges: np.ndarray, starts: int, near: list[np.ndarray | None], external: np.ndarray
+    ) -> list[np.ndarray]:
         """The one way to each pose."""
         turns = Rotation.from_matrix(flanges[:, :3, :3]).as_rotvec()
         return [np.concatenate([pose[:3, 3], turn])[None] for pose, turn in zip(flanges, turns, strict=True)]

@@ -270,7 +270,9 @@ def test_flags_tell_all_ways_to_a_pose_apart(flags):
     """Fails if two ways to a pose have the same flags, or none has those of the readings that it was made from."""
     corrector = calibrated(industrial())
     for q, ways in zip(
-        usual(corrector, 3), corrector.solutions(corrector.flange(usual(corrector, 3)), 60, [None] * 3), strict=True
+        usual(corrector, 3),
+        corrector.solutions(corrector.flange(usual(corrector, 3)), 60, [None] * 3, np.zeros((3, 6))),
+        strict=True,
     ):
         assert np.abs(ways - q).max(axis=1).min() < 1e-6
         named = [corrector.posture(one) for one in ways]

@@ -13,6 +13,7 @@ from calflow.deployment.commands import compensated
 from calflow.deployment.compensation import landing
 from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.prediction import Missing, as_told
+from calflow.deployment.programs.axes import Axes
 from calflow.deployment.programs.configuration import Posture
 from calflow.deployment.programs.correction import Correction
 from calflow.deployment.programs.orientation import inverse
@@ -57,14 +58,37 @@ class CalibratedRobot:
         """Number of joints."""
         return self.robot.n_joints
 
+    @cached_property
+    def axes(self) -> Axes:
+        """Which joints are the arm's, and which external axes."""
+        return Axes.of(self.robot)
+
     def flange(self, readings: np.ndarray) -> np.ndarray:
         """Return where the controller takes the flange to be, (n, 4, 4), at readings (n, n_joints)."""
         rows = self.rows(readings).stating(()).rows
         seen, tool = _frames(self._rigid, np.zeros(0), rows)
         return inverse(self._stands) @ seen @ inverse(tool)
 
-    def solutions(self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None]) -> list[np.ndarray]:
+    def solutions(
+        self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], external: np.ndarray
+    ) -> list[np.ndarray]:
         """Return for each of the poses (n, 4, 4) the readings (k, n_joints) at which the controller has the flange there.
+
+        Of external (n, n_joints) the readings of external axes are what they have at each pose.
+        """
+        found: list[np.ndarray] = [np.empty((0, self.n_joints))] * len(flanges)
+        places, of = np.unique(external[:, self.robot.external], axis=0, return_inverse=True)
+        for k, place in enumerate(places):
+            own = np.flatnonzero(of.ravel() == k).tolist()
+            ways = self._at_one_place(flanges[own], starts, [near[i] for i in own], place)
+            for i, one in zip(own, ways, strict=True):
+                found[i] = one
+        return found
+
+    def _at_one_place(
+        self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], place: np.ndarray
+    ) -> list[np.ndarray]:
+        """The solutions where the external axes are at one place.
 
         Each pose is approached from so many joint positions that are nearest of many, and from those in which the wrist of what
         is found is turned over, and from the readings near it.
@@ -73,6 +97,7 @@ class CalibratedRobot:
         low, high = robot.limits.T
         angles = np.random.default_rng(self.seed).uniform(low, high, (DRAWN, self.n_joints))
         drawn = angles[reachable(robot, angles)] @ robot.angle_matrix.T
+        drawn[:, robot.external] = place
         places = self.flange(drawn)
         there = features(places[:, :3, 3], places[:, :3, :3])
         asked = features(flanges[:, :3, 3], flanges[:, :3, :3])
@@ -82,9 +107,10 @@ class CalibratedRobot:
         begun = np.concatenate([drawn[nearest.ravel()], *(one[None] for one in near if one is not None)])
         found, of = self._reached(flanges, np.concatenate([every, np.array(close, dtype=int)]), begun)
         if self._arm.forward is not None:
-            over = found + np.pi * np.array([0, 0, 0, 1, 0, 1])
-            over[:, 4] *= -1
-            flipped, of_flipped = self._reached(flanges, of, _wrapped(over))
+            over, (fourth, fifth, sixth) = found.copy(), robot.arm[3:]
+            over[:, [fourth, sixth]] = _wrapped(over[:, [fourth, sixth]] + np.pi)
+            over[:, fifth] = _wrapped(-over[:, fifth])
+            flipped, of_flipped = self._reached(flanges, of, over)
             found, of = np.concatenate([found, flipped]), np.concatenate([of, of_flipped])
         return [self._all_turns(_different(found[of == k])) for k in range(len(flanges))]
 
@@ -110,7 +136,7 @@ class CalibratedRobot:
         )  # of where base and tool are: the sides of approach come later
         _, tool = _frames(told.known.model, self.known.estimate, told.data.rows)
         aims = base_placement(told.known, told.data.rows) @ self.flange(readings) @ tool
-        oriented = self.n_joints >= FREE
+        oriented = len(self.axes.arm) >= FREE
         asked = Targets(aims[:, :3, 3], aims[:, :3, :3] if oriented else None)
         found = compensated(
             self.known, self.needed, data, asked, start=readings, in_order=self.in_order, missing=self.missing
@@ -122,7 +148,9 @@ class CalibratedRobot:
             else "out of reach within the joint limits once corrected"
             for reached, far in zip(found.reached, change, strict=True)
         ]  # fmt: skip
-        lacking = () if oriented else (f"{self.n_joints} joints cannot mend the orientation: the marker's place is",)
+        lacking = (
+            () if oriented else (f"{len(self.axes.arm)} joints cannot mend the orientation: the marker's place is",)
+        )
         return Correction(found.readings, found.remaining, found.turned, tuple(why), (*found.notes, *lacking))
 
     @cached_property
@@ -148,7 +176,7 @@ class CalibratedRobot:
         robot = self.robot
         low, high = robot.limits.T
         every = readings @ robot.reading_matrix.T
-        for joint in np.flatnonzero([one.kind == "revolute" for one in robot.joints]):
+        for joint in (i for i in robot.arm if robot.joints[i].kind == "revolute"):
             if robot.loop and joint in (robot.loop.joint - 2, robot.loop.joint - 1):
                 continue
             turned = np.concatenate([every + 2 * np.pi * k * np.eye(self.n_joints)[joint] for k in (-2, -1, 0, 1, 2)])

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from calflow.deployment.programs.axes import Axes
 from calflow.deployment.programs.configuration import Posture
 
 
@@ -30,17 +31,20 @@ class Corrector(Protocol):
     """What knows a robot as its controller does, and as it is. Poses are transforms (4, 4) in the robot's base, in SI."""
 
     @property
-    def n_joints(self) -> int:
-        """Number of joints."""
+    def axes(self) -> Axes:
+        """Which joints are the arm's, and which external axes."""
         ...
 
     def flange(self, readings: np.ndarray) -> np.ndarray:
         """Return where the controller takes the flange to be, (n, 4, 4), at readings (n, n_joints)."""
         ...
 
-    def solutions(self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None]) -> Sequence[np.ndarray]:
+    def solutions(
+        self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], external: np.ndarray
+    ) -> Sequence[np.ndarray]:
         """Return for each of the poses (n, 4, 4) the readings (k, n_joints) at which the controller has the flange there.
 
+        Of external (n, n_joints) the readings of external axes are what they have at each pose.
         They are looked for from so many joint positions, the more the surer it is that none is missed, and from readings near
         each, where there are such.
         """

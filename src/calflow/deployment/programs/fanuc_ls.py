@@ -11,7 +11,7 @@ import numpy as np
 from calflow.deployment.programs.configuration import FanucConfiguration, Flag
 from calflow.deployment.programs.orientation import NOWHERE
 from calflow.deployment.programs.scanner import Reader, Token, lines_in, refusal, scan
-from calflow.deployment.programs.target import Left, Number, Program, Target
+from calflow.deployment.programs.target import External, Left, Number, Program, Target, Turn
 
 SUFFIXES = (".ls",)
 SECTIONS = ("/PROG", "/ATTR", "/APPL", "/MN", "/POS", "/END")  # in this order, those in the middle not in every file
@@ -192,7 +192,10 @@ def _group(reader: Reader, name: str, line: int) -> Target | Left:
         return Left(name, line, "was never taught")
     if remote:
         return Left(name, line, "is of a tool that stands still")
-    return Target(name, line, taught_numbers, "xyz" if configuration else None, configuration, (tool,), (frame,))
+    axes = {int(one[1:]): number for one, number in given.items() if one[0] == "E"}
+    external = {k: External(float(said.text), units[f"E{k}"]) for k, said in axes.items() if said is not None}
+    turn: Turn | None = "xyz" if configuration else None
+    return Target(name, line, taught_numbers, turn, configuration, (tool,), (frame,), external=external)
 
 
 def _numbered(reader: Reader, what: str) -> str:

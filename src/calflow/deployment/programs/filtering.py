@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from calflow.deployment.programs.axes import Axes
 from calflow.deployment.programs.configuration import NEAR
 from calflow.deployment.programs.correction import Corrector
 from calflow.deployment.programs.orientation import angle_between, inverse, pose_matrix
@@ -89,8 +90,8 @@ def filtered(program: Program, corrector: Corrector, choices: Choices) -> Filter
     Raises:
         InputError: a tool or a frame is known to neither the program nor the user, or the numbers of joints differ.
     """
-    _check_joints(program, corrector)
-    aims, doubtful = _aims(program, choices)
+    _check_joints(program, corrector.axes)
+    aims, doubtful = _aims(program, choices, corrector.axes)
     aims = _with_readings(aims, corrector, choices)
     found = [aim for aim in aims if aim.readings is not None]
     edits: list[Edit] = []
@@ -99,32 +100,36 @@ def filtered(program: Program, corrector: Corrector, choices: Choices) -> Filter
         _row(aim.target, "not reached" if aim.note.startswith("the nominal") else "left alone", note=aim.note)
         for aim in aims if aim.readings is None
     ]  # fmt: skip
-    notes: tuple[str, ...] = ()
+    notes = corrector.axes.unknown_words(program)
     if found:
-        own, corrected_rows, notes = _corrected(found, corrector)
+        own, corrected_rows, said = _corrected(found, corrector)
         edits += own
         rows += corrected_rows
+        notes += said
     return Filtered(with_edits(program.source, edits), tuple(sorted(rows, key=lambda row: row.line)), notes)
 
 
-def _check_joints(program: Program, corrector: Corrector) -> None:
+def _check_joints(program: Program, axes: Axes) -> None:
     problems = [
-        Problem(f"{target.name} has {len(target.numbers)} joints, the robot {corrector.n_joints}", line=target.line)
-        for target in program.targets if target.turn is None and len(target.numbers) != corrector.n_joints
+        Problem(f"{target.name} has {len(target.numbers)} joints, the robot's arm {len(axes.arm)}", line=target.line)
+        for target in program.targets if target.turn is None and len(target.numbers) != len(axes.arm)
     ]  # fmt: skip
     if problems:
         raise InputError(problems)
 
 
-def _aims(program: Program, choices: Choices) -> tuple[list[_Aim], list[Left]]:
-    """Targets with their tools and frames, and those of which more than one is named."""
+def _aims(program: Program, choices: Choices, axes: Axes) -> tuple[list[_Aim], list[Left]]:
+    """Targets with their tools and frames, and those of which more than one is named, or that do not say where all axes are."""
     tools, frames = {**program.tools, **choices.tools}, {**program.frames, **choices.frames}
     problems: dict[str, Problem] = {}
     aims: list[_Aim] = []
     doubtful = []
     for target in program.targets:
+        if lacking := axes.lacking(target):
+            doubtful.append(Left(target.name, target.line, lacking))
+            continue
         if target.turn is None:
-            aims.append(_Aim(target, np.eye(4), np.eye(4), target.values))
+            aims.append(_Aim(target, np.eye(4), np.eye(4), axes.readings(target, target.values)))
             continue
         if target.turn == "quaternion" and abs(np.linalg.norm(target.values[3:]) - 1) > UNIT_LENGTH:
             length = np.linalg.norm(target.values[3:])
@@ -177,8 +182,9 @@ def _with_readings(aims: list[_Aim], corrector: Corrector, choices: Choices) -> 
     for starts in STARTS:
         lacking = [k for k in flagged if told[k].readings is None]
         if lacking:
-            near = [None if aims[k].target.near is None else np.array(aims[k].target.near) for k in lacking]
-            ways = corrector.solutions(np.stack([_flange(aims[k]) for k in lacking]), starts, near)
+            near = [_near(aims[k].target, corrector.axes) for k in lacking]
+            external = np.stack([corrector.axes.at(aims[k].target) for k in lacking])
+            ways = corrector.solutions(np.stack([_flange(aims[k]) for k in lacking]), starts, near, external)
             found |= dict(zip(lacking, ways, strict=True))
             told = _in_turn(aims, found, corrector, choices, alone=False)
     return _in_turn(aims, found, corrector, choices, alone=True)
@@ -195,8 +201,10 @@ def _in_turn(
     told = list(aims)
     for k, aim in enumerate(aims):
         ways = found.get(k)
+        before = None if before is None else corrector.axes.moved_to(before, aim.target)
         if ways is None and aim.readings is None and alone:
-            ways = corrector.solutions(_flange(aim)[None], STARTS_ALONE, [before])[0]
+            external = corrector.axes.at(aim.target)[None]
+            ways = corrector.solutions(_flange(aim)[None], STARTS_ALONE, [before], external)[0]
         if ways is not None:
             told[k] = _chosen(aim, ways, before, corrector, choices.loosely)
         readings = told[k].readings
@@ -209,6 +217,11 @@ def _is_told(target: Target) -> bool:
     return target.configuration is not None or target.near is not None
 
 
+def _near(target: Target, axes: Axes) -> np.ndarray | None:
+    """The readings that a program says are close to a target, the external axes as at the target."""
+    return None if target.near is None else axes.readings(target, target.near)
+
+
 def _flange(aim: _Aim) -> np.ndarray:
     """Where the controller has the flange at a target, in the robot's base."""
     return aim.frame @ pose_matrix(aim.target.values, aim.target.turn or "quaternion") @ inverse(aim.tool)
@@ -218,8 +231,8 @@ def _chosen(aim: _Aim, solutions: np.ndarray, before: np.ndarray | None, correct
     """The readings that the target's flags, or the readings near it, tell among all that lead there."""
     if not len(solutions):
         return replace(aim, note="the nominal robot does not get there within its joint limits")
-    if aim.target.near is not None:
-        near = np.array(aim.target.near)
+    near = _near(aim.target, corrector.axes)
+    if near is not None:
         close = _nearest(solutions, near)
         if np.abs(close - near).max() < CLOSE:
             return replace(aim, readings=close)
@@ -266,7 +279,7 @@ def _corrected(aims: Sequence[_Aim], corrector: Corrector) -> tuple[list[Edit], 
         old, new = readings[k], correction.readings[k]
         changes = []
         if aim.target.turn is None:
-            own = to_readings(aim.target, new)
+            own = to_readings(aim.target, new[list(corrector.axes.arm)])
         else:
             pose = inverse(aim.frame) @ after[k] @ aim.tool
             own = to_pose(aim.target, pose)

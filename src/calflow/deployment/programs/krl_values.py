@@ -10,7 +10,7 @@ from calflow.deployment.programs.configuration import Flag, KrlConfiguration
 from calflow.deployment.programs.expression import Expressions, Node
 from calflow.deployment.programs.orientation import pose_matrix
 from calflow.deployment.programs.scanner import Reader, refusal
-from calflow.deployment.programs.target import Left, Number, Target
+from calflow.deployment.programs.target import External, Left, Number, Target
 
 POSES, AXES = ("POS", "E3POS", "E6POS", "FRAME"), ("AXIS", "E3AXIS", "E6AXIS")
 PLACE, JOINTS = ("X", "Y", "Z", "A", "B", "C"), ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -117,11 +117,14 @@ def stated_target(name: str, kind: str, value: Node) -> Target | Left:
         return Left(name, value.line, f"does not give {', '.join(lacking)}: the robot keeps what it has of them")
     if any(given[one].kind != "number" for one in wanted):
         return Left(name, value.line, "is computed")
+    said = {k: given[one] for k, one in enumerate(EXTERNAL, start=1) if one in given and given[one].kind == "number"}
+    external = {k: External(float(item.text)) for k, item in said.items()}
     if kind in AXES:
-        return Target(name, value.line, tuple(_number(given[one], np.pi / 180) for one in wanted), None)
+        joints = tuple(_number(given[one], np.pi / 180) for one in wanted)
+        return Target(name, value.line, joints, None, external=external)
     numbers = tuple(_number(given[one], 1e-3 if one in "XYZ" else np.pi / 180) for one in wanted)
     configuration = _configuration(name, [(one, given[one]) for one in ("S", "T") if one in given])
-    return Target(name, value.line, numbers, "zyx", configuration)
+    return Target(name, value.line, numbers, "zyx", configuration, external=external)
 
 
 def _configuration(name: str, flags: list[tuple[str, Node]]) -> KrlConfiguration | None:

@@ -29,31 +29,37 @@ class Arm:
         """Return a robot's arm; one of six revolute joints whose last three axes meet has a posture."""
         q = ca.SX.sym("q", robot.n_joints)
         at = pose(robot, nominal_dimensions(robot), q, Deflection.zero(robot.n_joints))
-        axes = ca.Function("axes", [q], [ca.densify(ca.horzcat(*(frame[:3, 2:4] for frame in at.joints)))])
-        arm = Arm(robot, axes, None)
-        if robot.n_joints != 6 or any(joint.kind != "revolute" for joint in robot.joints):
+        floor = at.links[robot.ground - 1][:3, :3].T if robot.ground else ca.SX.eye(3)
+        own = [floor @ at.joints[i][:3, 2:4] for i in robot.arm]
+        arm = Arm(robot, ca.Function("axes", [q], [ca.densify(ca.horzcat(*own))]), None)
+        if len(robot.arm) != 6 or any(robot.joints[i].kind != "revolute" for i in robot.arm):
             return arm
-        directions, points = arm.at(np.zeros(6))
+        directions, points = arm.at(np.zeros(robot.n_joints))
         wrist = _meeting(directions[3:], points[3:])
         if wrist is None:
             return arm
         out = wrist - points[0]
-        return Arm(robot, axes, out - directions[0] * (directions[0] @ out))
+        return Arm(robot, arm.axes, out - directions[0] * (directions[0] @ out))
 
     def at(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the directions (n_joints, 3) of the axes and a point (n_joints, 3) [m] on each, in the robot's base."""
-        found = np.array(self.axes(self.robot.reading_matrix @ readings)).reshape(3, -1, 2)
+        """Return the directions (n, 3) of the arm's axes and a point (n, 3) [m] on each, in axes that stand on the floor.
+
+        External axes move all of the arm: it stands as it would where they are at 0.
+        """
+        own = np.array(readings, dtype=float)
+        own[self.robot.external] = 0.0
+        found = np.array(self.axes(self.robot.reading_matrix @ own)).reshape(3, -1, 2)
         return found[:, :, 0].T, found[:, :, 1].T
 
     def posture(self, readings: np.ndarray) -> Posture:
         """Return how the arm stands."""
-        angles = tuple(float(one) for one in readings)
+        angles = tuple(float(one) for one in readings[self.robot.arm])
         if self.forward is None or np.linalg.norm(self.forward) < APART:
             return Posture(angles, None, None)
         directions, points = self.at(readings)
         wrist = _meeting(directions[3:], points[3:])
         assert wrist is not None
-        forward = _turned(self.forward, directions[0], self.robot.reading_matrix[0] @ readings)
+        forward = _turned(self.forward, directions[0], self.robot.reading_matrix[self.robot.arm[0]] @ readings)
         up = directions[0] * (1 if directions[0][2] >= 0 else -1)
         side = np.cross(up, forward)
         upper = points[2] - points[1]

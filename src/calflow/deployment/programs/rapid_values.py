@@ -11,10 +11,11 @@ from calflow.deployment.programs.configuration import Flag, RapidConfiguration
 from calflow.deployment.programs.expression import Expressions, Node
 from calflow.deployment.programs.orientation import pose_matrix
 from calflow.deployment.programs.scanner import Reader, refusal
-from calflow.deployment.programs.target import Left, Number, Target
+from calflow.deployment.programs.target import External, Left, Number, Target
 
 UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as the maker allows
 EXTERNAL = 6  # values of external axes that a target has
+NOT_THERE = 8.9e9  # an external axis that there is not has 9E9
 
 
 class RapidValues(Expressions):
@@ -97,15 +98,18 @@ def stated_target(name: str, kind: str, value: Node) -> Target | Left:
         raise refusal(f"{name}: expected a {kind} of {len(sizes)} lists with {shape} values", value.token)
     if any(item.kind != "number" for group in groups for item in group.items):
         return computed
+    said = {k: External(float(item.text)) for k, item in enumerate(groups[-1].items, start=1)}
+    external = {k: one for k, one in said.items() if abs(one.value) < NOT_THERE}
     if kind == "jointtarget":
-        return Target(name, value.line, tuple(_number(item, np.pi / 180) for item in groups[0].items), None)
+        joints = tuple(_number(item, np.pi / 180) for item in groups[0].items)
+        return Target(name, value.line, joints, None, external=external)
     for item in groups[2].items:
         if re.fullmatch(r"[+-]?\d+(?:\.0*)?(?:[eE][+]?0+)?", item.text) is None:
             raise refusal(f"{name}: expected a whole number in its configuration, found '{item.text}'", item.token)
     flags = tuple(Flag(item.start, item.end, str(int(float(item.text)))) for item in groups[2].items)
     place = [_number(item, 1e-3) for item in groups[0].items]
     turn = [_number(item, 1.0) for item in groups[1].items]
-    return Target(name, value.line, (*place, *turn), "quaternion", RapidConfiguration(flags))
+    return Target(name, value.line, (*place, *turn), "quaternion", RapidConfiguration(flags), external=external)
 
 
 def frames(stated: Iterable[tuple[str, str, Node]]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], list[Left]]:

@@ -35,12 +35,21 @@ class Number:
 
 
 @dataclass(frozen=True)
+class External:
+    """The value of an external axis as it is written; unit is deg or mm where the program says it."""
+
+    value: float
+    unit: str = ""
+
+
+@dataclass(frozen=True)
 class Target:
     """A place to go to, with the numbers that state it.
 
     Where turn is None the numbers are joint readings; else x, y and z of the tool and the figures of its orientation, in a frame:
     a quaternion (w, x, y, z), angles about z, y and x in turn, angles about the fixed x, y and z, or a rotation vector.
-    tools and frames name those with which the program goes there, as far as it says; near are readings that it says are close.
+    tools and frames name those with which the program goes there, as far as it says; near are the arm's readings that it says
+    are close. external has the values of external axes by their numbers, as far as it gives them.
     """
 
     name: str
@@ -51,6 +60,7 @@ class Target:
     tools: tuple[str, ...] = ()
     frames: tuple[str, ...] = ()
     near: tuple[float, ...] | None = None
+    external: Mapping[int, External] = field(default_factory=dict)
 
     @property
     def values(self) -> np.ndarray:
