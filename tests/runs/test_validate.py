@@ -81,6 +81,36 @@ def test_a_device_that_stood_elsewhere_is_put_back_and_that_is_said(measured):
     assert known.judged.mean_mm > 1000
 
 
+def test_points_nearly_on_a_line_do_not_make_a_device_stand_elsewhere(measured):
+    """Fails if the turn about a line, of which such points tell nothing, has a bad robot's errors fitted away."""
+    rows = pd.DataFrame({"pose": np.arange(1, 9), "payload": "light", "marker": "tool", "q1_deg": np.linspace(0, 4, 8)})
+    measured.measure(rows.assign(q2_deg=-30.0, q3_deg=60.0), "asked.csv")
+    seen = cf.predict(measured / "runs", measured / "asked.csv")
+    error = 0.3 * np.random.default_rng(1).standard_normal((8, 3))
+    measured.measure(
+        rows.assign(q2_deg=-30.0, q3_deg=60.0, **dict(zip(X, (seen[X] + error).to_numpy().T, strict=True))), "arc.csv"
+    )
+    found = cf.validate(measured / "runs", measured / "arc.csv")
+    assert found.summary.turned_mrad > 20  # about the line
+    assert found.summary.station == "known"
+    assert found.judged.mean_mm == pytest.approx(np.linalg.norm(error, axis=1).mean(), rel=1e-6)
+
+
+def test_how_far_a_frame_moved_is_told_at_its_own_points(measured):
+    """Fails if a session's frame is held against another session's points."""
+    rows = pd.read_csv(measured / "new.csv")
+    second = rows["pose"] > 6
+    turn = Rotation.from_euler("z", 170, degrees=True)
+    there = turn.apply(rows.loc[second, X]) + np.array([9000.0, 0.0, 0.0])
+    rows.loc[second, X] = there
+    measured.measure(rows.assign(session=np.where(second, "b", "a")), "two.csv")
+    found = cf.validate(measured / "runs", measured / "two.csv", station="fitted")
+    back = turn.inv().apply(there - np.array([9000.0, 0.0, 0.0]))
+    points = pd.DataFrame(there).groupby(rows["pose"][second].to_numpy()).mean().to_numpy()
+    were = pd.DataFrame(back).groupby(rows["pose"][second].to_numpy()).mean().to_numpy()
+    assert found.summary.moved_mm == pytest.approx(np.linalg.norm(points - were, axis=1).mean(), rel=1e-3)
+
+
 def test_commands_are_judged_by_their_targets(measured):
     """Fails if a robot that was told where to go is judged by where the model says that it is."""
     rows = pd.read_csv(measured / "new.csv")

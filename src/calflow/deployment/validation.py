@@ -27,7 +27,7 @@ Status = Literal["met", "not met", "cannot be told", "no tolerance"]
 Judged = Literal["nominal", "calibrated", "commanded"]
 CONFIDENCE = 0.95  # that is asked of a verdict, and of intervals
 ONE_SIDED = 1.645  # standard deviations of the noise by which a pose must be beyond a tolerance to count as such
-ELSEWHERE = 20e-3  # m and rad by which nobody's calibrated robot moves: the device stands elsewhere
+ELSEWHERE = 20e-3  # m by which nobody's calibrated robot moves: the device stands elsewhere
 COORDINATES = 3  # of a pose's position
 MOVED_P = 0.01  # chance below which a rigid motion of all points is told
 
@@ -171,8 +171,8 @@ def validate(
         tolerance: what a pose may err by [m].
         task: how many poses must all be within; then that decides instead of a further pose.
         confidence: the probability that a verdict "met" needs.
-        station: whether the device stood where it stood in the calibration; "auto" takes it as known unless all points are
-            beyond ELSEWHERE from there, which no robot does.
+        station: whether the device stood where it stood in the calibration; "auto" takes it as known unless the points of
+            every session are ELSEWHERE from there on average, which no robot's are.
 
     Raises:
         InputError: a needed condition is missing, or there are too few poses to fit a frame.
@@ -211,7 +211,7 @@ def validate(
         station="fitted" if fitted else "known",
         frames=len(frames) if fitted else 0,
         freedom_lost=lost,
-        moved_mm=1e3 * max(one.moved(attained.measured) for one in frames) if frames else None,
+        moved_mm=1e3 * max(_moved(attained, frames)) if frames else None,
         turned_mrad=1e3 * max(one.angle for one in frames) if frames else None,
         moved_p=p_moved,
         noise_mm=1e3 * float(np.sqrt(np.mean(known.noise(data).sigma ** 2))) if known.noise_known else None,
@@ -238,8 +238,12 @@ def stands(attained: Attained, station: Station) -> tuple[bool, tuple[Alignment,
     if not all(can_align(attained.measured[own]) for own in sessions):
         return False, ()
     frames = attained.alignment(CALIBRATED)
-    far = all(one.moved(attained.measured) > ELSEWHERE or one.angle > ELSEWHERE for one in frames)
-    return station == "auto" and far, frames
+    return station == "auto" and min(_moved(attained, frames)) > ELSEWHERE, frames
+
+
+def _moved(attained: Attained, frames: tuple[Alignment, ...]) -> list[float]:
+    """How far each session's frame is from the calibration's at its own points, on average [m]."""
+    return [frame.moved(attained.measured[attained.frame == k]) for k, frame in enumerate(frames)]
 
 
 def _moved_p(attained: Attained, error: np.ndarray, frames: tuple[Alignment, ...]) -> float:
