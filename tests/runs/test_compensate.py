@@ -56,6 +56,18 @@ def test_a_user_s_own_file_is_not_written_over(finished, asked):
     assert (finished / "targets.csv").read_bytes() == before
 
 
+def test_readings_past_a_limit_and_frames_of_taken_names_are_told(finished, asked):
+    """Fails if a start that the robot cannot have is cut off without a word, or the base is another than calibrated."""
+    finished.measure(asked.assign(q1_deg=["200", *asked["q1_deg"][1:]]), "targets.csv")
+    answer = finished.calflow("compensate", finished / "runs", finished / "targets.csv", "--out", finished / "c.csv")
+    assert "joint 1 is past its limits in line 2: the way to the target begins at the limit" in answer.err
+    (finished / "frames.toml").write_text("[frames.base]\norigin_mm = [1, 0, 0]\n", encoding="utf-8")
+    (told,) = finished.refused(
+        "compensate", finished / "runs", finished / "targets.csv", "--frames", finished / "frames.toml"
+    )
+    assert "frame 'base' is known without being stated" in told
+
+
 def test_targets_may_be_in_frames_and_without_readings(finished, asked):
     """Fails if a frame of the user's is not applied, or rows need the nominal robot's readings."""
     (finished / "frames.toml").write_text(FRAMES, encoding="utf-8")

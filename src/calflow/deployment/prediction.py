@@ -104,14 +104,14 @@ def as_told(known: Identified, needed: Sequence[NeededCondition], data: Measurem
     return Told(replace(known, model=replace(known.model, given=stated)), data.stating(stated), widened, notes)
 
 
-def beyond_limits(data: Measurements) -> list[str]:
-    """Name the rows at which a joint is past its limits: what is predicted there is extrapolated."""
+def beyond_limits(data: Measurements, so: str = "the prediction there is extrapolated") -> list[str]:
+    """Name the rows at which a joint is past its limits, and say what of it."""
     q = data.joints @ data.robot.reading_matrix.T
     low, high = data.robot.limits.T
     past = (q < low - 1e-9) | (q > high + 1e-9)
     lines = data.table["line"].to_numpy()
     return [
         f"joint {i + 1} is past its limits in line {', '.join(map(str, lines[past[:, i]][:5]))}"
-        f"{' and more' if past[:, i].sum() > 5 else ''}: the prediction there is extrapolated"
+        f"{' and more' if past[:, i].sum() > 5 else ''}: {so}"
         for i in np.flatnonzero(past.any(axis=0))
     ]

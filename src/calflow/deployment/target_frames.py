@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from calflow.deployment.targets import Targets
 from calflow.estimation.calibrated import Identified
-from calflow.files.problems import MOST_TOLD, InputError, Problem, nearest
+from calflow.files.problems import MOST_TOLD, InputError, Problem, nearest, refuse
 from calflow.files.toml import Angles3, FileModel, Lengths3, read_toml
 from calflow.model import over_rows
 from calflow.robot.transforms import placement
@@ -38,9 +38,13 @@ def read_frames(path: Path) -> dict[str, FrameTable]:
     """Read a file of frames.
 
     Raises:
-        InputError: with all that is wrong in it.
+        InputError: with all that is wrong in it, or it states a frame that has its name already.
     """
-    return read_toml(path, FramesFile).frames
+    frames = read_toml(path, FramesFile).frames
+    taken = [name for name in frames if name in ("", MEASURING, BASE)]
+    if taken:
+        raise refuse(f"frame '{taken[0]}' is known without being stated: expected another name", path)
+    return frames
 
 
 def in_measuring_frame(

@@ -9,7 +9,7 @@ import pandas as pd
 
 from calflow.deployment.command_table import command_table
 from calflow.deployment.commands import compensated
-from calflow.deployment.prediction import Missing
+from calflow.deployment.prediction import Missing, beyond_limits
 from calflow.deployment.target_frames import in_measuring_frame, read_frames
 from calflow.deployment.targets import Targets
 from calflow.design.candidates import reading_columns
@@ -89,7 +89,10 @@ def _check_external(data: Measurements, path: Path) -> None:
 def _start_notes(data: Measurements, started: bool) -> list[str]:
     """Say what was assumed of the rows, and of the readings that the nominal robot would be sent to."""
     if started:
-        return list(data.notes)
+        return [
+            *data.notes,
+            *beyond_limits(data, "the way to the target begins at the limit, and may not get there from it"),
+        ]
     asked = "of the arm's joints" if data.robot.external else "q1 …"
     return [
         *data.notes,
