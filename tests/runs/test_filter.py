@@ -49,7 +49,7 @@ def readings(source: bytes) -> np.ndarray:
 
 
 def test_the_tool_lands_where_the_nominal_robot_has_it(cell):
-    """Fails if the corrected readings, given to a prediction of the same run, do not land where the program said."""
+    """Fails if the corrected readings do not land where the program said, or a load that weighs is left out without a word."""
     answer = cell.calflow(
         "filter", cell / "runs", cell / "points.ls", "--payload", "heavy", "--summary", cell / "sum.csv"
     )
@@ -63,6 +63,9 @@ def test_the_tool_lands_where_the_nominal_robot_has_it(cell):
     assert table["remaining_mm"].max() < 1e-3
     assert table["moved_mm"].min() > 0.1
     assert source == filter_program(cell / "runs", cell / "points.ls", payload="heavy").source
+    assert "--payload" not in answer.err
+    empty = cell.calflow("filter", cell / "runs", cell / "points.ls", "--out", cell / "empty.ls")
+    assert "no --payload: the robot counts as carrying none of light, heavy" in empty.err
 
 
 def test_what_is_not_known_is_asked_for(cell):

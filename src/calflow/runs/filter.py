@@ -84,7 +84,14 @@ def filter_program(
     except InputError as error:
         problems = (replace(one, file=path) if one.line else one for one in error.problems)
         raise InputError(problems) from None
-    return replace(done, notes=(*run.notes, *done.notes))
+    return replace(done, notes=(*_empty_handed(robot, payload), *run.notes, *done.notes))
+
+
+def _empty_handed(robot: Robot, payload: str | None) -> tuple[str, ...]:
+    """Say that nothing is carried where a load would be known."""
+    if payload is not None or not robot.payloads:
+        return ()
+    return (f"no --payload: the robot counts as carrying none of {', '.join(robot.payloads)}",)
 
 
 def _check_conditions(needed: Iterable[NeededCondition], given: Collection[str]) -> None:
