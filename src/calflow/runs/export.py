@@ -11,10 +11,13 @@ from calflow.deployment.export import Export, Format, export
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated import Identified
 from calflow.files.problems import InputError
+from calflow.measurements.measurements import Measurements
+from calflow.runs.cache_key import robot_digest
 from calflow.runs.calibrated_run import CalibratedRun
 from calflow.runs.folder import study_and_folder
 
-POSES = 500  # within the joint limits, where the measurements are not there any more
+POSES = 500  # within the joint limits, where the measurements are not to be had
+INSTEAD = "costs are over random poses within the joint limits instead"
 
 
 def export_run(study_or_run: str | Path, to: Format) -> Export:
@@ -27,16 +30,24 @@ def export_run(study_or_run: str | Path, to: Format) -> Export:
         InputError: the run has not identified yet, or its robot cannot be stated in the format.
     """
     run = CalibratedRun.of(study_or_run)
+    data, said = _measured(run)
+    known, rows = _anywhere(run) if data is None else (run.known(data.given), data.rows)
+    found = export(known, rows, to, run.robot)
+    return replace(found, notes=(*said, *found.notes))
+
+
+def _measured(run: CalibratedRun) -> tuple[Measurements | None, tuple[str, ...]]:
+    """The measurements of a run's study; None, and why, where they are not to be had as they were fitted."""
     try:
         study, _ = study_and_folder(run.folder, None)
         data = study.measurements()
-        known, rows = run.known(data.given), data.rows
-        said: tuple[str, ...] = ()
     except InputError:
-        known, rows = _anywhere(run)
-        said = ("the measurements are not there any more: costs are over random poses within the joint limits instead",)
-    found = export(known, rows, to, run.robot)
-    return replace(found, notes=(*said, *found.notes))
+        return None, (f"the measurements are not there any more: {INSTEAD}",)
+    if robot_digest(study.robot) != robot_digest(
+        run.robot
+    ):  # payloads and markers are counted in the robot file's order
+        return None, (f"the study's robot file has changed since: {INSTEAD}",)
+    return data, ()
 
 
 def _anywhere(run: CalibratedRun) -> tuple[Identified, np.ndarray]:
