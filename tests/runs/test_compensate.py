@@ -68,6 +68,23 @@ def test_readings_past_a_limit_and_frames_of_taken_names_are_told(finished, aske
     assert "frame 'base' is known without being stated" in told
 
 
+def test_a_run_of_lengths_says_what_frame_its_places_are_in(finished, asked):
+    """Fails if places in a tracker's frame are taken for those in the robot's base without a word."""
+    rows = finished.rows
+    length = np.linalg.norm(rows[X].astype(float) - [1200.0, 500.0, -300.0], axis=1)
+    finished.measure(rows.drop(columns=[*X, "sigma_mm"]).assign(length_mm=length), "wire.csv")
+    finished.edit(
+        "study.toml", ('file = "measurements.csv"', 'file = "wire.csv"\nkind = "distance"\nsigma_mm = 0.03\n'
+                       "[measurements.settings]\nanchor_mm = [1200, 500, -300]\nanchor_known = false")
+    )  # fmt: skip
+    assert finished.calflow("run", "--stage", "identify", "--out", finished / "wire").code == 0
+    finished.measure(asked.drop(columns=X), "rows.csv")
+    for command, file in (("compensate", "targets.csv"), ("predict", "rows.csv")):
+        answer = finished.calflow(command, finished / "wire", finished / file)
+        assert "what stands for the measuring frame is the robot's own base" in answer.err
+        assert "own base" not in finished.calflow(command, finished / "runs", finished / file).err
+
+
 def test_targets_may_be_in_frames_and_without_readings(finished, asked):
     """Fails if a frame of the user's is not applied, or rows need the nominal robot's readings."""
     (finished / "frames.toml").write_text(FRAMES, encoding="utf-8")

@@ -52,7 +52,7 @@ def predict_positions(
     rows = told.data.rows
     position = expected_point(told.known, rows)
     variance = position_variance(told.known, rows) + told.widened
-    notes = (*told.notes, *of_field(told.known, rows), *beyond_limits(data))
+    notes = (*standing(known), *told.notes, *of_field(told.known, rows), *beyond_limits(data))
     return Prediction(position, np.sqrt(variance), notes, field_correction(known, rows) if known.field else None)
 
 
@@ -70,6 +70,12 @@ def of_field(known: Identified, rows: np.ndarray) -> list[str]:
     return [
         f"a residual field is added, which is {NOT_PHYSICAL}: {size.mean():.3f} mm on average, {size.max():.3f} mm at most{beyond}"
     ]
+
+
+def standing(known: Identified) -> list[str]:
+    """Say what the measuring frame is where no device saw the robot from outside."""
+    unseen = "no device saw the robot from outside: what stands for the measuring frame is the robot's own base"
+    return [unseen] if known.model.robot.base.fixed else []
 
 
 @dataclass(frozen=True)

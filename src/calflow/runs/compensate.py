@@ -9,7 +9,7 @@ import pandas as pd
 
 from calflow.deployment.command_table import command_table
 from calflow.deployment.commands import compensated
-from calflow.deployment.prediction import Missing, beyond_limits
+from calflow.deployment.prediction import Missing, beyond_limits, standing
 from calflow.deployment.target_frames import in_measuring_frame, read_frames
 from calflow.deployment.targets import Targets
 from calflow.design.candidates import reading_columns
@@ -67,7 +67,7 @@ def compensate(
     own = given_rows(path, data, run.source)
     own = own.drop(columns=[name for name in own if str(name).split("_")[0] in numbered("q", run.robot.n_joints)])
     table = pd.concat([own, command_table(found, in_order)], axis=1)
-    table.attrs["notes"] = (*_start_notes(data, started), *run.notes, *found.notes)
+    table.attrs["notes"] = (*_start_notes(data, started), *standing(known), *run.notes, *found.notes)
     return table
 
 
