@@ -122,6 +122,15 @@ def test_commands_are_judged_by_their_targets(measured):
     assert found.judged.mean_mm == pytest.approx(np.linalg.norm(error, axis=1).mean(), abs=1e-9)
 
 
+def test_a_run_s_own_files_are_not_written_over(measured):
+    """Fails if --out may be the run folder or one of its stages', whose tables of the same names would be gone."""
+    before = measured.results()
+    for out in ("runs", "runs/identify"):
+        (told,) = measured.refused("validate", measured / "runs", measured / "new.csv", "--out", measured / out)
+        assert "would be written over" in told
+    assert measured.results() == before
+
+
 def test_what_cannot_be_asked_is_refused(measured):
     """Fails if nonsense gives a verdict, or a frame is fitted to three poses."""
     rows = pd.read_csv(measured / "new.csv")

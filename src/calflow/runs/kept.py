@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calflow.files.csv import write_csv
+from calflow.files.problems import refuse
 from calflow.files.results import Results
 from calflow.files.tables import schema
 from calflow.files.writing import write_whole
+from calflow.runs.manifest import NAME
+from calflow.stages import STAGES
 
 if TYPE_CHECKING:
     from calflow.reporting.blocks import Part
@@ -30,10 +33,18 @@ def write_results(folder: Path, results: Results, tables: Mapping[str, type]) ->
 def keep(
     folder: Path, results: Results, tables: Mapping[str, type], title: str, parts: Callable[[], Sequence[Part]]
 ) -> None:
-    """Write results and their report.pdf with its figures; parts draws and words it."""
+    """Write results and their report.pdf with its figures; parts draws and words it.
+
+    Raises:
+        InputError: the folder is a run's own, or a stage's: their files would be written over.
+    """
     from calflow.reporting.document import write
     from calflow.reporting.style import style
 
+    if (folder / NAME).exists() or (folder.name in STAGES and (folder.parent / NAME).exists()):
+        raise refuse(
+            "holds what 'calflow run' made, which would be written over; give another folder with --out", folder
+        )
     write_results(folder, results, tables)
     with style():
         write(title, parts(), folder)
