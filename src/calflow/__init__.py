@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from calflow.robot.frames import Frame, dh, modified_dh
     from calflow.robot.parts import Base, Coupling, FourBar, Joint, Marker, Payload
     from calflow.robot.robot import Robot
+    from calflow.runs.check_poses import choose_check_poses
     from calflow.runs.compare import compare
     from calflow.runs.compensate import compensate
     from calflow.runs.drift import drift
@@ -44,8 +45,8 @@ if TYPE_CHECKING:
 __all__ = [
     "Base", "Comparison", "Compensation", "Coupling", "Diagnosis", "Drift", "Fit", "FourBar", "Frame", "InputError",
     "Joint", "Marker", "Measurements", "Model", "Payload", "Posterior", "Prediction", "Robot", "Run", "Study",
-    "Validation", "compare", "compensate", "dh", "diagnose", "drift", "export_run", "filter_program", "identify", "load_study",
-    "modified_dh", "predict", "report", "run", "sample", "simulate", "validate",
+    "Validation", "choose_check_poses", "compare", "compensate", "dh", "diagnose", "drift", "export_run", "filter_program",
+    "identify", "load_study", "modified_dh", "predict", "report", "run", "sample", "simulate", "validate",
 ]  # fmt: skip
 
 _HOMES = {
@@ -64,6 +65,7 @@ _HOMES = {
     "robot.frames": ("Frame", "dh", "modified_dh"),
     "robot.parts": ("Base", "Coupling", "FourBar", "Joint", "Marker", "Payload"),
     "robot.robot": ("Robot",),
+    "runs.check_poses": ("choose_check_poses",),
     "runs.compensate": ("compensate",),
     "runs.export": ("export_run",),
     "runs.filter": ("filter_program",),

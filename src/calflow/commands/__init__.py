@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from calflow.commands.check import check
+from calflow.commands.check_poses import check_poses
 from calflow.commands.compare import compare
 from calflow.commands.compensate import compensate
 from calflow.commands.drift import drift
@@ -30,6 +31,7 @@ COMMANDS = (
     export,
     filter_targets,
     validate,
+    check_poses,
     drift,
     compare,
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 
@@ -9,7 +11,10 @@ from calflow.deployment.movements import ZERO_SD, movements
 from calflow.design.optimality import exchange, greedy
 from calflow.estimation.calibrated import Identified
 from calflow.estimation.certainty import unexplained
+from calflow.measurements.columns import POSITION
 from calflow.measurements.measurements import Measurements
+
+FEWEST = 3  # poses, of fewer nothing can be told apart
 
 
 def check_poses(known: Identified, data: Measurements, number: int) -> Measurements:
@@ -26,6 +31,13 @@ def check_poses(known: Identified, data: Measurements, number: int) -> Measureme
     prior = np.eye(slope.shape[2])
     chosen = exchange(slope, prior, greedy(slope, prior, min(number, len(slope))))
     return there.only(np.isin(pose, chosen))
+
+
+def unmoved(known: Identified, data: Measurements) -> Measurements:
+    """Return rows as they would be measured where nothing has moved, and without noise: what a check of them says is its limits."""
+    rows = data.stating(known.model.given).on(known.model.robot).rows
+    there = known.model.point(known.estimate, rows)
+    return replace(data, table=data.table.assign(**dict(zip(POSITION, there.T, strict=True))))
 
 
 def _zeros(known: Identified, data: Measurements) -> np.ndarray:

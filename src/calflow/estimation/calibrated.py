@@ -139,6 +139,7 @@ class Identified:
                 sigma[own] = np.where(np.isnan(sigma[own]), one.at_rows, sigma[own])
             else:
                 sigma[own] = one.sigma
+            sigma[own & np.isnan(sigma)] = one.at_rows  # rows that do not state theirs, of a device that did
         return replace(
             stated, sigma=sigma, sources=tuple(one.source for one in self.device), discrepancy=self.discrepancy,
             rotation_discrepancy=self.rotation_discrepancy,

@@ -61,7 +61,7 @@ def drift_lines(found: Drift) -> list[str]:
         )
         lines.append(f"{plural(len(found.next_poses), 'further pose')} would tell more: see next_poses.csv.{chance}")
     if not found.moved:
-        lines.append(_unseen(found))
+        lines.append(seen_from(found))
     lines.append(f"Where nothing moved, so much would be told in {100 * summary.false_alarm:g} of 100 checks.")
     return lines
 
@@ -83,7 +83,7 @@ def _shift(row: Recalibrated) -> str:
     return f"{row.symbol + ' ' if row.symbol != 'zero' else ''}{value} ± {sd} {unit}"
 
 
-def _unseen(found: Drift) -> str:
+def seen_from(found: Drift) -> str:
     """Say how far each joint's zero may have moved unseen."""
     limits = []
     for one in sorted((one for one in found.candidates if one.kind == "zero"), key=lambda one: one.joint or 0):

@@ -1,0 +1,32 @@
+"""Which few poses to check a robot by."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from calflow.commands.options import FILE
+
+
+@click.command("check-poses")
+@click.argument("study_or_run", type=FILE)
+@click.argument("rows", metavar="MEASURED.csv", type=FILE)
+@click.option("--number", type=int, default=8, show_default=True, help="How many poses to choose.")
+@click.option("--out", type=FILE, help="CSV to write; printed by default.")
+def check_poses(study_or_run: Path, rows: Path, number: int, out: Path | None) -> None:
+    """Choose of the poses in MEASURED.csv those by which `calflow drift` sees shifts of the joints' zeros best.
+
+    Give the run's folder, or its study. MEASURED.csv is the calibration's own file, or any of poses that were measured.
+    """
+    from calflow.files.csv import csv_text, write_csv
+    from calflow.reporting.drifted import seen_from
+    from calflow.runs.check_poses import choose_check_poses
+
+    chosen = choose_check_poses(study_or_run, rows, number)
+    click.echo(seen_from(chosen.foreseen), err=True)
+    if out is None:
+        click.echo(csv_text(chosen.table), nl=False)
+    else:
+        write_csv(out, chosen.table)
+        click.echo(f"wrote {out}")
