@@ -14,7 +14,7 @@ import typst
 
 from calflow.files.results import Results
 from calflow.reporting import document
-from calflow.reporting.blocks import Bullets, Gap, Heading, Paragraph, RestOfPage
+from calflow.reporting.blocks import Bullets, Gap, Heading, Paragraph, RestOfPage, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section, chosen, sections
 from calflow.reporting.sections.verdict import certainty
@@ -91,6 +91,19 @@ def test_what_fills_the_rest_of_a_page_stays_on_it(number: int) -> None:
     pages = typst.compile(text.encode(), format="svg", ignore_system_fonts=True)
     assert isinstance(pages, list)
     assert len(pages) == 2
+
+
+@pytest.mark.parametrize("before", [3, 20, 30])
+def test_no_few_lines_stand_alone_on_the_last_page(before: int) -> None:
+    """Fails if the last section leaves a few rows on a page of their own, or the page before it more than half empty."""
+    for rows in range(20, 140, 15):
+        table = Table(("what", "value"), [(f"fact {k:03}", "so it is") for k in range(rows)], "ll", size=None)
+        parts = [("Verdict", []), ("Tables", [Paragraph("said so it is") for _ in range(before)]), ("Facts", [table])]
+        pages = typst.compile(document.source("t", parts).encode(), format="svg", ignore_system_fonts=True)
+        assert isinstance(pages, list)
+        lines = [page.decode().count("<use") / len("fact000soitis") for page in pages[1:]]
+        assert lines[-1] > 12, (rows, lines)
+        assert min(lines[:-1], default=30) > 25, (rows, lines)
 
 
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")

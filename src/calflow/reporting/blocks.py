@@ -50,14 +50,14 @@ class Table:
     """A table whose header is repeated on each page; a short one is kept on one page.
 
     align has a letter a column, l or r; a row that is one string is a heading across; shaded names rows; the column
-    wide takes the width that is left.
+    wide takes the width that is left. Its letters are in points, or as those around it.
     """
 
     header: Sequence[str]
     rows: Sequence[Row]
     align: str
     shaded: frozenset[int] = frozenset()
-    size: float = 9
+    size: float | None = 9
     wide: int | None = None
 
 

@@ -86,10 +86,11 @@ def _table(block: Table) -> str:
         else:
             fill = "fill: luma(232)" if k in block.shaded else ""
             lines.append(" ".join(f"table.cell({fill})[{plain(cell)}]," for cell in row))
+    size = f"{block.size}pt, " if block.size else ""
     breakable = str(len(block.rows) > WHOLE).lower()
     return (
-        f'#block(breakable: {breakable})[#set text({block.size}pt, number-width: "tabular")\n#set par(leading: 0.45em)\n'
-        f"#table(columns: ({columns},), align: ({sides},), stroke: none, inset: (x: 5pt, y: 2.4pt),\n"
+        f'#block(breakable: {breakable})[#set text({size}number-width: "tabular")\n#set par(leading: 0.45em)\n'
+        f"#table(columns: ({columns},), align: ({sides},), stroke: none, inset: (x: 0.55em, y: 0.27em),\n"
         f"table.hline(stroke: 0.8pt), table.header({head}), table.hline(stroke: 0.4pt),\n"
         + "\n".join(lines)
         + "\ntable.hline(stroke: 0.8pt))]"
@@ -140,9 +141,8 @@ def source(title: str, parts: Sequence[Part]) -> str:
     for k, (name, blocks) in enumerate(parts):
         if k == 1:
             body.append("#pagebreak()")
-        if k > 0:
-            body.append(markup(Heading(name, 1)))
-        body.append(_joined(blocks))
+        said = _joined([Heading(name, 1), *blocks] if k else blocks)
+        body.append(f"#last-section[\n{said}\n]" if 0 < k == len(parts) - 1 else said)
     return "\n\n".join(body) + "\n"
 
 

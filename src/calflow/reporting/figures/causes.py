@@ -25,6 +25,7 @@ SMOOTH = 0.05  # share of a curve's variance between neighbours up to which it i
 GAP = 0.08  # share of a variable's range without rows across which no line is drawn
 LEAST_P = 1e-12  # smallest probability that is drawn
 LARGE_MOMENT = 2000.0  # Nm from which kNm are drawn
+AROUND = 0.04  # of the space, which is left free around its points
 ROW = 0.19  # inches a bar takes
 
 
@@ -167,6 +168,9 @@ def in_space(position: np.ndarray, before: np.ndarray, after: np.ndarray, held: 
     norm = Normalize(0, max(size.max() for size in sizes) or 1.0)
     picture = 4 * len(position) > MANY / 2
     ends = np.concatenate([position, position + factor * before, position + factor * after]) / 1000
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    margin = AROUND * (high - low).max() or 1e-3
+    limits = [(a - margin, b + margin) for a, b in zip(low, high, strict=True)]
     views = [(i, j, view, which) for i, j, view in ((0, 1, "from above"), (0, 2, "from the side")) for which in (0, 1)]
     for axes, (i, j, view, which) in zip(grid, views, strict=True):
         colours = dark(norm(sizes[which]))
@@ -175,8 +179,8 @@ def in_space(position: np.ndarray, before: np.ndarray, after: np.ndarray, held: 
         for mask, marker in ((~held, "o"), (held, "^")):
             axes.scatter(position[mask, i] / 1000, position[mask, j] / 1000, c=colours[mask], marker=marker, linewidths=0,
                          s=0.7 * crowded(len(position)), rasterized=picture)  # fmt: skip
-        axes.update_datalim(ends[:, [i, j]])  # the same before and after, so that they can be compared
-        axes.set_aspect("equal", adjustable="datalim")
+        axes.set(xlim=limits[i], ylim=limits[j])  # the same before and after, so that they can be compared
+        axes.set_aspect("equal")
         axes.locator_params(axis="x", nbins=3)
         axes.locator_params(axis="y", nbins=5)
         axes.set(xlabel=f"{'xyz'[i]} [m]", title=f"{view},\n{('before', 'after')[which]}")

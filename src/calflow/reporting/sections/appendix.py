@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from importlib.metadata import version
 
+import numpy as np
+
 from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.estimation.calibrated import DeviceNoise
 from calflow.estimation.fit_summary import IdentifySummary
-from calflow.reporting.blocks import Block, Paragraph, Table
+from calflow.reporting.blocks import Block, Columns, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.summaries import diagnosed, identified
 from calflow.reporting.words import effect_words
 
+LETTERS = 42  # of a value in a line
 PACKAGES = ("calflow", "casadi", "emcee", "numpy", "scipy", "pandas")
 
 
@@ -42,8 +45,17 @@ def write(material: Material) -> list[Block]:
     return [
         Paragraph("Hashes of all input files, durations and the state of each stage are in manifest.json; all tables named in "
                   "this report lie beside it as CSV, in SI units unless a column says otherwise."),
-        Table(("what", "value"), facts, "ll", size=8.6, wide=1),
+        Columns([[Table(("what", "value"), half, "ll", size=None, wide=1)] for half in _halves(facts)], [1, 1]),
     ]  # fmt: skip
+
+
+def _halves(facts: list[tuple[str, str] | str]) -> tuple[list[tuple[str, str] | str], list[tuple[str, str] | str]]:
+    """Part what stands in two columns where both take about as many lines; a heading stays with what it is for."""
+    lines = np.cumsum([1 if isinstance(fact, str) else 1 + len(fact[1]) // LETTERS for fact in facts])
+    middle = int((lines <= lines[-1] / 2).sum())
+    if isinstance(facts[middle - 1], str):
+        middle -= 1
+    return facts[:middle], facts[middle:]
 
 
 def _diagnosed(material: Material) -> list[tuple[str, str] | str]:
