@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import calflow as cf
 from conftest import in_process
 from hidden.backgrounds import Background, displaced
 from hidden.case import Case, draw, write_case
@@ -124,6 +125,34 @@ def test_proof_and_export_tell_of_it(corrected):
     assert models["mean_mm"]["calibrated"] == pytest.approx(off.mean(), rel=1e-4)
     exported = in_process("export", folder / "run", "--to", "dh", "--out", folder / "exported.toml")
     assert "residual field (not physical)" in exported.err + exported.out
+
+
+def test_from_python_it_is_the_same(corrected):
+    """Fails if the objects cannot have what a study can, or do not say what it is."""
+    folder, inside, _ = corrected
+    robot = cf.Robot.from_toml(folder / "robot.toml")
+    data = cf.Measurements.from_csv(folder / "measurements.csv", robot).split(0.25, 3)
+    said = list[str]()
+    model = cf.identify(robot, data, effects=["geometry"], starts=1).model.with_residual_field(say=said.append)
+    assert "applied" in said[0]
+    assert "not physical" in repr(model)
+    q = np.deg2rad(inside.filter(regex=r"^q\d_deg").to_numpy())
+    found = model.predict(q)
+    off = 1e3 * found.position - inside[X].to_numpy()
+    assert np.sqrt(np.mean(off**2)) < 0.5 * np.sqrt(np.mean((off - 1e3 * found.not_physical) ** 2))
+    assert any("not physical" in note for note in found.notes)
+
+
+def test_what_lacks_is_said(corrected):
+    """Fails if a field whose tables are gone or changed is used, or is left out in silence."""
+    folder, inside, _ = corrected
+    table, aside = folder / "run/residual_field/poses.csv", folder / "aside.csv"
+    table.rename(aside)
+    found, said = predicted(folder, inside)
+    assert FIELD[0] not in found
+    assert "without the residual field that the study asks for: residual_field/poses.csv is missing" in said
+    aside.rename(table)
+    assert FIELD[0] in predicted(folder, inside)[0]
 
 
 def test_switched_off_it_is_gone_and_nothing_is_fitted_again(corrected):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +14,9 @@ from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.prediction import Missing, Prediction, predict_positions
 from calflow.deployment.targets import Targets
 from calflow.estimation.calibrated import Identified
+from calflow.estimation.field_gain import gainful_field
+from calflow.estimation.progress import Say, draws, nobody
+from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 
@@ -105,9 +108,23 @@ class Model:
             missing=missing, seed=seed,
         )  # fmt: skip
 
+    def with_residual_field(self, *, seed: int = 1, say: Say = nobody) -> Model:
+        """Return the model with a smooth correction of what it leaves of the training rows, which is not physical.
+
+        It is the model without one where that gains nothing at training poses left out of it.
+
+        Args:
+            seed: of all draws.
+            say: is told whether it is applied, and what it gains.
+        """
+        field, gain = gainful_field(self.known, self.data, draws(seed))
+        say(gain.statement)
+        return replace(self, known=replace(self.known, field=field))
+
     def __repr__(self) -> str:
         needs = "; ".join(one.columns for one in self.needed) or "nothing beyond joints, payload and marker"
-        return f"Model of {self.robot.name}: {', '.join(self.effects)}\n  a prediction needs: {needs}"
+        field = f", residual field ({NOT_PHYSICAL})" if self.known.field else ""
+        return f"Model of {self.robot.name}: {', '.join(self.effects)}{field}\n  a prediction needs: {needs}"
 
     def _rows(
         self, q: ArrayLike, payload: str | Sequence[str] | None, marker: str | Sequence[str] | None,

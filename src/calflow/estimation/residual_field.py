@@ -53,7 +53,7 @@ class ResidualField:
 
     def correction(self, readings: np.ndarray) -> np.ndarray:
         """Return what is to be added to predicted positions at readings (k, n_joints), shape (k, 3) [m]."""
-        smooth = self._near(readings) @ cho_solve(self._factor, self.left)
+        smooth = self._near(readings) @ self._weights
         return np.asarray(self.share(readings)[:, None] * smooth)
 
     def variance(self, readings: np.ndarray) -> np.ndarray:
@@ -75,6 +75,10 @@ class ResidualField:
         covariance = self._near(self.nodes)
         covariance[np.diag_indices_from(covariance)] += self.rest**2 + JITTER * self.size**2
         return cho_factor(covariance, lower=True)
+
+    @cached_property
+    def _weights(self) -> np.ndarray:
+        return np.asarray(cho_solve(self._factor, self.left))
 
     def _near(self, readings: np.ndarray) -> np.ndarray:
         """The covariance (k, n) [m²] of the field at readings and at the nodes."""
