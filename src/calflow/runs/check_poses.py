@@ -10,7 +10,7 @@ import pandas as pd
 from calflow.deployment.check_poses import FEWEST, check_poses, unmoved
 from calflow.deployment.drift import FALSE_ALARM
 from calflow.deployment.drift_verdict import Drift, drift
-from calflow.design.candidates import reading_columns, reading_factors
+from calflow.design.candidates import reading_columns, shown_readings
 from calflow.files.problems import refuse
 from calflow.runs.calibrated_run import CalibratedRun
 from calflow.runs.new_measurements import read_new
@@ -45,7 +45,7 @@ def choose_check_poses(study_or_run: str | Path, rows: str | Path, number: int =
         raise refuse(f"expected {FEWEST} to {there}, the poses in {Path(rows).name}, found {number}", key="number")
     chosen = check_poses(known, data, number)
     names = reading_columns(run.robot)
-    readings = chosen.joints * reading_factors(run.robot)
+    readings = shown_readings(run.robot, chosen.joints)
     table = chosen.table[[*LABELS]].assign(**dict(zip(names, readings.T.round(4), strict=True)))
     return ChosenPoses(
         table, drift(known, run.needed, unmoved(known, chosen), false_alarm=FALSE_ALARM, station="known")
