@@ -31,6 +31,23 @@ def test_a_correction_of_nothing_changes_no_byte(name, ends):
 
 
 @pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("change", [
+    lambda source: b"\xef\xbb\xbf" + source,
+    lambda source: b"\xef\xbb\xbf" + source.replace(b"\n", b"\r\n"),
+    lambda source: source.replace(b"  ", b"\t"),
+    lambda source: source.replace(b"\n", b"\r\n", 7),
+    lambda source: source.rstrip(b"\n"),
+    lambda source: source + b"\x1a",
+], ids=["mark", "mark and CRLF", "tabs", "both ends", "no last end", "end of file"])  # fmt: skip
+def test_files_as_editors_leave_them_survive(name, change):
+    """Fails if a byte order mark, tabs, ends of lines of two kinds or a last line without one are refused or put right."""
+    text, choices = FILES[name]
+    for shift in ((0.0,) * 6, SHIFT):
+        plain = filtered(parsed(text.encode(), Path(name)), Hand(shift), choices)
+        assert filtered(parsed(change(text.encode()), Path(name)), Hand(shift), choices).source == change(plain.source)
+
+
+@pytest.mark.parametrize("name", FILES)
 def test_bytes_that_are_no_ascii_survive_in_remarks(name):
     """Fails if a remark in another encoding is changed, or refused."""
     text, choices = FILES[name]

@@ -74,6 +74,6 @@ class Axes:
         axes = f"external ax{'es' if len(numbers) > 1 else 'is'} {', '.join(map(str, numbers))}"
         give = "1 target gives" if count == 1 else f"{count} targets give"
         return (
-            f"{give} values of {axes}: these stay as they are. The robot file has no such joint (external = {numbers[0]}): "
-            "what that axis moves, as a rail under the robot or a table under the piece, counts as standing still",
+            f"{give} values of {axes}: these stay as they are. The robot file has no such joint (external = {numbers[0]}): what "
+            "that axis moves, as a rail under the robot or a table under the piece, counts as standing still",
         )

@@ -14,6 +14,7 @@ from calflow.deployment.programs.scanner import Reader, Token, lines_in, refusal
 from calflow.deployment.programs.target import External, Left, Number, Program, Target, Turn
 
 SUFFIXES = (".ls",)
+MARK = "\xef\xbb\xbf"  # by which some editors begin a file in UTF-8
 SECTIONS = ("/PROG", "/ATTR", "/APPL", "/MN", "/POS", "/END")  # in this order, those in the middle not in every file
 TOKENS = re.compile(
     r"""(?P<blank>[ \t\r\n\f]+)|(?P<string>"[^"\r\n]*")|(?P<quoted>'[^'\r\n]*')|(?P<untaught>\*+(?:\.\*+)?)"""
@@ -32,7 +33,7 @@ POINT = re.compile(r"\bP\[\s*(\d+)\s*(?::[^\]]*)?\]")
 
 def recognised(text: str) -> bool:
     """Return whether a text begins as a program in LS does."""
-    return re.match(r"\s*/PROG\b", text) is not None
+    return re.match(rf"(?:{MARK})?\s*/PROG\b", text) is not None
 
 
 def read(source: bytes) -> Program:
@@ -73,8 +74,11 @@ class _Section:
 
 def _sections(text: str) -> dict[str, _Section]:
     """Split a program into its sections."""
-    heads = [(match.group(1), match.start(), match.end()) for match in re.finditer(r"(?<![^\r\n])(/[A-Za-z]+)\b", text)]
-    if not heads or heads[0][0] != "/PROG" or text[: heads[0][1]].strip():
+    heads = [
+        (match.group(1), match.start(), match.end())
+        for match in re.finditer(rf"(?:(?<![^\r\n])|(?<={MARK}))(/[A-Za-z]+)\b", text)
+    ]
+    if not heads or heads[0][0] != "/PROG" or text[: heads[0][1]].removeprefix(MARK).strip():
         raise refusal("expected /PROG at the beginning", Token("", "", 0, 0, 1))
     found: dict[str, _Section] = {}
     place = -1

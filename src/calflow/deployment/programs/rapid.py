@@ -15,7 +15,7 @@ from calflow.deployment.programs.target import Left, Program, Target
 
 SUFFIXES = (".mod", ".modx", ".sys", ".sysx", ".prg")
 TOKENS = re.compile(
-    r"""(?P<blank>[ \t\r\n\f\0]+|\ufeff|\xef\xbb\xbf)|(?P<comment>![^\r\n]*|%%%[^%]*%%%)|(?P<string>"(?:[^"\r\n]|"")*")"""
+    r"""(?P<blank>[ \t\r\n\f\0\x1a]+|\ufeff|\xef\xbb\xbf)|(?P<comment>![^\r\n]*|%%%[^%]*%%%)|(?P<string>"(?:[^"\r\n]|"")*")"""
     r"""|(?P<number>0[xX][0-9A-Fa-f]+|0[bB][01]+|0[oO][0-7]+|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![A-Za-z0-9_.]))"""
     r"""|(?P<name>[A-Za-z\xc0-\xff][A-Za-z0-9_\xc0-\xff]*)|(?P<symbol>:=|<>|<=|>=|[-+*/=<>;:,.?|%\\()\[\]{}])""",
     re.VERBOSE,

@@ -14,7 +14,7 @@ from calflow.deployment.programs.target import Left, Number, Program, Target
 
 SUFFIXES = (".script", ".urscript", ".ur")
 TOKENS = re.compile(
-    r"""(?P<blank>[ \t\f\0]+|\\\r?\n|\xef\xbb\xbf)|(?P<comment>\#[^\r\n]*)|(?P<newline>\r\n|\r|\n|;)"""
+    r"""(?P<blank>[ \t\f\0\x1a]+|\\\r?\n|\xef\xbb\xbf)|(?P<comment>\#[^\r\n]*)|(?P<newline>\r\n|\r|\n|;)"""
     r"""|(?P<string>"[^"\r\n]*"|'[^'\r\n]*')|(?P<number>0[xX][0-9A-Fa-f]+(?![\w.])|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![\w.]))"""
     r"""|(?P<name>[A-Za-z_\x80-\xff][A-Za-z0-9_\x80-\xff]*)|(?P<symbol>==|!=|<=|>=|\+=|-=|\*=|/=|[-+*/%=<>:,.$()\[\]{}])""",
     re.VERBOSE,
