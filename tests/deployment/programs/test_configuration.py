@@ -45,6 +45,54 @@ def test_flags_tell_their_posture(configuration, meant, other):
     assert configuration.changes(meant, meant) == ()
 
 
+def test_turn_and_status_as_worked_out_by_hand():
+    """Fails if T's bits are in another order, a joint at 0 counts as negative, or S tells of another joint than A5.
+
+    The readings and their T of 18 are an example that integrators of KUKA work out on their forum, with the rule that S has its
+    third bit where A5 is at least -180 and below 0 degrees.
+    """
+    readings = posture(91, -45, 37, 1, -1, 0)
+    assert KrlConfiguration(flags("6", "18"), ("S", "T")).agrees(readings, margin=0.0)
+    for wrong in (("6", "50"), ("6", "19"), ("2", "18"), ("4", "18"), ("7", "18")):
+        assert not KrlConfiguration(flags(*wrong), ("S", "T")).agrees(readings, margin=0.0)
+
+
+# S and T of points taught at robots, as they stand in thirteen programs that people have published
+TAUGHT = (
+    (2, 35),
+    (2, 2),
+    (2, 10),
+    (2, 34),
+    (22, 18),
+    (22, 27),
+    (22, 50),
+    (18, 10),
+    (18, 34),
+    (18, 2),
+    (6, 26),
+    (6, 27),
+    (6, 50),
+)
+
+
+@pytest.mark.parametrize(("status", "turn"), TAUGHT)
+def test_points_taught_at_robots_are_of_one_posture(status, turn):
+    """Fails if S and T that a controller wrote together contradict each other by what is made of them: A5 and A3 stand in both."""
+    signs = [-1 if turn >> k & 1 else 1 for k in range(6)]
+    assert signs[2] > 0  # the elbow bent as usual
+    stands = posture(*(30 * sign for sign in signs), front=True, elbow=True)
+    found = KrlConfiguration(flags(str(status), str(turn)), ("S", "T"))
+    assert found.agrees(stands)
+    stretched = posture(*(30 * sign for sign in signs), front=True, elbow=False)
+    assert not found.agrees(stretched)
+
+
+def test_quarters_of_a_turn_as_the_manual_has_them():
+    """Fails if ABB's quadrant 0 is not the first quarter in the positive direction, or -1 not the one before it (confdata)."""
+    for degrees, quarter in ((1, 0), (89, 0), (91, 1), (181, 2), (271, 3), (-1, -1), (-89, -1), (-91, -2), (-181, -3)):
+        assert RapidConfiguration(()).of(posture(degrees, 0, 0, degrees, 30, degrees))[:3] == (str(quarter),) * 3
+
+
 def test_only_what_crosses_a_boundary_changes():
     """Fails if a flag that stays is written anew, or one that must change is kept."""
     before, after = posture(0.01, -90, 90, 10, 15, -5), posture(-0.01, -90, 90, 10, 15, -5)
