@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -77,6 +78,16 @@ def test_the_tutorial_ends_with_commands_that_land(followed):
     changed = [old for old, new in zip(before, after, strict=True) if old != new]
     assert changed
     assert all("J1=" in line or "J4=" in line for line in changed)
+
+
+def test_the_page_on_poses_tells_the_truth(followed):
+    """Fails if the plan lacks a file that the page names, or other poses could be better by more than it says."""
+    folder, _ = followed
+    for name in ("poses.csv", "observability.csv"):
+        assert len(pd.read_csv(folder / "plan/select" / name)), name
+    certificate = json.loads((folder / "plan/select/certificate.json").read_text(encoding="utf-8"))
+    assert certificate["criterion"] == "tool"
+    assert 0 <= certificate["could_gain_percent"] < 5
 
 
 def test_the_pages_of_tasks_write_what_they_say(followed):

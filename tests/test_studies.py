@@ -104,7 +104,7 @@ def test_hh800_run_folder_keeps_the_contract(hh800):
     """Fails if a file or column that other programs read is missing."""
     contract = {
         "select/poses.csv": ["pose", *(f"q{i}_deg" for i in range(1, 7)), *(f"approach{i}" for i in range(1, 7))],
-        "select/observability.csv": ["n_poses", "O1", "O2", "O3", "O4", "O5", "expected_sd_mm"],
+        "select/observability.csv": ["n_poses", "O1", "O2", "O3", "O4", "O5", "expected_sd_mm", "worst_sd_mm"],
         "identify/parameters.csv": [
             "parameter", "effect", "unit", "nominal", "estimate", "sd", "lower", "upper", "at_bound", "prior_share",
         ],

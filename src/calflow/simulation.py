@@ -12,12 +12,12 @@ import pandas as pd
 from pydantic import Field, field_validator, model_validator
 
 from calflow.design.candidates import candidates, pack, reading_columns, shown_readings
+from calflow.design.stated_poses import stated_poses
 from calflow.effects import catalogue
 from calflow.effects.needs import unmet
-from calflow.files.problems import InputError, Problem, nearest, refuse, shortened, together
-from calflow.files.regular import regular_file
+from calflow.files.problems import InputError, Problem, nearest, shortened, together
 from calflow.files.toml import FileModel, Length, Lengths3, Origin, Unit, read_toml
-from calflow.files.units import LARGEST, SUFFIXES, spellings, split_unit, to_si
+from calflow.files.units import LARGEST, spellings
 from calflow.model import Model, build
 from calflow.robot.robot import Robot
 from calflow.study import check_effects, known_effects
@@ -205,7 +205,7 @@ def _readings(pose_set: PoseSet, truth: Truth, model: Model, path: Path, rng: np
     """Joint readings of a set, rounded to what a file states, so that the file holds the very pose simulated."""
     units = _reading_units(model.robot)
     if pose_set.poses is not None:
-        stated = _stated_poses(path.parent / pose_set.poses, model) / units
+        stated = stated_poses(path.parent / pose_set.poses, model) / units
     else:
         region = np.array([truth.region.min, truth.region.max]) if truth.region else None
         payload = truth.payloads[0] if truth.payloads else ""
@@ -216,47 +216,6 @@ def _readings(pose_set: PoseSet, truth: Truth, model: Model, path: Path, rng: np
             raise InputError([Origin.of(path).problem(error.problems[0].message, "region")]) from None
         stated = readings / units
     return np.round(stated, 4) * units
-
-
-def _stated_poses(file: Path, model: Model) -> np.ndarray:
-    """Joint readings of a pose file [rad, or m], shape (n_poses, n_joints)."""
-    try:
-        table = pd.read_csv(regular_file(file), skip_blank_lines=False).dropna(how="all")
-    except (OSError, ValueError) as error:
-        raise refuse(f"cannot be read: {error}", file) from None
-    columns = _joint_columns(list(map(str, table)), model.robot, file)
-    if table.empty:
-        raise refuse("holds no poses", file)
-    factors = [to_si((split_unit(name) or ("", ""))[1])[0] for name in columns]
-    stated = np.zeros((len(table), model.robot.n_joints))
-    stated[:, model.robot.driven] = factors * table[columns].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
-    finite = np.asarray(np.isfinite(stated).all(axis=1))
-    packed = pack(model, np.where(finite[:, None], stated, 0.0), "", "")
-    closed = np.abs(model.closure_cosine(model.nominal, packed)) < 1
-    lines = table.index.to_numpy() + 2
-    problems = [Problem("a joint reading is empty or not a number", file, int(line)) for line in lines[~finite]]
-    problems += [Problem("the four-bar loop cannot be closed at these joint readings", file, int(line))
-                 for line in lines[finite & ~closed]]  # fmt: skip
-    if problems:
-        raise InputError(problems)
-    return np.asarray(stated)
-
-
-def _joint_columns(there: list[str], robot: Robot, file: Path) -> list[str]:
-    """The column of each joint's reading, whatever its unit."""
-    found: list[str] = []
-    problems: list[Problem] = []
-    for i in robot.driven:
-        joint = robot.joints[i]
-        ways = [f"q{i + 1}_{unit}" for unit in SUFFIXES["angle" if joint.kind == "revolute" else "length"]]
-        name = next((way for way in ways if way in there), None)
-        if name is None:
-            problems.append(Problem(f"missing column: expected {' or '.join(ways)}{nearest(ways[1], there)}", file, 1))
-        else:
-            found.append(name)
-    if problems:
-        raise InputError(problems)
-    return found
 
 
 def _measure(

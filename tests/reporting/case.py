@@ -99,14 +99,16 @@ def with_select(given: Context) -> Context:
     """The context with tables as the stage select makes them."""
     n = np.arange(8, 31, 2)
     worth = pd.DataFrame({"n_poses": n, **{f"O{i}": i * np.sqrt(n) for i in range(1, 6)}, "expected_sd_mm": 0.5 / n})
+    worth["worst_sd_mm"] = 2 * worth["expected_sd_mm"]
+    certificate = {"criterion": "tool", "n_poses": 30, "n_candidates": 2000, "n_parameters": 20, "loss": 0.0167,
+                   "least_loss": 0.0166, "could_gain_percent": 0.6}  # fmt: skip
     poses = pd.DataFrame(np.random.default_rng(1).uniform(-90, 90, (30, 3)), columns=["q1_deg", "q2_deg", "q3_deg"])
     poses.insert(0, "pose", np.arange(1, 31))
     for i, axis in enumerate("xyz"):
         poses[f"nominal_{axis}_mm"] = 1000 * np.cos(np.deg2rad(poses[f"q{i + 1}_deg"]))
     poses["marker"], poses["payload"] = given.study.robot.n_joints, np.nan  # what a CSV without payloads reads as
-    return replace(
-        given, results=given.results | Results({"select/poses.csv": poses, "select/observability.csv": worth})
-    )
+    tables = {"select/poses.csv": poses, "select/observability.csv": worth}
+    return replace(given, results=given.results | Results(tables, {"select/certificate.json": certificate}))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 
 from calflow.deployment.movements import ZERO_SD, movements
-from calflow.design.optimality import exchange, greedy
+from calflow.design.exchange import exchange, greedy
+from calflow.design.optimality import Parameters
 from calflow.estimation.calibrated import Identified
 from calflow.estimation.certainty import unexplained
 from calflow.measurements.columns import POSITION
@@ -28,8 +29,8 @@ def check_poses(known: Identified, data: Measurements, number: int) -> Measureme
     there = loaded.only((~loaded.table.duplicated(["pose", "marker"])).to_numpy())
     pose = there.table.groupby("pose", sort=False).ngroup().to_numpy()
     slope = _by_pose(_zeros(known, there), pose)
-    prior = np.eye(slope.shape[2])
-    chosen = exchange(slope, prior, greedy(slope, prior, min(number, len(slope))))
+    prior, criterion = np.eye(slope.shape[2]), Parameters(slope.shape[2])
+    chosen = exchange(slope, prior, greedy(slope, prior, min(number, len(slope)), criterion), criterion)
     return there.only(np.isin(pose, chosen))
 
 

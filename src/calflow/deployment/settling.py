@@ -11,7 +11,8 @@ from calflow.deployment.check import ANYWHERE, Check
 from calflow.deployment.drift import Explained
 from calflow.deployment.movements import Movement, movements
 from calflow.design.candidates import candidates
-from calflow.design.optimality import greedy
+from calflow.design.exchange import greedy
+from calflow.design.optimality import Parameters
 from calflow.design.t_optimality import TCriterion, propose
 from calflow.estimation.calibrated import Identified
 from calflow.files.problems import InputError
@@ -63,7 +64,7 @@ def settling(
         if own is None:
             return None
         slope = own.slope * own.sd / sigma
-        chosen = greedy(slope, np.diag((own.sd / best.sd) ** 2), FEW)
+        chosen = greedy(slope, np.diag((own.sd / best.sd) ** 2), FEW, Parameters(len(own.sd)))
         return Settling(readings[chosen], payload, marker, float("nan"))
     open_ = _left_open(known, data, check, bare, rows, sigma, fitted)
     every = [best, *rivals[:MOST_RIVALS]]

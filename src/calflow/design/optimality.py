@@ -1,11 +1,17 @@
-"""Observability: how well a set of poses determines the parameters, and which poses do it best."""
+"""Optimality: how well a set of poses determines the parameters or the tool, as indices and as losses to be made small.
+
+A criterion is a function of the parameters' covariance; what is known before and what each pose tells add up to its inverse.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
 import numpy as np
 
-EXCHANGE_PASSES = 20
-SMALLEST_GAIN = 1e-6  # in log det: swaps that gain less are rounding
+RANK = 1e-12  # share of the largest eigenvalue below which a direction of the parameters does not move the tool
 
 
 def indices(jacobian: np.ndarray, rank: int) -> np.ndarray:
@@ -24,55 +30,85 @@ def indices(jacobian: np.ndarray, rank: int) -> np.ndarray:
     )
 
 
-def greedy(jacobians: np.ndarray, prior: np.ndarray, number: int) -> list[int]:
-    """Return the candidates that raise the information's determinant most, one after the other.
+class Criterion(Protocol):
+    """What a set of poses is chosen for."""
 
-    jacobians (n_candidates, n_axes, n_parameters) are whitened, prior (n_parameters, n_parameters) is the information
-    before any pose.
+    @property
+    def root(self) -> np.ndarray:
+        """What of the parameters counts, (n_parameters, r); r = 0 where all do."""
+
+    @property
+    def power(self) -> float:
+        """Power of the sensitivities with which the multiplicative algorithm converges monotonically."""
+
+    def loss(self, covariance: np.ndarray) -> float:
+        """Return what is to be as small as can be."""
+
+    def slope(self, covariance: np.ndarray) -> np.ndarray:
+        """Return F (n_parameters, r): the loss falls with a pose's information J ᵀJ as the sensitivity |J F|² says."""
+
+    def gains(self, inside: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """Return what each candidate is worth, (n,), of J C Jᵀ (n, n_axes, n_axes) and J C root (n, n_axes, r)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters:
+    """D-optimality: the loss is the geometric mean of n parameters' standard deviations, det(C)^(1/2n), the inverse of O1."""
+
+    n: int
+    power = 1.0
+
+    @property
+    def root(self) -> np.ndarray:
+        """Nothing: all parameters count as they are."""
+        return np.empty((self.n, 0))
+
+    def loss(self, covariance: np.ndarray) -> float:
+        """Return the geometric mean of the standard deviations along the covariance's own axes."""
+        return float(np.exp(np.linalg.slogdet(covariance)[1] / (2 * self.n)))
+
+    def slope(self, covariance: np.ndarray) -> np.ndarray:
+        """Return a root of the covariance: log det M grows by the trace of J C Jᵀ."""
+        return np.asarray(np.linalg.cholesky(covariance))
+
+    def gains(self, inside: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """Return how much the logarithm of the information's determinant grows."""
+        return np.asarray(np.linalg.slogdet(np.eye(inside.shape[1]) + inside)[1])
+
+
+@dataclass(frozen=True, eq=False)
+class ToolError:
+    """I-optimality: the loss is the root mean square of the tool's standard deviation [m] over task points.
+
+    slopes (n_points, 3, n_parameters) are the derivatives of the predicted tool; shares (n_points,) say how much each point
+    counts and add up to 1. The test poses of Klimchik et al. 2012 are this criterion with a few points.
     """
-    covariance = np.linalg.inv(prior)
-    gain_basis = jacobians @ covariance
-    chosen: list[int] = []
-    for _ in range(number):
-        gains = _gains(jacobians, gain_basis)
-        gains[chosen] = -np.inf
-        best = int(np.argmax(gains))
-        chosen.append(best)
-        gain_basis = _updated(gain_basis, jacobians[best], gain_basis[best])
-    return chosen
 
+    slopes: np.ndarray
+    shares: np.ndarray
+    power = 0.5
 
-def exchange(jacobians: np.ndarray, prior: np.ndarray, chosen: list[int]) -> list[int]:
-    """Swap chosen poses for better candidates until no swap raises the determinant (Fedorov 1972, one pose at a time)."""
-    chosen = list(chosen)
-    for _ in range(EXCHANGE_PASSES):
-        swapped = False
-        for k, old in enumerate(chosen):
-            rest = [c for i, c in enumerate(chosen) if i != k]
-            information = prior + np.einsum("cai,caj->ij", jacobians[rest], jacobians[rest])
-            gains = _gains(jacobians, jacobians @ np.linalg.inv(information))
-            gains[rest] = -np.inf
-            best = int(np.argmax(gains))
-            if best != old and gains[best] > gains[old] + SMALLEST_GAIN:
-                chosen[k] = best
-                swapped = True
-        if not swapped:
-            break
-    return chosen
+    @cached_property
+    def root(self) -> np.ndarray:
+        """A root R of the mean of the points' slopes squared, so that the loss is the root of trace(Rᵀ C R)."""
+        flat = (self.slopes * np.sqrt(self.shares)[:, None, None]).reshape(-1, self.slopes.shape[2])
+        values, vectors = np.linalg.eigh(flat.T @ flat)
+        kept = values > RANK * values[-1]
+        return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
 
+    def variances(self, covariance: np.ndarray) -> np.ndarray:
+        """Return the variance [m²] of the predicted tool at each point, all three axes, shape (n_points,)."""
+        return np.asarray(((self.slopes @ np.linalg.cholesky(covariance)) ** 2).sum(axis=(1, 2)))
 
-def log_determinant(jacobians: np.ndarray, prior: np.ndarray) -> float:
-    """Return the log determinant of the information of poses (n_poses, n_axes, n_parameters) and the prior."""
-    return float(np.linalg.slogdet(prior + np.einsum("cai,caj->ij", jacobians, jacobians))[1])
+    def loss(self, covariance: np.ndarray) -> float:
+        """Return the root mean square of the tool's standard deviation [m]."""
+        return float(np.sqrt(np.sum(self.root * (covariance @ self.root))))
 
+    def slope(self, covariance: np.ndarray) -> np.ndarray:
+        """Return C R: the mean variance falls by the trace of J C R Rᵀ C Jᵀ."""
+        return covariance @ self.root
 
-def _gains(jacobians: np.ndarray, gain_basis: np.ndarray) -> np.ndarray:
-    """Log determinant gained by each candidate: log det(I + J C Jᵀ), gain_basis being J C."""
-    blocks = np.einsum("cai,cbi->cab", gain_basis, jacobians)
-    return np.linalg.slogdet(np.eye(blocks.shape[1]) + blocks)[1]
-
-
-def _updated(gain_basis: np.ndarray, added: np.ndarray, basis_row: np.ndarray) -> np.ndarray:
-    """J C after a pose came: C changes by rank n_axes (Woodbury)."""
-    inner = np.linalg.inv(np.eye(len(added)) + basis_row @ added.T)
-    return gain_basis - (gain_basis @ added.T) @ inner @ basis_row
+    def gains(self, inside: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """Return by how much the mean variance [m²] falls."""
+        left = np.linalg.solve(np.eye(inside.shape[1]) + inside, moved)
+        return np.asarray(np.einsum("nar,nar->n", moved, left))

@@ -1,16 +1,22 @@
-"""Selection: which poses to measure so that they tell the most, by D-optimality, and what every number of them is worth."""
+"""Selection: which poses to measure so that they tell the most, and what every number of them is worth."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import pandas as pd
 
 from calflow.design.candidates import READINGS, candidates, reading_columns, shown_readings
-from calflow.design.optimality import exchange, greedy, indices, log_determinant
+from calflow.design.exchange import greedy, information
+from calflow.design.minimax import search_worst
+from calflow.design.optimality import Criterion, Parameters, ToolError, indices
 from calflow.design.planned import Planned
+from calflow.design.search import Found, search
+from calflow.design.task import Task
+from calflow.design.tour import shortest_tour
 from calflow.estimation.identifiability import NULL
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.tables import column, to_frame, typed
@@ -19,7 +25,10 @@ from calflow.model import Model
 from calflow.observations.position import Position
 
 USUAL_SIGMA = 5e-5  # m, of a laser tracker on a large robot
-TASK_POSES = 400  # candidates over which the tool's expected error is averaged
+TASK_POSES = 400  # poses of the task where nobody says which
+CURVE = 30  # numbers of poses of which the worth is told
+
+Aim = Literal["parameters", "tool", "worst"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,22 +57,46 @@ class Observability:
         "observability indices O1 to O5, parameters scaled by their priors", name="O{1|2|3|4|5}"
     )
     expected_sd_mm: float = column(
-        "root mean square over the workspace of the predicted position's standard deviation", "mm"
+        "root mean square over the task (the workspace, where the study names none) of the predicted position's standard "
+        "deviation",
+        "mm",
     )
+    worst_sd_mm: float = column("the largest of these standard deviations", "mm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """What the poses were chosen for, and how much better any other choice of as many of these candidates could be."""
+
+    criterion: Aim = column(
+        "what was made small: the standard deviations of all `parameters`, those of the `tool` over the task, or their `worst`"
+    )
+    n_poses: int = column("number of poses")
+    n_candidates: int = column("number of candidates that they were chosen of")
+    n_parameters: int = column("number of the model's parameters")
+    loss: float = column(
+        "of `parameters` the geometric mean of their standard deviations, each relative to its prior; else the root "
+        "mean square [mm] of the tool's standard deviation over the task, or its largest"
+    )
+    least_loss: float = column("a loss that no other choice gets below, by the equivalence theorem")
+    could_gain_percent: float = column("by how much of the loss any other choice could at most be better", "%")
 
 
 @dataclass(frozen=True)
 class Selection:
-    """The poses chosen, in measuring order, and what every number of them is worth."""
+    """The poses chosen, in measuring order, what every number of them is worth, and how good the choice is."""
 
     poses: pd.DataFrame
     observability: pd.DataFrame
+    certificate: Certificate
 
 
 def select(
     model: Model,
     number: int = 100,
     *,
+    aim: Aim = "parameters",
+    task: Task | None = None,
     payload: str = "",
     marker: str = "",
     region: np.ndarray | None = None,
@@ -73,18 +106,21 @@ def select(
     say: Say = nobody,
     advance: Advance = nobody,
 ) -> Selection:
-    """Choose poses by D-optimal greedy addition and exchange, and tell what every number of them is worth.
+    """Choose poses by relaxation, rounding and exchange, tell what every number of them is worth, and bound what others could be.
 
     Args:
         model: whose parameters the poses are to tell; it observes what is planned.
         number: of poses.
+        aim: what is to be known best: all parameters (D-optimality, O1), the tool over the task (I-optimality), or where in the
+            task it is known worst.
+        task: where the tool must be right; the first candidates where nothing is said.
         payload: the load they are measured under; empty: none.
         marker: what is measured; the first where it is empty.
         region: a box (2, 3) [m] in the measuring frame that the marker must be in.
         planned: how they will be measured; as positions, 50 µm per axis, where nothing is said.
         of: number of candidates.
         rng: draws the candidates.
-        say: is told what was gained.
+        say: is told how good the choice is.
         advance: is told the share of work done.
 
     Raises:
@@ -95,31 +131,48 @@ def select(
     if not model.observations:
         model = replace(model, observations=(planned.observation,))
     readings, rows = candidates(model, of, payload, marker, region, rng("candidates"), planned.observation)
-    whitened = planned.whitened(model, model.nominal, rows) * model.prior_sd
-    prior = np.eye(len(model.parameters))
-    say(f"{len(readings)} candidates, {len(model.parameters)} parameters")
-
-    order = greedy(whitened, prior, number)
     advance(0.3)
-    best = exchange(whitened, prior, order)
+    whitened = planned.whitened(model, model.nominal, rows)
+    whitened *= model.prior_sd
+    prior = np.eye(len(model.parameters))
+    tool = (task or Task(rows[:, :TASK_POSES])).criterion(model)
+    criterion: Criterion = Parameters(len(prior)) if aim == "parameters" else tool
+    say(f"{len(readings)} candidates, {len(prior)} parameters")
+
+    advance(0.5)
+    if aim == "worst":
+        found = search_worst(whitened, prior, number, tool, rng("search"))
+    else:
+        found = search(whitened, prior, number, criterion, rng("search"))
+    certificate = _certificate(found, aim, whitened)
+    say(
+        f"no other {number} of these candidates are better by more than {certificate.could_gain_percent:.2g} % "
+        f"({'standard deviations' if aim == 'parameters' else 'tool error'})"
+    )
     advance(0.9)
-    gained = log_determinant(whitened[best], prior) - log_determinant(whitened[order], prior)
-    say(f"exchange gained {gained:.3g} in log det over greedy choice")
 
-    travel = _shortest_tour(readings[best])
-    chosen = np.array(best)[travel]
-    task = model.point_jacobian(model.nominal, rows[:, :TASK_POSES]) * model.prior_sd / planned.sigma
-    worth = _observability(whitened, greedy_order(whitened, prior, best), task, planned.sigma)
-    return Selection(_poses(model, readings[chosen], rows[:, chosen], payload, marker), worth)
+    chosen = np.array(found.chosen)
+    most_telling = greedy(whitened[chosen], prior, number, criterion)
+    worth = _observability(whitened[chosen[most_telling]], prior, tool)
+    tour = chosen[shortest_tour(readings[chosen])]
+    return Selection(_poses(model, readings[tour], rows[:, tour], payload, marker), worth, certificate)
 
 
-def greedy_order(whitened: np.ndarray, prior: np.ndarray, chosen: list[int]) -> list[int]:
-    """Return the chosen poses, the most telling first."""
-    return [chosen[i] for i in greedy(whitened[chosen], prior, len(chosen))]
+def _certificate(found: Found, aim: Aim, whitened: np.ndarray) -> Certificate:
+    unit = 1.0 if aim == "parameters" else 1e3
+    return Certificate(
+        criterion=aim,
+        n_poses=len(found.chosen),
+        n_candidates=len(whitened),
+        n_parameters=whitened.shape[2],
+        loss=unit * found.loss,
+        least_loss=unit * found.bound,
+        could_gain_percent=100 * found.could_gain,
+    )
 
 
-def _observability(whitened: np.ndarray, order: list[int], task: np.ndarray, sigma: float) -> pd.DataFrame:
-    """Indices and the tool's expected standard deviation against the number of poses.
+def _observability(whitened: np.ndarray, prior: np.ndarray, tool: ToolError) -> pd.DataFrame:
+    """Indices and the tool's expected standard deviation against the number of poses, (n_poses, n_axes, n_parameters) in order.
 
     Parameters are scaled by their priors, so an index compares what the data say with what was known before. The
     standard deviation is the root mean square over the task's poses of the predicted position's, all three axes.
@@ -127,16 +180,20 @@ def _observability(whitened: np.ndarray, order: list[int], task: np.ndarray, sig
     n_parameters = whitened.shape[2]
     singular = np.linalg.svd(whitened.reshape(-1, n_parameters), compute_uv=False)
     rank = int((singular > NULL * singular[0]).sum())
-    first = min(len(order), -(-rank // whitened.shape[1]))
+    first = min(len(whitened), -(-rank // whitened.shape[1]))
     rows = []
-    for n in sorted({*range(first, len(order) + 1, max(1, (len(order) - first) // 30)), len(order)}):
-        part = whitened[order[:n]]
-        covariance = np.linalg.inv(np.eye(n_parameters) + np.einsum("cai,caj->ij", part, part))
-        variance = np.einsum("cai,ij,caj->c", task, covariance, task)
-        expected = 1e3 * sigma * np.sqrt(variance.mean())
+    for n in sorted({*range(first, len(whitened) + 1, max(1, (len(whitened) - first) // CURVE)), len(whitened)}):
+        part = whitened[:n]
+        variances = tool.variances(np.linalg.inv(information(part, prior)))
         own = indices(part.reshape(-1, n_parameters), rank)
-        named = {f"O{k}": value for k, value in enumerate(own, start=1)}
-        rows.append(Observability(n_poses=n, indices=named, expected_sd_mm=expected))
+        rows.append(
+            Observability(
+                n_poses=n,
+                indices={f"O{k}": value for k, value in enumerate(own, start=1)},
+                expected_sd_mm=1e3 * float(np.sqrt(tool.shares @ variances)),
+                worst_sd_mm=1e3 * float(np.sqrt(variances.max())),
+            )
+        )
     return to_frame(rows, Observability)
 
 
@@ -154,24 +211,3 @@ def _poses(model: Model, readings: np.ndarray, rows: np.ndarray, payload: str, m
     position = 1e3 * model.position(model.nominal, rows)
     table |= {f"nominal_{axis}_mm": np.round(position[:, i], 1) for i, axis in enumerate("xyz")}
     return typed(pd.DataFrame({**table, "marker": marker, "payload": payload}), PlannedPose)
-
-
-def _shortest_tour(readings: np.ndarray) -> np.ndarray:
-    """Order poses for short travel: nearest neighbour, then 2-opt on the largest joint's motion; shape (n_poses,)."""
-    distance = np.abs(readings[:, None] - readings[None]).max(axis=2)
-    tour = [0]
-    left = set(range(1, len(readings)))
-    while left:
-        tour.append(min(left, key=lambda j: distance[tour[-1], j]))
-        left.remove(tour[-1])
-    improved = True
-    while improved:
-        improved = False
-        for i in range(1, len(tour) - 2):
-            for j in range(i + 1, len(tour) - 1):
-                before = distance[tour[i - 1], tour[i]] + distance[tour[j], tour[j + 1]]
-                after = distance[tour[i - 1], tour[j]] + distance[tour[i], tour[j + 1]]
-                if after < before - 1e-9:
-                    tour[i : j + 1] = tour[i : j + 1][::-1]
-                    improved = True
-    return np.array(tour)

@@ -50,7 +50,7 @@ def reachable(robot: Robot, q: np.ndarray) -> np.ndarray:
     Every pose is approached in a straight line from the middle of the joints' ranges.
     """
     loop = robot.loop
-    if loop is None:
+    if loop is None or not len(q):
         return np.ones(len(q), dtype=bool)
     j = loop.joint - 1
     symbols = ca.SX.sym("link_angle"), ca.SX.sym("crank_angle")

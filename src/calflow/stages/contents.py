@@ -9,12 +9,16 @@ import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from pydantic.fields import FieldInfo
+
 from calflow.deployment import comparison, drift_verdict, validation
 from calflow.deployment.command_table import Command
 from calflow.deployment.controller_figures import ControllerFigure
 from calflow.files.tables import Column, columns
+from calflow.files.toml import FileModel
 from calflow.measurements.acceptance import Acceptance
 from calflow.stages import STAGES
+from calflow.stages.select import SelectSettings, TaskSettings
 
 KINDS = {str: "text", int: "integer", float: "number", bool: "true or false"}
 ANSWERS: Mapping[str, type] = {  # the tables that commands other than run write
@@ -38,7 +42,13 @@ def contents() -> str:
 
 def renewed(text: str) -> str:
     """Return a document with what stands between the marks written anew."""
-    for name, written in (("acceptance", acceptance()), ("tables", contents())):
+    kept = {
+        "acceptance": keys("[acceptance]", Acceptance),
+        "select": keys("[stages.select]", SelectSettings),
+        "task": keys("[stages.select.task]", TaskSettings),
+        "tables": contents(),
+    }
+    for name, written in kept.items():
         begin, end = (mark.format(name) for mark in MARKS)
         head, _, rest = text.partition(begin)
         _, _, tail = rest.partition(end)
@@ -46,10 +56,16 @@ def renewed(text: str) -> str:
     return text
 
 
-def acceptance() -> str:
-    """Return the keys of a study's table `[acceptance]`, as Markdown."""
-    rows = "\n".join(f"| `{name}` | {field.description} |" for name, field in Acceptance.model_fields.items())
-    return f"| key of `[acceptance]` | meaning |\n| --- | --- |\n{rows}"
+def keys(table: str, settings: type[FileModel]) -> str:
+    """Return the keys of a table of a study, as Markdown."""
+    rows = "\n".join(_key(name, field) for name, field in settings.model_fields.items())
+    return f"| key of `{table}` | meaning |\n| --- | --- |\n{rows}"
+
+
+def _key(name: str, field: FieldInfo) -> str:
+    """A key, its meaning and its default; of a quantity, whose key carries a unit, the meaning tells both."""
+    default = f" ({field.default})" if isinstance(field.default, int) else ""
+    return f"| `{name}` | {field.description}{default} |"
 
 
 def _tables(declared: Mapping[str, type], folder: str = "") -> Iterator[str]:

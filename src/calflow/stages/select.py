@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from calflow.design.planned import Planned
-from calflow.design.selection import Observability, PlannedPose, select
+from calflow.design.selection import Aim, Certificate, Observability, PlannedPose, select
+from calflow.design.stated_poses import stated_poses
+from calflow.design.task import Task
+from calflow.effects import catalogue
+from calflow.effects.needs import unmet
+from calflow.files.documents import to_document
 from calflow.files.problems import InputError, Problem, nearest
 from calflow.files.results import Results
 from calflow.files.toml import Angle, FileModel, Length, Lengths3, Origin
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.series import Series
-from calflow.model import build
+from calflow.model import Model, build
 from calflow.observations import Observation
 from calflow.observations.position import Position
 from calflow.robot.parts import Base
@@ -22,33 +28,19 @@ from calflow.stages.stage import Context, Stage
 from calflow.study import Study, known_effects
 
 
-class SelectSettings(FileModel):
-    """Settings of select: how many poses of how many candidates, and where the device can see the tool.
+class Region(FileModel):
+    """A box in the measuring frame."""
 
-    Poses are chosen for the study's effects and for also_effects, which may be causes to be told apart, and to be measured as
-    the series `measure` will be; the study's first one where nothing is said.
-    """
-
-    poses: int = Field(default=100, ge=4)
-    candidates: int = Field(default=2000, ge=100)
-    payload: str = ""
-    marker: str = ""
-    region_min: Lengths3 | None = None
-    region_max: Lengths3 | None = None
-    sigma: Length = Field(default=5e-5, gt=0)
-    sigma_rotation: Angle = Field(default=1e-4, gt=0)
-    measure: str = ""
-    also_effects: tuple[str, ...] = ()
-
-    @field_validator("also_effects")
-    @classmethod
-    def _known(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
-        return known_effects(effects) if effects else effects
+    region_min: Lengths3 | None = Field(
+        default=None,
+        description="least x, y and z of a box in the measuring frame that the marker must be in, e.g. `region_min_mm`",
+    )
+    region_max: Lengths3 | None = Field(
+        default=None, description="largest x, y and z of that box, e.g. `region_max_mm`"
+    )
 
     @model_validator(mode="after")
-    def _whole_region(self) -> SelectSettings:
-        if self.poses > self.candidates:
-            raise ValueError("poses: there must be at least as many candidates")
+    def _whole_region(self) -> Region:
         if (self.region_min is None) != (self.region_max is None):
             raise ValueError("region_min and region_max go together")
         if (
@@ -58,6 +50,73 @@ class SelectSettings(FileModel):
         ):
             raise ValueError("region_min must lie below region_max on every axis")
         return self
+
+    @property
+    def region(self) -> np.ndarray | None:
+        """The box (2, 3) [m]; None where there is none."""
+        return None if self.region_min is None else np.array([self.region_min, self.region_max])
+
+
+class TaskSettings(Region):
+    """The table `[stages.select.task]`: where the robot will work, and what it will carry there.
+
+    Without a region of its own the task is where the poses are measured.
+    """
+
+    payloads: tuple[str, ...] = Field(
+        default=(), description='what the robot will carry, "" for nothing; that of the poses'
+    )
+    poses: str = Field(
+        default="",
+        description="a CSV of joint readings (`q1_deg` …) of the task, in the place of poses drawn in the region",
+    )
+    number: int = Field(default=400, ge=10, description="poses that are drawn in the region")
+
+
+class SelectSettings(Region):
+    """Settings of select: how many poses of how many candidates, what for, and where the device can see the tool.
+
+    Poses are chosen for the study's effects and for also_effects, which may be causes to be told apart, and to be measured as
+    the series `measure` will be; the study's first one where nothing is said.
+    """
+
+    poses: int = Field(default=100, ge=4, description="how many poses to choose")
+    candidates: int = Field(default=2000, ge=100, description="how many to choose them of")
+    criterion: Aim | None = Field(
+        default=None,
+        description="what the poses are to make sure: all `parameters` alike (D-optimal, O1), the `tool` over the task (root mean "
+        "square of its error), or where in the task it is `worst`; the tool where there is a task, else the parameters",
+    )
+    task: TaskSettings | None = Field(default=None, description="a table: where the tool must be right, see below")
+    payload: str = Field(default="", description="what the robot carries while it is measured")
+    marker: str = Field(default="", description="what is measured; the first")
+    sigma: Length = Field(
+        default=5e-5, gt=0, description="standard deviation of the device, per axis, e.g. `sigma_um` (50 µm)"
+    )
+    sigma_rotation: Angle = Field(
+        default=1e-4, gt=0, description="the same of orientations, e.g. `sigma_rotation_mrad` (0.1 mrad)"
+    )
+    measure: str = Field(default="", description="name of the series as which poses will be measured; the first")
+    also_effects: tuple[str, ...] = Field(
+        default=(),
+        description="causes that are only suspected: the poses are to tell of them as of the study's effects",
+    )
+
+    @field_validator("also_effects")
+    @classmethod
+    def _known(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
+        return known_effects(effects) if effects else effects
+
+    @model_validator(mode="after")
+    def _enough_candidates(self) -> SelectSettings:
+        if self.poses > self.candidates:
+            raise ValueError("poses: there must be at least as many candidates")
+        return self
+
+    @property
+    def aim(self) -> Aim:
+        """What the poses are to make sure."""
+        return self.criterion or ("tool" if self.task else "parameters")
 
 
 def run(context: Context) -> Results:
@@ -69,12 +128,13 @@ def run(context: Context) -> Results:
     planned = Planned(_planned(study, settings), settings.sigma, settings.sigma_rotation)
     effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))
     model = build(robot, effects, (), (planned.observation,))
-    region = None if settings.region_min is None else np.array([settings.region_min, settings.region_max])
     chosen = select(
-        model, settings.poses, payload=settings.payload, marker=settings.marker, region=region, planned=planned,
+        model, settings.poses, aim=settings.aim, task=_task(study, settings, model, context.rng("task")),
+        payload=settings.payload, marker=settings.marker, region=settings.region, planned=planned,
         of=settings.candidates, rng=context.rng, say=context.say, advance=context.advance,
     )  # fmt: skip
-    return Results({"select/poses.csv": chosen.poses, "select/observability.csv": chosen.observability})
+    tables = {"select/poses.csv": chosen.poses, "select/observability.csv": chosen.observability}
+    return Results(tables, {"select/certificate.json": to_document(chosen.certificate)})
 
 
 def problems(study: Study, settings: SelectSettings, data: Measurements | None) -> list[Problem]:
@@ -87,14 +147,40 @@ def problems(study: Study, settings: SelectSettings, data: Measurements | None) 
         found.append(study.setting_problem("select", message, "measure"))
     elif said := _unplaced(study, settings):
         found.append(said)
-    for key, name, known in (
-        ("marker", settings.marker, study.robot.markers),
-        ("payload", settings.payload, study.robot.payloads),
+    task = settings.task.payloads if settings.task else ()
+    for what, name, known, where in (
+        ("marker", settings.marker, study.robot.markers, ("marker",)),
+        ("payload", settings.payload, study.robot.payloads, ("payload",)),
+        *(("payload", name, study.robot.payloads, ("task", "payloads")) for name in task),
     ):
         if name and name not in known:
-            message = f"unknown {key} '{name}'; there are {', '.join(known) or 'none'}{nearest(name, known)}"
-            found.append(study.setting_problem("select", message, key))
+            message = f"unknown {what} '{name}'; there are {', '.join(known) or 'none'}{nearest(name, known)}"
+            found.append(study.setting_problem("select", message, *where))
+    found += [study.setting_problem("select", message, "also_effects") for message in _untold(study, settings)]
     return found
+
+
+def _untold(study: Study, settings: SelectSettings) -> Iterator[str]:
+    """Say which suspected causes poses alone cannot tell of."""
+    for effect in settings.also_effects:
+        kind = catalogue()[effect]
+        if lacking := unmet(kind.needs, study.robot, ()):
+            yield f"poses cannot be chosen for '{effect}', which needs {lacking[0]}"
+        elif not kind(study.robot).declared:
+            yield f"'{effect}' has no parameters before there are measurements, so poses cannot be chosen for it"
+
+
+def _task(study: Study, settings: SelectSettings, model: Model, rng: np.random.Generator) -> Task | None:
+    """Where the tool must be right; None where the study does not say."""
+    task = settings.task
+    if task is None:
+        return None
+    payloads = task.payloads or (settings.payload,)
+    marker = settings.marker or next(iter(study.robot.markers))
+    if task.poses:
+        return Task.of(model, stated_poses(study.path.parent / task.poses, model), payloads, marker)
+    region = settings.region if task.region is None else task.region
+    return Task.within(model, payloads, marker, region, task.number, rng)
 
 
 def _which(study: Study, settings: SelectSettings) -> int:
@@ -138,5 +224,6 @@ STAGE = Stage(
     run,
     measured=False,
     tables={"select/poses.csv": PlannedPose, "select/observability.csv": Observability},
+    documents={"select/certificate.json": Certificate},
     problems=problems,
 )

@@ -6,13 +6,14 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from calflow.design.selection import Certificate
 from calflow.reporting.style import ALONE, DARK, panels
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")
 
 
-def observability(table: pd.DataFrame) -> Figure:
-    """Draw the indices, each relative to its value with all poses, and the tool's expected sd [mm]."""
+def observability(table: pd.DataFrame, certificate: Certificate) -> Figure:
+    """Draw the indices, each relative to its value with all poses, and the tool's expected sd [mm] with its bound."""
     drawn, ((left, right),) = panels(1, 2, 2.3)
     poses = table["n_poses"].to_numpy()
     for name, (colour, line, marker) in zip(INDICES, ALONE, strict=True):
@@ -23,6 +24,11 @@ def observability(table: pd.DataFrame) -> Figure:
     left.set(xlabel="number of poses", ylabel="observability index\n[relative to all poses]", ylim=(0, None))
     if left.lines:  # with fewer poses than it takes there is no index
         left.legend(ncols=2)
-    right.plot(poses, table["expected_sd_mm"], color=DARK, marker="o", markersize=2.5)
+    curves = {"expected_sd_mm": "root mean square", "worst_sd_mm": "worst pose"}
+    for (name, label), (colour, line, marker) in zip(curves.items(), ALONE, strict=False):
+        right.plot(poses, table[name], color=colour, linestyle=line, marker=marker, markersize=2.5, label=label)
+    if certificate.criterion != "parameters":
+        right.axhline(certificate.least_loss, color=DARK, linewidth=0.8, label="least possible")
     right.set(xlabel="number of poses", ylabel="expected sd of the\npredicted position [mm]", ylim=(0, None))
+    right.legend()
     return drawn

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from calflow.design.candidates import reading_columns, reading_labels
+from calflow.design.selection import Aim, Certificate
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table
 from calflow.reporting.figures.poses import observability
 from calflow.reporting.figures.residuals import map_of_poses
@@ -14,25 +15,33 @@ from calflow.reporting.words import mm, number
 from calflow.robot.robot import Robot
 
 SHOWN = 10  # poses in the table
+AIMS: dict[Aim, str] = {
+    "parameters": "tell the most about all parameters",
+    "tool": "make the tool's position over the task as sure as can be",
+    "worst": "make the tool's position sure also where in the task it is least so",
+}
 WORTH = (
     "What more poses are worth. Left: observability indices O1 to O5 (the higher, the better parameters are told apart), "
-    "each relative to its value with all poses. Right: expected standard deviation of the predicted tool position; where "
-    "the curve is flat, more poses gain little."
+    "each relative to its value with all poses. Right: expected standard deviation of the predicted tool position over the "
+    "task, and at its worst pose; where the curve is flat, more poses gain little. A line is what no other choice of as "
+    "many gets below."
 )
 
 
 def write(material: Material) -> list[Block]:
     """Show what the number of poses is worth, where they are and the first of them."""
     poses, worth = material.tables["select/poses.csv"], material.tables["select/observability.csv"]
-    expected = float(worth["expected_sd_mm"].iloc[-1])
+    expected, worst = (float(worth[name].iloc[-1]) for name in ("expected_sd_mm", "worst_sd_mm"))
+    certificate = material.results.document("select/certificate.json", Certificate)
     position = poses[[f"nominal_{axis}_mm" for axis in "xyz"]].to_numpy(dtype=float)
     return [
         Paragraph(
-            f"{len(poses)} poses were chosen so that together they tell the most about all parameters. With all of them the "
-            f"predicted tool position is expected to be certain to {mm(expected)} mm (1 sd) over the workspace.",
+            f"{len(poses)} poses were chosen so that together they {AIMS[certificate.criterion]}. With all of them the "
+            f"predicted tool position is expected to be certain to {mm(expected)} mm (1 sd, root mean square over the task), "
+            f"and to {mm(worst)} mm where it is least so. {_proof(certificate)}",
             keep=True,
         ),
-        Plot("observability", observability(worth), WORTH, worth),
+        Plot("observability", observability(worth, certificate), WORTH, worth),
         Plot(
             "poses",
             map_of_poses(position),
@@ -41,6 +50,15 @@ def write(material: Material) -> list[Block]:
         ),
         *_first(poses, material.study.robot),
     ]
+
+
+def _proof(certificate: Certificate) -> str:
+    """Say how much better other poses could be."""
+    what = "the parameters' standard deviations" if certificate.criterion == "parameters" else "that standard deviation"
+    return (
+        f"No other choice of {certificate.n_poses} of these {certificate.n_candidates:,} candidates makes {what} smaller by "
+        f"more than {certificate.could_gain_percent:.2g} % (equivalence theorem)."
+    )
 
 
 def _first(poses: pd.DataFrame, robot: Robot) -> list[Block]:
@@ -59,4 +77,6 @@ def _first(poses: pd.DataFrame, robot: Robot) -> list[Block]:
     ]
 
 
-SECTION = Section(70, "Planned poses", ("select/poses.csv", "select/observability.csv"), write)
+SECTION = Section(
+    70, "Planned poses", ("select/poses.csv", "select/observability.csv", "select/certificate.json"), write
+)
