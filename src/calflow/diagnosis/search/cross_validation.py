@@ -94,14 +94,17 @@ class LeftOut:
 
     def missed_without(self, gone: np.ndarray, value: np.ndarray) -> list[np.ndarray]:
         """Return the same without some of the free parameters (their numbers), which have these values."""
-        rest, keep = self.regressors.without(gone, value), np.setdiff1d(np.arange(self.fitted.shape[1]), gone)
+        known = self.regressors
+        keep = np.setdiff1d(np.arange(self.fitted.shape[1]), gone)
+        change, prior = np.zeros(self.fitted.shape[1]), np.diag(known.precision[keep])
+        change[gone] = value
         found = []
         for k, own in enumerate(self.rows):
             others = np.arange(len(self.rows)) != k
             whole = self.fitted[others].sum(axis=0)
             left = self.left[others].sum(axis=0) - whole[:, gone] @ value
-            change = np.linalg.solve(whole[np.ix_(keep, keep)] + np.diag(rest.precision), left[keep] + rest.pull)
-            found.append(rest.residual[own] - rest.jacobian[own] @ change)
+            change[keep] = np.linalg.solve(whole[np.ix_(keep, keep)] + prior, left[keep] + known.pull[keep])
+            found.append(known.residual[own] - known.jacobian[own] @ change)
         return found
 
 
