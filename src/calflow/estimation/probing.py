@@ -154,9 +154,9 @@ def _fill(
     for basis in bases:
         slopes = over_rows(basis.function, np.zeros(0), state, conditions)[0].T
         for layer in basis.layers:
-            moved, here = np.take(levers, basis.quantity[layer], axis=2), side_by_side(basis.column[layer])
+            moved = np.take(levers, basis.quantity[layer], axis=2)
             moved *= slopes[:, None, side_by_side(layer)]
-            columns[:, :, here] += moved
+            columns[:, :, side_by_side(basis.column[layer])] += moved
 
 
 def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:

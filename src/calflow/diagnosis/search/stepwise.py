@@ -11,7 +11,7 @@ import numpy as np
 
 from calflow.diagnosis.findings.verdict import WITHIN
 from calflow.diagnosis.screening.hypothesis import H
-from calflow.diagnosis.screening.screening import Score, by_place
+from calflow.diagnosis.screening.screening import Family, Score, by_place
 from calflow.diagnosis.search.acceptance import Acceptance
 from calflow.diagnosis.search.exchange import COLUMNS, SPLIT, Exchange
 from calflow.diagnosis.search.linearisation import Finding, Screened
@@ -20,6 +20,7 @@ from calflow.diagnosis.search.trial import Trial, forget_all_but, is_worth_tryin
 from calflow.diagnosis.search.verification import doubted
 
 CLEAR = 1e-3  # share of the acceptance below which the cost of the tests need not be worked out anew
+ALONE = Family({}, 1.0)  # the cost of a single test: what does not pass at that passes at none
 STEP = 0.2  # share of what is left of the search that a step counts as: how many there will be, nobody knows
 MOST_TRIALS = 60  # models that are fitted in all: a search that needs more goes round in circles
 ENTANGLED = 3  # causes, the last found, that are exchanged by two
@@ -134,7 +135,8 @@ def _added(
     """The causes with the best one that is accepted."""
     now = trial.linearisation.screened(rng, first.family) if trial.causes else first
     passed = [score for score in now.scores if acceptance.accepts(score, now.family)]
-    if trial.causes and not (passed and now.family.p(passed[0]) < CLEAR * acceptance.false_alarm):
+    doubtful = not (passed and now.family.p(passed[0]) < CLEAR * acceptance.false_alarm)
+    if trial.causes and doubtful and any(acceptance.accepts(score, ALONE) for score in now.scores):
         now = trial.linearisation.screened(rng)  # what the tests cost depends on what is left, where it matters
         passed = [score for score in now.scores if acceptance.accepts(score, now.family)]
     if not passed:
