@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 import typst
+from matplotlib import font_manager
 from matplotlib.font_manager import findfont, fontManager
 from matplotlib.ft2font import FT2Font
 
 from calflow.reporting import document
-from calflow.reporting.blocks import Table
+from calflow.reporting.blocks import Heading, Table
+from calflow.reporting.figures.estimates import estimates
 from calflow.reporting.fonts import OWN, fonts_for
+from calflow.reporting.style import style
 from calflow.reporting.words import AXIS, cut
 
 
 def test_letters_that_no_font_has_are_told_by_their_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fails if two names in a script that no font has become the same empty boxes."""
-    monkeypatch.setattr(fontManager, "ttflist", [])
+    boxes = [entry for entry in fontManager.ttflist if entry.name.startswith("Last Resort")]
+    monkeypatch.setattr(fontManager, "ttflist", boxes)  # of which Matplotlib brings one along
+    monkeypatch.setattr(font_manager, "findSystemFonts", list)
     fonts = fonts_for("Roboter 工業, Müller")
     assert fonts.families == (OWN,)
     assert fonts.legible("工業 Müller") == "[U+5DE5][U+696D] Müller"
@@ -29,7 +37,8 @@ def test_a_font_of_the_machine_is_taken_where_the_own_lacks_letters(monkeypatch:
         chr(code) for code in FT2Font(stix.fname).get_charmap() if code not in own and chr(code).isprintable()
     )
     useless = next(entry for entry in fontManager.ttflist if entry.name == OWN)
-    monkeypatch.setattr(fontManager, "ttflist", [useless, stix])
+    monkeypatch.setattr(fontManager, "ttflist", [useless])
+    monkeypatch.setattr(font_manager, "findSystemFonts", lambda: [stix.fname])  # installed since the list was made
     fonts = fonts_for(f"a{letter}")
     assert fonts.families == (OWN, stix.name)
     assert fonts.legible(letter) == letter
@@ -50,3 +59,28 @@ def test_a_long_name_leaves_room_for_its_figure() -> None:
     assert cut("joint3.beta") == "joint3.beta"
     assert len(cut("m" * 300)) <= AXIS + 1
     assert cut("m" * 300 + ".x") != cut("m" * 300 + ".y")
+
+
+def test_a_pdf_has_the_letters_of_the_machines_font(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails if typst is not given the font that was chosen, so that a name is a row of empty boxes."""
+    (stix,) = [
+        entry for entry in fontManager.ttflist if entry.name == "STIXGeneral" and Path(entry.fname).stem == entry.name
+    ]
+    monkeypatch.setattr(fontManager, "ttflist", [stix])
+    monkeypatch.setattr(font_manager, "findSystemFonts", list)
+    letter = "\u1d81"  # d with a hook, which the report's own fonts lack
+    assert fonts_for(letter).families == (OWN, stix.name)
+    with style():
+        document.write("t", [("Verdict", [Heading(letter, 0)])], tmp_path)
+    assert b"STIX" in (tmp_path / "report.pdf").read_bytes()
+
+
+def test_long_names_leave_their_figure_its_room() -> None:
+    """Fails if turned names squeeze the axes above them."""
+    heights = []
+    for name in ("joint3.beta", cut("upper_left_corner_" * 4)):
+        with style():
+            drawn = estimates([name] * 9, ["geometry"] * 9, np.zeros(9), np.ones(9), np.zeros(9, dtype=bool))
+            drawn.draw_without_rendering()
+        heights.append(drawn.axes[0].get_position().height * drawn.get_figheight())
+    assert heights[1] > 0.9 * heights[0] > 0.9

@@ -27,6 +27,7 @@ from calflow.reporting.blocks import (
 from calflow.reporting.fonts import Fonts, fonts_for
 
 LONG = re.compile(r"(\S{24})(?=\S{8})")  # so many letters without a space, after which a line may end
+SERIF = "Libertinus Serif"  # which typst brings along
 WHOLE = 16  # rows up to which a table is kept on one page
 
 TEMPLATE = Path(__file__).with_name("template.typ")
@@ -34,10 +35,12 @@ TEMPLATE = Path(__file__).with_name("template.typ")
 
 def plain(text: object) -> str:
     """Return text as markup that shows it letter by letter, whatever it holds."""
-    safe = (
-        LONG.sub("\\1\u200b", str(text)).replace("\\", "\\\\").replace('"', '\\"').replace("\r", " ").replace("\n", " ")
-    )
-    return f'#"{safe}";'
+    broken = LONG.sub("\\1\u200b", str(text)).replace("\r", " ").replace("\n", " ")
+    return f"#{_quoted(broken)};"
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 @singledispatch
@@ -132,9 +135,13 @@ def _joined(blocks: Sequence[Block]) -> str:
     return "\n\n".join(markup(block) for block in blocks)
 
 
-def source(title: str, parts: Sequence[Part]) -> str:
-    """Return the document's typst source; the first part stands on a page of its own, without a heading."""
+def source(title: str, parts: Sequence[Part], families: Sequence[str] = ()) -> str:
+    """Return the document's typst source; the first part stands on a page of its own, without a heading.
+
+    Letters that the report's own font lacks are taken from families.
+    """
     body = [
+        f"#let families = ({', '.join(map(_quoted, (SERIF, *families)))},)",
         f"#set document(title: {plain(title)[1:-1]}, date: none)\n#let title-text = [{plain(title)}]",
         TEMPLATE.read_text(encoding="utf-8"),
     ]
@@ -162,8 +169,8 @@ def write(title: str, parts: Sequence[Part], folder: Path) -> int:
         plot.drawn.savefig(figures / f"{plot.name}.svg", metadata={"Date": None, "Creator": None})
     for old in set(figures.glob("*.svg")) - {figures / f"{plot.name}.svg" for plot in drawings}:
         old.unlink()  # of an earlier run with other tables
-    written = fonts.legible(text).encode()
-    places = [str(file) for file in fonts.files]
+    written = fonts.legible(source(title, parts, fonts.families)).encode()
+    places = [str(place) for place in fonts.folders]
     output = str(folder / "report.pdf")
     typst.compile(written, output=output, root=str(folder), ignore_system_fonts=True, font_paths=places)  # type: ignore[misc]
     return len(drawings)

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.font_manager import FontEntry
 
 OWN = "DejaVu Sans"  # which Matplotlib brings along
+BOXES = (".LastResort", "Last Resort")  # fonts that have every letter, as a box
+USUAL = 400  # weight
 
 
 @dataclass(frozen=True)
 class Fonts:
-    """Fonts by family and file, and the letters that none of them has."""
+    """Fonts by family, the folders that they are in, and the letters that none of them has."""
 
     families: tuple[str, ...]
-    files: tuple[Path, ...]
+    folders: tuple[Path, ...]
     lacking: frozenset[str] = frozenset()
 
     def legible(self, text: str) -> str:
@@ -26,20 +33,30 @@ class Fonts:
 def fonts_for(text: Iterable[str]) -> Fonts:
     """Return the own font, and as few of this machine's as have the letters that it lacks."""
     from matplotlib import get_data_path
-    from matplotlib.font_manager import fontManager
 
     own = str(Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
-    families, files = [OWN], [Path(own)]
+    families, folders = [OWN], [Path(own).parent]
     lacking = {letter for letter in text if letter.isprintable() and not letter.isspace()} - _letters(own)
-    others = sorted({(entry.name, entry.fname) for entry in fontManager.ttflist}) if lacking else []
+    others = _of_the_machine() if lacking else []
     while lacking and others:
-        name, file = max(others, key=lambda other: len(lacking & _letters(other[1])))
-        if not lacking & _letters(file):
+        best = max(others, key=lambda other: len(lacking & _letters(other.fname)))
+        if not lacking & _letters(best.fname):
             break
-        lacking -= _letters(file)
-        families.append(name)
-        files.append(Path(file))
-    return Fonts(tuple(families), tuple(files), frozenset(lacking))
+        lacking -= _letters(best.fname)
+        families.append(best.name)
+        folders.append(Path(best.fname).parent)
+    return Fonts(tuple(families), tuple(dict.fromkeys(folders)), frozenset(lacking))
+
+
+def _of_the_machine() -> list[FontEntry]:
+    """Return this machine's upright fonts, those of usual weight first; with what was installed since Matplotlib made its list."""
+    from matplotlib.font_manager import findSystemFonts, fontManager
+
+    for file in sorted(set(findSystemFonts()) - {entry.fname for entry in fontManager.ttflist}):
+        with suppress(OSError, RuntimeError):
+            fontManager.addfont(file)
+    upright = [entry for entry in fontManager.ttflist if entry.style == "normal" and not entry.name.startswith(BOXES)]
+    return sorted(upright, key=lambda entry: (entry.weight != USUAL, "Serif" in entry.name, entry.name, entry.fname))
 
 
 @lru_cache

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any
+from unicodedata import east_asian_width
 
 import matplotlib
 import numpy as np
@@ -19,6 +21,7 @@ ALONE = (
     ("#000000", ":", "D"),
     ("#5a9bd4", (0, (5, 1)), "v"),
 )
+LETTER = 0.052  # inches that a letter of a turned name takes
 MANY = 1000  # points in a figure beyond which they are drawn as a picture
 
 SETTINGS: dict[str, Any] = {
@@ -59,6 +62,11 @@ def style() -> AbstractContextManager[None]:
 def figure(height: float, width: float = WIDTH) -> Figure:
     """Return an empty figure of this size [inches]."""
     return Figure(figsize=(width, height))
+
+
+def turned(names: Sequence[str]) -> float:
+    """Return the inches that the longest of these names takes below an axis, turned upright."""
+    return LETTER * max(sum(2 if east_asian_width(letter) in "WF" else 1 for letter in name) for name in names)
 
 
 def panels(rows: int, columns: int, height: float, width: float = WIDTH, **sharing: Any) -> tuple[Figure, np.ndarray]:

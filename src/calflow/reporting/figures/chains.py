@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 
-from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, MIDDLE, figure, panels
+from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, MIDDLE, figure, panels, turned
 
 BINS = 32
 SMOOTH = 0.7  # bins, of the density in a pair
@@ -18,7 +18,7 @@ SHARES = (0.95, 0.68)  # of the posterior inside a contour
 
 def against_laplace(names: Sequence[str], ratio: np.ndarray) -> Figure:
     """Draw the sampled standard deviation over Laplace's for each parameter, shape (n_parameters,)."""
-    drawn = figure(1.9)
+    drawn = figure(1.3 + turned(names))
     axes = drawn.add_subplot()
     axes.axhline(1, color="black", linewidth=0.8)
     axes.vlines(np.arange(len(names)), 1, ratio, color=MIDDLE, linewidth=0.8)

@@ -25,7 +25,7 @@ def before_after(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
 
     floor is None where that is not known.
     """
-    drawn = figure(3.3, 3.5)
+    drawn = figure(2.9, 3.5)
     axes = drawn.add_subplot()
     at = np.arange(len(steps))
     base = _base(steps, floor)

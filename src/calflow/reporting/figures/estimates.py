@@ -11,7 +11,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calflow.reporting.style import ACCENT, DARK, LIGHT, figure
+from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, turned
 
 AT_BOUND = "at a bound, no sd"
 CHARACTER = 0.55  # of a parameter's place that a letter takes
@@ -35,7 +35,7 @@ def estimates(
         middle + np.arange(number) - (number - 1) / 2
         for middle, (_, number) in zip((edges[:-1] + edges[1:]) / 2, groups, strict=True)
     ])  # fmt: skip
-    drawn = figure(2.6, max(6.7, 0.1 * edges[-1]))
+    drawn = figure(2.0 + turned(names), max(6.7, 0.1 * edges[-1]))
     axes = drawn.add_subplot()
     axes.axhspan(-1, 1, color=LIGHT, alpha=0.55, linewidth=0)
     axes.axhline(0, color="#444444", linewidth=0.6)

@@ -80,8 +80,9 @@ def _plainly(value: object) -> str:
 def _placement(material: Material) -> list[tuple[str, str]]:
     rows = material.tables["identify/placement.csv"].to_dict("records")
     return [
-        (f"nominal place of {row['what']}",
-         ", ".join(f"{axis} {1e3 * row[f'{axis}_m']:.2f} mm" for axis in "xyz")
+        ("nominal place",
+         f"{row['what']}: "
+         + ", ".join(f"{axis} {1e3 * row[f'{axis}_m']:.2f} mm" for axis in "xyz")
          + (", " + ", ".join(f"{a} {row[f'{a}_deg']:.3f} deg" for a in ("rx", "ry", "rz")) if row["what"] == "base" else "")
          + f" ({row['source']})")
         for row in rows
