@@ -24,6 +24,11 @@ def test_a_line_stops_on_a_shifted_joint_and_goes_on_without(finished):
     folder = finished / "runs" / "drift" / "moved"
     assert (folder / "report.pdf").read_bytes().startswith(b"%PDF")
     assert pd.read_csv(folder / "moved.csv")["joint"][0] == 2
+    assert answer.err == ""
+    finished.measure(rows.assign(q2_deg=-rows["q2_deg"]), "sign.csv")
+    answer = finished.calflow("drift", finished / "runs", finished / "sign.csv", "--station", "known")
+    assert answer.code in (3, 4)
+    assert "off by more than any calibrated robot" in answer.err
     found = cf.drift(finished / "runs", finished / "moved.csv")
     own = next(one for one in found.candidates if one.movement == "joint2.zero")
     assert abs(own.shifts[0] - 0.05 * 3.14159 / 180) < 4 * own.sds[0]

@@ -131,6 +131,24 @@ def test_a_run_s_own_files_are_not_written_over(measured):
     assert measured.results() == before
 
 
+def test_a_wild_pose_does_not_agree_with_what_was_promised(measured):
+    """Fails if one pose that is off by 20 mm makes any promise agree, since it widens the interval of the mean."""
+    rows = pd.read_csv(measured / "new.csv")
+    assert "agrees" in measured.calflow("validate", measured / "runs", measured / "new.csv").out
+    measured.measure(rows.assign(x_mm=rows["x_mm"] + 20.0 * (rows["pose"] == 3)), "wild.csv")
+    wild = measured.calflow("validate", measured / "runs", measured / "wild.csv")
+    assert "more than chance allows" in wild.out
+    assert "agrees" not in wild.out
+
+
+def test_a_target_has_three_coordinates(measured):
+    """Fails if targets with an axis alone end in a traceback."""
+    rows = pd.read_csv(measured / "new.csv")
+    measured.measure(rows.assign(target_y_mm=rows["y_mm"]), "half.csv")
+    (told,) = measured.refused("validate", measured / "runs", measured / "half.csv")
+    assert told == "half.csv:1: missing column: expected target_x, target_z beside target_y"
+
+
 def test_what_cannot_be_asked_is_refused(measured):
     """Fails if nonsense gives a verdict, or a frame is fitted to three poses."""
     rows = pd.read_csv(measured / "new.csv")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from calflow.deployment.attained import TARGET
 from calflow.estimation.calibrated import ModelObservation
 from calflow.estimation.plausibility import plausible
 from calflow.files.problems import refuse
@@ -43,6 +44,10 @@ def read_new(run: CalibratedRun, rows: str | Path) -> Measurements:
         }
         layout = replace(layout, columns=columns) if there & set(layout.named) else plain
     measured = plausible(Measurements.from_csv(path, run.robot, **vars(layout)), path)
+    targets = [name for name in TARGET if name in measured.table]
+    if targets and len(targets) < len(TARGET):
+        lacking = ", ".join(name for name in TARGET if name not in targets)
+        raise refuse(f"missing column: expected {lacking} beside {', '.join(targets)}", path, 1)
     return replace(
         measured,
         table=measured.table.assign(split="train"),
