@@ -7,10 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calflow.deployment.clearance import clearance
 from calflow.deployment.compensation import landing
 from calflow.deployment.nominal_inverse import nominal_readings
+from calflow.deployment.prediction import beyond_limits
 from calflow.deployment.targets import Targets
 from calflow.design.candidates import candidates
+from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from robots import hh800, ur10
 
@@ -67,8 +70,24 @@ def test_without_a_start_it_finds_one_within_the_limits(wrong):
     assert found.away[0] > 20
     assert found.reached[1:].sum() >= 10
     q = found.readings @ model.robot.reading_matrix.T
-    low, high = model.robot.limits.T
+    low, high = model.robot.stops.T
     assert ((q >= low - 1e-8) & (q <= high + 1e-8)).all()
+
+
+def test_a_joint_without_limits_turns_on():
+    """Fails if a joint that nobody limits is taken to end at half a turn: it would be turned all the way back, or not get there."""
+    joints = tuple(replace(joint, limits=None if i == 5 else (-3.1, 3.1)) for i, joint in enumerate(ur10().joints))
+    model = build(replace(ur10(), joints=joints), ("geometry",))
+    start = np.deg2rad([[10.0, -80.0, 90.0, -100.0, -80.0, 250.0], [10.0, -80.0, 90.0, -100.0, -80.0, -900.0]])
+    rows = Measurements.from_arrays(model.robot, start, None, payload="load").stating(()).rows
+    there = Targets(model.point(model.nominal, rows) + 1e-3, model.rotation(model.nominal, rows))
+    found = landing(model, model.nominal, rows, there, start)
+    assert found.reached.all()
+    assert np.abs(found.readings - start).max() < 0.05
+    clear = clearance(model, np.vstack([found.readings.T, rows[6:]]), oriented=True)
+    assert set(clear.joint) <= set(range(5))
+    assert np.isfinite(clear.limit).all()
+    assert beyond_limits(Measurements.from_arrays(model.robot, start, None, payload="load")) == []
 
 
 def test_a_joint_at_its_limit_leaves_the_rest_to_the_others():

@@ -36,7 +36,7 @@ def clearance(model: Model, rows: np.ndarray, oriented: bool) -> Clearance:
     q = rows[: robot.n_joints].T @ robot.reading_matrix.T
     share = room(robot, q)
     joint = share.argmin(axis=1)
-    low, high = robot.limits.T
+    low, high = robot.stops.T
     limit = np.take_along_axis(np.minimum(q - low, high - q), joint[:, None], axis=1)[:, 0]
     return Clearance(joint, limit, _to_singularity(Model(robot, (), model.given), rows, oriented))
 

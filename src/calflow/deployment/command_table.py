@@ -47,7 +47,7 @@ class Command:
     )  # fmt: skip
     limit_joint: int = column("the joint that is nearest to a limit, by share of its travel")
     to_limit: Mapping[str, float] = column(
-        "how far it is from there; empty: it is of the other kind", name="to_limit_{deg|mm}"
+        "how far it is from there; empty: it is of the other kind, or no joint has limits", name="to_limit_{deg|mm}"
     )
     to_singularity_deg: float = column(
         "how far all joints together are from a pose at which the tool cannot be moved in some direction, to first order",
@@ -88,6 +88,7 @@ def command_table(found: Compensation, in_order: bool) -> pd.DataFrame:
     factors = np.array([joint.shown[1] for joint in robot.joints])
     for unit in dict.fromkeys(units):
         own = units[found.clearance.joint] == unit
+        own &= np.isfinite(found.clearance.limit)
         columns[f"to_limit_{unit}"] = np.where(own, found.clearance.limit * factors[found.clearance.joint], np.nan)
     columns["to_singularity_deg"] = np.rad2deg(found.clearance.singular)
     sides = [f"approach{i + 1}" for i in robot.driven]

@@ -105,7 +105,7 @@ def landing(
 
 def _bounds(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """The limits within which joints are moved: external axes are not, and stay also where they are past theirs."""
-    low, high = robot.limits.T.copy()
+    low, high = robot.stops.T.copy()
     low[robot.external], high[robot.external] = -np.inf, np.inf
     return low, high
 

@@ -65,9 +65,13 @@ def _readings(
 
 
 def room(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Return how far each joint is from the nearer of its limits, as a share of its travel, shape as q (n, n_joints)."""
-    low, high = robot.limits.T
-    return np.asarray(np.minimum(q - low, high - q) / (high - low))
+    """Return how far each joint is from the nearer of its limits, as a share of its travel, shape as q (n, n_joints).
+
+    A joint without limits is always in the middle.
+    """
+    low, high = robot.stops.T
+    travel = np.where(np.isfinite(high - low), high - low, 1.0)
+    return np.where(np.isfinite(high - low), np.minimum(q - low, high - q) / travel, 0.5)
 
 
 def _nearest(rigid: Model, readings: np.ndarray, rows: np.ndarray, targets: Targets) -> np.ndarray:

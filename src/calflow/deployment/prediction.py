@@ -113,7 +113,7 @@ def as_told(known: Identified, needed: Sequence[NeededCondition], data: Measurem
 def beyond_limits(data: Measurements, so: str = "the prediction there is extrapolated") -> list[str]:
     """Name the rows at which a joint is past its limits, and say what of it."""
     q = data.joints @ data.robot.reading_matrix.T
-    low, high = data.robot.limits.T
+    low, high = data.robot.stops.T
     past = (q < low - 1e-9) | (q > high + 1e-9)
     lines = data.table["line"].to_numpy()
     return [

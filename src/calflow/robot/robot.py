@@ -153,8 +153,14 @@ class Robot(Part):
 
     @property
     def limits(self) -> np.ndarray:
-        """Joint limits, shape (n_joints, 2) [rad, or m]."""
+        """Joint limits, shape (n_joints, 2) [rad, or m]; the turn within which poses are drawn where none are stated."""
         return np.array([joint.range for joint in self.joints])
+
+    @property
+    def stops(self) -> np.ndarray:
+        """Where joints cannot go on, shape (n_joints, 2) [rad, or m]: infinite for one that turns and has no limits stated."""
+        endless = [joint.limits is None and joint.kind == "revolute" for joint in self.joints]
+        return np.where(np.array(endless)[:, None], [-np.inf, np.inf], self.limits)
 
     @property
     def reading_matrix(self) -> np.ndarray:
