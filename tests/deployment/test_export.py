@@ -15,7 +15,7 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calflow.deployment.export import export
+from calflow.deployment.export import _between, export
 from calflow.estimation.calibrated import Identified, SeriesNoise
 from calflow.model import build
 from calflow.robot.formats.rigid_chain import rigid_chain
@@ -224,6 +224,7 @@ def test_what_is_left_out_is_told_with_its_cost():
     assert f"{one.max_mm:.3f} mm at most" in found.notes[0]
     assert len(export(known, packed, "controller").left_out) == 3
     assert export(identified(robot), packed, "dh").left_out == ()
+    assert (_between(("joint3",)), _between(("joint1", "joint2", "joint6"))) == ("joint3", "joint1 … joint6")
 
 
 def test_markers_have_names_that_xacro_takes():

@@ -9,6 +9,7 @@ import pytest
 import calflow as cf
 from calflow.deployment.needed_conditions import needed_conditions
 from calflow.deployment.prediction import predict_positions
+from calflow.deployment.validation import validate
 from calflow.estimation.calibrated import Identified, SeriesNoise
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
@@ -59,6 +60,14 @@ def test_the_tracker_s_own_errors_need_nothing():
     """Fails if a drift of the device, which is not where the robot will be, asks for a time."""
     known, data = calibrated(("geometry", "frame-drift"), {}, time=np.arange(40.0))
     assert needed_conditions(known, data) == ()
+
+
+def test_a_validation_names_no_option_that_it_has_not():
+    """Fails if a user is sent to --without-conditions, which `validate` does not know."""
+    known, data = calibrated(("geometry", "joint-backlash"), {"joint1.joint-backlash.b": PLAY}, approach=sides())
+    bare = Measurements.from_arrays(known.model.robot, data.joints, np.zeros((40, 3)), payload="load", split="train")
+    with pytest.raises(InputError, match=r"needs columns approach1 … approach6, which the rows lack$"):
+        validate(known, list(needed_conditions(known, data)), bare)
 
 
 def test_backlash_without_a_side_is_refused_or_widened():

@@ -92,7 +92,12 @@ def _said(lost: Sequence[LeftOut]) -> tuple[str, ...]:
     if sum(bool(one.parts) for one in lost) == 1:
         lost = [one for one in lost if one.effect != EVERYTHING]
     return tuple(
-        f"left out: {one.effect}{f' ({one.parts[0]} … {one.parts[-1]})' if one.parts else ''}: without it the tool is off by "
+        f"left out: {one.effect}{f' ({_between(one.parts)})' if one.parts else ''}: without it the tool is off by "
         f"{one.mean_mm:.3f} mm on average over the measured rows, {one.max_mm:.3f} mm at most"
         for one in lost
     )
+
+
+def _between(parts: Sequence[str]) -> str:
+    """The first and the last of parts, or the only one."""
+    return parts[0] if len(parts) == 1 else f"{parts[0]} … {parts[-1]}"

@@ -54,14 +54,15 @@ def needed_conditions(known: Identified, data: Measurements) -> tuple[NeededCond
     return tuple(found)
 
 
-def check_stated(needed: Iterable[NeededCondition], given: Sequence[str]) -> None:
-    """Check that rows state what they must.
+def check_stated(needed: Iterable[NeededCondition], given: Sequence[str], instead: str = "") -> None:
+    """Check that rows state what they must; instead says how to go on where they do not.
 
     Raises:
         InputError: they do not; with a problem for each effect and condition.
     """
+    remedy = f"; {instead}" if instead else ""
     problems = [
-        Problem(f"effect '{effect}' needs {one.columns}, which the rows lack; {HOW_TO_GO_ON}")
+        Problem(f"effect '{effect}' needs {one.columns}, which the rows lack{remedy}")
         for one in needed if one.condition not in given for effect in one.effects
     ]  # fmt: skip
     if problems:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from calflow.deployment.needed_conditions import NeededCondition, check_stated
+from calflow.deployment.needed_conditions import HOW_TO_GO_ON, NeededCondition, check_stated
 from calflow.estimation.calibrated import Identified
 from calflow.estimation.certainty import expected_point, field_correction, position_variance, readings
 from calflow.estimation.residual_field import NOT_PHYSICAL
@@ -98,7 +98,7 @@ def as_told(known: Identified, needed: Sequence[NeededCondition], data: Measurem
         InputError: a needed condition is missing.
     """
     if missing == "refuse":
-        check_stated(needed, data.given)
+        check_stated(needed, data.given, HOW_TO_GO_ON)
     lacking = [one for one in needed if one.condition not in data.given]
     stated = tuple(one.condition for one in needed if one.condition in data.given)
     notes = tuple(
