@@ -15,7 +15,7 @@ from calflow.commands.options import FILE
 @click.option("--number", type=int, default=8, show_default=True, help="How many poses to choose.")
 @click.option("--out", type=FILE, help="CSV to write; printed by default.")
 def check_poses(study_or_run: Path, rows: Path, number: int, out: Path | None) -> None:
-    """Choose of the poses in MEASURED.csv those by which `calflow drift` sees shifts of the joints' zeros best.
+    """Choose of the poses in MEASURED.csv those by which `calflow drift` tells best what has moved.
 
     Give the run's folder, or its study. MEASURED.csv is the calibration's own file, or any of poses that were measured.
     """

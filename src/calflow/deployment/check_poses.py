@@ -1,4 +1,4 @@
-"""Check poses: a few of the poses of a calibration by which a shift of any joint's zero shows best."""
+"""Check poses: a few of the poses of a calibration that show best what has moved, and tell it from what else may have."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from calflow.deployment.movements import ZERO_SD, movements
+from calflow.deployment.movements import movements
 from calflow.design.exchange import exchange, greedy
 from calflow.design.optimality import Parameters
 from calflow.estimation.calibrated import Identified
@@ -21,14 +21,15 @@ FEWEST = 3  # poses, of fewer nothing can be told apart
 def check_poses(known: Identified, data: Measurements, number: int) -> Measurements:
     """Return the first rows of so many of data's poses: with the load that most poses carry, every marker seen there once.
 
-    They are D-optimal for the zeros of all joints (Fedorov's exchange), told of the device's noise and of what the model errs by.
-    Poses that were measured once can be reached, and seen, again.
+    They are D-optimal for all that may move, each thing by its usual size (Fedorov's exchange), told of the device's noise and of
+    what the model errs by. Poses for the zeros of the joints alone would see shifts a tenth smaller, and hardly tell them from
+    the dimensions beside them. Poses that were measured once can be reached, and seen, again.
     """
     load = data.table.groupby("payload", sort=False)["pose"].nunique().idxmax()
     loaded = data.only((data.table["payload"] == load).to_numpy())
     there = loaded.only((~loaded.table.duplicated(["pose", "marker"])).to_numpy())
     pose = there.table.groupby("pose", sort=False).ngroup().to_numpy()
-    slope = _by_pose(_zeros(known, there), pose)
+    slope = _by_pose(_slopes(known, there), pose)
     prior, criterion = np.eye(slope.shape[2]), Parameters(slope.shape[2])
     chosen = exchange(slope, prior, greedy(slope, prior, min(number, len(slope)), criterion), criterion)
     return there.only(np.isin(pose, chosen))
@@ -41,12 +42,12 @@ def unmoved(known: Identified, data: Measurements) -> Measurements:
     return replace(data, table=data.table.assign(**dict(zip(POSITION, there.T, strict=True))))
 
 
-def _zeros(known: Identified, data: Measurements) -> np.ndarray:
-    """What a usual shift of each joint's zero does to rows, over what they err by of themselves (n, 3, n_joints)."""
+def _slopes(known: Identified, data: Measurements) -> np.ndarray:
+    """What everything that may move does to rows by its usual size, over what they err by of themselves (n, 3, k)."""
     noise = known.noise(data).sigma if known.noise_known else np.zeros(len(data))
-    slopes = [one.slope for one in movements(known, data, False) if one.kind == "zero"]
+    slopes = [one.slope * one.sd for one in movements(known, data, False)]
     sigma = np.sqrt(noise**2 + unexplained(known) ** 2)
-    return np.concatenate(slopes, axis=2) * (ZERO_SD / sigma)[:, None, None]
+    return np.concatenate(slopes, axis=2) / sigma[:, None, None]
 
 
 def _by_pose(slope: np.ndarray, pose: np.ndarray) -> np.ndarray:

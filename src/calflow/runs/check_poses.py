@@ -27,7 +27,7 @@ class ChosenPoses:
 
 
 def choose_check_poses(study_or_run: str | Path, rows: str | Path, number: int = 8) -> ChosenPoses:
-    """Choose poses to check a run's robot by, of those in a file of measurements: the ones that show the joints' zeros best.
+    """Choose poses to check a run's robot by, of those in a file of measurements: the ones that tell best what has moved.
 
     Args:
         study_or_run: the run's folder, or its study.
