@@ -25,6 +25,7 @@ from calflow.effects.cause import Cause
 ORDERS = 4  # of a joint's angle
 TURNS = 8  # half turns that a slow wander makes in the course of the measurement, at most
 MODES = 240  # directions in which all functions together are largest: the rest is lost in the noise
+FAINT = 1e-4  # of the largest of a part's functions: smaller ones, turned to be apart, are lost in the noise as well
 STEPS = 30  # of the sizes
 SETTLED = 0.03  # relative change of the sizes' squares below which they stay
 PROMISING = 1.0  # standard deviations beyond what is expected, from which a part is tried
@@ -56,19 +57,37 @@ class Basis:
         square, turns = np.linalg.eigh(waves.T @ waves)
         kept = np.argsort(-square)[: min(MODES, int(np.count_nonzero(square > 1e-12 * square[-1])))]
         whole = np.sqrt(square[kept])[:, None] * turns[:, kept].T
-        parts = tuple(whole[:, i:j] for i, j in pairwise(ends))
+        parts = tuple(_few(whole[:, i:j]) for i, j in pairwise(ends))
         modes = waves @ (turns[:, kept] / np.sqrt(square[kept]))
         return Basis(modes, tuple(inputs for inputs, _ in kinds), parts, fitted.problem.weight)
 
     @cached_property
-    def shapes(self) -> np.ndarray:
-        """Each part's covariance along the modes, shape (n_parts, n_modes, n_modes)."""
-        return np.array([part @ part.T for part in self.parts])
+    def waves(self) -> np.ndarray:
+        """All functions side by side, (n_modes, n_waves)."""
+        return np.hstack(self.parts)
+
+    @cached_property
+    def spans(self) -> tuple[slice, ...]:
+        """Which of all functions are each part's."""
+        ends = np.cumsum([0, *(part.shape[1] for part in self.parts)]).tolist()
+        return tuple(slice(*span) for span in pairwise(ends))
+
+    @cached_property
+    def part(self) -> np.ndarray:
+        """The number of each function's part, (n_waves,)."""
+        return np.repeat(np.arange(len(self.parts)), [part.shape[1] for part in self.parts])
 
     def weighed(self, weight: np.ndarray) -> np.ndarray:
         """Return the modes of residuals multiplied by other weights (n,), of the same noise but for its level."""
         ratio = weight / self.weight
         return np.asarray((ratio / np.median(ratio))[:, None] * self.modes)
+
+
+def _few(waves: np.ndarray) -> np.ndarray:
+    """Return fewer functions (n_modes, …) of the same covariance as these (n_modes, n_waves)."""
+    left, size, _ = np.linalg.svd(waves, full_matrices=False)
+    kept = size > FAINT * size[0]
+    return np.asarray(left[:, kept] * size[kept])
 
 
 def functions(fitted: Fitted) -> list[tuple[tuple[str, ...], list[Decoy]]]:
@@ -130,14 +149,19 @@ class Sizes:
     total: float
 
     @property
-    def shapes(self) -> np.ndarray:
-        """The parts' covariances, shape (n_parts, n_modes, n_modes)."""
-        return self.basis.shapes
-
-    @property
     def parts(self) -> tuple[np.ndarray, ...]:
-        """The functions that they are of, (n_modes, n_waves) each."""
+        """The functions that variances are of, (n_modes, n_waves) each."""
         return self.basis.parts
+
+    @cached_property
+    def _gram(self) -> np.ndarray:
+        """What functions show of each other beside the model, (n_waves, n_waves)."""
+        return np.asarray(self.basis.waves.T @ (self.shown @ self.basis.waves))
+
+    @cached_property
+    def _along(self) -> np.ndarray:
+        """What the residual shows of the functions, (n_waves,)."""
+        return np.asarray(self.basis.waves.T @ self.score)
 
     @staticmethod
     def beside(fitted: Fitted, basis: Basis) -> Sizes:
@@ -179,56 +203,57 @@ class Sizes:
         off = (variance + size) / np.maximum(spread, 1e-300)
         return np.where(spread > 0, spread * (off + norm.pdf(off) / np.maximum(norm.cdf(off), 1e-12)), 0.0)
 
-    def _chi2(self, covariance: np.ndarray, plain: np.ndarray) -> tuple[float, float]:
-        """What is left of chi² beside a background, and the logarithm of the determinant of I + plain · its covariance."""
-        left = np.linalg.solve(np.eye(len(self.score)) + self.shown @ covariance, self.score)
-        determinant = np.linalg.slogdet(np.eye(len(self.score)) + plain @ covariance)[1]
-        return max(self.chi2 - float(self.score @ covariance @ left), 1e-12), float(determinant)
+    def _solved(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        """Put a background of these variances beside the model, by the functions that act alone (Woodbury 1950).
 
-    def _solved(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """What is left of modes and score beside a background of these variances, and of chi²."""
-        covariance = np.tensordot(variance, self.shapes, axes=1)
-        both = np.linalg.solve(
-            np.eye(len(self.score)) + self.shown @ covariance, np.column_stack([self.shown, self.score])
-        )
-        left, along = both[:, :-1], both[:, -1]
-        return left, along, self.chi2 - float(self.score @ covariance @ along)
+        Returned are their numbers (n,), their sizes (n,), the inverse of I + what they show of each other at these sizes, and
+        what is left of chi².
+        """
+        here = np.flatnonzero(variance[self.basis.part] > 0)
+        size = np.sqrt(variance[self.basis.part[here]])
+        inverse = np.linalg.inv(np.eye(len(here)) + size[:, None] * self._gram[np.ix_(here, here)] * size)
+        along = size * self._along[here]
+        return here, size, inverse, max(self.chi2 - float(along @ inverse @ along), 1e-12)
 
     def cost(self, variance: np.ndarray) -> float:
         """Twice minus the logarithm of the restricted likelihood, the noise's level at its best."""
-        chi2, determinant = self._chi2(np.tensordot(variance, self.shapes, axes=1), self.shown)
-        return self.total * float(np.log(chi2 / self.total)) + determinant
+        *_, inverse, chi2 = self._solved(variance)
+        return self.total * float(np.log(chi2 / self.total)) - float(np.linalg.slogdet(inverse)[1])
 
     def evidence(self, variance: np.ndarray) -> float:
         """Twice minus the logarithm of the likelihood, to be compared with models of other parameters."""
-        chi2, determinant = self._chi2(np.tensordot(variance, self.shapes, axes=1), self.plain)
-        return self.n * float(np.log(chi2)) + determinant
+        here, size, _, chi2 = self._solved(variance)
+        waves = self.basis.waves[:, here] * size
+        determinant = np.linalg.slogdet(np.eye(len(here)) + waves.T @ (self.plain @ waves))[1]
+        return self.n * float(np.log(chi2)) + float(determinant)
 
     def most_likely(self, variance: np.ndarray) -> np.ndarray:
         """Return the variances (n_parts,) of the greatest restricted likelihood, from these; zero stays zero."""
         for _ in range(STEPS):
-            here = np.flatnonzero(variance > 0)
-            left, along, chi2 = self._solved(variance)
-            seen = np.array([self._seen(along, chi2, int(k)) for k in here])
-            expected = np.array([np.vdot(left, self.shapes[k]) for k in here])  # the trace of their product
-            grown = variance.copy()
-            grown[here] *= seen / np.maximum(expected, 1e-300)
+            here, size, inverse, chi2 = self._solved(variance)
+            left = inverse @ (size * self._along[here])
+            seen = self._by_part(left**2, here) * self.total / chi2
+            expected = self._by_part(1 - inverse.diagonal(), here)
+            grown = variance * seen / np.maximum(expected, 1e-300)
             settled = np.allclose(grown, variance, rtol=SETTLED, atol=GONE)
             variance = np.where(grown < GONE, 0.0, grown)
             if settled:
                 break
         return variance
 
-    def _seen(self, along: np.ndarray, chi2: float, k: int) -> float:
-        return float(((self.parts[k].T @ along) ** 2).sum()) * self.total / chi2
+    def _by_part(self, values: np.ndarray, here: np.ndarray) -> np.ndarray:
+        """Sums over the functions of each part (n_parts,) of values (n,), those of the functions of these numbers."""
+        return np.bincount(self.basis.part[here], values, len(self.parts))
 
     def _beyond(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How much more of each part is seen than expected, in standard deviations, and the variance which that speaks for."""
-        left, along, chi2 = self._solved(variance)
-        seen = np.array([self._seen(along, chi2, k) for k in range(len(variance))])
-        each = [part.T @ left @ part for part in self.parts]
+        here, size, inverse, chi2 = self._solved(variance)
+        taken = self._gram[:, here] * size
+        along = self._along - taken @ (inverse @ (size * self._along[here]))
+        seen = np.array([along[own] @ along[own] for own in self.basis.spans]) * self.total / chi2
+        each = [self._gram[own, own] - taken[own] @ inverse @ taken[own].T for own in self.basis.spans]
         expected = np.array([np.trace(one) for one in each])
-        information = np.array([np.vdot(one, one.T) for one in each])
+        information = np.array([np.vdot(one, one) for one in each])
         return (seen - expected) / np.sqrt(2 * information), (seen - expected) / information
 
     def believed(self, without: Collection[str] = ()) -> np.ndarray:
@@ -236,7 +261,7 @@ class Sizes:
 
         Parts of some inputs may be left out.
         """
-        variance = np.zeros(len(self.shapes))
+        variance = np.zeros(len(self.parts))
         tried = np.array([bool(set(inputs) & set(without)) for inputs in self.basis.inputs])
         # Once each: parts much alike would come and go.
         while not tried.all():
@@ -258,6 +283,7 @@ class Sizes:
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
         """Return how well each part's variance is known, shape (n_parts,): that of as many squares of normals."""
-        left, _, _ = self._solved(variance)
-        known = [v * left @ shape for v, shape in zip(variance, self.shapes, strict=True)]
-        return np.maximum(np.array([float((part * part.T).sum()) for part in known]), 1.0)
+        here, _, inverse, _ = self._solved(variance)
+        own = self.basis.part[here]
+        known = np.where(own[:, None] == own, np.eye(len(here)) - inverse, 0.0) ** 2
+        return np.maximum(self._by_part(known.sum(axis=1), here), 1.0)
