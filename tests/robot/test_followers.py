@@ -19,6 +19,8 @@ from calflow.design.candidates import candidates, reading_columns
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
+from calflow.robot.formats.rigid_chain import rigid_chain, said_of_variables
+from calflow.robot.formats.urdf_written import urdf_text
 from calflow.robot.parts import Coupling
 from calflow.robot.robot import Robot
 from robot.formats.test_urdf import ARM
@@ -90,6 +92,23 @@ def test_planned_and_commanded_readings_leave_a_follower_out(arm: Robot) -> None
         found = landing(model, np.zeros(0), rows, targets, start)
         assert found.reached.mean() > 0.9
         assert not found.readings[:, 2].any()
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_follower_is_exported_as_one(arm: Robot, sign: int) -> None:
+    """Fails if a joint without drive is one with a drive in the URDF, or follows by another factor, as pinocchio reads it."""
+    joints = (arm.joints[0], replace(arm.joints[1], sign=sign, limits=(-3, 3)), replace(arm.joints[2], sign=-1))
+    robot = replace(arm, joints=joints)
+    chain = rigid_chain(robot)
+    assert said_of_variables(robot) == []
+    reference = pin.buildModelFromXML(urdf_text(chain, ""), mimic=True)
+    assert reference.nq == 2
+    model, there = build(robot, ()), reference.createData()
+    q = np.random.default_rng(1).uniform(-1, 1, (5, 2))
+    places = model.point(np.zeros(0), Measurements.from_arrays(robot, q, None, pose=np.arange(5)).stating(()).rows)
+    for own, place in zip(q, places, strict=True):
+        pin.framesForwardKinematics(reference, there, own)
+        assert_allclose(place, there.oMf[reference.getFrameId("marker_tool")].translation, atol=1e-12)
 
 
 def test_what_cannot_follow_is_refused(arm: Robot, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ def json_text(chain: RigidChain, more: dict[str, Any]) -> str:
             "origin": _rows(joint.origin),
             "axis": joint.axis.tolist(),
             "limits": joint.limits,
+            **({"follows": {"joint": joint.leader[0], "multiplier": joint.leader[1]}} if joint.leader else {}),
         }
         for joint in chain.joints
     ]

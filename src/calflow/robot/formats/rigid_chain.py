@@ -22,7 +22,8 @@ class ChainJoint:
 
     origin (4, 4) is where it stands in the frame of the joint before, which has moved, or in the base; axis (3,) is what its
     variable turns about, or slides along, where a reading counts as the robot's. limits are of that variable [rad, or m].
-    mass [kg] and com (3,) [m], in the joint's frame, are of what it moves; None where nobody knows.
+    mass [kg] and com (3,) [m], in the joint's frame, are of what it moves; None where nobody knows. leader is the joint that it
+    follows, by name, and the factor by which: None where it is driven, or a coupling is more than that.
     """
 
     name: str
@@ -33,6 +34,7 @@ class ChainJoint:
     mass: float | None
     com: np.ndarray
     rated: float | None
+    leader: tuple[str, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +72,7 @@ def rigid_chain(robot: Robot) -> RigidChain:
         joints.append(
             ChainJoint(
                 names[i], joint.kind, at, joint.sign * np.array(AXES[moving.motion[1]]), limits,
-                joint.mass, (rest @ [*joint.com, 1.0])[:3], joint.rated_torque,
+                joint.mass, (rest @ [*joint.com, 1.0])[:3], joint.rated_torque, _leader(robot, i, names),
             )
         )  # fmt: skip
         at = rest
@@ -86,7 +88,13 @@ def said_of_variables(robot: Robot) -> list[str]:
         f"joint {coupling.joint}'s variable is its own angle: reading {coupling.joint} with {coupling.factor:+g} times reading "
         f"{coupling.source}, which this format cannot state"
         for coupling in robot.couplings
+        if _leader(robot, coupling.joint - 1, [""] * robot.n_joints) is None
     ]  # fmt: skip
+    if robot.ground:
+        floor = robot.ground
+        said.append(
+            f"the chain begins at what joints 1 to {floor} carry: link {floor} stands on the floor, not the base"
+        )
     if robot.loop:
         j = robot.loop.joint
         said.append(
@@ -94,6 +102,16 @@ def said_of_variables(robot: Robot) -> list[str]:
             "cannot hold the loop"
         )
     return said
+
+
+def _leader(robot: Robot, joint: int, names: Sequence[str]) -> tuple[str, float] | None:
+    """The joint that one without drive (from 0) follows, where it follows one alone, whose variable is its own reading."""
+    own = [coupling for coupling in robot.couplings if coupling.joint == joint + 1]
+    if robot.joints[joint].driven or len(own) != 1:
+        return None
+    source = own[0].source - 1
+    coupled = {coupling.joint - 1 for coupling in robot.couplings} | ({robot.loop.joint - 1} if robot.loop else set())
+    return None if source in coupled else (names[source], robot.joints[joint].sign * own[0].factor)
 
 
 def plain_names(names: Iterable[str], stem: str) -> list[str]:

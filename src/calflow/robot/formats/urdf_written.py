@@ -39,6 +39,9 @@ def urdf_text(chain: RigidChain, notes: str) -> str:
             low, high = map(float, joint.limits or (-np.pi, np.pi))
             limit = {"lower": repr(low), "upper": repr(high), "effort": repr(float(joint.rated or 0)), "velocity": "0"}
             ElementTree.SubElement(made, "limit", limit)
+        if joint.leader:
+            leader, factor = joint.leader
+            ElementTree.SubElement(made, "mimic", joint=leader, multiplier=repr(float(factor)), offset="0")
         before = f"link{i + 1}"
     _fixed(robot, before, FLANGE, chain.flange)
     _fixed(robot, FLANGE, TOOL, chain.tool)
