@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,13 @@ from numpy.testing import assert_allclose
 
 import calflow as cf
 from calflow.files.problems import InputError
-from calflow.robot.parts import Base, Marker
+from calflow.model import build
+from calflow.robot.frames import modified_dh
+from calflow.robot.parts import Base, Joint, Marker
+from calflow.robot.statics import gravity_torque
+from calflow.runs.compensate import check_external
 from robot.formats.urdfs import Reference
+from robots import industrial, marker_position, rows
 
 PLACES = {  # of each joint in its parent, [m] and [rad]: as the maker says, and by how much the true cell is off [mm, mrad]
     "table": ("1.6 0.2 0.5", "0 0 0", (0.8, -0.5, 0.3), (0.4, -0.3, 0.0)),
@@ -108,3 +114,42 @@ def test_where_an_external_axis_is_must_be_said(made) -> None:
     _, true, fit = made
     with pytest.raises(InputError, match=r"readings of the external axes \(joints 1, 2\)"):
         fit.model.compensate(where(true, readings(1, 1)))
+
+
+def test_targets_of_a_file_say_where_external_axes_are(made, tmp_path: Path) -> None:
+    """Fails if a file that gives the readings of table and rail alone is refused, or one without them is done."""
+    robot, _, _ = made
+    path = tmp_path / "targets.csv"
+    path.write_text("q1_deg,q2_mm,x_mm,y_mm,z_mm\n20,100,0,0,300\n")
+    data = cf.Measurements.to_reach(path, robot)
+    check_external(data, path)
+    assert_allclose(data.joints[0, :2], [np.deg2rad(20), 0.1])
+    path.write_text("x_mm,y_mm,z_mm\n0,0,300\n")
+    with pytest.raises(InputError) as found:
+        check_external(cf.Measurements.to_reach(path, robot), path)
+    assert [one.message.split(":")[0] for one in found.value.problems] == [
+        "expected q1_deg of every target", "expected q2_mm of every target",
+    ]  # fmt: skip
+
+
+def test_a_table_in_a_robot_file_of_ones_own(tmp_path: Path) -> None:
+    """Fails if a table stated by DH figures turns the piece the other way, or gravity turns with the piece."""
+    arm = industrial()
+    table = Joint(modified_dh(), sign=-1, external=1, mass=500.0, name="table")
+    swivel = replace(arm.joints[0], frame=modified_dh(a=1.5, d=arm.joints[0].frame.figures["d"]))
+    joints = (table, swivel, *arm.joints[1:])
+    down = (3.0, 0.0, -9.0)  # as where all of the cell leans
+    whole = replace(arm, joints=joints, ground=1, gravity=down)
+    whole.to_toml(tmp_path / "robot.toml")
+    assert cf.Robot.from_toml(tmp_path / "robot.toml") == whole
+    rng = np.random.default_rng(4)
+    alone, marker = replace(arm, gravity=down), next(iter(arm.markers))
+    model = build(whole, ())
+    for turn, q in zip(rng.uniform(-3, 3, 5), rng.uniform(-1, 1, (5, 6)), strict=True):
+        seen = model.point(np.zeros(0), rows(model, np.array([[turn, *q]]), "load", marker))
+        place = marker_position(arm, q[None])[0] + [1.5, 0, 0]
+        about = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+        assert_allclose(seen[0], about @ place, atol=1e-12)
+        load = np.ones(1)
+        held = np.array(gravity_torque(whole)(np.array([-turn, *q]), load)).ravel()
+        assert_allclose(held[1:], np.array(gravity_torque(alone)(q, load)).ravel(), atol=1e-8)

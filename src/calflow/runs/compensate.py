@@ -48,7 +48,7 @@ def compensate(
     data = Measurements.to_reach(path, run.robot, run.time_origin, **how)
     started = not np.isnan(data.joints).any()
     if not started:
-        _check_external(data, path)
+        check_external(data, path)
     elif FRAME not in data.table:
         data = plausible(data, path)
     known = run.known(data.given)
@@ -71,7 +71,7 @@ def compensate(
     return table
 
 
-def _check_external(data: Measurements, path: Path) -> None:
+def check_external(data: Measurements, path: Path) -> None:
     """Check that it is said where the external axes are: no correction moves them.
 
     Raises:
