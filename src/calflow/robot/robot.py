@@ -200,7 +200,7 @@ class Robot(Part):
 
     def within_limits(self, q: np.ndarray, by: float = 0.0) -> np.ndarray:
         """Return which joint angles (n, n_joints) [rad, or m] are within all limits, or past one by so much at most, (n,)."""
-        low, high = self.limits.T
+        low, high = self.stops.T
         return np.asarray(((q >= low - by) & (q <= high + by)).all(axis=1))
 
     def __repr__(self) -> str:
