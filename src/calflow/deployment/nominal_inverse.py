@@ -14,6 +14,7 @@ from calflow.robot.robot import Robot
 
 ROUNDING = 1e-9  # rad or m
 DRAWN = 4000  # poses drawn within the limits
+MOST_DRAWN, LEAST_DRAWN = 10 * DRAWN, 500  # of all places of external axes together, and at each
 TRIED = (0, 4, 12, 28)  # how many of the nearest of them a target is approached from, as long as none leads there
 BLOCK = 500  # targets whose distances from all poses are worked out at once
 
@@ -25,43 +26,47 @@ def nominal_readings(model: Model, rows: np.ndarray, targets: Targets, rng: np.r
     from the limits. rows are packed conditions (n_conditions, n), of whose readings only those of external axes count: these
     stay.
     """
-    external = model.robot.external
-    if not external:
-        return _readings(model, rows, targets, rng, np.zeros(0))
-    found = np.empty((len(targets), model.robot.n_joints))
-    places, of = np.unique(rows[external].T, axis=0, return_inverse=True)
-    for k, place in enumerate(places):
-        own = np.flatnonzero(of.ravel() == k)
-        found[own] = _readings(model, rows[:, own], targets.only(own), rng, place)
-    return found
-
-
-def _readings(
-    model: Model, rows: np.ndarray, targets: Targets, rng: np.random.Generator, place: np.ndarray
-) -> np.ndarray:
-    """The readings with the external axes at one place."""
     robot = model.robot
     rigid, none = Model(robot, (), model.given), np.zeros(0)
-    low, high = robot.limits.T
-    drawn = rng.uniform(low, high, (DRAWN, robot.n_joints))
-    readings = drawn @ robot.angle_matrix.T
-    readings[:, robot.external] = place
-    angles = readings @ robot.reading_matrix.T
-    possible = reachable(robot, angles) & robot.within_limits(angles, ROUNDING)
-    readings = readings[possible] if possible.any() else readings
-    nearest = _nearest(rigid, readings, rows, targets)
-    found = readings[nearest[:, 0]]
+    near = _near(rigid, rows, targets, rng)
+    found = near[:, 0].copy()
     left = np.arange(len(targets))
     for first, last in pairwise(TRIED):
-        tried = nearest[left, first:last]
+        tried = near[left, first:last]
         if not tried.size:
             break
         every = np.repeat(left, tried.shape[1])
-        landed = landing(rigid, none, rows[:, every], targets.only(every), readings[tried.ravel()])
+        landed = landing(rigid, none, rows[:, every], targets.only(every), tried.reshape(len(every), -1))
         best = _best(robot, landed, tried.shape[1])
         found[left], reached = landed.readings[best], landed.reached[best]
         left = left[~reached]
     return np.asarray(found)
+
+
+def _near(rigid: Model, rows: np.ndarray, targets: Targets, rng: np.random.Generator) -> np.ndarray:
+    """Readings at which the tool is near each target, the nearest first, shape (n, most tried, n_joints)."""
+    robot = rigid.robot
+    places, of = np.zeros((1, 0)), np.zeros(len(targets), dtype=int)
+    if robot.external:
+        places, of = np.unique(rows[robot.external].T, axis=0, return_inverse=True)
+    number = int(np.clip(MOST_DRAWN // len(places), LEAST_DRAWN, DRAWN))
+    found = np.empty((len(targets), TRIED[-1], robot.n_joints))
+    for k, place in enumerate(places):
+        readings = _drawn(robot, place, number, rng)
+        own = np.flatnonzero(of.ravel() == k)
+        nearest = _nearest(rigid, readings, rows[:, own], targets.only(own))
+        found[own] = readings[np.resize(nearest.T, (TRIED[-1], len(own))).T]
+    return found
+
+
+def _drawn(robot: Robot, place: np.ndarray, number: int, rng: np.random.Generator) -> np.ndarray:
+    """Readings (n, n_joints) within the limits, the external axes at one place; of so many those at which a loop closes."""
+    low, high = robot.limits.T
+    readings = rng.uniform(low, high, (number, robot.n_joints)) @ robot.angle_matrix.T
+    readings[:, robot.external] = place
+    angles = readings @ robot.reading_matrix.T
+    possible = reachable(robot, angles) & robot.within_limits(angles, ROUNDING)
+    return readings[possible] if possible.any() else readings
 
 
 def room(robot: Robot, q: np.ndarray) -> np.ndarray:
