@@ -15,6 +15,7 @@ from calflow.robot.robot import Robot
 from conftest import Folder
 from hidden.devices import Arm, Tracker, rows, seen, sockets, wire, written
 
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")  # what a device does not ask for is no 0/0
 ROBOT = Path(__file__).parents[2] / "studies" / "ur10-tmac" / "robot.toml"
 ECCENTRIC = 1e-3  # rad, hidden in joint 3
 STUDY = """\
@@ -36,8 +37,8 @@ candidates = 100
 starts = 1
 
 [settings.sample]
-max_steps = 60
-block = 20
+max_steps = 50
+block = 25
 ess = 100
 """
 WIRE = """

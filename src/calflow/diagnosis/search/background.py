@@ -48,18 +48,21 @@ class Basis:
 
     @staticmethod
     def of(fitted: Fitted) -> Basis:
-        """Work out all functions at a fitted model."""
+        """Work out all functions at a fitted model, without inputs on which nothing here depends."""
         kinds = functions(fitted)
         regressors = replace(fitted, background=None).regressors([effect for _, effects in kinds for effect in effects])
         spectrum = np.concatenate([effect.spectrum for _, effects in kinds for effect in effects])
         waves = regressors.matrix * (regressors.prior_sd * spectrum)
         ends = np.cumsum([0, *(sum(len(effect.declared) for effect in effects) for _, effects in kinds)])
+        spans = [slice(i, j) for i, j in pairwise(ends)]
+        # A wire, or a socket, asks for no place that a device would report: what errs with that place moves nothing here.
+        moving = [k for k, span in enumerate(spans) if waves[:, span].any()]
         square, turns = np.linalg.eigh(waves.T @ waves)
         kept = np.argsort(-square)[: min(MODES, int(np.count_nonzero(square > 1e-12 * square[-1])))]
         whole = np.sqrt(square[kept])[:, None] * turns[:, kept].T
-        parts = tuple(_few(whole[:, i:j]) for i, j in pairwise(ends))
+        parts = tuple(_few(whole[:, spans[k]]) for k in moving)
         modes = waves @ (turns[:, kept] / np.sqrt(square[kept]))
-        return Basis(modes, tuple(inputs for inputs, _ in kinds), parts, fitted.problem.weight)
+        return Basis(modes, tuple(kinds[k][0] for k in moving), parts, fitted.problem.weight)
 
     @cached_property
     def waves(self) -> np.ndarray:
