@@ -62,7 +62,7 @@ class DimensionError:
 
 @dataclass(frozen=True)
 class Geometry(Effect):
-    """Errors of the frames' figures, with a second rotation between nearly parallel axes, of base, tool and loop.
+    """Rx(alpha + d alpha) Tx(a + d a) Ry(d beta) Rz(theta + d theta + q) Tz(d + d d) a link, or in DH's order; base, tool and loop.
 
     Of two figures that move the tool in exactly the same way whatever the pose, one is left out: the first joint's place
     is the base's, the rocker's length the crank's, and along nearly parallel axes beta replaces d (a frame says which of its

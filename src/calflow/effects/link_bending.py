@@ -66,8 +66,9 @@ def bent(beam: Span, soft: ca.SX, force: ca.SX, moment: ca.SX) -> ca.SX:
 
 @dataclass(frozen=True)
 class LinkBending(Effect):
-    """A cantilever from its joint's axis to the next one's, 1/EI a link: curvature per moment alike across their line.
+    """turn = L C (M + r x F / 2), shift = L C (M / 2 + r x F / 3) x r: a cantilever under force F and moment M at its end.
 
+    It leads by r, of length L, from its joint's axis to the next one's; C, the curvature per moment, is 1/EI alike across r.
     An oblique link, whose section lies askew or which does not follow that line, has a symmetric matrix of curvatures in place of
     1/EI, in the axes of its end: it bends to the side too, and twists as it bends.
     """

@@ -20,7 +20,7 @@ HERE = Frames(Station())  # the measuring frame itself
 
 @dataclass(frozen=True)
 class Position(Observation):
-    """x, y, z of the marker in the station's frame."""
+    """(x, y, z) = R' (marker - origin): the marker in the station's frame, R and origin of which lead to the measuring frame."""
 
     frames: Frames = HERE
 
