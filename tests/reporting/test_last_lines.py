@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from calflow.files.results import Results
@@ -26,6 +28,21 @@ def test_findings_are_told_with_cause_joint_size_and_gain(given):
         "found: 2 rows are far off (lines 12, 31)",
     ]
     assert "Usable where it was measured, but something unexplained is left." in lines
+
+
+def test_a_gain_is_claimed_only_where_it_is_one(given):
+    """Fails if a cause takes less than nothing off the error, or harm is told as a gain."""
+    vain, harm = (replace(BACKLASH, gain=gain) for gain in ((0.02, -0.02, 0.06), (-0.04, -0.05, -0.03)))
+    told = [
+        next(line for line in last_lines(with_diagnosis(given, one).results) if line.startswith("found: "))
+        for one in (vain, harm)
+    ]
+    assert told[0].endswith(
+        "takes nothing off the mean error that poses that no fit has seen would show (−0.020 to 0.060, 95 %)"
+    )
+    assert told[1].endswith(
+        "makes the mean error 0.040 mm larger at poses that no fit has seen (−0.050 to −0.030, 95 %)"
+    )
 
 
 def test_a_lack_of_fit_is_told_with_its_place(given):

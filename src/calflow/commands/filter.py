@@ -78,7 +78,8 @@ def summary_lines(program: Path, done: Filtered) -> list[str]:
     outcomes = [row.outcome for row in done.rows]
     counts = ", ".join(f"{outcomes.count(outcome)} {outcome}" for outcome in ("moved", "unchanged", "not reached"))
     lines = [
-        f"{program}: {len(targets)} targets that stand there by numbers: {counts}; {outcomes.count('left alone')} left alone"
+        f"{program}: {'1 target that stands' if len(targets) == 1 else f'{len(targets)} targets that stand'} there by numbers: "
+        f"{counts}; {outcomes.count('left alone')} left alone"
     ]
     if outcomes.count("not reached") > len(targets) / 2:
         lines.append(

@@ -13,7 +13,7 @@ from calflow.reporting.findings import Found, findings, place_name
 from calflow.reporting.material import gathered, latest, split_judged, steps
 from calflow.reporting.section import advice, sections
 from calflow.reporting.sections.verdict import SECTION, headline, judgement
-from calflow.reporting.words import mm
+from calflow.reporting.words import mm, number
 
 WRONG = 2  # urgency of advice that is repeated; what could be better is left to the report
 
@@ -60,8 +60,14 @@ def _told(one: Found, row: FindingRow) -> str:
     gain, low, high = one.gain
     if math.isnan(gain):
         return said
-    interval = "" if math.isnan(low) else f" ({mm(low)} to {mm(high)}, 95 %)"
-    return f"{said}; takes {mm(gain)} mm off the mean error{interval}"
+    if math.isnan(low):
+        return f"{said}; takes {mm(gain)} mm off the mean error"
+    interval = f"({number(low, '.3f')} to {number(high, '.3f')}, 95 %)"
+    if low > 0:
+        return f"{said}; takes {mm(gain)} mm off the mean error {interval}"
+    if high < 0:
+        return f"{said}; makes the mean error {mm(-gain)} mm larger at poses that no fit has seen {interval}"
+    return f"{said}; takes nothing off the mean error that poses that no fit has seen would show {interval}"
 
 
 def _verdict(results: Results) -> list[str]:
