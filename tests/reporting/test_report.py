@@ -14,7 +14,7 @@ import typst
 
 from calflow.files.results import Results
 from calflow.reporting import document
-from calflow.reporting.blocks import Bullets, Gap, Heading, Paragraph, RestOfPage, Table
+from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, RestOfPage, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section, chosen, sections
 from calflow.reporting.sections.verdict import certainty
@@ -93,12 +93,24 @@ def test_what_fills_the_rest_of_a_page_stays_on_it(number: int) -> None:
     assert len(pages) == 2
 
 
+@pytest.mark.parametrize(("first", "pages"), [([Paragraph("short")], 1), ([RestOfPage([Paragraph("short")])], 2)])
+def test_a_short_report_stands_on_one_page(first: list[Block], pages: int) -> None:
+    """Fails if a page is left half empty below a first part that does not ask for the whole of it, or one that does shares it."""
+    text = document.source("t", [("", first), ("Next", [Paragraph("short, too")])])
+    made = typst.compile(text.encode(), format="svg", ignore_system_fonts=True)
+    assert (len(made) if isinstance(made, list) else 1) == pages
+
+
 @pytest.mark.parametrize("before", [3, 20, 30])
 def test_no_few_lines_stand_alone_on_the_last_page(before: int) -> None:
     """Fails if the last section leaves a few rows on a page of their own, or the page before it more than half empty."""
     for rows in range(20, 140, 15):
         table = Table(("what", "value"), [(f"fact {k:03}", "so it is") for k in range(rows)], "ll", size=None)
-        parts = [("Verdict", []), ("Tables", [Paragraph("said so it is") for _ in range(before)]), ("Facts", [table])]
+        parts = [
+            ("Verdict", [RestOfPage([])]),
+            ("Tables", [Paragraph("said so it is") for _ in range(before)]),
+            ("Facts", [table]),
+        ]
         pages = typst.compile(document.source("t", parts).encode(), format="svg", ignore_system_fonts=True)
         assert isinstance(pages, list)
         lines = [page.decode().count("<use") / len("fact000soitis") for page in pages[1:]]

@@ -136,7 +136,7 @@ def _joined(blocks: Sequence[Block]) -> str:
 
 
 def source(title: str, parts: Sequence[Part], families: Sequence[str] = ()) -> str:
-    """Return the document's typst source; the first part stands on a page of its own, without a heading.
+    """Return the document's typst source; the first part has no heading, and a page of its own where it fills the rest of one.
 
     Letters that the report's own font lacks are taken from families.
     """
@@ -146,7 +146,7 @@ def source(title: str, parts: Sequence[Part], families: Sequence[str] = ()) -> s
         TEMPLATE.read_text(encoding="utf-8"),
     ]
     for k, (name, blocks) in enumerate(parts):
-        if k == 1:
+        if k == 1 and any(isinstance(block, RestOfPage) for block in parts[0][1]):
             body.append("#pagebreak()")
         said = _joined([Heading(name, 1), *blocks] if k else blocks)
         body.append(f"#last-section[\n{said}\n]" if 0 < k == len(parts) - 1 else said)

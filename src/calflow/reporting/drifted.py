@@ -25,7 +25,8 @@ SURE = 0.95  # probability from which a movement is named without a doubt
 def drift_report(found: Drift, title: str, file: str) -> list[tuple[str, list[Block]]]:
     """Return the parts of a drift check's report; file is the name of the check poses."""
     summary = found.summary
-    measured = f"{file}  ·  {plural(summary.poses, 'check pose')}  ·  {plural(summary.sessions, 'session')}"
+    poses = len({one.pose for one in found.poses})  # each with a row a marker
+    measured = f"{file}  ·  {plural(poses, 'check pose')}  ·  {plural(summary.sessions, 'session')}"
     blocks: list[Block] = [
         Paragraph("Drift check", 10),
         Paragraph(title, 21, bold=True),

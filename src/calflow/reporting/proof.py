@@ -22,7 +22,6 @@ NAMES = {
 }
 BEYOND = 0.025  # chance that any point errs by more than promised
 MOST_NAMED = 60  # poses that are named in a figure
-FIRST_PAGE = 15  # points that have room on the first page
 VERDICTS: dict[Status, str] = {
     "met": "The tolerance is met.",
     "not met": "The tolerance is not met.",
@@ -49,10 +48,7 @@ def validation_report(found: Validation, title: str, file: str) -> list[tuple[st
         Heading("What was assumed"),
         Bullets([first_up(f"{note}.") for note in (_frame(found.summary), *found.summary.notes)], 9.5),
     ]
-    every = [_explained(found.summary), _poses(found)]
-    if len(found.poses) <= FIRST_PAGE:
-        return [("", [*first, Heading("Every pose"), *every])]
-    return [("", first), ("Every pose", every)]
+    return [("", first), ("Every pose", [_explained(found.summary), _poses(found)])]
 
 
 def verdict_lines(found: Validation) -> list[str]:
@@ -173,14 +169,15 @@ def _poses(found: Validation) -> Block:
     """A row a point."""
     commanded = "commanded" in [one.model for one in found.accuracy]
     errors = ["nominal [mm]", "calibrated [mm]", *["command [mm]"] * commanded]
-    header = ["pose", "marker", "rows", *errors, "promised sd [mm]", "RP [mm]", "within"]
+    judged = found.summary.tolerance_mm is not None
+    header = ["pose", "marker", "rows", *errors, "promised sd [mm]", "RP [mm]", *["within"] * judged]
     rows = []
     for one in found.poses:
         sizes = [one.nominal_mm, one.calibrated_mm, *[one.commanded_mm] * commanded, one.promised_mm, one.rp_mm]
         within = {None: "", True: "yes", False: "no"}[one.within]
-        rows.append([one.pose, one.marker, str(one.rows), *map(mm, sizes), within])
+        rows.append([one.pose, one.marker, str(one.rows), *map(mm, sizes), *[within] * judged])
     beyond = frozenset(k for k, one in enumerate(found.poses) if one.within is False)
-    return Table(header, rows, "ll" + "r" * (len(header) - 3) + "l", beyond)
+    return Table(header, rows, "ll" + "r" * (len(header) - 2 - judged) + "l" * judged, beyond)
 
 
 def _drawn(found: Validation) -> Figure:
