@@ -60,6 +60,12 @@ class Browser:
             self._ask("Input.dispatchTouchEvent", type=kind, touchPoints=[{"x": at[0], "y": at[1]}] if at else [])
         self.drawn()
 
+    def press(self, key: str, text: str = "") -> None:
+        """Press a key where the focus is; text is what it writes."""
+        for kind in ("keyDown", "keyUp"):
+            self._ask("Input.dispatchKeyEvent", type=kind, key=key, code=key, text=text if kind == "keyDown" else "")
+        self.drawn()
+
     def picture(self, path: Path) -> None:
         """Write the whole page as PNG."""
         seen = self._ask("Page.captureScreenshot", format="png", captureBeyondViewport=True)

@@ -214,7 +214,7 @@ COLUMN = "[...document.querySelectorAll('tbody tr:not(.group)')].map(row => row.
 
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
 def test_the_page_works_in_a_browser(page: Path, tmp_path: Path) -> None:
-    """Fails if the page complains, asks for anything, does not fit a telephone, or its scene or tables do not move."""
+    """Fails if the page complains, asks for anything or does not fit a telephone, or mouse, finger or keys move nothing."""
     with browser(tmp_path) as seen:
         for width in (1200, 360):
             seen.open(page, width)
@@ -225,7 +225,12 @@ def test_the_page_works_in_a_browser(page: Path, tmp_path: Path) -> None:
                 assert len(before) > 5000  # something is drawn
                 move((x, y), (x + 60, y + 20))
                 assert seen.value(PICTURE) != before
-        seen.value("document.querySelectorAll('th button')[1].click()")
+        before = seen.value(PICTURE)
+        seen.value("document.querySelector('canvas').focus()")
+        seen.press("ArrowLeft")
+        assert seen.value(PICTURE) != before
+        seen.value("document.querySelectorAll('th button')[1].focus()")
+        seen.press("Enter", "\r")
         assert seen.value(COLUMN) == [
             "−0.3",
             "1,234.5",
@@ -233,7 +238,12 @@ def test_the_page_works_in_a_browser(page: Path, tmp_path: Path) -> None:
             "< 10⁻⁶",
             "12",
         ]  # within each group, what is not known last
-        seen.value("document.querySelectorAll('th button')[1].click()")
+        before = seen.value(PICTURE)
+        seen.value("document.querySelector('canvas').focus()")
+        seen.press("ArrowLeft")
+        assert seen.value(PICTURE) != before
+        seen.value("document.querySelectorAll('th button')[1].focus()")
+        seen.press("Enter", "\r")
         assert seen.value(COLUMN) == ["1,234.5", "−0.3", "–", "12", "< 10⁻⁶"]
         saved = pd.read_csv(io.StringIO(seen.value(SAVED % "space.csv")))
         given = parts()[2][1][1]

@@ -2,7 +2,8 @@
 "use strict";
 (() => {
   const FROM_MM = 1000;
-  const SCALE = 56; // pixels at the top that colours and marks are told in
+  const SCALE = 74; // pixels at the top that colours, marks and ranges are told in
+  const BESIDE = 12; // pixels from an axis's end to its name
   const NEAR = 14; // pixels within which a point is told
   const DARKER = [[179, 167, 114], [125, 124, 120], [67, 78, 108], [0, 34, 78]]; // the larger the error; readable in grey
   const FIRST = { turn: -0.65, tilt: 0.42, zoom: 1 };
@@ -72,8 +73,9 @@
         pen.strokeStyle = "#444";
         pen.lineWidth = 1.5;
         line(from, to);
-        const range = `${name}: ${(low[i] / FROM_MM).toFixed(2)} … ${(high[i] / FROM_MM).toFixed(2)} m`;
-        pen.fillText(range, from[0] + 0.62 * (to[0] - from[0]), from[1] + 0.62 * (to[1] - from[1]) + 14);
+        const [right, down] = [to[0] - from[0], to[1] - from[1]];
+        const beyond = BESIDE / (Math.hypot(right, down) || 1);
+        pen.fillText(name, to[0] + beyond * right, to[1] + beyond * down + 4);
       });
     }
 
@@ -111,6 +113,8 @@
       pen.fillText("0", left, top + 22);
       pen.fillText(`${largest.toPrecision(2)} mm`, left + width - 20, top + 22);
       pen.fillText("● used for the fit   ▲ held out", left, top + 40);
+      const range = (name, i) => `${name} ${[low, high].map((end) => (end[i] / FROM_MM).toFixed(2)).join(" … ")}`;
+      pen.fillText(`${["x", "y", "z"].map(range).join("   ")} m`, left, top + 58);
     }
 
     function draw() {
