@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import typst
 
+from calflow.estimation.alternative import Alternative
 from calflow.files.results import Results
 from calflow.reporting import document
 from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, RestOfPage, Table
@@ -232,6 +233,10 @@ def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small
     left = f"{off.distance[off.judged].mean():.3f} mm are left on average"
     assert f"certain to {off.prediction_sd:.3f} mm (1 sd, its own error included" in certainty(off)
     assert left in certainty(off)
+    elsewhere = Alternative(off.known.model, off.known.estimate + 3 * np.sqrt(np.diag(off.known.covariance)), 0.4)
+    rivalled = replace(off, known=replace(off.known, alternatives=(elsewhere,)))
+    assert "its own error and the choice among causes that do as well included" in certainty(rivalled)
+    assert rivalled.prediction_sd > off.prediction_sd
 
 
 def test_flagged_rows_are_listed_by_their_line(small: Context, text: str) -> None:

@@ -46,7 +46,7 @@ def write(material: Material) -> list[Block]:
     curved = any(figure.symbol == "beta" and figure.calibrated for figures in joints for figure in figures)
     order = ORDER.get(robot.kinematics, "") + NO_BETA * curved
     return [
-        Paragraph(f"{INTRODUCTION} {order} {_worth(material)}"),
+        Paragraph(f"{INTRODUCTION} {order} {_worth(material)}", keep=True),
         _matrix("joint", [(str(i), figures) for i, figures in enumerate(joints, start=1)]),
         *_loop(material),
         Heading("Zeros of the joints"),

@@ -36,6 +36,7 @@ TEXT = 10.5  # points, of what is beside the figure
 ROOM, LETTERS = 27, 119  # lines below the figure, and letters in a line, as small as it is pleasant to read
 FEWEST = 3  # steps that are told on the first page whether there is room or not
 Listed = tuple[str, list[str | tuple[str, str]]]
+CHOICE = " and the choice among causes that do as well"
 TOLD = "Nothing: the data determine every parameter."
 FINE = "Nothing needs attention: the parameters can be used for the tools, loads and workspace that were measured."
 
@@ -124,8 +125,9 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
 
 
 def certainty(material: Material) -> str:
-    """Say how sure the model's predictions are, its own error included, and what is left where it was tested."""
+    """Say how sure predictions are, with the model's own error and the choice of its causes, and what is left."""
     own = "its own error" if material.known.noise_known else "what the fit leaves, noise or not,"
+    own += CHOICE if material.known.alternatives else ""
     where = "at held-out poses" if material.held.any() else "at the poses that were fitted"
     left = float(material.distance[material.judged].mean())
     return (
