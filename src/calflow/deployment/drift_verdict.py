@@ -61,6 +61,7 @@ class TestedMovement:
 
     movement: str = column("what may have moved")
     kind: Kind = column("as in moved.csv")
+    meaning: str = column("what it is, in words")
     joint: int | None = column("its joint; empty: none")
     units: tuple[str, ...] = column("of its numbers (SI)")
     shifts: tuple[float, ...] = column("by how much, if it alone moved", "as `units` says")
@@ -257,8 +258,9 @@ def _tested(step: Step) -> tuple[TestedMovement, ...]:
     for one in step.explained:
         of = one.movement
         found.setdefault(of.name, TestedMovement(
-            movement=of.name, kind=of.kind, joint=of.joint or None, units=of.units, shifts=tuple(map(float, one.size)),
-            sds=tuple(map(float, one.sd)), p=one.p, probability=step.names[of.name], limits=tuple(map(float, one.limit)),
+            movement=of.name, kind=of.kind, meaning=of.meaning, joint=of.joint or None, units=of.units,
+            shifts=tuple(map(float, one.size)), sds=tuple(map(float, one.sd)), p=one.p, probability=step.names[of.name],
+            limits=tuple(map(float, one.limit)),
         ))  # fmt: skip
     return tuple(found.values())
 

@@ -52,15 +52,17 @@ def drift_lines(found: Drift) -> list[str]:
     lines = [VERDICTS[summary.status]]
     lines += [f"{first_up(_moved(one, found))}." for one in found.moved]
     off = f"The check poses are off by {mm(summary.error_mm)} mm on average"
-    if found.moved:
-        lines.append(f"{off}; with what is named put right, {mm(summary.left_mm)} mm are left.")
+    if found.recalibration:
+        lines.append(f"The smallest recalibration adds that to what was calibrated and leaves all else (recalibration.csv). {off}; "
+                     f"{mm(summary.left_mm)} mm are left with it.")  # fmt: skip
+    elif found.moved:
+        lines.append(f"{off}; without what is named, {mm(summary.left_mm)} mm are left.")
     else:
         lines.append(f"{off}; {mm(summary.expected_mm)} mm (root mean square) were expected where nothing moved.")
-    if found.moved and found.moved[0].cannot_tell_from and found.next_poses:
-        chance = (
-            "" if summary.chance is None else f" They exclude the wrong ones with a chance of {summary.chance:.2f}."
+    if found.next_poses:
+        lines.append(
+            f"{plural(len(found.next_poses), 'further pose')} (next_poses.csv), measured and added to these rows, {_gain(found)}."
         )
-        lines.append(f"{plural(len(found.next_poses), 'further pose')} would tell more: see next_poses.csv.{chance}")
     if not found.moved:
         lines.append(seen_from(found))
     lines.append(f"Where nothing moved, so much would be told in {100 * summary.false_alarm:g} of 100 checks.")
@@ -71,11 +73,24 @@ def _moved(one: Moved, found: Drift) -> str:
     """Say what moved, by how much, how surely, and since when."""
     own = [row for row in found.recalibration if row.movement == one.movement]
     size = f" by {listed([_shift(row) for row in own])}" if own else ""
-    since = f", since {one.since} (not yet in {one.before})" if one.since and one.before else ""
+    since = f", since {one.since} (not yet in {one.before})" if one.since else ""
+    if not one.since and found.summary.sessions > 1:
+        since = f", in all {found.summary.sessions} sessions"
     sure = "" if one.probability >= SURE else f" (probability {one.probability:.2f})"
-    rivals = f"; it cannot be told from {listed(one.cannot_tell_from, 6)}" if one.cannot_tell_from else ""
+    meanings = {other.movement: other.meaning for other in found.candidates}
+    others = [meanings.get(name, name) for name in one.cannot_tell_from]
+    rivals = f"; it cannot be told from a change of: {listed(others, 6)}" if others else ""
     verb = "differs" if one.kind == "condition" else "has changed"
     return f"{one.meaning} {verb}{size}{since}{sure}{rivals}"
+
+
+def _gain(found: Drift) -> str:
+    """Say what the poses proposed would tell."""
+    if not found.moved[0].cannot_tell_from:
+        return "would tell by how much more surely"
+    if found.summary.chance is None:
+        return "would tell more"
+    return f"would exclude the wrong ones with a chance of {found.summary.chance:.2f}"
 
 
 def _shift(row: Recalibrated) -> str:

@@ -1,0 +1,49 @@
+"""Words of a drift check: what moved, since when, the smallest recalibration, and the poses that would settle it."""
+
+from __future__ import annotations
+
+import pytest
+
+from calflow.deployment import drift_verdict as verdict
+from calflow.deployment.drift_verdict import Drift, DriftSummary, Moved, Recalibrated, SettlingPose
+from calflow.reporting.drifted import drift_lines
+
+
+def told(rivals: tuple[str, ...], since: str, before: str, chance: float | None, sessions: int = 3) -> str:
+    """What is said of a zero that moved by 0.1 mrad."""
+    moved = Moved(
+        movement="joint2.zero", kind="zero", meaning="zero of joint 2", joint=2, probability=0.97, cannot_tell_from=rivals, p=1e-9,
+        since=since, before=before,
+    )  # fmt: skip
+    shift = Recalibrated(
+        movement="joint2.zero", symbol="zero", unit="rad", shift=1e-4, sd=1e-5, parameter="joint2.theta"
+    )
+    other = verdict.TestedMovement(
+        movement="joint2.s", kind="cause", meaning="compliance of joint 2", joint=2, units=("rad/(Nm)",), shifts=(1e-8,),
+        sds=(1e-9,), p=1e-8, probability=0.03, limits=(1e-8,),
+    )  # fmt: skip
+    pose = SettlingPose(readings={"q1_deg": 1.0}, payload="full", marker="E")
+    summary = DriftSummary(
+        status="moved", false_alarm=0.01, family_p=1e-9, unexplained_p=0.5, poses=8, sessions=sessions, station="known",
+        error_mm=0.25, left_mm=0.08, expected_mm=0.09, chance=chance,
+    )  # fmt: skip
+    return " ".join(drift_lines(Drift((moved,), (shift,), (other,), (), (pose,) * 4, summary)))
+
+
+@pytest.mark.parametrize(
+    ("rivals", "since", "before", "chance", "sessions", "words"),
+    [
+        ((), "May", "April", None, 3, "changed by 0.100 ± 0.010 mrad, since May (not yet in April)."),
+        ((), "", "", None, 3, "changed by 0.100 ± 0.010 mrad, in all 3 sessions."),
+        ((), "", "", None, 1, "changed by 0.100 ± 0.010 mrad. The smallest recalibration adds that"),
+        ((), "", "", None, 1, "0.080 mm are left with it."),
+        ((), "", "", None, 1, "4 further poses (next_poses.csv), measured and added to these rows, would tell by how much"),
+        (("joint2.s",), "", "", 0.98, 1, "cannot be told from a change of: compliance of joint 2"),
+        (("joint2.s",), "", "", 0.98, 1, "would exclude the wrong ones with a chance of 0.98."),
+    ],
+)  # fmt: skip
+def test_the_verdict_says_since_when_what_to_correct_and_what_would_settle_it(
+    rivals, since, before, chance, sessions, words
+):
+    """Fails if dates, the correction, rivals in words that a user has, or the poses that settle it are not told."""
+    assert words in told(rivals, since, before, chance, sessions)
