@@ -137,6 +137,16 @@ def test_a_device_that_stood_elsewhere_is_no_drift(robot):
     assert "station" not in [one.movement for one in found.candidates]
 
 
+def test_rows_that_do_not_state_their_noise_have_that_of_the_calibration(robot):
+    """Fails if check poses without a column of noise are taken for exact, or for nothing that can be judged."""
+    known, q = robot
+    data = checked(known, q, 6)
+    silent = replace(data, table=data.table.drop(columns="sigma"))
+    stated, found = (drift(known, [], rows, station="known").summary for rows in (data, silent))
+    assert found.expected_mm == pytest.approx(stated.expected_mm)
+    assert found.status == "in place"
+
+
 def test_warm_links_are_conditions_and_no_drift(robot):
     """Fails if ten kelvin of all links are told as a robot that moved."""
     known, q = robot
