@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calflow.deployment.check_poses import check_poses
+from calflow.deployment.check_poses import check_poses, unmoved
+from calflow.deployment.drift_verdict import drift
 from calflow.deployment.movements import movements
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated import Identified, SeriesNoise
@@ -18,7 +19,8 @@ NOISE = 5e-5
 
 
 def test_eight_chosen_poses_tell_more_than_any_others_drawn():
-    """Fails if poses are taken that tell less than chance does, one of them twice, or with a load that few carried."""
+    """Fails if poses are taken that tell less than chance does, one of them twice, or with a load that few carried, or the check
+    that is foreseen is not one of all of them on one day where nothing moved."""
     model = build(industrial(), ("geometry",))
     n = len(model.parameters)
     device = (SeriesNoise(NOISE, "file"),)
@@ -28,7 +30,7 @@ def test_eight_chosen_poses_tell_more_than_any_others_drawn():
     payload = np.where(np.arange(60) < 50, "load", "")
     every = Measurements.from_arrays(
         model.robot, np.repeat(q, 2, axis=0), np.zeros((120, 3)), payload=np.repeat(payload, 2), pose=np.repeat(np.arange(60), 2),
-        repeat=np.tile([1, 2], 60), sigma=np.full(120, NOISE),
+        repeat=np.tile([1, 2], 60), sigma=np.full(120, NOISE), session=np.repeat(np.where(np.arange(60) < 30, "May", "June"), 2),
     )  # fmt: skip
     chosen = check_poses(known, every, 8)
     assert len(chosen) == chosen.table["pose"].nunique() == 8
@@ -43,3 +45,7 @@ def test_eight_chosen_poses_tell_more_than_any_others_drawn():
     drawn = [rng.choice(50, 8, replace=False) for _ in range(100)]
     others = [told(replace(loaded, table=loaded.table.iloc[own].reset_index(drop=True))) for own in drawn]
     assert told(chosen) > max(others)
+
+    foreseen = drift(known, [], unmoved(known, chosen), station="known")
+    assert (foreseen.summary.status, foreseen.summary.sessions) == ("in place", 1)
+    assert foreseen.summary.error_mm < 1e-9

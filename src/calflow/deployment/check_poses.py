@@ -36,7 +36,12 @@ def check_poses(known: Identified, data: Measurements, number: int) -> Measureme
 
 
 def unmoved(known: Identified, data: Measurements) -> Measurements:
-    """Return rows as they would be measured where nothing has moved, and without noise: what a check of them says is its limits."""
+    """Return rows as they would be measured where nothing has moved, all in one go and without noise.
+
+    What a check of them says is how much it would see.
+    """
+    at_once = {name: data.table[name].iloc[0] for name in ("session", "time") if name in data.table}
+    data = replace(data, table=data.table.assign(**at_once))
     rows = data.stating(known.model.given).on(known.model.robot).rows
     there = known.model.point(known.estimate, rows)
     return replace(data, table=data.table.assign(**dict(zip(POSITION, there.T, strict=True))))
