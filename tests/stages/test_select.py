@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pandas as pd
 import pytest
 
+JOINTS = ["q1_deg", "q2_deg", "q3_deg"]
 TASK = """
 [stages.select.task]
 region_min_mm = [300, -400, 200]
@@ -72,3 +74,35 @@ def test_what_cannot_be_planned_is_refused(small):
         "'joint-error-map' has no parameters before there are measurements",
     ):
         assert words in said
+
+
+def test_taught_poses_are_what_is_chosen_of(small):
+    """Fails if a pose is chosen that is not in the file, or one beyond the limits; or if a changed file goes unnoticed."""
+    rng = np.random.default_rng(1)
+    taught = pd.DataFrame(rng.uniform([-200, -90, 0], [200, 30, 120], (40, 3)).round(3), columns=JOINTS)
+    taught.to_csv(small / "taught.csv", index=False)
+    selected(small, 'candidates_file = "taught.csv"', "", "taught")
+    chosen = pd.read_csv(small / "taught" / "select" / "poses.csv")[JOINTS]
+    assert chosen.merge(taught).shape == chosen.shape
+    assert (chosen["q1_deg"].abs() <= 170).all()
+    _, _, said = selected(small, 'candidates_file = "taught.csv"', "", "taught")
+    assert "reused" in said
+    taught.head(30).to_csv(small / "taught.csv", index=False)
+    _, _, said = selected(small, 'candidates_file = "taught.csv"', "", "taught")
+    assert "reused" not in said
+    taught.head(5).to_csv(small / "taught.csv", index=False)
+    small.edit("study.toml", ("poses = 8\n", 'poses = 8\ncandidates_file = "taught.csv"\n'))
+    (said,) = small.refused("run", "--stage", "select")
+    assert "of 5 stated poses" in said
+
+
+def test_poses_are_added_to_those_measured(small):
+    """Fails if what was measured does not count, or the poses added to it are not better there than those chosen without."""
+    _, alone, _ = selected(small, "")
+    worth, added, _ = selected(small, "add_to_measured = true", out="added")
+    curve = pd.read_csv(small / "added" / "select" / "observability.csv")
+    assert curve["n_poses"].iloc[0] == 0
+    assert (curve["expected_sd_mm"].diff().dropna() < 0).all()
+    assert added["loss"] < alone["loss"]
+    assert curve["expected_sd_mm"].iloc[0] < 1.2 * alone["loss"]  # 40 poses were measured
+    assert worth["n_poses"] == 8

@@ -67,6 +67,19 @@ def candidates(
     )
 
 
+def allowed(
+    model: Model, readings: np.ndarray, payload: str, marker: str, region: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return those of stated joint readings (n, n_joints) that are within limits and region, and their packed conditions."""
+    angles = readings @ model.robot.reading_matrix.T
+    good = ((angles >= model.robot.limits[:, 0]) & (angles <= model.robot.limits[:, 1])).all(axis=1)
+    good &= reachable(model.robot, angles)
+    if region is not None:
+        position = model.position(model.nominal, pack(model, readings, payload, marker))
+        good &= ((position > region[0]) & (position < region[1])).all(axis=1)
+    return readings[good], pack(model, readings[good], payload, marker)
+
+
 def reading_columns(robot: Robot) -> list[str]:
     """Return the columns of joint readings by their names, e.g. q1_deg; joints that follow others have none."""
     return [f"q{i + 1}_{robot.joints[i].shown[0]}" for i in robot.driven]

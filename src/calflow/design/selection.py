@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from calflow.design.candidates import READINGS, candidates, reading_columns, shown_readings
+from calflow.design.candidates import READINGS, allowed, candidates, reading_columns, shown_readings
 from calflow.design.exchange import greedy, information
 from calflow.design.minimax import search_worst
 from calflow.design.optimality import Criterion, Parameters, ToolError, indices
@@ -19,6 +19,7 @@ from calflow.design.task import Task
 from calflow.design.tour import shortest_tour
 from calflow.estimation.identifiability import NULL
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
+from calflow.files.problems import refuse
 from calflow.files.tables import column, to_frame, typed
 from calflow.measurements.series import Series
 from calflow.model import Model
@@ -52,9 +53,9 @@ class PlannedPose:
 class Observability:
     """What a number of poses, the most telling first, is worth."""
 
-    n_poses: int = column("number of poses")
+    n_poses: int = column("number of poses, besides those that were measured already and count")
     indices: Mapping[str, float] = column(
-        "observability indices O1 to O5, parameters scaled by their priors", name="O{1|2|3|4|5}"
+        "observability indices O1 to O5 of these poses, parameters scaled by their priors", name="O{1|2|3|4|5}"
     )
     expected_sd_mm: float = column(
         "root mean square over the task (the workspace, where the study names none) of the predicted position's standard "
@@ -102,6 +103,8 @@ def select(
     region: np.ndarray | None = None,
     planned: Planned | None = None,
     of: int = 2000,
+    stated: np.ndarray | None = None,
+    there: np.ndarray | None = None,
     rng: Draws = SAME,
     say: Say = nobody,
     advance: Advance = nobody,
@@ -118,23 +121,34 @@ def select(
         marker: what is measured; the first where it is empty.
         region: a box (2, 3) [m] in the measuring frame that the marker must be in.
         planned: how they will be measured; as positions, 50 µm per axis, where nothing is said.
-        of: number of candidates.
+        of: number of candidates that are drawn.
+        stated: joint readings (n, n_joints) to choose of, in the place of drawn ones.
+        there: packed conditions (n_conditions, n) of what has been measured already, and counts.
         rng: draws the candidates.
         say: is told how good the choice is.
         advance: is told the share of work done.
 
     Raises:
-        InputError: hardly any pose reaches the region.
+        InputError: hardly any pose reaches the region, or too few of the stated ones may be taken.
     """
     marker = marker or next(iter(model.robot.markers))
     planned = planned or Planned(Position.planned(Series()), USUAL_SIGMA)
     if not model.observations:
         model = replace(model, observations=(planned.observation,))
-    readings, rows = candidates(model, of, payload, marker, region, rng("candidates"), planned.observation)
+    if stated is None:
+        readings, rows = candidates(model, of, payload, marker, region, rng("candidates"), planned.observation)
+    else:
+        readings, rows = allowed(model, stated, payload, marker, region)
+        if len(readings) < number:
+            raise refuse(
+                f"of {len(stated)} stated poses {len(readings)} are within joint limits and region, {number} are to be chosen"
+            )
     advance(0.3)
     whitened = planned.whitened(model, model.nominal, rows)
     whitened *= model.prior_sd
     prior = np.eye(len(model.parameters))
+    if there is not None:
+        prior = information(planned.whitened(model, model.nominal, there) * model.prior_sd, prior)
     tool = (task or Task(rows[:, :TASK_POSES])).criterion(model)
     criterion: Criterion = Parameters(len(prior)) if aim == "parameters" else tool
     say(f"{len(readings)} candidates, {len(prior)} parameters")
@@ -153,7 +167,7 @@ def select(
 
     chosen = np.array(found.chosen)
     most_telling = greedy(whitened[chosen], prior, number, criterion)
-    worth = _observability(whitened[chosen[most_telling]], prior, tool)
+    worth = _observability(whitened[chosen[most_telling]], prior, tool, there is not None)
     tour = chosen[shortest_tour(readings[chosen])]
     return Selection(_poses(model, readings[tour], rows[:, tour], payload, marker), worth, certificate)
 
@@ -171,16 +185,17 @@ def _certificate(found: Found, aim: Aim, whitened: np.ndarray) -> Certificate:
     )
 
 
-def _observability(whitened: np.ndarray, prior: np.ndarray, tool: ToolError) -> pd.DataFrame:
+def _observability(whitened: np.ndarray, prior: np.ndarray, tool: ToolError, added: bool) -> pd.DataFrame:
     """Indices and the tool's expected standard deviation against the number of poses, (n_poses, n_axes, n_parameters) in order.
 
     Parameters are scaled by their priors, so an index compares what the data say with what was known before. The
-    standard deviation is the root mean square over the task's poses of the predicted position's, all three axes.
+    standard deviation is the root mean square over the task's poses of the predicted position's, all three axes. Poses that
+    are added to others are told from the first.
     """
     n_parameters = whitened.shape[2]
     singular = np.linalg.svd(whitened.reshape(-1, n_parameters), compute_uv=False)
     rank = int((singular > NULL * singular[0]).sum())
-    first = min(len(whitened), -(-rank // whitened.shape[1]))
+    first = 0 if added else min(len(whitened), -(-rank // whitened.shape[1]))
     rows = []
     for n in sorted({*range(first, len(whitened) + 1, max(1, (len(whitened) - first) // CURVE)), len(whitened)}):
         part = whitened[:n]

@@ -48,14 +48,21 @@ def stage_key(
     if stage.measured:
         key |= {f"file {name}": said for name, said in _measurement_hashes(study).items()}
         key |= _confirming_key(study)
-    settings = study.validated_settings(stage.name, stage.settings).model_dump(mode="json")
-    key |= {f"setting {name}": json.dumps(value) for name, value in settings.items()}
+    settings = study.validated_settings(stage.name, stage.settings)
+    key |= {f"file {path.name}": said for path, said in file_hashes(study, stage).items()}
+    key |= {f"setting {name}": json.dumps(value) for name, value in settings.model_dump(mode="json").items()}
     return key | after({name: upstream[name] for name in (*stage.needs, *stage.uses) if name in upstream})
 
 
 def after(upstream: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
     """Return what the key of a stage holds of the keys of those that it goes on from."""
     return {f"after {name}": digest(json.dumps(key, sort_keys=True)) for name, key in upstream.items()}
+
+
+def file_hashes(study: Study, stage: Stage) -> dict[Path, str]:
+    """Return the SHA-256 of the files that a stage's settings name; of one that is not there nothing."""
+    paths = stage.reads(study, study.validated_settings(stage.name, stage.settings))
+    return {path: sha256(path) for path in paths if path.is_file()}
 
 
 def _confirming_key(study: Study) -> dict[str, str]:

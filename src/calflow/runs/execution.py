@@ -14,7 +14,7 @@ from calflow.files.plugins import packages
 from calflow.files.results import Results
 from calflow.files.writing import write_whole
 from calflow.measurements.reading import sha256
-from calflow.runs.cache_key import versions
+from calflow.runs.cache_key import file_hashes, versions
 from calflow.runs.containment import inside
 from calflow.runs.kept import write_results
 from calflow.runs.listener import Listener, onward
@@ -103,6 +103,7 @@ def _entry(folder: Path, stage: Stage) -> StageEntry | None:
 def _input_hashes(study: Study, stage: Stage, before: dict[str, str]) -> dict[str, str]:
     """SHA-256 of every input; a stage that does not read the measurements leaves their entry as it is."""
     hashes = {str(path): sha256(path) for path in (study.path, *study.robot_paths, study.workflow_path)}
+    hashes |= {str(path): said for path, said in file_hashes(study, stage).items()}
     if stage.measured:
         return hashes | {str(path): sha256(path) for path in study.measurement_paths}
     return hashes | {path: digest for path, digest in before.items() if is_measured(path)}

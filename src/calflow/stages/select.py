@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -82,6 +83,16 @@ class SelectSettings(Region):
 
     poses: int = Field(default=100, ge=4, description="how many poses to choose")
     candidates: int = Field(default=2000, ge=100, description="how many to choose them of")
+    candidates_file: str = Field(
+        default="",
+        description="a CSV of joint readings (`q1_deg` …) to choose of, such as taught poses, in the place of drawn ones; "
+        "those beyond joint limits or outside the region are left out",
+    )
+    add_to_measured: bool = Field(
+        default=False,
+        description="`true`: the poses of the study's measurements count as already there (those to be fitted, repeats once), and "
+        "`poses` are chosen that add the most to them",
+    )
     criterion: Aim | None = Field(
         default=None,
         description="what the poses are to make sure: all `parameters` alike (D-optimal, O1), the `tool` over the task (root mean "
@@ -109,7 +120,7 @@ class SelectSettings(Region):
 
     @model_validator(mode="after")
     def _enough_candidates(self) -> SelectSettings:
-        if self.poses > self.candidates:
+        if self.poses > self.candidates and not self.candidates_file:
             raise ValueError("poses: there must be at least as many candidates")
         return self
 
@@ -128,8 +139,11 @@ def run(context: Context) -> Results:
     planned = Planned(_planned(study, settings), settings.sigma, settings.sigma_rotation)
     effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))
     model = build(robot, effects, (), (planned.observation,))
+    task = _task(study, settings, model, context.rng("task"))
+    there = _measured(study) if settings.add_to_measured else None
+    stated = stated_poses(study.path.parent / settings.candidates_file, model) if settings.candidates_file else None
     chosen = select(
-        model, settings.poses, aim=settings.aim, task=_task(study, settings, model, context.rng("task")),
+        model, settings.poses, aim=settings.aim, task=task, there=there, stated=stated,
         payload=settings.payload, marker=settings.marker, region=settings.region, planned=planned,
         of=settings.candidates, rng=context.rng, say=context.say, advance=context.advance,
     )  # fmt: skip
@@ -183,6 +197,21 @@ def _task(study: Study, settings: SelectSettings, model: Model, rng: np.random.G
     return Task.within(model, payloads, marker, region, task.number, rng)
 
 
+def _measured(study: Study) -> np.ndarray:
+    """The packed conditions of the poses that were measured and are fitted, a row a marker and payload of each."""
+    data = study.measurements()
+    own = data.table.loc[data.train].drop_duplicates(["pose", "marker", "payload"]).index
+    fixed = study.robot.n_joints + len(study.robot.payloads) + len(study.robot.markers)
+    return np.asarray(data.rows[:fixed, data.table.index.get_indexer(own)])
+
+
+def _files(study: Study, settings: SelectSettings) -> tuple[Path, ...]:
+    """The files that settings name, and the measurements where they count."""
+    named = (settings.candidates_file, settings.task.poses if settings.task else "")
+    measured = study.measurement_paths if settings.add_to_measured else ()
+    return (*measured, *(study.path.parent / name for name in named if name))
+
+
 def _which(study: Study, settings: SelectSettings) -> int:
     """Number of the series as which further poses will be measured."""
     names = [source.name for source in study.file.sources]
@@ -226,4 +255,5 @@ STAGE = Stage(
     tables={"select/poses.csv": PlannedPose, "select/observability.csv": Observability},
     documents={"select/certificate.json": Certificate},
     problems=problems,
+    reads=_files,
 )

@@ -50,14 +50,19 @@ def no_problems(study: Study, settings: Any, data: Measurements | None) -> list[
     return []
 
 
+def no_files(study: Study, settings: Any) -> tuple[Path, ...]:
+    """Return none: nothing but the study, its robot and (where it is measured) its measurements is read."""
+    return ()
+
+
 @dataclass(frozen=True)
 class Stage:
     """A stage: its settings' model, the stages whose results it needs, and whether it reads the measurements.
 
     tables and documents say by path in the run folder what it may make: of which rows, or of which dataclass. problems finds
     what it would refuse of a study, its settings and (where there are any) the measurements; resumes names files of an
-    earlier run that it goes on from where only its settings changed; titled says whether the study's title and acceptance stand in
-    what it writes.
+    earlier run that it goes on from where only its settings changed; reads names further files that its settings ask for;
+    titled says whether the study's title and acceptance stand in what it writes.
     """
 
     name: str
@@ -71,4 +76,5 @@ class Stage:
     tables: Mapping[str, type] = field(default_factory=dict, hash=False)
     documents: Mapping[str, type] = field(default_factory=dict, hash=False)
     problems: Callable[[Study, Any, Measurements | None], list[Problem]] = no_problems
+    reads: Callable[[Study, Any], tuple[Path, ...]] = no_files
     titled: bool = False
