@@ -561,3 +561,19 @@ def test_a_file_as_run_folder_is_refused(small):
     """Fails if a wrong --out counts as trouble of the machine."""
     (told,) = small.refused("run", "--out", small / "robot.toml")
     assert told == "robot.toml: is a file; expected a run folder, which may not exist yet"
+
+
+@pytest.mark.parametrize(
+    ("name", "column"),
+    [("parameters", "estimate"), ("parameters", "parameter"), ("covariance", "parameter"), ("noise", "source"),
+     ("faults", "statement")],
+)  # fmt: skip
+def test_a_table_of_another_version_is_one_message(finished, name, column):
+    """Fails if a run whose table lacks a column, and is vouched for, ends a command that uses it with a traceback."""
+    path = f"identify/{name}.csv"
+    table = pd.read_csv(finished / "runs" / path)
+    finished.rewrite(path, table.drop(columns=column))
+    finished.measure(finished.rows[:2].drop(columns=["x_mm", "y_mm", "z_mm"]), "rows.csv")
+    (told,) = finished.refused("predict", finished / "runs", finished / "rows.csv")
+    assert path in told
+    assert "again" in told

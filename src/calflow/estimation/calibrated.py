@@ -19,6 +19,7 @@ from calflow.estimation.field_tables import read_field
 from calflow.estimation.fit_summary import FitSummary
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import Noise, Source
+from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.repeats import stated_noise
 from calflow.estimation.residual_field import ResidualField
 from calflow.files.problems import refuse
@@ -306,16 +307,18 @@ def placed(robot: Robot, results: Results) -> Robot:
 
 
 def _read(stage: str, model: Model, results: Results) -> Identified:
-    parameters = results.tables[f"{stage}/parameters.csv"]
+    parameters = results.rows(f"{stage}/parameters.csv", FittedParameter)
+    covariance = results.tables.get(f"{stage}/covariance.csv", pd.DataFrame())
     names = [parameter.name for parameter in model.parameters]
-    if names != list(parameters["parameter"]):
-        raise refuse(f"{stage}/parameters.csv does not fit the study's robot and effects; run {stage} again")
+    for name, told in (("parameters", [one.parameter for one in parameters]), ("covariance", list(covariance)[1:])):
+        if names != told:
+            raise refuse(f"{stage}/{name}.csv does not fit the study's robot and effects; run {stage} again")
     summary = results.document(f"{stage}/summary.json", FitSummary)
     return Identified(
         model,
-        parameters["estimate"].to_numpy(dtype=float),
-        results.tables[f"{stage}/covariance.csv"].iloc[:, 1:].to_numpy(dtype=float),
-        parameters["at_bound"].to_numpy(dtype=bool),
+        np.array([one.estimate for one in parameters]),
+        covariance.iloc[:, 1:].to_numpy(dtype=float),
+        np.array([one.at_bound for one in parameters], dtype=bool),
         _read_noise(results.rows(f"{stage}/noise.csv", DeviceNoise)),
         summary.discrepancy_mm / 1e3,
         (summary.rotation_discrepancy_mrad or 0.0) / 1e3,

@@ -9,7 +9,7 @@ from typing import TypeVar
 import pandas as pd
 
 from calflow.files.documents import Document, Documents, from_document
-from calflow.files.problems import refuse
+from calflow.files.problems import InputError, refuse
 from calflow.files.tables import Tables, from_frame
 
 Kind = TypeVar("Kind")
@@ -38,18 +38,28 @@ class Results:
         """Return a table's rows as values.
 
         Raises:
-            InputError: an earlier version, which did not have the table, made the results.
+            InputError: another version, which did not have the table or a column of it, made the results.
         """
         if path not in self.tables:
-            raise refuse(f"has no {path}: an earlier version of calflow made these results; run the study again")
-        return from_frame(self.tables[path], row_type)
+            raise _lacking(path)
+        return from_frame(self.tables[path], row_type, path)
 
     def document(self, path: str, kind: type[Kind]) -> Kind:
-        """Return a document as its dataclass."""
+        """Return a document as its dataclass.
+
+        Raises:
+            InputError: as of a table.
+        """
+        if path not in self.documents:
+            raise _lacking(path)
         return from_document(self.documents[path], kind)
 
 
 Made = TypeVar("Made", pd.DataFrame, Document)
+
+
+def _lacking(path: str) -> InputError:
+    return refuse(f"has no {path}: an earlier version of calflow made these results; run the study again")
 
 
 def _of(made: Mapping[str, Made], stages: set[str]) -> dict[str, Made]:

@@ -129,19 +129,21 @@ def typed(frame: pd.DataFrame, row_type: type) -> pd.DataFrame:
     return pd.DataFrame({name: _stored(frame[name], one) for name, one in found.items()}, index=frame.index)
 
 
-def from_frame(frame: pd.DataFrame, row_type: type[Row]) -> list[Row]:
+def from_frame(frame: pd.DataFrame, row_type: type[Row], name: str = "a table of calflow") -> list[Row]:
     """Return a table's rows as values: an empty cell is None where there may be gaps, nan in a number, "" in a text.
+
+    name is what problems call the table.
 
     Raises:
         InputError: a column is missing, or holds what is not of its type.
     """
     found = _found(frame, row_type)
     if missing := _missing(found, row_type):
-        raise refuse(f"a table of calflow lacks columns: {', '.join(missing)}; run the study again")
+        raise refuse(f"{name} lacks columns: {', '.join(missing)}; run the study again")
     try:
         cells = {name: [_value(cell, one) for cell in frame[name]] for name, one in found.items()}
     except (TypeError, ValueError) as error:
-        raise refuse(f"a table of calflow was changed: {error}; run the study again") from None
+        raise refuse(f"{name} was changed: {error}; run the study again") from None
     single = {one.field: cells[name] for name, one in found.items() if not one.is_pattern}
     several = [one for one in columns(row_type) if one.is_pattern]
     rows = []
@@ -151,6 +153,11 @@ def from_frame(frame: pd.DataFrame, row_type: type[Row]) -> list[Row]:
             values[pattern.field] = {name: cells[name][k] for name, one in found.items() if one is pattern}
         rows.append(row_type(**values))
     return rows
+
+
+def lacking(frame: pd.DataFrame, row_type: type) -> list[str]:
+    """Return the declared columns that a table does not have."""
+    return _missing(_found(frame, row_type), row_type)
 
 
 def schema(frame: pd.DataFrame, row_type: type) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import pandas as pd
 from scipy.stats import beta
 
 from calflow.files.results import Results
-from calflow.reporting.material import Material, ModelAccuracy
+from calflow.reporting.material import Material, ModelAccuracy, latest, split_judged, steps
 from calflow.reporting.section import advice, sections
 from calflow.reporting.words import mm, percent, plural
 
@@ -80,3 +80,14 @@ def useless(results: Results, found: list[ModelAccuracy]) -> bool:
     """Whether the model is not to be used: something says so, or calibration gained nothing."""
     urgent = any(one.urgency == 1 for one in advice(sections(), results))
     return urgent or found[-1].mean > USELESS * found[0].mean
+
+
+def warning(results: Results) -> str | None:
+    """Say that a run's model is not to be used, and why, to whoever uses it; None where it may be."""
+    accuracy = latest(results, "accuracy")
+    found = steps(accuracy, split_judged(accuracy))
+    if not useless(results, found):
+        return None
+    why = [one.sentence for one in advice(sections(), results) if one.urgency == 1]
+    gained = f"calibration left {mm(found[-1].mean)} mm of a mean error of {mm(found[0].mean)} mm"
+    return f"Do not use this model: {' '.join(why) or f'{gained}.'}"

@@ -8,8 +8,10 @@ from pathlib import Path
 from calflow.deployment.needed_conditions import NeededCondition
 from calflow.estimation.calibrated import Identified, calibrated
 from calflow.estimation.fit_summary import IdentifySummary
+from calflow.faults.base import FaultyRow
 from calflow.files.problems import refuse
 from calflow.files.results import Results
+from calflow.files.tables import lacking
 from calflow.files.toml import read_toml
 from calflow.measurements.source import MeasurementSource
 from calflow.robot.robot import Robot
@@ -17,6 +19,7 @@ from calflow.runs.cache_key import after
 from calflow.runs.folder import read_results, run_folder
 from calflow.runs.manifest import Manifest, read_manifest
 from calflow.runs.reasons import outdated
+from calflow.stages import STAGES
 from calflow.study import FIELD, StudyFile, WorkflowFile
 
 
@@ -86,9 +89,23 @@ class CalibratedRun:
     @property
     def columns_mended(self) -> list[str]:
         """Say which columns of its measurements were wrong throughout: further rows are taken as they stand."""
-        faults = self.results.tables["identify/faults.csv"]
-        whole = faults[(faults["row"] == 0) & (faults["action"] == "corrected")]
-        return [f"{said}; the rows given now are taken to be right" for said in whole["statement"]]
+        faults = self.results.rows("identify/faults.csv", FaultyRow)
+        whole = [one.statement for one in faults if one.row == 0 and one.action == "corrected"]
+        return [f"{said}; the rows given now are taken to be right" for said in whole]
+
+    @property
+    def warning(self) -> tuple[str, ...]:
+        """Say that its own report finds that the model is not to be used; nothing where it may be."""
+        from calflow.reporting.tolerance import warning
+
+        declared = {**STAGES["identify"].tables, **STAGES["diagnose"].tables}
+        tables = self.results.tables
+        older = [name for name, rows in declared.items() if name in tables and lacking(tables[name], rows)]
+        if older:
+            return (f"whether the model is to be used cannot be told from {', '.join(older)}, which another version of calflow "
+                    "made; run the study again",)  # fmt: skip
+        said = warning(self.results)
+        return () if said is None else (said,)
 
     @property
     def notes(self) -> tuple[str, ...]:

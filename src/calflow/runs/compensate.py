@@ -67,7 +67,7 @@ def compensate(
     own = given_rows(path, data, run.source)
     own = own.drop(columns=[name for name in own if str(name).split("_")[0] in numbered("q", run.robot.n_joints)])
     table = pd.concat([own, command_table(found, in_order)], axis=1)
-    table.attrs["notes"] = (*_start_notes(data, started), *standing(known), *run.notes, *found.notes)
+    table.attrs["notes"] = (*run.warning, *_start_notes(data, started), *standing(known), *run.notes, *found.notes)
     return table
 
 

@@ -33,7 +33,7 @@ def export_run(study_or_run: str | Path, to: Format) -> Export:
     data, said = _measured(run)
     known, rows = _anywhere(run) if data is None else (run.known(data.given), data.rows)
     found = export(known, rows, to, run.robot)
-    return replace(found, notes=(*said, *found.notes))
+    return replace(found, notes=(*run.warning, *said, *found.notes))
 
 
 def _measured(run: CalibratedRun) -> tuple[Measurements | None, tuple[str, ...]]:

@@ -84,7 +84,7 @@ def filter_program(
     except InputError as error:
         problems = (replace(one, file=path) if one.line else one for one in error.problems)
         raise InputError(problems) from None
-    return replace(done, notes=(*_empty_handed(robot, payload), *run.notes, *done.notes))
+    return replace(done, notes=(*run.warning, *_empty_handed(robot, payload), *run.notes, *done.notes))
 
 
 def _empty_handed(robot: Robot, payload: str | None) -> tuple[str, ...]:

@@ -42,5 +42,5 @@ def predict(study_or_run: str | Path, rows: str | Path, missing: Missing = "refu
     if predicted.not_physical is not None:
         for i, axis in enumerate("xyz"):
             asked[f"not_physical_{axis}_mm"] = 1e3 * predicted.not_physical[:, i]
-    asked.attrs["notes"] = (*data.notes, *run.notes, *predicted.notes)
+    asked.attrs["notes"] = (*run.warning, *data.notes, *run.notes, *predicted.notes)
     return asked
