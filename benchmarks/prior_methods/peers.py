@@ -1,22 +1,29 @@
-"""Programs of others: pybotics in an environment of its own; figaroh, which these studies cannot feed."""
+"""Programs of others, each in an environment of its own: pybotics and figaroh."""
 
 from __future__ import annotations
 
+import resource
+import signal
 import subprocess
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from calflow.estimation.registration import registered
 from calflow.measurements.measurements import Measurements
 from calflow.observations import observations
+from calflow.robot.formats.rigid_chain import rigid_chain
+from calflow.robot.formats.urdf_written import urdf_text
 from calflow.robot.frames import convention_of
 from calflow.robot.robot import Robot
-from prior_methods.method import Fitted, Predictor, timed
+from prior_methods.method import Predictor, timed
 
+MOST_SECONDS = 120  # of the processor, for one marker of one split
+MOST_TURNS = 15  # of a fit: directions that base and tool share keep both going for minutes
 PYBOTICS = """
 import sys
 import numpy as np
@@ -31,7 +38,7 @@ handler = OptimizationHandler(robot, *masks)
 vector = given["vector"]
 if not len(vector):
     vector = least_squares(optimize_accuracy, handler.generate_optimization_vector(), x_scale="jac",
-                           args=(handler, given["q"], given["xyz"])).x
+                           max_nfev=int(sys.argv[3]), args=(handler, given["q"], given["xyz"])).x
 handler.apply_optimization_vector(vector)
 np.savez(sys.argv[2], vector=vector, xyz=[handler.robot.fk(q)[:3, 3] for q in given["q"]])
 """
@@ -102,20 +109,129 @@ class Pybotics:
             given, found = Path(name) / "given.npz", Path(name) / "found.npz"
             q, xyz = rows.joints * signs, 1e3 * rows.position
             np.savez(given, **vars(table), q=q, xyz=xyz, vector=vector)
-            subprocess.run([str(self.python), "-c", PYBOTICS, str(given), str(found)], check=True)
+            _run(self.python, PYBOTICS, given, found, MOST_TURNS)
             return dict(np.load(found))
+
+
+FIGAROH = """
+import logging, sys
+import numpy as np
+import pinocchio as pin
+from scipy.optimize import least_squares
+import figaroh.calibration.base_calibration as own
+from figaroh.calibration.base_calibration import BaseCalibration
+from figaroh.calibration.calibration_tools import calc_updated_fkm
+from figaroh.tools.robot import Robot
+logging.disable(logging.CRITICAL)
+
+class Calibration(BaseCalibration):
+    def cost_function(self, var):
+        found = calc_updated_fkm(self.model, self.data, var, self.q_measured, self.calib_config)
+        return self.apply_measurement_weighting(
+            self._compute_logmap_residuals(self.PEE_measured, found, position_frame="world"), pos_weight=1000.0)
+
+own.least_squares = lambda *given, **how: least_squares(*given, **how | {"max_nfev": int(sys.argv[2])})
+folder = sys.argv[1]
+given = np.load(folder + "/given.npz")
+calibration = Calibration(Robot(folder + "/robot.urdf", folder), folder + "/config.yaml")
+if len(given["names"]):
+    calibration.load_data_set()
+    names, var = list(given["names"]), given["var"]
+    calibration.calib_config["param_name"] = names
+else:
+    calibration.calib_config |= {"known_baseframe": False, "known_tipframe": False}
+    calibration.initialize()
+    var = calibration.solve(enable_logging=False, outlier_threshold=1.0).x
+    names = list(calibration.calib_config["param_name"])
+found = calc_updated_fkm(calibration.model, calibration.data, var, calibration.q_measured, calibration.calib_config)
+np.savez(folder + "/found.npz", names=names, var=var, xyz=np.reshape(found, (3, -1)).T)
+"""
+FIGAROH_CONFIG = """\
+extends: ""
+robot:
+  name: robot
+tasks:
+  calibration:
+    enabled: true
+    type: kinematic_calibration
+    kinematics:
+      base_frame: measuring_frame
+      tool_frame: marker_{marker}
+    parameters:
+      calibration_level: full_params
+    measurements:
+      markers:
+        - measurable_dof: [true, true, true, false, false, false]
+      poses:
+        base_pose: null
+        tool_pose: null
+    data:
+      number_of_samples: {rows}
+      source_file: {folder}/rows.csv
+"""
 
 
 @dataclass(frozen=True)
 class Figaroh:
-    """figaroh reads a URDF; the robots here are stated by DH tables."""
+    """All parameters that its own analysis keeps, base and tool, from a URDF that calflow wrote; a marker at a time."""
 
+    python: Path | None
     name: str = "figaroh"
 
     def lacking(self, train: Measurements) -> str:
-        """The robot in its format."""
-        return "reads URDF alone, and the study states a DH table"
+        """An interpreter."""
+        return "" if self.python else "no interpreter given (--figaroh)"
 
-    def fit(self, train: Measurements) -> Fitted:
-        """Never asked for."""
-        raise NotImplementedError(self.lacking(train))
+    @timed
+    def fit(self, train: Measurements) -> Predictor:
+        """Fit each marker's rows."""
+        robot, _ = registered(train.robot, observations(train), train)
+        none = {"names": np.zeros(0), "var": np.zeros(0)}
+        fits = {
+            marker: self._ran(robot, marker, train.only((train.table["marker"] == marker).to_numpy()), none)
+            for marker in train.table["marker"].unique()
+        }
+
+        def positions(rows: Measurements) -> np.ndarray:
+            found = np.full((len(rows), 3), np.nan)
+            for marker, known in fits.items():
+                own = (rows.table["marker"] == marker).to_numpy()
+                found[own] = self._ran(robot, marker, rows.only(own), known)["xyz"]
+            return found
+
+        return positions
+
+    def _ran(
+        self, robot: Robot, marker: str, rows: Measurements, known: dict[str, np.ndarray]
+    ) -> dict[str, np.ndarray]:
+        """Run it on rows: a fit where no parameters are known yet, and where each row then is [m]."""
+        chain = rigid_chain(robot)
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            (folder / "robot.urdf").write_text(urdf_text(chain, "for figaroh"), encoding="utf-8")
+            config = FIGAROH_CONFIG.format(marker=marker, rows=len(rows), folder=folder)
+            (folder / "config.yaml").write_text(config, encoding="utf-8")
+            table = pd.DataFrame(rows.joints, columns=[joint.name for joint in chain.joints])
+            table[["x1", "y1", "z1"]] = rows.position
+            table.to_csv(folder / "rows.csv", index=False)
+            np.savez(folder / "given.npz", names=known["names"], var=known["var"])
+            _run(self.python, FIGAROH, folder, MOST_TURNS)
+            return dict(np.load(folder / "found.npz"))
+
+
+def _run(python: Path | None, script: str, *arguments: Path | int) -> None:
+    """Run a script by another interpreter.
+
+    Raises:
+        RuntimeError: with the last line that it said, or that it took too long.
+    """
+    command = [str(python), "-c", script, *map(str, arguments)]
+    told = subprocess.run(command, capture_output=True, text=True, preexec_fn=_limited)
+    if told.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        raise RuntimeError(f"not done after {MOST_SECONDS} s of the processor")
+    if told.returncode:
+        raise RuntimeError((told.stderr.strip().splitlines() or ["said nothing"])[-1])
+
+
+def _limited() -> None:
+    resource.setrlimit(resource.RLIMIT_CPU, (MOST_SECONDS, MOST_SECONDS + 1))
