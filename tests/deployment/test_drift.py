@@ -187,3 +187,32 @@ def test_what_is_not_told_apart_gets_poses_that_would(robot):
     for one in found.next_poses:
         values = np.array(list(one.readings.values()))
         assert ((values >= limits[:, 0]) & (values <= limits[:, 1])).all()
+
+
+@pytest.mark.parametrize("size", [3.0, 0.05, 0.005])
+@pytest.mark.parametrize("station", ["known", "auto"])
+def test_one_mistaken_pose_is_no_movement(robot, size, station):
+    """Fails if a pose that alone is off is told as a movement of the robot, with a tiny deviation, and not by its name."""
+    known, q = robot
+    data = checked(known, q, 7)
+    seen = data.position.copy()
+    seen[3, 0] += size
+    found = drift(known, [], with_positions(data, seen), station=station)
+    assert (found.summary.status, found.moved, found.recalibration) == ("cannot be told", (), ())
+    assert any(note.startswith("pose 3, marker E alone carries the error") for note in found.summary.notes)
+
+
+@pytest.mark.parametrize("seen_by", [1e3, -1.0])
+def test_units_and_signs_that_are_wrong_are_no_movement(robot, seen_by):
+    """Fails if positions in another unit, or readings with another sign, are told as a movement of metres."""
+    known, q = robot
+    data = checked(known, q, 8)
+    wrong = with_positions(data, data.position * [seen_by, 1, 1])
+    found = drift(known, [], wrong, station="known")
+    assert (found.summary.status, found.moved, found.recalibration) == ("cannot be told", (), ())
+    assert any("off by more than any calibrated robot" in note for note in found.summary.notes)
+
+
+def with_positions(data, seen):
+    """The rows with other measured positions (n, 3) [m]."""
+    return replace(data, table=data.table.assign(**dict(zip("xyz", seen.T, strict=True))))

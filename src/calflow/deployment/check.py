@@ -95,6 +95,12 @@ class Check:
         slope = np.einsum("nm,mak->nak", self.share, movement.slope).reshape(len(self.error), -1)
         return np.asarray(slope * (self.session >= since)[:, None])
 
+    @property
+    def square(self) -> float:
+        """The square of the whitened error: of so many degrees of freedom as coordinates where nothing moved."""
+        whitened = np.linalg.solve(np.linalg.cholesky(self.covariance), self.error)
+        return float(whitened @ whitened)
+
     def size(self) -> np.ndarray:
         """Return the length of each point's error, shape (n / 3,) [m]."""
         return np.linalg.norm(self.error.reshape(-1, 3), axis=1)

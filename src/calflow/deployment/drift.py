@@ -137,8 +137,7 @@ def unexplained(check: Check, step: Sequence[Step]) -> float:
     for one in step:
         check = check.without(one.best.movement, one.best.since)
         taken += len(one.best.size)
-    whitened = np.linalg.solve(np.linalg.cholesky(check.covariance), check.error)
-    return float(chi2.sf(whitened @ whitened, max(1, len(whitened) - taken)))
+    return float(chi2.sf(check.square, max(1, len(check.error) - taken)))
 
 
 def _basis(slope: np.ndarray) -> np.ndarray:

@@ -11,10 +11,11 @@ import numpy as np
 from calflow.deployment.attained import Attained
 from calflow.deployment.check import Check
 from calflow.deployment.drift import FALSE_ALARM, WITHIN, Explained, Step, searched, together, unexplained
+from calflow.deployment.mistaken import mistaken
 from calflow.deployment.movements import Kind, movements
 from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.settling import Settling, settling
-from calflow.deployment.validation import ELSEWHERE, Station, stands
+from calflow.deployment.validation import Station, stands
 from calflow.design.candidates import READINGS, reading_columns, shown_readings
 from calflow.estimation.calibrated import Identified
 from calflow.files.documents import to_document
@@ -172,8 +173,10 @@ def drift(
     rng = np.random.default_rng(seed)
     steps = searched(check, every, MOVEMENTS_SHARE * false_alarm, rng)
     told = [step for step in steps if step.family_p < MOVEMENTS_SHARE * false_alarm]
+    doubt = mistaken(known, needed, data, check, told, station, (1 - MOVEMENTS_SHARE) * false_alarm)
+    told = told if doubt is None else []
     rest = unexplained(check, told)
-    status = _status(told, rest, (1 - MOVEMENTS_SHARE) * false_alarm)
+    status: Status = "cannot be told" if doubt else _status(told, rest, (1 - MOVEMENTS_SHARE) * false_alarm)
     best = together(check, told)
     left = _left(check, best)
     settle = settling(known, data, check, told[0].best, rivals(told[0]), fitted, rng) if told else None
@@ -182,7 +185,7 @@ def drift(
         sessions=check.sessions, station="fitted" if fitted else "known", error_mm=1e3 * float(check.size().mean()),
         left_mm=1e3 * float(left.mean()), expected_mm=1e3 * float(np.sqrt(np.trace(_still(check, fitted)) / len(check.points))),
         chance=settle.chance if settle and np.isfinite(settle.chance) else None,
-        notes=(*data.notes, *_notes(needed, data, fitted), *_too_far(check)),
+        notes=(*data.notes, *_notes(needed, data, fitted), *([doubt] if doubt else [])),
     )  # fmt: skip
     return Drift(
         tuple(_moved(step, check) for step in told), tuple(row for one in best for row in _recalibrated(one)),
@@ -197,14 +200,6 @@ def rivals(step: Step) -> list[Explained]:
         if one.movement.name != step.best.movement.name and step.best.evidence - one.evidence < WITHIN:
             found.setdefault(one.movement.name, one)
     return list(found.values())
-
-
-def _too_far(check: Check) -> list[str]:
-    """Say where errors are beyond what movements, which are taken for small, can be told from."""
-    if check.size().mean() <= ELSEWHERE:
-        return []
-    return ["the check poses are off by more than any calibrated robot: are these rows of the robot, tool, units and signs that "
-            "were calibrated? What moved is told to first order, which holds for small movements alone"]  # fmt: skip
 
 
 def _given(known: Identified, given: tuple[str, ...]) -> Identified:
