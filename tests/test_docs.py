@@ -88,6 +88,8 @@ def test_the_page_on_poses_tells_the_truth(followed):
     certificate = json.loads((folder / "plan/select/certificate.json").read_text(encoding="utf-8"))
     assert certificate["criterion"] == "tool"
     assert 0 <= certificate["could_gain_percent"] < 5
+    number = json.loads((folder / "plan/select/how_many.json").read_text(encoding="utf-8"))
+    assert 0 < number["needed_poses"] <= number["enough_poses"] < 100
 
 
 def test_the_pages_of_tasks_write_what_they_say(followed):

@@ -108,7 +108,10 @@ def with_select(given: Context) -> Context:
         poses[f"nominal_{axis}_mm"] = 1000 * np.cos(np.deg2rad(poses[f"q{i + 1}_deg"]))
     poses["marker"], poses["payload"] = given.study.robot.n_joints, np.nan  # what a CSV without payloads reads as
     tables = {"select/poses.csv": poses, "select/observability.csv": worth}
-    return replace(given, results=given.results | Results(tables, {"select/certificate.json": certificate}))
+    number = {"n_poses": 30, "expected_sd_mm": 0.0167, "next_ten_mm": 0.002, "knee_poses": 14, "tolerance_mm": 0.02,
+              "enough_poses": 25, "needed_poses": 24}  # fmt: skip
+    documents = {"select/certificate.json": certificate, "select/how_many.json": number}
+    return replace(given, results=given.results | Results(tables, documents))
 
 
 @dataclass(frozen=True)

@@ -106,3 +106,13 @@ def test_poses_are_added_to_those_measured(small):
     assert added["loss"] < alone["loss"]
     assert curve["expected_sd_mm"].iloc[0] < 1.2 * alone["loss"]  # 40 poses were measured
     assert worth["n_poses"] == 8
+
+
+def test_the_number_that_meets_a_tolerance(small):
+    """Fails if a plan of as many poses as are said to be enough does not meet the tolerance, or unit or study's key is lost."""
+    _, before, _ = selected(small, "tolerance_um = 90")
+    said = json.loads((small / "runs" / "select" / "how_many.json").read_text(encoding="utf-8"))
+    assert said["tolerance_mm"] == pytest.approx(0.09)
+    assert said["expected_sd_mm"] == pytest.approx(before["loss"])
+    assert said["needed_poses"] <= said["enough_poses"]
+    assert said["next_ten_mm"] > 0

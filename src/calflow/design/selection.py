@@ -11,6 +11,7 @@ import pandas as pd
 
 from calflow.design.candidates import READINGS, allowed, candidates, reading_columns, shown_readings
 from calflow.design.exchange import greedy, information
+from calflow.design.how_many import HowMany, enough, knee, next_worth
 from calflow.design.minimax import search_worst
 from calflow.design.optimality import Criterion, Parameters, ToolError, indices
 from calflow.design.planned import Planned
@@ -90,6 +91,7 @@ class Selection:
     poses: pd.DataFrame
     observability: pd.DataFrame
     certificate: Certificate
+    how_many: HowMany
 
 
 def select(
@@ -105,6 +107,7 @@ def select(
     of: int = 2000,
     stated: np.ndarray | None = None,
     there: np.ndarray | None = None,
+    tolerance: float | None = None,
     rng: Draws = SAME,
     say: Say = nobody,
     advance: Advance = nobody,
@@ -124,6 +127,7 @@ def select(
         of: number of candidates that are drawn.
         stated: joint readings (n, n_joints) to choose of, in the place of drawn ones.
         there: packed conditions (n_conditions, n) of what has been measured already, and counts.
+        tolerance: standard deviation [m] of the tool over the task, for which the number of poses is looked for.
         rng: draws the candidates.
         say: is told how good the choice is.
         advance: is told the share of work done.
@@ -169,7 +173,24 @@ def select(
     most_telling = greedy(whitened[chosen], prior, number, criterion)
     worth = _observability(whitened[chosen[most_telling]], prior, tool, there is not None)
     tour = chosen[shortest_tour(readings[chosen])]
-    return Selection(_poses(model, readings[tour], rows[:, tour], payload, marker), worth, certificate)
+    number_of = _how_many(whitened, prior, found.chosen, tool, worth, tolerance, rng("number"))
+    return Selection(_poses(model, readings[tour], rows[:, tour], payload, marker), worth, certificate, number_of)
+
+
+def _how_many(
+    whitened: np.ndarray, prior: np.ndarray, chosen: list[int], tool: ToolError, worth: pd.DataFrame,
+    tolerance: float | None, rng: np.random.Generator,
+) -> HowMany:  # fmt: skip
+    met, needed = (None, None) if tolerance is None else enough(whitened, prior, tool, tolerance, rng)
+    return HowMany(
+        n_poses=len(chosen),
+        expected_sd_mm=float(worth["expected_sd_mm"].iloc[-1]),
+        next_ten_mm=1e3 * next_worth(whitened, prior, chosen, tool),
+        knee_poses=knee(worth["n_poses"].to_numpy(), worth["expected_sd_mm"].to_numpy()),
+        tolerance_mm=None if tolerance is None else 1e3 * tolerance,
+        enough_poses=met,
+        needed_poses=needed,
+    )
 
 
 def _certificate(found: Found, aim: Aim, whitened: np.ndarray) -> Certificate:

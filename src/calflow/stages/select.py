@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from calflow.design.how_many import HowMany
 from calflow.design.planned import Planned
 from calflow.design.selection import Aim, Certificate, Observability, PlannedPose, select
 from calflow.design.stated_poses import stated_poses
@@ -88,6 +89,12 @@ class SelectSettings(Region):
         description="a CSV of joint readings (`q1_deg` …) to choose of, such as taught poses, in the place of drawn ones; "
         "those beyond joint limits or outside the region are left out",
     )
+    tolerance: Length | None = Field(
+        default=None,
+        gt=0,
+        description="the tool's standard deviation over the task (root mean square) for which the number of poses is looked "
+        "for, e.g. `tolerance_um`",
+    )
     add_to_measured: bool = Field(
         default=False,
         description="`true`: the poses of the study's measurements count as already there (those to be fitted, repeats once), and "
@@ -144,11 +151,13 @@ def run(context: Context) -> Results:
     stated = stated_poses(study.path.parent / settings.candidates_file, model) if settings.candidates_file else None
     chosen = select(
         model, settings.poses, aim=settings.aim, task=task, there=there, stated=stated,
+        tolerance=settings.tolerance,
         payload=settings.payload, marker=settings.marker, region=settings.region, planned=planned,
         of=settings.candidates, rng=context.rng, say=context.say, advance=context.advance,
     )  # fmt: skip
     tables = {"select/poses.csv": chosen.poses, "select/observability.csv": chosen.observability}
-    return Results(tables, {"select/certificate.json": to_document(chosen.certificate)})
+    documents = {"select/certificate.json": chosen.certificate, "select/how_many.json": chosen.how_many}
+    return Results(tables, {path: to_document(one) for path, one in documents.items()})
 
 
 def problems(study: Study, settings: SelectSettings, data: Measurements | None) -> list[Problem]:
@@ -253,7 +262,7 @@ STAGE = Stage(
     run,
     measured=False,
     tables={"select/poses.csv": PlannedPose, "select/observability.csv": Observability},
-    documents={"select/certificate.json": Certificate},
+    documents={"select/certificate.json": Certificate, "select/how_many.json": HowMany},
     problems=problems,
     reads=_files,
 )

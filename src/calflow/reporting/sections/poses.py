@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from calflow.design.candidates import reading_columns, reading_labels
+from calflow.design.how_many import HowMany
 from calflow.design.selection import Aim, Certificate
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table
 from calflow.reporting.figures.poses import observability
@@ -41,6 +42,7 @@ def write(material: Material) -> list[Block]:
             f"and to {mm(worst)} mm where it is least so. {_proof(certificate)}",
             keep=True,
         ),
+        Paragraph(_number(material.results.document("select/how_many.json", HowMany))),
         Plot("observability", observability(worth, certificate), WORTH, worth),
         Plot(
             "poses",
@@ -61,6 +63,20 @@ def _proof(certificate: Certificate) -> str:
     )
 
 
+def _number(how_many: HowMany) -> str:
+    """Say what the number of poses is worth."""
+    said = f"Ten poses more would lower it by {mm(how_many.next_ten_mm)} mm; the curve below bends at {how_many.knee_poses} poses."
+    if how_many.tolerance_mm is None:
+        return said
+    asked = f"{mm(how_many.tolerance_mm)} mm"
+    if how_many.enough_poses is None:
+        return f"{said} The {asked} asked for are not met by any number of these candidates."
+    return (
+        f"{said} The {asked} asked for are met with {how_many.enough_poses} poses; with fewer than {how_many.needed_poses} no "
+        "choice of these candidates meets them."
+    )
+
+
 def _first(poses: pd.DataFrame, robot: Robot) -> list[Block]:
     joints = reading_columns(robot)
     columns = ["pose", *joints, *(f"nominal_{axis}_mm" for axis in "xyz")]
@@ -78,5 +94,8 @@ def _first(poses: pd.DataFrame, robot: Robot) -> list[Block]:
 
 
 SECTION = Section(
-    70, "Planned poses", ("select/poses.csv", "select/observability.csv", "select/certificate.json"), write
+    70,
+    "Planned poses",
+    ("select/poses.csv", "select/observability.csv", "select/certificate.json", "select/how_many.json"),
+    write,
 )
