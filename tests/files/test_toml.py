@@ -85,7 +85,7 @@ MISTAKES = {
         ("mass_kg = 2\n", 'mass_kg = "Unknown"\n',
          "26: payloads.light.mass_kg: expected a number or \"unknown\", found 'Unknown'"),
         ("[600, 50, 80]", "[600, 50, 80]\nrelative_sd_mm = 1\nknown = false", "32: markers.tool: a marker with relative_sd"),
-        ("modified-dh", "modifed-dh", "3: convention: expected 'dh' or 'modified-dh', found 'modifed-dh'"),
+        ("modified-dh", "modifed-dh", "3: convention: expected 'dh', 'modified-dh' or 'frames', found 'modifed-dh'"),
         ("[-100, 40]", "[40, -100]", "14: joints[2].limits_deg: expected lower < upper, found 40 and -100"),
         ("limits_deg = [-100, 40]", "limits_mm = [-1, 1]", "11: joints[2]: a revolute joint has limits_deg, not limits_mm"),
         ("a_mm = 100", 'kind = "prismatic"', "11: joints[2]: a prismatic joint needs limits_mm"),
