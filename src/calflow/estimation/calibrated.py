@@ -104,6 +104,8 @@ class SeriesNoise:
 class Identified:
     """The fitted model with its estimate, covariance (SI units), each series' noise, and the discrepancy it left [m, rad].
 
+    elsewhere [m] is what it errs by beyond all that at poses that it was not fitted to, per axis.
+
     alternatives are other models that explain the data about as well; field is a correction beside the model that is not physical.
     """
 
@@ -115,6 +117,7 @@ class Identified:
     discrepancy: float
     rotation_discrepancy: float
     loss: Loss
+    elsewhere: float = 0.0
     alternatives: tuple[Alternative, ...] = ()
     field: ResidualField | None = None
 
@@ -323,6 +326,7 @@ def _read(stage: str, model: Model, results: Results) -> Identified:
         summary.discrepancy_mm / 1e3,
         (summary.rotation_discrepancy_mrad or 0.0) / 1e3,
         summary.loss,
+        summary.elsewhere_mm / 1e3,
     )
 
 

@@ -62,8 +62,9 @@ def untold_turns(known: Identified, rows: np.ndarray) -> np.ndarray:
 
 
 def unexplained(known: Identified) -> float:
-    """Return the standard deviation per axis [m] of what the model errs by beside its parameters' errors."""
-    return known.discrepancy if known.noise_known else known.device[0].at_rows
+    """Return the standard deviation per axis [m] of what the model errs by beside its parameters' errors, at any pose."""
+    left = known.discrepancy if known.noise_known else known.device[0].at_rows
+    return float(np.hypot(left, known.elsewhere))
 
 
 def _of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:

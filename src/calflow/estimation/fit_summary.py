@@ -38,6 +38,12 @@ class FitSummary:
     rotation_discrepancy_mrad: float | None = column(
         "the same of orientations; null: not measured", "mrad", default=None
     )
+    elsewhere_mm: float = column(
+        "what it errs by beyond that, and beyond what is told of its parameters, at poses that it was not fitted to, per axis: "
+        "by leaving out one training pose at a time",
+        "mm",
+        default=0.0,
+    )
     loss: Loss = column("of the fit")
     reduced_chi2: float | None = column("chi² per degree of freedom; null: cannot be told, the noise came from the fit")
     lack_of_fit_p: float | None = column("chance of so much where the model is right; null: cannot be told")

@@ -12,6 +12,7 @@ import numpy as np
 
 from calflow.estimation.accuracy import Accuracy, accuracy, errors
 from calflow.estimation.calibrated import Identified, series_noise
+from calflow.estimation.elsewhere import elsewhere
 from calflow.estimation.extrapolation import extrapolation
 from calflow.estimation.fit import Fit, draw_starts
 from calflow.estimation.fit_summary import IdentifySummary, Solver
@@ -63,11 +64,17 @@ class Identification:
         return identifiability(self.fit)
 
     @cached_property
+    def elsewhere(self) -> float:
+        """What it errs by at other poses beyond what is told of noise and parameters, sd per axis [m]."""
+        poses = self.data.table.loc[self.data.train, "pose"]
+        return elsewhere(self.fit, np.unique(poses, return_inverse=True)[1])
+
+    @cached_property
     def known(self) -> Identified:
         """What the stages after it start from."""
         return Identified(
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
-            self.noise.discrepancy, self.noise.rotation_discrepancy, self.loss,
+            self.noise.discrepancy, self.noise.rotation_discrepancy, self.loss, self.elsewhere,
         )  # fmt: skip
 
     @cached_property
@@ -80,6 +87,7 @@ class Identification:
             sigma_mm=1e3 * float(np.sqrt(np.mean(noise.sigma**2))),
             discrepancy_mm=1e3 * noise.discrepancy,
             rotation_discrepancy_mrad=None if noise.rotation is None else 1e3 * noise.rotation_discrepancy,
+            elsewhere_mm=1e3 * self.elsewhere,
             loss=self.loss,
             reduced_chi2=self.lack.reduced_chi2 if noise.known else None,
             lack_of_fit_p=self.lack.p if noise.known else None,

@@ -15,6 +15,7 @@ from calflow.diagnosis.screening.screening import Screening
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated import Identified
+from calflow.estimation.elsewhere import elsewhere
 from calflow.estimation.fit import Fit, fit
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
@@ -100,6 +101,11 @@ class Fitted:
         found = np.zeros((len(self.fit.estimate), len(self.fit.estimate)))
         found[np.ix_(free, free)] = within
         return found
+
+    @cached_property
+    def elsewhere(self) -> float:
+        """What it errs by at other poses beyond what is told of noise and parameters, sd per axis [m]."""
+        return elsewhere(self.fit, self.poses)
 
     @property
     def misfit(self) -> float:
