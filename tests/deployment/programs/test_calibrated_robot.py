@@ -280,3 +280,19 @@ def test_flags_tell_all_ways_to_a_pose_apart(flags):
         if flags is RapidConfiguration:
             seen = [flags(()).of(one) for one in named]
         assert len(set(seen)) == len(seen) >= 2
+
+
+def test_a_joint_without_limits_has_the_turns_that_flags_count():
+    """Fails if a target beyond half a turn of a joint without limits is not found by its flags, or by readings near it."""
+    plain = industrial()
+    endless = replace(plain, joints=(*plain.joints[:5], replace(plain.joints[5], limits=None)))
+    corrector = calibrated(endless, ("geometry",), 0.3)
+    readings = usual(corrector, 3)
+    readings[1:, 5] = 4.0, -4.0  # cf6 = 2 and -3
+    done = filtered(parsed(rapid_program(corrector, readings), Path("weld.mod")), corrector, Choices({}, {}))
+    assert [(row.outcome, row.note) for row in done.rows] == [("moved", "")] * 4
+    pose = ",".join(f"{v:.9f}" for v in pose_values(corrector.flange(readings[1:2])[0], "vector", np.zeros(6)))
+    near = ",".join(f"{v:.9f}" for v in readings[1])
+    source = f"set_tcp(p[0,0,0,0,0,0])\nmovej(get_inverse_kin(p[{pose}], qnear=[{near}]))\n".encode()
+    (row,) = filtered(parsed(source, Path("p.script")), corrector, Choices({}, {})).rows
+    assert row.outcome == "moved"

@@ -11,6 +11,7 @@ from calflow.deployment.programs.target import Program, Target
 from calflow.robot.robot import Robot
 
 SCALES = {"mm": 1e-3, "deg": np.pi / 180}
+TURNING = (0, 3, 5)  # joints of an arm, from 0, that can turn more than once around
 
 
 @dataclass(frozen=True)
@@ -18,22 +19,34 @@ class Axes:
     """The joints (from 0) of an arm, in the order in which programs give them, of all number of joints of a robot.
 
     external has the joint of each of the controller's external axes by its number from 1, and units what programs give its value
-    in: deg or mm.
+    in: deg or mm. endless are joints that turn without an end: a whole turn more leads to the same pose.
     """
 
     number: int
     arm: tuple[int, ...]
     external: Mapping[int, int]
     units: Mapping[int, str]
+    endless: tuple[int, ...] = ()
 
     @staticmethod
     def of(robot: Robot) -> Axes:
         """Return a robot's axes."""
         external = {robot.joints[i].external or 0: i for i in robot.external}
         external = dict(sorted(external.items()))
-        return Axes(
-            robot.n_joints, tuple(robot.arm), external, {k: robot.joints[i].shown[0] for k, i in external.items()}
-        )
+        endless = tuple(i for i in robot.arm if np.isinf(robot.stops[i]).all())
+        units = {k: robot.joints[i].shown[0] for k, i in external.items()}
+        return Axes(robot.n_joints, tuple(robot.arm), external, units, endless)
+
+    def turned(self, ways: np.ndarray) -> np.ndarray:
+        """Return ways (n, n_joints) with a turn more or less of the endless ones of the joints of which programs count turns."""
+        for joint in (self.arm[k] for k in TURNING if k < len(self.arm) and self.arm[k] in self.endless):
+            ways = np.concatenate([ways + 2 * np.pi * turn * np.eye(self.number)[joint] for turn in (0, -1, 1)])
+        return ways
+
+    def turned_to(self, ways: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """Return ways (n, n_joints) with the whole turns of endless joints that bring them nearest to readings (n_joints,)."""
+        endless = np.isin(np.arange(self.number), self.endless)
+        return np.asarray(ways + 2 * np.pi * np.round((near - ways) / (2 * np.pi)) * endless)
 
     def lacking(self, target: Target) -> str:
         """Say what a target lacks to tell where the external axes are; empty where nothing."""

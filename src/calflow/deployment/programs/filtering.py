@@ -233,7 +233,7 @@ def _chosen(aim: _Aim, solutions: np.ndarray, before: np.ndarray | None, correct
         return replace(aim, note="the nominal robot does not get there within its joint limits")
     near = _near(aim.target, corrector.axes)
     if near is not None:
-        close = _nearest(solutions, near)
+        close = _nearest(corrector.axes.turned_to(solutions, near), near)
         if np.abs(close - near).max() < CLOSE:
             return replace(aim, readings=close)
         apart = f"{np.rad2deg(np.abs(close - near).max()):.3g}°"
@@ -255,11 +255,12 @@ def _fitting(aim: _Aim, solutions: np.ndarray, corrector: Corrector, loosely: bo
     if configuration is None:
         only = len(solutions) == 1
         return solutions, "" if only else f"no configuration tells which of {len(solutions)} joint positions is meant"
-    postures = [corrector.posture(one) for one in solutions]
-    for margin, strictly in ((0.0, True), (NEAR, True), (NEAR, False)):
-        fitting = solutions[[configuration.agrees(one, margin, strictly) for one in postures]]
-        if len(fitting):
-            return fitting, "" if len(fitting) == 1 else f"{len(fitting)} joint positions have its configuration"
+    for ways in (solutions, corrector.axes.turned(solutions)):  # flags that hold within half a turn mean that one
+        postures = [corrector.posture(one) for one in ways]
+        for margin, strictly in ((0.0, True), (NEAR, True), (NEAR, False)):
+            fitting = ways[[configuration.agrees(one, margin, strictly) for one in postures]]
+            if len(fitting):
+                return fitting, "" if len(fitting) == 1 else f"{len(fitting)} joint positions have its configuration"
     none = "no joint readings of the nominal robot that lead there have its configuration"
     return (solutions, none) if loosely else (fitting, none)
 
