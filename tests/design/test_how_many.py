@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from calflow.design.exchange import information
 from calflow.design.how_many import enough, knee, next_worth
 from calflow.design.optimality import ToolError
 
@@ -48,7 +49,7 @@ def test_what_cannot_be_met_or_is_met_already(case):
 def test_ten_more_are_worth_what_the_best_ten_are(case):
     """Fails if the poses chosen count twice, or what is added is not what the error falls by."""
     jacobians, tool = case
-    worth = next_worth(jacobians, PRIOR, [4, 7], tool)
+    worth = next_worth(jacobians, information(jacobians[[4, 7]], PRIOR), [4, 7], tool)
     assert worth == pytest.approx(loss(jacobians, tool, [4, 7]) - loss(jacobians, tool, range(10)))
 
 

@@ -116,3 +116,13 @@ def test_the_number_that_meets_a_tolerance(small):
     assert said["expected_sd_mm"] == pytest.approx(before["loss"])
     assert said["needed_poses"] <= said["enough_poses"]
     assert said["next_ten_mm"] > 0
+
+
+def test_refined_poses_are_said_to_be_better(small):
+    """Fails if refinement is not asked for by its key, or its gain is not what the table of poses' worth says."""
+    worth, plain, _ = selected(small, "")
+    better, certificate, _ = selected(small, "refine = true", out="refined")
+    assert plain["refined_percent"] is None
+    gained = 100 * (1 - better["expected_sd_mm"] / worth["expected_sd_mm"])
+    assert certificate["refined_percent"] == pytest.approx(gained, abs=1e-6)
+    assert gained > 0

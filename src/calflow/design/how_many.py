@@ -33,9 +33,8 @@ class HowMany:
     needed_poses: int | None = column("no choice of fewer of these candidates meets it", default=None)
 
 
-def next_worth(jacobians: np.ndarray, prior: np.ndarray, chosen: list[int], tool: ToolError) -> float:
-    """Return by how much the tool's error [m] falls with ten poses more, the best one after the other."""
-    known = information(jacobians[chosen], prior)
+def next_worth(jacobians: np.ndarray, known: np.ndarray, chosen: list[int], tool: ToolError) -> float:
+    """Return by how much the tool's error [m] falls with ten poses more than those known, the best one after the other."""
     covariance = np.linalg.inv(known)
     promise = sensitivities(jacobians, tool.slope(covariance))
     promise[chosen] = -np.inf

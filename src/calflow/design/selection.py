@@ -9,12 +9,13 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from calflow.design.candidates import READINGS, allowed, candidates, reading_columns, shown_readings
+from calflow.design.candidates import READINGS, allowed, candidates, pack, reading_columns, shown_readings
 from calflow.design.exchange import greedy, information
 from calflow.design.how_many import HowMany, enough, knee, next_worth
 from calflow.design.minimax import search_worst
 from calflow.design.optimality import Criterion, Parameters, ToolError, indices
 from calflow.design.planned import Planned
+from calflow.design.refinement import refined
 from calflow.design.search import Found, search
 from calflow.design.task import Task
 from calflow.design.tour import shortest_tour
@@ -82,6 +83,11 @@ class Certificate:
     )
     least_loss: float = column("a loss that no other choice gets below, by the equivalence theorem")
     could_gain_percent: float = column("by how much of the loss any other choice could at most be better", "%")
+    refined_percent: float | None = column(
+        "by how much of the loss the poses are better than this choice, moved between the candidates; null: not refined",
+        "%",
+        default=None,
+    )
 
 
 @dataclass(frozen=True)
@@ -108,6 +114,7 @@ def select(
     stated: np.ndarray | None = None,
     there: np.ndarray | None = None,
     tolerance: float | None = None,
+    refine: bool = False,
     rng: Draws = SAME,
     say: Say = nobody,
     advance: Advance = nobody,
@@ -128,6 +135,7 @@ def select(
         stated: joint readings (n, n_joints) to choose of, in the place of drawn ones.
         there: packed conditions (n_conditions, n) of what has been measured already, and counts.
         tolerance: standard deviation [m] of the tool over the task, for which the number of poses is looked for.
+        refine: whether the poses chosen are moved between the candidates; not for the worst point.
         rng: draws the candidates.
         say: is told how good the choice is.
         advance: is told the share of work done.
@@ -169,28 +177,26 @@ def select(
     )
     advance(0.9)
 
-    chosen = np.array(found.chosen)
-    most_telling = greedy(whitened[chosen], prior, number, criterion)
-    worth = _observability(whitened[chosen[most_telling]], prior, tool, there is not None)
-    tour = chosen[shortest_tour(readings[chosen])]
-    number_of = _how_many(whitened, prior, found.chosen, tool, worth, tolerance, rng("number"))
-    return Selection(_poses(model, readings[tour], rows[:, tour], payload, marker), worth, certificate, number_of)
-
-
-def _how_many(
-    whitened: np.ndarray, prior: np.ndarray, chosen: list[int], tool: ToolError, worth: pd.DataFrame,
-    tolerance: float | None, rng: np.random.Generator,
-) -> HowMany:  # fmt: skip
-    met, needed = (None, None) if tolerance is None else enough(whitened, prior, tool, tolerance, rng)
-    return HowMany(
-        n_poses=len(chosen),
+    poses, own = readings[found.chosen], whitened[found.chosen]
+    if refine:
+        poses = refined(model, planned, poses, payload, marker, region, prior, criterion)
+        own = planned.whitened(model, model.nominal, pack(model, poses, payload, marker)) * model.prior_sd
+        gained = 100 * (1 - criterion.loss(np.linalg.inv(information(own, prior))) / found.loss)
+        certificate = replace(certificate, refined_percent=gained)
+        say(f"moved between the candidates they are better by {gained:.2g} %")
+    worth = _observability(own[greedy(own, prior, number, criterion)], prior, tool, there is not None)
+    met, needed = (None, None) if tolerance is None else enough(whitened, prior, tool, tolerance, rng("number"))
+    how_many = HowMany(
+        n_poses=number,
         expected_sd_mm=float(worth["expected_sd_mm"].iloc[-1]),
-        next_ten_mm=1e3 * next_worth(whitened, prior, chosen, tool),
+        next_ten_mm=1e3 * next_worth(whitened, information(own, prior), found.chosen, tool),
         knee_poses=knee(worth["n_poses"].to_numpy(), worth["expected_sd_mm"].to_numpy()),
         tolerance_mm=None if tolerance is None else 1e3 * tolerance,
         enough_poses=met,
         needed_poses=needed,
     )
+    table = _poses(model, poses[shortest_tour(poses)], payload, marker)
+    return Selection(table, worth, certificate, how_many)
 
 
 def _certificate(found: Found, aim: Aim, whitened: np.ndarray) -> Certificate:
@@ -233,7 +239,7 @@ def _observability(whitened: np.ndarray, prior: np.ndarray, tool: ToolError, add
     return to_frame(rows, Observability)
 
 
-def _poses(model: Model, readings: np.ndarray, rows: np.ndarray, payload: str, marker: str) -> pd.DataFrame:
+def _poses(model: Model, readings: np.ndarray, payload: str, marker: str) -> pd.DataFrame:
     """What a robot programmer needs: joints in measuring order, the side each comes from, and where the tool will be.
 
     The first pose comes from wherever the robot is, so its approach is 0.
@@ -244,6 +250,6 @@ def _poses(model: Model, readings: np.ndarray, rows: np.ndarray, payload: str, m
     came = np.sign(np.diff(readings, axis=0, prepend=readings[:1])).astype(int)
     for i in robot.driven:
         table[f"approach{i + 1}"] = came[:, i]
-    position = 1e3 * model.position(model.nominal, rows)
+    position = 1e3 * model.position(model.nominal, pack(model, readings, payload, marker))
     table |= {f"nominal_{axis}_mm": np.round(position[:, i], 1) for i, axis in enumerate("xyz")}
     return typed(pd.DataFrame({**table, "marker": marker, "payload": payload}), PlannedPose)

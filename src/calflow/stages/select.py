@@ -95,6 +95,11 @@ class SelectSettings(Region):
         description="the tool's standard deviation over the task (root mean square) for which the number of poses is looked "
         "for, e.g. `tolerance_um`",
     )
+    refine: bool = Field(
+        default=False,
+        description="`true`: the poses chosen are moved between the candidates, within joint limits and region; not taught poses, "
+        "and not for the `worst`",
+    )
     add_to_measured: bool = Field(
         default=False,
         description="`true`: the poses of the study's measurements count as already there (those to be fitted, repeats once), and "
@@ -129,6 +134,8 @@ class SelectSettings(Region):
     def _enough_candidates(self) -> SelectSettings:
         if self.poses > self.candidates and not self.candidates_file:
             raise ValueError("poses: there must be at least as many candidates")
+        if self.refine and (self.candidates_file or self.aim == "worst"):
+            raise ValueError("refine: taught poses are left as they are, and the criterion must be parameters or tool")
         return self
 
     @property
@@ -151,7 +158,7 @@ def run(context: Context) -> Results:
     stated = stated_poses(study.path.parent / settings.candidates_file, model) if settings.candidates_file else None
     chosen = select(
         model, settings.poses, aim=settings.aim, task=task, there=there, stated=stated,
-        tolerance=settings.tolerance,
+        tolerance=settings.tolerance, refine=settings.refine,
         payload=settings.payload, marker=settings.marker, region=settings.region, planned=planned,
         of=settings.candidates, rng=context.rng, say=context.say, advance=context.advance,
     )  # fmt: skip

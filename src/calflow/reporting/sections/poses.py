@@ -57,9 +57,11 @@ def write(material: Material) -> list[Block]:
 def _proof(certificate: Certificate) -> str:
     """Say how much better other poses could be."""
     what = "the parameters' standard deviations" if certificate.criterion == "parameters" else "that standard deviation"
+    gained = certificate.refined_percent
+    moved = "" if gained is None else f" Moved between the candidates, these are better by {gained:.2g} %."
     return (
         f"No other choice of {certificate.n_poses} of these {certificate.n_candidates:,} candidates makes {what} smaller by "
-        f"more than {certificate.could_gain_percent:.2g} % (equivalence theorem)."
+        f"more than {certificate.could_gain_percent:.2g} % (equivalence theorem).{moved}"
     )
 
 
