@@ -52,7 +52,8 @@ def candidates(
             readings, touching = brought(model, observation, readings, rows)
             rows = pack(model, readings, payload, marker)
             angles = readings @ model.robot.reading_matrix.T
-            good &= touching & model.robot.within_limits(angles)
+            low, high = model.robot.limits.T  # of a joint that nobody limits one turn, as drawn
+            good &= touching & ((angles >= low) & (angles <= high)).all(axis=1)
         elif region is not None:
             position = rigid.position(rigid.nominal, pack(rigid, readings, payload, marker))
             good &= ((position > region[0]) & (position < region[1])).all(axis=1)
@@ -72,8 +73,7 @@ def allowed(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return those of stated joint readings (n, n_joints) that are within limits and region, and their packed conditions."""
     angles = readings @ model.robot.reading_matrix.T
-    good = ((angles >= model.robot.limits[:, 0]) & (angles <= model.robot.limits[:, 1])).all(axis=1)
-    good &= reachable(model.robot, angles)
+    good = model.robot.within_limits(angles) & reachable(model.robot, angles)
     if region is not None:
         position = model.position(model.nominal, pack(model, readings, payload, marker))
         good &= ((position > region[0]) & (position < region[1])).all(axis=1)
