@@ -26,12 +26,14 @@ def waves(variable: ca.SX, low: float, high: float, length: float, finest: float
     """Return the waves of a curve of a variable (1,) from low to high, the longest first.
 
     Neighbours are alike as far as length, and nothing is resolved below finest; all in the variable's unit. The amplitudes
-    are independent, so that smoothness is a prior like any other (Solin and Saerkkae 2020).
+    are independent, so that smoothness is a prior like any other (Solin and Saerkkae 2020). Beyond the ends, by a twentieth of the
+    interval, the curve is zero: waves that went on would tell there the mirror image of what was measured inside.
     """
     middle, half = (high + low) / 2, MARGIN * (high - low) / 2
     number = np.arange(1, int(2 * half / finest) + 1)
     sd = np.sqrt(_spectrum(pi * number / (2 * half), length) / half)
-    angle = pi * (variable - middle + half) / (2 * half)
+    inside = ca.fmax(middle - half, ca.fmin(middle + half, variable))
+    angle = pi * (inside - middle + half) / (2 * half)
     kept = sd > NEGLIGIBLE * sd[0]
     values = ca.vertsplit(
         ca.sin(ca.DM(number[kept].astype(float)) * angle)
