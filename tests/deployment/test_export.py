@@ -19,6 +19,7 @@ from calflow.deployment.export import _between, export
 from calflow.estimation.calibrated import Identified, SeriesNoise
 from calflow.model import build
 from calflow.robot.formats.rigid_chain import rigid_chain
+from calflow.robot.formats.robot_file import drives
 from calflow.robot.formats.urdf_written import properties_text, urdf_text
 from calflow.robot.robot import Robot
 from robot.formats import urdfs
@@ -259,3 +260,26 @@ def test_a_robot_of_a_urdf_reads_back(tmp_path):
         if error.field == "steps":
             said = table.loc[error.parameter.part.replace("joint", "joint "), error.parameter.symbol]
             assert said["difference"] == pytest.approx((1e3 if said["unit"] == "mm" else np.rad2deg(1)) * value)
+
+
+def test_a_planner_can_move_what_it_reads(tmp_path):
+    """Fails if the source's efforts and velocities are lost, or 0 stands in their place, or a placeholder without a word."""
+    limited = replace(ur10(), joints=tuple(replace(joint, limits=(-3.0, 3.0)) for joint in ur10().joints))
+    text = urdf_text(rigid_chain(limited), "").replace(
+        'effort="1000.0" velocity="1.0"', 'effort="150" velocity="2.5"', 1
+    )
+    (tmp_path / "arm.urdf").write_text(text.replace('effort="1000.0" velocity="1.0"', 'effort="0" velocity="0"', 1))
+    (tmp_path / "robot.toml").write_text(
+        '[urdf]\nfile = "arm.urdf"\ntip = "tool0"\n[markers.E]\npoint_mm = [0, 0, 9]\n'
+    )
+    robot = Robot.from_toml(tmp_path / "robot.toml")
+    known = identified(robot)
+    packed = rows(known.model, poses(robot, 3), marker="E")
+    told = export(known, packed, "urdf", None, drives(tmp_path / "robot.toml"))
+    limits = [one.attrib for one in ElementTree.fromstring(told.text).iter("limit")]
+    assert [(float(one["effort"]), float(one["velocity"])) for one in limits] == [(150, 2.5)] + 5 * [(1000, 1)]
+    said = [note for note in told.notes if "placeholder" in note]
+    assert [note.split(" of ")[0] for note in said] == ["effort 1000 (Nm or N)", "velocity 1 (rad/s or m/s)"]
+    assert (
+        said[0].split(" of ")[1].split(" is ")[0] == robot.joints[1].name
+    )  # the source states 1000 and 1 of the others

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
@@ -17,7 +17,8 @@ from calflow.files.tables import to_frame
 from calflow.model import Model
 from calflow.robot.formats.chain_json import json_text
 from calflow.robot.formats.rigid_chain import RigidChain, rigid_chain, said_of_variables
-from calflow.robot.formats.urdf_written import properties_text, urdf_text
+from calflow.robot.formats.urdf_document import Drive
+from calflow.robot.formats.urdf_written import properties_text, said_of_drives, urdf_text
 from calflow.robot.robot import Robot
 
 Format = Literal["urdf", "xacro-properties", "dh", "json", "controller"]
@@ -33,7 +34,9 @@ class Export:
     left_out: tuple[LeftOut, ...]
 
 
-def export(known: Identified, rows: np.ndarray, to: Format, maker: Robot | None = None) -> Export:
+def export(
+    known: Identified, rows: np.ndarray, to: Format, maker: Robot | None = None, drives: Mapping[str, Drive] | None = None
+) -> Export:  # fmt: skip
     """Return a calibrated model in a format.
 
     Args:
@@ -41,6 +44,7 @@ def export(known: Identified, rows: np.ndarray, to: Format, maker: Robot | None 
         rows: packed conditions (n_conditions, n) of the measured rows, over which costs are told.
         to: the format; dh is a robot file with the calibrated figures in the place of the maker's.
         maker: the robot as its file has it, where the calibration placed base, tool or markers elsewhere before it began.
+        drives: of a URDF, what moves each joint, by its name in the robot.
 
     Raises:
         InputError: the robot's frames cannot be stated in it.
@@ -55,6 +59,10 @@ def export(known: Identified, rows: np.ndarray, to: Format, maker: Robot | None 
         return Export(csv_text(table), _said(lost), lost)
     chain = rigid_chain(found.robot)
     notes = (*_said(found.without), *said_of_variables(found.robot))
+    if to == "urdf":
+        own = [(drives or {}).get(joint.name, Drive()) for joint in found.robot.joints]
+        notes = (*notes, *said_of_drives(chain, own))
+        return Export(urdf_text(chain, _heading(notes), own), notes, found.without)
     return Export(_written(chain, known, found, notes, to), notes, found.without)
 
 
@@ -69,8 +77,11 @@ def _written(chain: RigidChain, known: Identified, found: Exported, notes: Seque
         figures = json.loads(found.robot.canonical())
         left_out = [asdict(one) for one in found.without]
         return json_text(chain, {"figures": figures, "parameters": parameters, "left_out": left_out, "notes": notes})
-    said = "; ".join(("calibrated figures, SI units", *notes))
-    return urdf_text(chain, said) if to == "urdf" else properties_text(chain, said)
+    return properties_text(chain, _heading(notes))
+
+
+def _heading(notes: Sequence[str]) -> str:
+    return "; ".join(("calibrated figures, SI units", *notes))
 
 
 def _zeros_alone(known: Identified, found: Exported, rows: np.ndarray) -> LeftOut:

@@ -12,6 +12,7 @@ from calflow.design.candidates import candidates
 from calflow.estimation.calibrated import Identified
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
+from calflow.robot.formats.robot_file import drives
 from calflow.runs.cache_key import robot_digest
 from calflow.runs.calibrated_run import CalibratedRun
 from calflow.runs.folder import study_and_folder
@@ -32,7 +33,7 @@ def export_run(study_or_run: str | Path, to: Format) -> Export:
     run = CalibratedRun.of(study_or_run)
     data, said = _measured(run)
     known, rows = _anywhere(run) if data is None else (run.known(data.given), data.rows)
-    found = export(known, rows, to, run.robot)
+    found = export(known, rows, to, run.robot, drives(run.folder / "inputs" / "robot.toml"))
     return replace(found, notes=(*run.warning, *said, *found.notes))
 
 

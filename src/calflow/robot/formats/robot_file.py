@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from calflow.files.problems import refuse
 from calflow.files.toml import parse_toml, validate
 from calflow.robot.formats import urdf
 from calflow.robot.formats.robot_toml import RobotFile
+from calflow.robot.formats.urdf_document import Drive, read_document
 from calflow.robot.formats.urdf_toml import UrdfRobotFile
 
 
@@ -40,3 +42,13 @@ def files(path: Path) -> tuple[Path, ...]:
     if "urdf" not in raw:
         return (path,)
     return path, path.parent / validate(raw, UrdfRobotFile, origin).urdf.file
+
+
+def drives(path: Path) -> Mapping[str, Drive]:
+    """Return what the URDF that a robot file names says of each joint's drive, by the joint's name; nothing without a URDF.
+
+    Raises:
+        InputError: with all that is wrong in the files.
+    """
+    _, *stated = files(path)
+    return {name: joint.drive for one in stated for name, joint in read_document(one).joints.items()}

@@ -41,8 +41,16 @@ class Mimic:
 
 
 @dataclass(frozen=True)
+class Drive:
+    """The most that moves a joint: its effort [Nm or N] and velocity [rad/s or m/s]; None where nobody says, or says 0."""
+
+    effort: float | None = None
+    velocity: float | None = None
+
+
+@dataclass(frozen=True)
 class UrdfJoint:
-    """A joint: where it stands in its parent's frame, the direction of its axis in its own, and its limits [rad or m]."""
+    """A joint: where it stands in its parent's frame, the direction of its axis in its own, its limits [rad or m] and drive."""
 
     name: str
     kind: str
@@ -53,6 +61,7 @@ class UrdfJoint:
     axis: Vector = (1.0, 0.0, 0.0)
     limits: tuple[float, float] | None = None
     mimic: Mimic | None = None
+    drive: Drive = Drive()
 
     @property
     def moves(self) -> bool:
@@ -230,7 +239,7 @@ class _Reader:
         if kind not in MOVING:
             return joint
         return UrdfJoint(name, kind, parent, child, element.line, joint.origin, self.axis(element, key),
-                         self.limits(element, key, kind), self.mimic(element, key))  # fmt: skip
+                         self.limits(element, key, kind), self.mimic(element, key), _drive(element))  # fmt: skip
 
     def link(self, element: Element, key: str, tag: str) -> str:
         """The name of a joint's parent or child; empty where it has none."""
@@ -282,6 +291,13 @@ class _Reader:
         multiplier = self.number(found, f"{key}: mimic", "multiplier", 1.0)
         offset = self.number(found, f"{key}: mimic", "offset", 0.0)
         return Mimic(source, 1.0 if multiplier is None else multiplier, offset or 0.0)
+
+
+def _drive(element: Element) -> Drive:
+    """A joint's drive, in which what is no number above 0 says nothing: calflow itself has no use for it."""
+    said = next((found.attributes for found in element.all("limit")), {})
+    effort, velocity = (_number(said.get(name, "")) for name in ("effort", "velocity"))
+    return Drive(effort if (effort or 0) > 0 else None, velocity if (velocity or 0) > 0 else None)
 
 
 def _number(word: str) -> float | None:

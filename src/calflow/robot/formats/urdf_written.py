@@ -8,23 +8,26 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from calflow.robot.formats.rigid_chain import RigidChain, plain_names
+from calflow.robot.formats.rigid_chain import ChainJoint, RigidChain, plain_names
+from calflow.robot.formats.urdf_document import Drive
 from calflow.robot.origins import rpy_of
 
+USUAL = Drive(1000.0, 1.0)  # what stands where URDF asks for a drive that nobody stated
 BASE, FLANGE, TOOL, MEASURING = "base_link", "flange", "tool0", "measuring_frame"
 
 
-def urdf_text(chain: RigidChain, notes: str) -> str:
+def urdf_text(chain: RigidChain, notes: str, drives: Sequence[Drive] = ()) -> str:
     """Return a rigid chain as URDF: links `base_link`, `link1` …, `flange`, `tool0`, `measuring_frame` and one a marker.
 
-    notes stand in a comment. What calflow does not know (shapes, inertia, speeds) is not in it, or zero where URDF asks for it.
+    notes stand in a comment; drives are each joint's. What calflow does not know (shapes, inertia) is not in it, or zero where
+    URDF asks for it; of drives USUAL stands there, as planners take 0 for a joint that cannot move.
     """
     robot = ElementTree.Element("robot", name=chain.name)
     robot.append(ElementTree.Comment(_commented(notes)))
     _link(robot, BASE)
     _fixed(robot, BASE, MEASURING, np.linalg.inv(chain.base))
     before = BASE
-    for i, joint in enumerate(chain.joints):
+    for i, (joint, drive) in enumerate(zip(chain.joints, drives or [Drive()] * len(chain.joints), strict=True)):
         link = _link(robot, f"link{i + 1}")
         if joint.mass is not None:
             inertial = ElementTree.SubElement(link, "inertial")
@@ -37,8 +40,9 @@ def urdf_text(chain: RigidChain, notes: str) -> str:
         ElementTree.SubElement(made, "axis", xyz=_figures(joint.axis))
         if kind != "continuous":
             low, high = map(float, joint.limits or (-np.pi, np.pi))
-            limit = {"lower": repr(low), "upper": repr(high), "effort": repr(float(joint.rated or 0)), "velocity": "0"}
-            ElementTree.SubElement(made, "limit", limit)
+            ElementTree.SubElement(made, "limit", {"lower": repr(low), "upper": repr(high), **_most(joint, drive)})
+        elif drive.effort and drive.velocity:
+            ElementTree.SubElement(made, "limit", _most(joint, drive))
         if joint.leader:
             leader, factor = joint.leader
             ElementTree.SubElement(made, "mimic", joint=leader, multiplier=repr(float(factor)), offset="0")
@@ -51,6 +55,28 @@ def urdf_text(chain: RigidChain, notes: str) -> str:
         _fixed(robot, FLANGE, f"marker_{name}", place)
     ElementTree.indent(robot)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
+
+
+def _most(joint: ChainJoint, drive: Drive) -> dict[str, str]:
+    effort, velocity = drive.effort or joint.rated or USUAL.effort, drive.velocity or USUAL.velocity
+    return {"effort": repr(float(effort or 0)), "velocity": repr(float(velocity or 0))}
+
+
+def said_of_drives(chain: RigidChain, drives: Sequence[Drive]) -> list[str]:
+    """Say which joints' effort and velocity are only placeholders."""
+    limited = [
+        (joint, drive)
+        for joint, drive in zip(chain.joints, drives, strict=True)
+        if joint.limits or joint.kind != "revolute"
+    ]
+    lacking = {
+        f"effort {USUAL.effort:g} (Nm or N)": [one.name for one, drive in limited if not (drive.effort or one.rated)],
+        f"velocity {USUAL.velocity:g} (rad/s or m/s)": [one.name for one, drive in limited if not drive.velocity],
+    }
+    return [
+        f"{what} of {', '.join(names)} is a placeholder, as nobody stated it: put the maker's there before a planner reads it"
+        for what, names in lacking.items() if names
+    ]  # fmt: skip
 
 
 def properties_text(chain: RigidChain, notes: str) -> str:
