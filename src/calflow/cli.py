@@ -33,10 +33,10 @@ def main() -> None:
         click.echo("interrupted: the same command resumes where it stopped", err=True)
         sys.exit(130)
     except OSError as error:
-        click.echo(
-            f"error: {error}. Finished stages are kept; when this is mended the same command goes on.",
-            err=True,
+        so = " ".join(
+            getattr(error, "__notes__", ["Give another place, or the same command again when this is mended."])
         )
+        click.echo(f"error: {error}. {so}", err=True)
         sys.exit(TROUBLE)
     except Exception as error:
         from calflow.files.problems import InputError

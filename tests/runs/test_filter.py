@@ -43,6 +43,27 @@ def cell(finished):
     return finished
 
 
+def test_a_program_is_not_written_over_and_comes_before_its_summary(cell):
+    """Fails if a corrected program that somebody has edited is lost, or a summary tells of one that is not there."""
+    asked = ("filter", cell / "runs", cell / "points.ls", "--payload", "heavy", "--summary", cell / "sum.csv")
+    corrected = cell / "points.corrected.ls"
+    corrected.write_bytes(b"edited by hand")
+    (told,) = cell.refused(*asked)
+    assert "points.corrected.ls" in told
+    assert "--force" in told
+    assert corrected.read_bytes() == b"edited by hand"
+    assert not (cell / "sum.csv").exists()
+    assert cell.calflow(*asked, "--force").code == 0
+    assert cell.calflow(*asked).code == 0  # it holds the same
+    (cell / "sum.csv").unlink()
+    (cell / "file").write_text("")
+    answer = cell.calflow(*asked, "--out", cell / "file" / "points.ls")
+    assert answer.code == 1
+    assert "Finished stages" not in answer.err
+    assert "when this is mended" in answer.err
+    assert not (cell / "sum.csv").exists()
+
+
 def readings(source: bytes) -> np.ndarray:
     """The joint readings of a program [deg]."""
     return np.array(re.findall(rb"J\d= *(-?[\d.]+)", source), dtype=float).reshape(-1, 3)

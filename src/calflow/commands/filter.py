@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.options import FILE, apart
+from calflow.commands.options import FILE, apart, check_free
 
 MOST_TOLD = 20  # of one kind that are printed
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 @click.argument("study_or_run", type=FILE)
 @click.argument("program", type=FILE)
 @click.option("--out", type=FILE, help="Program to write; NAME.corrected.EXT beside the program by default.")
+@click.option("--force", is_flag=True, help="Write over a program that holds something else.")
 @click.option("--summary", type=FILE, help="CSV to write with what became of each target.")
 @click.option("--payload", help="What is carried, by its name in the robot file.")
 @click.option(
@@ -38,8 +39,9 @@ if TYPE_CHECKING:
 @click.option("--condition", "conditions", multiple=True, help="temperature_degC=VALUE, time_s=VALUE and the like.")
 @click.option("--without-conditions", is_flag=True, help="Go on without conditions that the model needs.")
 def filter_targets(
-    study_or_run: Path, program: Path, out: Path | None, summary: Path | None, payload: str | None, tools: tuple[str, ...],
-    frames: tuple[str, ...], base: str | None, flange: str | None, start: str | None, any_configuration: bool, in_order: bool,
+    study_or_run: Path, program: Path, out: Path | None, force: bool, summary: Path | None, payload: str | None,
+    tools: tuple[str, ...], frames: tuple[str, ...], base: str | None, flange: str | None, start: str | None,
+    any_configuration: bool, in_order: bool,
     conditions: tuple[str, ...], without_conditions: bool,
 ) -> None:  # fmt: skip
     """Rewrite the targets of a robot program so that the real robot lands on them.
@@ -61,13 +63,14 @@ def filter_targets(
         conditions=dict(_condition(one) for one in conditions),
         missing="widen" if without_conditions else "refuse",
     )  # fmt: skip
+    check_free(target, done.source, force)
     for line in summary_lines(program, done):
         click.echo(line)
     for note in done.notes:
         click.echo(f"note: {note}", err=True)
+    write_whole(target, done.source)
     if summary is not None:
         write_csv(summary, to_frame(done.rows, FilteredTarget))
-    write_whole(target, done.source)
     click.echo(f"wrote {target}")
 
 

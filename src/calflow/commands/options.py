@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -29,3 +31,25 @@ def apart(written: Path | None, option: str, *others: Path) -> None:
     for other in others:
         if written is not None and written.resolve() == other.resolve():
             raise click.UsageError(f"{option} {written} would write over {other}: expected another file")
+
+
+def check_free(path: Path, content: bytes, force: bool) -> None:
+    """Check that what is to be written does not write over a file that holds something else, unless that is forced.
+
+    Raises:
+        InputError: it would.
+    """
+    from calflow.files.problems import refuse
+
+    if not force and path.exists() and (path.is_dir() or path.read_bytes() != content):
+        raise refuse("is there already and holds something else; give --force to write over it, or --out", path)
+
+
+@contextmanager
+def resumable() -> Iterator[None]:
+    """Have trouble of the machine tell that the same command goes on where it stopped."""
+    try:
+        yield
+    except OSError as error:
+        error.add_note("Finished stages are kept; when this is mended the same command goes on.")
+        raise

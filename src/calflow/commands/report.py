@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from calflow.commands.options import FILE, OUT
+from calflow.commands.options import FILE, OUT, resumable
 from calflow.commands.progress import progress
 
 
@@ -19,6 +19,6 @@ def report(study_or_run: Path, out: Path | None) -> None:
     from calflow.runs.run import run as run_study
 
     study, folder = study_and_folder(study_or_run, out)
-    with progress() as listener:
+    with resumable(), progress() as listener:
         result = run_study(study, folder, "report", True, listener)
     click.echo(f"report: {result.folder / 'report.pdf'}")

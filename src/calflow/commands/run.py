@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from calflow.commands.options import FILE, FORCE, OUT, STAGE
+from calflow.commands.options import FILE, FORCE, OUT, STAGE, resumable
 from calflow.commands.progress import progress
 
 
@@ -21,7 +21,7 @@ def run(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
     from calflow.runs.run import run as run_study
     from calflow.study import load_study
 
-    with progress() as listener:
+    with resumable(), progress() as listener:
         result = run_study(load_study(study), out, stage, force, listener)
     for line in last_lines(result.results):
         click.echo(line)

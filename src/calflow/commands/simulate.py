@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from calflow.commands.options import FILE
+from calflow.commands.options import FILE, check_free
 
 
 @click.command()
@@ -16,12 +16,10 @@ from calflow.commands.options import FILE
 def simulate(truth: Path, out: Path | None, force: bool) -> None:
     """Write the measurements that a truth file describes."""
     from calflow.files.csv import csv_text, write_csv
-    from calflow.files.problems import refuse
     from calflow.simulation import simulate as simulate_truth
 
     path = out or truth.parent / "measurements.csv"
     table = simulate_truth(truth)
-    if path.exists() and not force and path.read_bytes() != csv_text(table).encode():
-        raise refuse("is there already and holds something else; give --force to write over it, or --out", path)
+    check_free(path, csv_text(table).encode(), force)
     write_csv(path, table)
     click.echo(f"wrote {path}")
