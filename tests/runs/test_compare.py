@@ -42,6 +42,21 @@ def test_another_robot_differs_and_the_same_one_does_not(finished):
     assert list(pd.read_csv(finished / "c" / "accuracy.csv")["run"].unique()) == ["runs", "same"]
 
 
+def test_runs_of_different_robots_do_not_agree(finished):
+    """Fails if parameters of two robots are said to agree before it is said that they are of two robots."""
+    finished.edit("robot.toml", ('name = "small"', 'name = "other"'))
+    again(finished, "other")
+    answer = finished.calflow("compare", finished / "runs", finished / "other")
+    assert answer.out.startswith("runs and other are of different robots, small and other. ")
+    assert "agree" not in answer.out
+    assert [pair.robot for pair in cf.compare(finished / "runs", finished / "other").pairs] == ["another one"]
+    finished.edit("robot.toml", ('name = "other"', 'name = "small"'), ("mass_kg = 60", "mass_kg = 61"))
+    finished.edit("truth.toml", ("seed = 5", "seed = 3"))
+    again(finished, "heavier")
+    answer = finished.calflow("compare", finished / "runs", finished / "heavier")
+    assert answer.out.startswith("runs and heavier have different robot files. ")
+
+
 def test_the_same_measurements_have_no_test_of_chance(finished):
     """Fails if runs of the very same data are compared as if their errors were independent, or a changed setting is not told."""
     finished.edit("study.toml", ('"geometry", "joint-compliance"', '"geometry"'))

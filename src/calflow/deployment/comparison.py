@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import pandas as pd
 
@@ -66,6 +67,10 @@ class RunPair:
 
     first: str = column("a run")
     second: str = column("another one")
+    robots: tuple[str, ...] = column("names of their robots")
+    robot: Literal["the same", "another file", "another one"] = column(
+        "another file: the robots have one name and joints of the same kind, and their files differ"
+    )
     shared: int = column("parameters that both have, refer to the same figure and sit on no bound")
     chi2: float | None = column(
         "of their differences, covariances counted; empty: both runs are of the same measurements"

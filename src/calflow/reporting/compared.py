@@ -10,6 +10,9 @@ from calflow.reporting.words import effect_words, listed, mm, plural, readable, 
 
 MOST_TOLD = 25  # parameters that are told, the most significant first
 DIFFERENT = 0.01  # chance below which runs are said to differ
+AGREE = dict.fromkeys(("the same", "another file"), "agree as well as both know them") | {
+    "another one": "are known too little to tell the robots apart"
+}
 SPLITS = {"train": "used for the fit", "holdout": "held out"}
 
 
@@ -40,16 +43,26 @@ def comparison_lines(found: Comparison) -> list[str]:
 
 
 def _pair(pair: RunPair, found: Comparison) -> str:
-    """Say whether two runs differ by more than chance."""
+    """Say whether two runs are of one robot, and differ by more than chance."""
+    other = _other_robot(pair)
     if pair.p is None:
-        return (f"{pair.first} and {pair.second} are of the same measurements: their parameters share their errors, and no test of "
-                "chance applies.")  # fmt: skip
+        return (f"{other}{pair.first} and {pair.second} are of the same measurements: their parameters share their errors, and no "
+                "test of chance applies.")  # fmt: skip
     rows = [one for one in found.parameters if (one.first, one.second) == (pair.first, pair.second)]
     differ = [one.parameter for one in rows if one.significant]
-    verdict = "differ by more than both leave open" if pair.p < DIFFERENT else "agree as well as both know them"
+    verdict = "differ by more than both leave open" if pair.p < DIFFERENT else AGREE[pair.robot]
     alone = f"; by themselves {listed(differ, 6)}" if differ else ""
     test = f"chi² {pair.chi2:.3g} of {pair.freedom}, chance {pair.p:.2g}"
-    return f"{pair.first} and {pair.second}: {plural(pair.shared, 'shared parameter')} {verdict} ({test}){alone}."
+    return (
+        f"{other}{pair.first} and {pair.second}: {plural(pair.shared, 'shared parameter')} {verdict} ({test}){alone}."
+    )
+
+
+def _other_robot(pair: RunPair) -> str:
+    """Say first where two runs are not of one robot."""
+    if pair.robot == "another one":
+        return f"{pair.first} and {pair.second} are of different robots, {listed(pair.robots)}. "
+    return "" if pair.robot == "the same" else f"{pair.first} and {pair.second} have different robot files. "
 
 
 def _last(found: Comparison) -> list[RunAccuracy]:

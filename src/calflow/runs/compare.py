@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.stats import norm
@@ -105,7 +105,19 @@ def _compared(
     told: dict[str, Any] = (
         {"chi2": None, "freedom": None, "p": None} if same else {"chi2": squared, "freedom": freedom, "p": chance}
     )
-    return rows, RunPair(first=names[0], second=names[1], shared=len(rows), **told)
+    robots = (first.robot.name, second.robot.name)
+    pair = RunPair(
+        first=names[0], second=names[1], robots=robots, robot=_robot(first, second), shared=len(rows), **told
+    )
+    return rows, pair
+
+
+def _robot(first: CalibratedRun, second: CalibratedRun) -> Literal["the same", "another file", "another one"]:
+    """Whether two runs are of one robot, as far as their robot files say."""
+    if robot_digest(first.robot) == robot_digest(second.robot):
+        return "the same"
+    kinds = [(run.robot.name, [joint.kind for joint in run.robot.joints]) for run in (first, second)]
+    return "another file" if kinds[0] == kinds[1] else "another one"
 
 
 def _holm(p: np.ndarray) -> np.ndarray:
