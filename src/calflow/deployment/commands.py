@@ -10,7 +10,7 @@ import pandas as pd
 
 from calflow.deployment.clearance import Clearance, clearance
 from calflow.deployment.compensation import Landing
-from calflow.deployment.field_landing import field_landing
+from calflow.deployment.field_landing import ELSEWHERE_TRIED, field_landing, landing_from_elsewhere
 from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.nominal_inverse import nominal_readings
 from calflow.deployment.orientation import not_known, turn_sd
@@ -84,10 +84,20 @@ def compensated(
         data = _on_the_way(data, data.joints if start is None else start)
     told = as_told(known, needed, data, missing)
     ways = ways and bool({"approach", "travel"} & set(told.data.given))
+    rng, free = np.random.default_rng(seed), start is None
     if start is None:
-        start = nominal_readings(told.known.model, told.data.rows, targets, np.random.default_rng(seed))
+        start = nominal_readings(told.known.model, told.data.rows, targets, rng)
     told = _led(told, start, ways)
     found = field_landing(told.known, told.data.rows, targets, start)
+    elsewhere = np.zeros(len(data), dtype=bool)
+    if not found.reached.all():
+        left = np.flatnonzero(~found.reached)
+        other, nominal = landing_from_elsewhere(told.known, told.data.rows[:, left], targets.only(left), rng)
+        got = left[other.reached]
+        if free:
+            found, start = found.with_rows(got, other.only(other.reached)), start.copy()
+            start[got] = nominal[other.reached]
+        elsewhere[got] = not free
     settled = np.ones(len(data), dtype=bool)
     for _ in range(SETTLES if ways else 0):
         before, told = told, _led(told, found.readings, ways)
@@ -97,7 +107,7 @@ def compensated(
         rows, aims = told.data.rows[:, ~settled], targets.only(~settled)
         again = field_landing(told.known, rows, aims, start[~settled], found.readings[~settled])
         found = found.with_rows(~settled, again)
-    return _judged(told, targets, start, found, ways, settled)
+    return _judged(told, targets, start, found, ways, settled, elsewhere)
 
 
 def with_readings(data: Measurements, readings: np.ndarray) -> Measurements:
@@ -131,7 +141,13 @@ def _same_way(one: Measurements, other: Measurements) -> np.ndarray:
 
 
 def _judged(
-    told: Told, targets: Targets, start: np.ndarray, found: Landing, ways: bool, settled: np.ndarray
+    told: Told,
+    targets: Targets,
+    start: np.ndarray,
+    found: Landing,
+    ways: bool,
+    settled: np.ndarray,
+    elsewhere: np.ndarray,
 ) -> Compensation:
     """What is promised of the readings found, and what those begun with would have done."""
     known, model = told.known, told.known.model
@@ -146,9 +162,13 @@ def _judged(
     remaining, turned = misses(data.rows)
     nominal_miss, nominal_turned = misses(_led(told, start, ways).data.rows)
     clear = clearance(model, data.rows, oriented)
-    names = data.table["pose"].astype(str).to_numpy()
+    names, lost = data.table["pose"].astype(str).to_numpy(), ~found.reached
     notes = [
-        *_of_rows("out of reach within the joint limits", ~found.reached, names),
+        *_of_rows(f"not reached within the joint limits, from {ELSEWHERE_TRIED} other starts neither", lost & ~elsewhere, names),
+        *_of_rows(
+            "not reached from the readings given, but from others, with the arm in another posture: give readings near such a "
+            "one, or none", lost & elsewhere, names,
+        ),
         *_of_rows(
             f"nearer than {np.rad2deg(NEAR_SINGULAR):.0f} deg to a singularity, where small corrections turn joints far",
             found.reached & (clear.singular < NEAR_SINGULAR), names,

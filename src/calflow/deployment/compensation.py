@@ -15,7 +15,7 @@ from calflow.robot.transforms import turning
 
 LANDED = 1e-6  # m, and rad: what is as near as this is there
 TURNS = 60  # rounds of Gauss-Newton
-STALLED = 12  # rounds without getting nearer after which a target counts as out of reach
+STALLED = 12  # rounds without getting nearer after which a target is given up from there
 LONGEST_STEP = 0.3  # rad or m that a joint may move in a round
 WITHIN = 1e-9  # rad or m by which a joint counts as past a limit
 SETTLED = 1e-8  # rad or m: a round that changes the readings by less was the last
@@ -35,6 +35,10 @@ class Landing:
     away: np.ndarray
     turned: np.ndarray
     reached: np.ndarray
+
+    def only(self, which: np.ndarray) -> Landing:
+        """Return the landings of some targets."""
+        return Landing(**{name: values[which] for name, values in vars(self).items()})
 
     def with_rows(self, which: np.ndarray, others: Landing) -> Landing:
         """Return the landings with those of some targets in the place of their own."""

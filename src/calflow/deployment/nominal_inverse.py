@@ -28,23 +28,23 @@ def nominal_readings(model: Model, rows: np.ndarray, targets: Targets, rng: np.r
     """
     robot = model.robot
     rigid, none = Model(robot, (), model.given), np.zeros(0)
-    near = _near(rigid, rows, targets, rng)
-    found = near[:, 0].copy()
+    close = near(rigid, rows, targets, rng)
+    found = close[:, 0].copy()
     left = np.arange(len(targets))
     for first, last in pairwise(TRIED):
-        tried = near[left, first:last]
+        tried = close[left, first:last]
         if not tried.size:
             break
         every = np.repeat(left, tried.shape[1])
         landed = landing(rigid, none, rows[:, every], targets.only(every), tried.reshape(len(every), -1))
-        best = _best(robot, landed, tried.shape[1])
+        best = best_of(robot, landed, tried.shape[1])
         found[left], reached = landed.readings[best], landed.reached[best]
         left = left[~reached]
     return np.asarray(found)
 
 
-def _near(rigid: Model, rows: np.ndarray, targets: Targets, rng: np.random.Generator) -> np.ndarray:
-    """Readings at which the tool is near each target, the nearest first, shape (n, most tried, n_joints)."""
+def near(rigid: Model, rows: np.ndarray, targets: Targets, rng: np.random.Generator) -> np.ndarray:
+    """Return readings at which the tool is near each target, the nearest first, shape (n, most tried, n_joints)."""
     robot = rigid.robot
     places, of = np.zeros((1, 0)), np.zeros(len(targets), dtype=int)
     if robot.external:
@@ -98,8 +98,8 @@ def _nearest(rigid: Model, readings: np.ndarray, rows: np.ndarray, targets: Targ
     return found
 
 
-def _best(robot: Robot, landed: Landing, tries: int) -> np.ndarray:
-    """Which of all tries, so many a target, is its best: of those that land the one furthest from the limits, else the nearest."""
+def best_of(robot: Robot, landed: Landing, tries: int) -> np.ndarray:
+    """Return each target's best of so many tries: of those that land the one furthest from the limits, else the nearest."""
     free = room(robot, landed.readings @ robot.reading_matrix.T).min(axis=1)
     worth = np.where(landed.reached, 1 + free, -(landed.away + landed.turned)).reshape(-1, tries)
     return np.asarray(worth.argmax(axis=1) + tries * np.arange(len(worth)))

@@ -145,7 +145,7 @@ class CalibratedRobot:
         why = [
             "" if reached and far < MOST_CHANGE
             else "at a singularity: the correction would turn a joint by more than 10 degrees" if reached
-            else "out of reach within the joint limits once corrected"
+            else "not reached within the joint limits once corrected"
             for reached, far in zip(found.reached, change, strict=True)
         ]  # fmt: skip
         lacking = (
