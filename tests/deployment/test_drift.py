@@ -213,6 +213,20 @@ def test_units_and_signs_that_are_wrong_are_no_movement(robot, seen_by):
     assert any("off by more than any calibrated robot" in note for note in found.summary.notes)
 
 
+def test_a_station_that_moved_between_sessions_is_named(robot):
+    """Fails if a session in which the device stood elsewhere is told as the robot's, and no note says which it is."""
+    known, q = robot
+    data = checked(known, q, 9, dates=("mon", "tue"))
+    moved = data.position + 0.3 * (data.table["session"] == "tue").to_numpy()[:, None]
+    found = drift(known, [], with_positions(data, moved))
+    assert (found.summary.status, found.summary.station) == ("cannot be told", "known")
+    (note,) = [one for one in found.summary.notes if "stood elsewhere" in one]
+    assert "in session 'tue' (520 mm)" in note
+    both = drift(known, [], with_positions(data, data.position + 0.3))
+    assert (both.summary.station, both.summary.status) == ("fitted", "in place")
+    assert not [one for one in both.summary.notes if "stood elsewhere" in one]
+
+
 def with_positions(data, seen):
     """The rows with other measured positions (n, 3) [m]."""
     return replace(data, table=data.table.assign(**dict(zip("xyz", seen.T, strict=True))))

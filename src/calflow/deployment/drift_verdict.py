@@ -15,7 +15,7 @@ from calflow.deployment.mistaken import mistaken
 from calflow.deployment.movements import Kind, movements
 from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.settling import Settling, settling
-from calflow.deployment.validation import Station, stands
+from calflow.deployment.validation import Station, some_elsewhere, stands
 from calflow.design.candidates import READINGS, reading_columns, shown_readings
 from calflow.estimation.calibrated import Identified
 from calflow.files.documents import to_document
@@ -167,7 +167,8 @@ def drift(
     """
     given = tuple(one.condition for one in needed if one.condition in data.given)
     known = _given(known, given)
-    fitted, _ = stands(Attained.of(known, data), station)
+    attained = Attained.of(known, data)
+    fitted, _ = stands(attained, station)
     check = Check.of(known, needed, data, fitted)
     every = movements(known, data, not fitted)
     rng = np.random.default_rng(seed)
@@ -185,7 +186,7 @@ def drift(
         sessions=check.sessions, station="fitted" if fitted else "known", error_mm=1e3 * float(check.size().mean()),
         left_mm=1e3 * float(left.mean()), expected_mm=1e3 * float(np.sqrt(np.trace(_still(check, fitted)) / len(check.points))),
         chance=settle.chance if settle and np.isfinite(settle.chance) else None,
-        notes=(*data.notes, *_notes(needed, data, fitted), *([doubt] if doubt else [])),
+        notes=(*data.notes, *some_elsewhere(attained, station), *_notes(needed, data, fitted), *([doubt] if doubt else [])),
     )  # fmt: skip
     return Drift(
         tuple(_moved(step, check) for step in told), tuple(row for one in best for row in _recalibrated(one)),

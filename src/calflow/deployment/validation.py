@@ -222,6 +222,7 @@ def validate(
         cube_edge_mm=_or_none(1e3 * cube_edge(_places(attained))),
         notes=(
             *data.notes,
+            *some_elsewhere(attained, station),
             *_notes(attained, judged, size, worst, p_moved, fitted),
             *field_notes,
             *beyond_limits(data),
@@ -239,6 +240,22 @@ def stands(attained: Attained, station: Station) -> tuple[bool, tuple[Alignment,
         return False, ()
     frames = attained.alignment(CALIBRATED)
     return station == "auto" and min(_moved(attained, frames)) > ELSEWHERE, frames
+
+
+def some_elsewhere(attained: Attained, station: Station) -> list[str]:
+    """Name the sessions in which the device stood elsewhere, where it stood as before in others: "auto" fits all frames or none."""
+    fitted, frames = stands(attained, station)
+    if station != "auto" or fitted or not frames:
+        return []
+    moved = _moved(attained, frames)
+    names = attained.table["session"].drop_duplicates() if "session" in attained.table else [""]
+    elsewhere = [f"'{name}' ({1e3 * far:.0f} mm)" for name, far in zip(names, moved, strict=True) if far > ELSEWHERE]
+    if not elsewhere:
+        return []
+    return [
+        f"the device stood elsewhere in session {', '.join(elsewhere)} and not in the others, so that no frame was fitted and what "
+        "it is off by counts as the robot's: give these sessions in a file of their own, or fit all frames (--station fitted)"
+    ]
 
 
 def _moved(attained: Attained, frames: tuple[Alignment, ...]) -> list[float]:
