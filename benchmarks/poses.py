@@ -148,8 +148,8 @@ def scale() -> None:
         )
 
 
-def figaroh(python: str, number: int = 100, poses: int = 20) -> None:
-    """Print O1 and time of figaroh's two searches and of calflow's: same UR10, candidates and identifiable parameters."""
+def figaroh(python: str, number: int, poses: int) -> None:
+    """Print O1 and time of figaroh's search by exchange and of calflow's: same UR10, candidates and identifiable parameters."""
     one = case("ur10", number)
     flat = one.whitened.reshape(-1, len(one.prior))
     _, singular, turned = np.linalg.svd(flat, full_matrices=False)
@@ -161,18 +161,13 @@ def figaroh(python: str, number: int = 100, poses: int = 20) -> None:
         began = time.process_time()
         found = search(base, 1e-9 * np.eye(len(known)), poses, Parameters(len(known)), np.random.default_rng(1))
         print(f"{number} candidates of the UR10, {len(known)} identifiable parameters, {poses} poses")
-        _line("calflow", time.process_time() - began, base[found.chosen])
-        subprocess.run([python, str(HERE / "prior_methods" / "figaroh_poses.py"), str(path), folder], check=True)
-        for name in ("detmax", "socp"):
-            if (result := Path(folder, f"{name}.npz")).is_file():
-                held = np.load(result)
-                _line(f"figaroh {name}", float(held["seconds"]), base[held["chosen"]])
-
-
-def _line(name: str, seconds: float, jacobians: np.ndarray) -> None:
-    rank = jacobians.shape[2]
-    o1 = indices(jacobians.reshape(-1, rank), rank)[0]
-    print(f"{name:16} {len(jacobians):4} poses, O1 {o1:9.4f}, {seconds:8.2f} s of processor time", flush=True)
+        seconds = time.process_time() - began
+        o1 = indices(base[found.chosen].reshape(-1, len(known)), len(known))[0]
+        print(f"calflow          O1 {o1:9.4f}, {seconds:8.2f} s of processor time", flush=True)
+        script = HERE / "prior_methods" / "figaroh_poses.py"
+        subprocess.run([python, str(script), str(path), folder], check=True)
+        held = np.load(Path(folder, "detmax.npz"))
+        print(f"figaroh, DetMax  O1 {held['o1']:9.4f}, {held['seconds']:8.2f} s of processor time", flush=True)
 
 
 def main(arguments: list[str]) -> None:
@@ -182,7 +177,8 @@ def main(arguments: list[str]) -> None:
     if not arguments or "robots" in arguments:
         robots()
     if "figaroh" in arguments:
-        figaroh(arguments[arguments.index("figaroh") + 1])
+        for number, poses in ((300, 30), (3000, 60)):
+            figaroh(arguments[arguments.index("figaroh") + 1], number, poses)
 
 
 if __name__ == "__main__":
