@@ -92,7 +92,7 @@ def predictive_table(sampled: Sampled, rng: np.random.Generator) -> pd.DataFrame
     data = sampled.data.only(sampled.data.train | sampled.data.held_out)
     flat = values.reshape(-1, values.shape[-1])
     draws = flat[rng.choice(len(flat), size=min(DRAWS, len(flat)), replace=False)]
-    sigma = known.noise(data).total
+    sigma = np.hypot(known.noise(data).total, np.where(data.held_out, known.elsewhere, 0.0))
     centre = errors(known.model, flat[:, :-1].mean(axis=0), data)
     error = 1e3 * distances(centre)
     expected = np.empty((len(draws), len(data)))
