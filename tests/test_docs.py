@@ -43,30 +43,37 @@ def run(line: str) -> str:
     return answer.out + answer.err
 
 
-@pytest.fixture(scope="module")
-def followed(tmp_path_factory):
-    """The folder of somebody who did all that the pages say, and what was printed at each line."""
+def follow(page: str) -> dict[str, str]:
+    """Do all that a page says in the working folder; what was printed at each line."""
+    said: dict[str, str] = {}
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    for found in BLOCK.finditer(text):
+        kind, block = found.groups()
+        if kind == "sh":
+            said |= {line: run(line) for line in block.splitlines()}
+        elif kind == "python":
+            exec(compile(block, page, "exec"), {})
+        else:
+            write(block, text[: found.start()])
+    return said
+
+
+def test_what_the_pages_promise_comes_true(tmp_path, monkeypatch):
+    """Fails if a block of the pages does not run one after the other, or what it leads to is not what the text promises."""
     if DATA is None or not Path(DATA, "fanuc-r2000").is_dir():
         pytest.skip("CALFLOW_DATA names no folder with fanuc-r2000, the tutorial's measurements")
-    said: dict[str, str] = {}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(tmp_path_factory.mktemp("newcomer"))
-        for page in PAGES:
-            text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
-            for found in BLOCK.finditer(text):
-                kind, block = found.groups()
-                if kind == "sh":
-                    said |= {line: run(line) for line in block.splitlines()}
-                elif kind == "python":
-                    exec(compile(block, page, "exec"), {})
-                else:
-                    write(block, text[: found.start()])
-        yield Path.cwd(), said
+    monkeypatch.chdir(tmp_path)
+    said = dict[str, str]()
+    for page in PAGES:
+        said |= follow(page)
+    commands_land(tmp_path, said)
+    poses_could_be_little_better(tmp_path)
+    tasks_write_what_they_say(tmp_path)
+    what_is_not_physical_is_called_so(tmp_path, said)
 
 
-def test_the_tutorial_ends_with_commands_that_land(followed):
-    """Fails if a block of the pages does not run, or what it leads to is not what the text promises."""
-    folder, said = followed
+def commands_land(folder: Path, said: dict[str, str]) -> None:
+    """The tutorial's run ends with a report, and with commands for every target."""
     assert "the nominal robot's position error" in said["calflow check my-robot"]
     assert {"report.pdf", "report.html"} <= {path.name for path in (folder / "runs/my-robot").iterdir()}
     commands = pd.read_csv(folder / "commands.csv")
@@ -80,9 +87,8 @@ def test_the_tutorial_ends_with_commands_that_land(followed):
     assert all("J1=" in line or "J4=" in line for line in changed)
 
 
-def test_the_page_on_poses_tells_the_truth(followed):
-    """Fails if the plan lacks a file that the page names, or other poses could be better by more than it says."""
-    folder, _ = followed
+def poses_could_be_little_better(folder: Path) -> None:
+    """The plan has the files that the page names, and other poses could be better by no more than it says."""
     for name in ("poses.csv", "observability.csv"):
         assert len(pd.read_csv(folder / "plan/select" / name)), name
     certificate = json.loads((folder / "plan/select/certificate.json").read_text(encoding="utf-8"))
@@ -92,17 +98,15 @@ def test_the_page_on_poses_tells_the_truth(followed):
     assert 0 < number["needed_poses"] <= number["enough_poses"] < 100
 
 
-def test_the_pages_of_tasks_write_what_they_say(followed):
-    """Fails if validate, drift or compare do not leave the files that their pages name."""
-    folder, _ = followed
+def tasks_write_what_they_say(folder: Path) -> None:
+    """Validate, drift and compare leave the files that their pages name."""
     for name in ("accepted/report.pdf", "check/moved.csv", "check/recalibration.csv", "check/next_poses.csv"):
         assert (folder / name).is_file(), name
     assert (folder / "compared/report.pdf").is_file()
 
 
-def test_a_correction_that_is_not_physical_is_called_so(followed):
-    """Fails if the page's study does not ask for the field, or a field is used on so few poses that gain nothing by it."""
-    folder, said = followed
+def what_is_not_physical_is_called_so(folder: Path, said: dict[str, str]) -> None:
+    """The page's study asks for a residual field, and none is used on so few poses that gain nothing by it."""
     assert "residual field (not physical) not applied" in said["calflow run my-robot --stage residual_field"]
     assert "not_physical_x_mm" not in pd.read_csv(folder / "predicted.csv", sep=None, engine="python")
 
