@@ -9,6 +9,7 @@ import pytest
 
 from calflow.deployment.drift_verdict import drift
 from calflow.deployment.movements import movements
+from calflow.deployment.validation import validate
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated import Identified, SeriesNoise
 from calflow.measurements.measurements import Measurements
@@ -213,18 +214,20 @@ def test_units_and_signs_that_are_wrong_are_no_movement(robot, seen_by):
     assert any("off by more than any calibrated robot" in note for note in found.summary.notes)
 
 
-def test_a_station_that_moved_between_sessions_is_named(robot):
-    """Fails if a session in which the device stood elsewhere is told as the robot's, and no note says which it is."""
+def test_a_station_that_moved_between_sessions_is_fitted_there_alone(robot):
+    """Fails if the frames of all sessions are fitted or none where the device moved between two, or it is not said in which."""
     known, q = robot
     data = checked(known, q, 9, dates=("mon", "tue"))
     moved = data.position + 0.3 * (data.table["session"] == "tue").to_numpy()[:, None]
     found = drift(known, [], with_positions(data, moved))
-    assert (found.summary.status, found.summary.station) == ("cannot be told", "known")
-    (note,) = [one for one in found.summary.notes if "stood elsewhere" in one]
-    assert "in session 'tue' (520 mm)" in note
+    assert (found.summary.status, found.summary.station) == ("in place", "fitted")
+    assert [one for one in found.summary.notes if "was fitted in session 'tue', where it stood elsewhere" in one]
     both = drift(known, [], with_positions(data, data.position + 0.3))
     assert (both.summary.station, both.summary.status) == ("fitted", "in place")
-    assert not [one for one in both.summary.notes if "stood elsewhere" in one]
+    judged = validate(known, [], with_positions(data, moved), tolerance=2e-3).summary
+    assert (judged.station, judged.frames, judged.freedom_lost, judged.beyond) == ("fitted", 1, 6, 0)
+    assert judged.moved_mm == pytest.approx(300 * 3**0.5, abs=1)
+    assert any("than in the calibration in session 'tue': its frame was fitted" in one for one in judged.notes)
 
 
 def with_positions(data, seen):

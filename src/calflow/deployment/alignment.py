@@ -27,6 +27,11 @@ class Alignment:
         turn, _ = Rotation.align_vectors(expected - aim, measured - centre, weights=share)
         return Alignment(turn.as_matrix(), aim - turn.apply(centre))
 
+    @staticmethod
+    def none() -> Alignment:
+        """Return the motion that leaves everything where it is."""
+        return Alignment(np.eye(3), np.zeros(3))
+
     def of(self, points: np.ndarray) -> np.ndarray:
         """Return points (n, 3) [m] moved."""
         return np.asarray(points @ self.turn.T + self.shift)

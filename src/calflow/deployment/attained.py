@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from calflow.deployment.alignment import FEWEST, FREEDOM, Alignment, can_align, errors_left_out, restored
+from calflow.deployment.alignment import FEWEST, Alignment, can_align, errors_left_out, restored
 from calflow.deployment.iso_9283 import angle_repeatability, pose_repeatability
 from calflow.estimation.calibrated import Identified
 from calflow.estimation.certainty import expected_point, position_variance
@@ -81,15 +81,18 @@ class Attained:
             return np.zeros(len(self.table), dtype=int)
         return np.asarray(self.table.groupby("session", sort=False).ngroup())
 
-    def alignment(self, model: str) -> tuple[Alignment, ...]:
-        """Return the motion that takes each session's points onto those of a model.
+    def alignment(self, model: str, fitted: np.ndarray) -> tuple[Alignment, ...]:
+        """Return the motion that takes each session's points onto those of a model; none of those that are not fitted (n_frames,).
 
         Raises:
             InputError: a session has too few poses, or they lie on one line.
         """
         found = []
-        for frame in range(self.frame.max() + 1):
+        for frame, wanted in enumerate(fitted):
             own = self.frame == frame
+            if not wanted:
+                found.append(Alignment.none())
+                continue
             if not can_align(self.measured[own]):
                 named = (
                     f"session '{self.table['session'][own].iloc[0]}' has" if "session" in self.table else "there are"
@@ -99,28 +102,39 @@ class Attained:
             found.append(Alignment.best(self.measured[own], self.expected[model][own], np.ones(own.sum())))
         return tuple(found)
 
-    def errors(self, model: str, fitted: bool) -> np.ndarray:
-        """Return measured minus expected points (n, 3) [m]; of a fitted frame as large as they were before (see `restored`)."""
-        if not fitted:
-            return np.asarray(self.measured - self.expected[model])
-        found = np.empty_like(self.measured)
-        for frame, alignment in enumerate(self.alignment(model)):
-            own = self.frame == frame
+    def errors(self, model: str, fitted: np.ndarray) -> np.ndarray:
+        """Return measured minus expected points (n, 3) [m]; of a fitted frame as large as they were before (see `restored`).
+
+        fitted (n_frames,) says of which sessions it is.
+        """
+        found = np.array(self.measured - self.expected[model])
+        alignments = self.alignment(model, fitted)
+        for frame in np.flatnonzero(fitted):
+            own, alignment = self.frame == frame, alignments[frame]
             left = alignment.of(self.measured[own]) - self.expected[model][own]
             found[own] = restored(left, self.measured[own])
         return found
 
-    def errors_of_further(self, model: str, fitted: bool) -> np.ndarray:
+    def errors_of_further(self, model: str, fitted: np.ndarray) -> np.ndarray:
         """Return errors (n, 3) [m] as further poses would show them; nan where a frame cannot be fitted without a pose."""
-        found = self.errors(model, False)
-        for frame in range(self.frame.max() + 1) if fitted else ():
+        found = self.errors(model, np.zeros_like(fitted))
+        for frame in np.flatnonzero(fitted):
             own = self.frame == frame
             found[own] = errors_left_out(self.measured[own], self.expected[model][own], self.pose[own])
         return found
 
-    def lost(self, fitted: bool) -> int:
-        """Degrees of freedom that fitted frames take."""
-        return FREEDOM * int(self.frame.max() + 1) if fitted else 0
+    def of_rows(self, data: Measurements, fitted: np.ndarray) -> np.ndarray:
+        """Return of each of the rows (n_rows,) what is so of its session (n_frames,)."""
+        if "session" not in data.table:
+            return np.full(len(data), fitted[0])
+        return np.asarray(
+            data.table["session"].astype(str).map(dict(zip(self.sessions, fitted, strict=True))), dtype=bool
+        )
+
+    @property
+    def sessions(self) -> tuple[str, ...]:
+        """Each frame's session by name; empty where they have none."""
+        return tuple(self.table["session"].astype(str).unique()) if "session" in self.table else ("",)
 
     def by_pose(self, values: np.ndarray, how: str) -> np.ndarray:
         """Return the mean or max of each pose's values (n,), shape (n_poses,)."""
@@ -159,5 +173,5 @@ class AttainedTurns:
 
     def errors(self, model: str, frames: Sequence[Alignment], frame: np.ndarray) -> np.ndarray:
         """Return measured beside expected turns about the measuring frame's axes (n, 3) [rad], in frames that were fitted."""
-        turn = np.stack([frames[k].turn for k in frame]) if frames else np.eye(3)
+        turn = np.stack([frames[k].turn for k in frame])
         return Rotation.from_matrix(turn @ self.measured @ self.expected[model].transpose(0, 2, 1)).as_rotvec()

@@ -40,8 +40,8 @@ class Check:
     own: np.ndarray
 
     @staticmethod
-    def of(known: Identified, needed: list[NeededCondition], data: Measurements, fitted: bool) -> Check:
-        """Set it up from rows; fitted says that the device's frame, one a session, is to be fitted to them.
+    def of(known: Identified, needed: list[NeededCondition], data: Measurements, fitted: np.ndarray) -> Check:
+        """Set it up from rows; fitted (n_rows,) says of which the device's frame, one a session, is to be fitted to them.
 
         Repeats of a session are brought together. The covariance is that of the parameters, of the choice among models, of the
         discrepancy, which is another at each pose, of the device's noise, and of conditions that the rows lack.
@@ -69,8 +69,8 @@ class Check:
             )
             off = (share @ apart).ravel()
             covariance += other.probability * np.outer(off, off)
-        if fitted:
-            for k in range(len(names)):
+        if fitted.any():
+            for k in np.unique(session[fitted[first]]):
                 there = session == k
                 if not can_align(seen[there]):
                     raise refuse("the device's frame cannot be fitted to so few check poses, or they lie on one line: expected at "

@@ -15,7 +15,7 @@ from calflow.deployment.mistaken import mistaken
 from calflow.deployment.movements import Kind, movements
 from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.settling import Settling, settling
-from calflow.deployment.validation import Station, some_elsewhere, stands
+from calflow.deployment.validation import Station, of_sessions, stands
 from calflow.design.candidates import READINGS, reading_columns, shown_readings
 from calflow.estimation.calibrated import Identified
 from calflow.files.documents import to_document
@@ -168,8 +168,10 @@ def drift(
     given = tuple(one.condition for one in needed if one.condition in data.given)
     known = _given(known, given)
     attained = Attained.of(known, data)
-    fitted, _ = stands(attained, station)
-    check = Check.of(known, needed, data, fitted)
+    own, _ = stands(attained, station)
+    fitted = bool(own.all())  # where some frames are known, they tell of the robot's foot
+    rows = attained.of_rows(data, own)
+    check = Check.of(known, needed, data, rows)
     every = movements(known, data, not fitted)
     rng = np.random.default_rng(seed)
     steps = searched(check, every, MOVEMENTS_SHARE * false_alarm, rng)
@@ -183,14 +185,14 @@ def drift(
     settle = settling(known, data, check, told[0].best, rivals(told[0]), fitted, rng) if told else None
     summary = DriftSummary(
         status=status, false_alarm=false_alarm, family_p=steps[0].family_p, unexplained_p=rest, poses=len(check.points),
-        sessions=check.sessions, station="fitted" if fitted else "known", error_mm=1e3 * float(check.size().mean()),
-        left_mm=1e3 * float(left.mean()), expected_mm=1e3 * float(np.sqrt(np.trace(_still(check, fitted)) / len(check.points))),
+        sessions=check.sessions, station="fitted" if own.any() else "known", error_mm=1e3 * float(check.size().mean()),
+        left_mm=1e3 * float(left.mean()), expected_mm=1e3 * float(np.sqrt(np.trace(_still(check, rows)) / len(check.points))),
         chance=settle.chance if settle and np.isfinite(settle.chance) else None,
-        notes=(*data.notes, *some_elsewhere(attained, station), *_notes(needed, data, fitted), *([doubt] if doubt else [])),
+        notes=(*data.notes, *_notes(needed, data, attained, own), *([doubt] if doubt else [])),
     )  # fmt: skip
     return Drift(
         tuple(_moved(step, check) for step in told), tuple(row for one in best for row in _recalibrated(one)),
-        _tested(steps[0]), _poses(check, left, fitted), _next(known, settle), summary,
+        _tested(steps[0]), _poses(check, left, rows), _next(known, settle), summary,
     )  # fmt: skip
 
 
@@ -224,9 +226,10 @@ def _left(check: Check, best: tuple[Explained, ...]) -> np.ndarray:
     return np.asarray(np.linalg.norm(error.reshape(-1, 3), axis=1))
 
 
-def _still(check: Check, fitted: bool) -> np.ndarray:
+def _still(check: Check, fitted: np.ndarray) -> np.ndarray:
     """The covariance of the error where nothing moved; of a fitted frame what each point has for itself."""
-    return np.diag(np.repeat(check.own, 3)) if fitted else check.covariance
+    apart = np.repeat(check.share @ fitted > 0, 3)
+    return np.where(apart | apart[:, None], np.diag(np.repeat(check.own, 3)), check.covariance)
 
 
 def _moved(step: Step, check: Check) -> Moved:
@@ -261,7 +264,7 @@ def _tested(step: Step) -> tuple[TestedMovement, ...]:
     return tuple(found.values())
 
 
-def _poses(check: Check, left: np.ndarray, fitted: bool) -> tuple[CheckedPose, ...]:
+def _poses(check: Check, left: np.ndarray, fitted: np.ndarray) -> tuple[CheckedPose, ...]:
     expected = np.sqrt(np.diag(_still(check, fitted)).reshape(-1, 3).sum(axis=1))
     sessions = [check.names[k] for k in check.session[::3]]
     rows = zip(check.table.to_dict("records"), sessions, check.size(), expected, left, strict=True)
@@ -281,12 +284,16 @@ def _next(known: Identified, settle: Settling | None) -> tuple[SettlingPose, ...
     return tuple(SettlingPose(readings=one, payload=settle.payload, marker=settle.marker) for one in readings)
 
 
-def _notes(needed: list[NeededCondition], data: Measurements, fitted: bool) -> list[str]:
+def _notes(needed: list[NeededCondition], data: Measurements, attained: Attained, fitted: np.ndarray) -> list[str]:
     notes = [
         f"without {one.columns} nothing is known of {', '.join(one.effects)} here: the test is less sharp by {one.spread_mm:.3g} mm"
         for one in needed if one.condition not in data.given
     ]  # fmt: skip
-    if fitted:
+    if fitted.any() and not fitted.all():
+        notes.append(
+            f"the device's frame was fitted{of_sessions(attained, fitted)}, where it stood elsewhere, and in no other"
+        )
+    elif fitted.any():
         notes.append("the device's frame was fitted to the check poses: nothing is told of the robot's foot or the zero of an axis "
                      "that turns all of it")  # fmt: skip
     return notes

@@ -64,4 +64,5 @@ def _rest(
     same[k] = False
     if not same.any() or (station == "fitted" and not can_align(check.points[same])):
         return None
-    return Check.of(known, needed, left, stands(Attained.of(known, left), station)[0])
+    attained = Attained.of(known, left)
+    return Check.of(known, needed, left, attained.of_rows(left, stands(attained, station)[0]))

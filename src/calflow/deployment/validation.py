@@ -171,8 +171,8 @@ def validate(
         tolerance: what a pose may err by [m].
         task: how many poses must all be within; then that decides instead of a further pose.
         confidence: the probability that a verdict "met" needs.
-        station: whether the device stood where it stood in the calibration; "auto" takes it as known unless the points of
-            every session are ELSEWHERE from there on average, which no robot's are.
+        station: whether the device stood where it stood in the calibration; "auto" takes it as known but in
+            sessions whose points are ELSEWHERE from there on average, which no robot's are.
 
     Raises:
         InputError: a needed condition is missing, or there are too few poses to fit a frame.
@@ -186,8 +186,8 @@ def validate(
     fitted, frames = stands(attained, station)
     error = {model: attained.errors(model, fitted) for model in attained.expected}
     size = {model: np.linalg.norm(own, axis=1) for model, own in error.items()}
-    lost = attained.lost(fitted)
-    further_ones = {model: _further(attained, model, fitted, len(frames)) for model in attained.expected}
+    lost = FREEDOM * int(fitted.sum())
+    further_ones = {model: _further(attained, model, fitted) for model in attained.expected}
     accuracy = tuple(_statistics(model, attained, own, lost, further_ones[model]) for model, own in size.items())  # type: ignore[arg-type]
     worst = further_ones[judged]
     asked = task or int(attained.pose.max() + 1)
@@ -195,7 +195,8 @@ def validate(
     beyond = 0 if tolerance is None else int((size[judged] - ONE_SIDED * attained.noise > tolerance).sum())
     further = None if tolerance is None else _or_none(worst.within(tolerance))
     whole = None if tolerance is None else _or_none(worst.within(tolerance, asked))
-    p_moved = _moved_p(attained, error[CALIBRATED], frames) if frames and not fitted else None
+    p_moved = _moved_p(attained, error[CALIBRATED], frames) if frames and not fitted.any() else None
+    moves = _motions(attained, fitted, frames)
     summary = ValidationSummary(
         status=_status(within, beyond, whole if task else further, confidence),
         judged=judged,
@@ -208,11 +209,11 @@ def validate(
         poses=int(attained.pose.max() + 1),
         rows=len(data),
         beyond=beyond,
-        station="fitted" if fitted else "known",
-        frames=len(frames) if fitted else 0,
+        station="fitted" if fitted.any() else "known",
+        frames=int(fitted.sum()),
         freedom_lost=lost,
-        moved_mm=1e3 * max(_moved(attained, frames)) if frames else None,
-        turned_mrad=1e3 * max(one.angle for one in frames) if frames else None,
+        moved_mm=max((1e3 * far for far, _ in moves), default=None),
+        turned_mrad=max((1e3 * angle for _, angle in moves), default=None),
         moved_p=p_moved,
         noise_mm=1e3 * float(np.sqrt(np.mean(known.noise(data).sigma ** 2))) if known.noise_known else None,
         promised_mm=1e3 * float(np.sqrt(np.mean(attained.sd**2))),
@@ -222,45 +223,41 @@ def validate(
         cube_edge_mm=_or_none(1e3 * cube_edge(_places(attained))),
         notes=(
             *data.notes,
-            *some_elsewhere(attained, station),
             *_notes(attained, judged, size, worst, p_moved, fitted),
             *field_notes,
             *beyond_limits(data),
         ),
     )
-    return Validation(accuracy, _points(attained, error, size, judged, within, frames if fitted else ()), summary)
+    return Validation(
+        accuracy, _points(attained, error, size, judged, within, attained.alignment(CALIBRATED, fitted)), summary
+    )
 
 
-def stands(attained: Attained, station: Station) -> tuple[bool, tuple[Alignment, ...]]:
-    """Say whether the device's frames are to be fitted, and return the motions that take the points onto the calibrated robot's."""
+def stands(attained: Attained, station: Station) -> tuple[np.ndarray, tuple[Alignment, ...]]:
+    """Say of each session whether the device's frame is to be fitted (n_frames,), and return the motions to the calibrated robot's.
+
+    A session of too few points has none, and counts as known unless all are to be fitted.
+    """
+    own = [attained.frame == k for k in range(attained.frame.max() + 1)]
+    able = np.array([station == "fitted" or can_align(attained.measured[one]) for one in own])
+    frames = attained.alignment(CALIBRATED, able)
     if station == "fitted":
-        return True, attained.alignment(CALIBRATED)
-    sessions = [attained.frame == k for k in range(attained.frame.max() + 1)]
-    if not all(can_align(attained.measured[own]) for own in sessions):
-        return False, ()
-    frames = attained.alignment(CALIBRATED)
-    return station == "auto" and min(_moved(attained, frames)) > ELSEWHERE, frames
+        return able, frames
+    far = np.array([frame.moved(attained.measured[one]) for frame, one in zip(frames, own, strict=True)])
+    return (far > ELSEWHERE) & (station == "auto"), frames if able.all() else ()
 
 
-def some_elsewhere(attained: Attained, station: Station) -> list[str]:
-    """Name the sessions in which the device stood elsewhere, where it stood as before in others: "auto" fits all frames or none."""
-    fitted, frames = stands(attained, station)
-    if station != "auto" or fitted or not frames:
-        return []
-    moved = _moved(attained, frames)
-    names = attained.table["session"].drop_duplicates() if "session" in attained.table else [""]
-    elsewhere = [f"'{name}' ({1e3 * far:.0f} mm)" for name, far in zip(names, moved, strict=True) if far > ELSEWHERE]
-    if not elsewhere:
-        return []
-    return [
-        f"the device stood elsewhere in session {', '.join(elsewhere)} and not in the others, so that no frame was fitted and what "
-        "it is off by counts as the robot's: give these sessions in a file of their own, or fit all frames (--station fitted)"
-    ]
+def of_sessions(attained: Attained, fitted: np.ndarray) -> str:
+    """Name the sessions whose frames are fitted where others are not."""
+    names = [f"'{name}'" for name, one in zip(attained.sessions, fitted, strict=True) if one]
+    return "" if fitted.all() else f" in session {', '.join(names)}"
 
 
-def _moved(attained: Attained, frames: tuple[Alignment, ...]) -> list[float]:
-    """How far each session's frame is from the calibration's at its own points, on average [m]."""
-    return [frame.moved(attained.measured[attained.frame == k]) for k, frame in enumerate(frames)]
+def _motions(attained: Attained, fitted: np.ndarray, frames: tuple[Alignment, ...]) -> list[tuple[float, float]]:
+    """How far from the calibration's each fitted frame is, at its points on average [m], and turned [rad]; without such, of all."""
+    asked = fitted if fitted.any() else np.full(len(fitted), bool(frames))
+    found = attained.alignment(CALIBRATED, asked)
+    return [(found[k].moved(attained.measured[attained.frame == k]), found[k].angle) for k in np.flatnonzero(asked)]
 
 
 def _moved_p(attained: Attained, error: np.ndarray, frames: tuple[Alignment, ...]) -> float:
@@ -276,10 +273,10 @@ def _moved_p(attained: Attained, error: np.ndarray, frames: tuple[Alignment, ...
     return float(fisher.sf(max(squares - remaining, 0.0) / taken / (remaining / rest), taken, rest))
 
 
-def _further(attained: Attained, model: str, fitted: bool, frames: int) -> Errors:
+def _further(attained: Attained, model: str, fitted: np.ndarray) -> Errors:
     """What the poses tell of further ones, each judged by its worst point; those that share a fitted frame count as one less."""
     size = np.linalg.norm(attained.errors_of_further(model, fitted), axis=1)
-    return Errors.of(attained.by_pose(size, "max"), frames if fitted else 0)
+    return Errors.of(attained.by_pose(size, "max"), int(fitted.sum()))
 
 
 def _statistics(model: Judged, attained: Attained, size: np.ndarray, lost: int, worst: Errors) -> ValidatedModel:
@@ -345,13 +342,15 @@ def _places(attained: Attained) -> np.ndarray:
 
 
 def _notes(
-    attained: Attained, judged: Judged, size: Mapping[str, np.ndarray], worst: Errors, p_moved: float | None, fitted: bool
+    attained: Attained, judged: Judged, size: Mapping[str, np.ndarray], worst: Errors, p_moved: float | None, fitted: np.ndarray
 ) -> list[str]:  # fmt: skip
     """Say what was assumed, and what looks wrong."""
     notes = []
-    if fitted:
-        notes.append(f"the device stood elsewhere than in the calibration: its frame was fitted to these points, which took "
-                     f"{attained.lost(True)} degrees of freedom; where the robot stands is not judged")  # fmt: skip
+    if fitted.any():
+        notes.append(
+            f"the device stood elsewhere than in the calibration{of_sessions(attained, fitted)}: its frame was fitted to these "
+            f"points, which took {FREEDOM * int(fitted.sum())} degrees of freedom; where the robot stands is not judged"
+        )
     elif p_moved is not None and p_moved < MOVED_P:
         notes.append("a shift and a turn of all points together would take a good part of the errors away: where the robot's foot "
                      "or the device may have moved, --station fitted judges without that")  # fmt: skip
