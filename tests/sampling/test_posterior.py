@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import emcee
+import h5py
 import numpy as np
 import pytest
 
 from calflow.estimation.fit import fit
 from calflow.model import build
-from calflow.sampling.backend import joined, open_ensembles
+from calflow.sampling.backend import joined, joined_kept, open_ensembles
 from calflow.sampling.posterior import Laplace, Posterior, moves
 from calflow.sampling.sample import _extend
 from estimation.data import SIGMA, drawn_truth, measured, problem
@@ -65,6 +66,11 @@ def test_log_probability_is_the_models(posterior):
     expected = np.where(inside, expected, -np.inf)
     assert inside.any()
     np.testing.assert_allclose(posterior.log_probability(u), expected, rtol=1e-9)
+    prior, likelihood = posterior.log_densities(u)
+    levels = x[inside, -1]
+    priors = -0.5 * (((x[inside, :-1] - model.nominal) / model.prior_sd) ** 2).sum(axis=1) - 0.5 * levels**2
+    np.testing.assert_allclose(prior[inside], priors, rtol=1e-9)
+    np.testing.assert_allclose(likelihood[inside], expected[inside] - priors, rtol=1e-9)
 
 
 def test_starts_are_inside_the_bounds(posterior):
@@ -74,15 +80,61 @@ def test_starts_are_inside_the_bounds(posterior):
     assert len(np.unique(start, axis=0)) == len(start)
 
 
-def test_interrupted_and_resumed_is_the_same_chain(posterior, tmp_path):
-    """Fails if the random state or the last positions are lost between two blocks."""
-    start = posterior.start(2 * posterior.n_dimensions, np.random.default_rng(17))
+def extended(posterior, start, path, blocks, said=lambda line: None):
+    """The ensemble of a chain's file that was lengthened by these numbers of steps, each time opened anew."""
+    for steps in blocks:
+        (backend,) = open_ensembles(path, 1, start.shape, 0.8, said)
+        _extend(backend, posterior, start, 5, 0.8, steps)
+    return [backend]
 
-    def sampled(name, blocks):
-        path = tmp_path / name
-        for steps in blocks:
-            (backend,) = open_ensembles(path, 1, start.shape, 0.8, lambda line: None)
-            _extend(backend, posterior, start, 5, 0.8, steps)
-        return joined([backend], 0, 30)
 
-    np.testing.assert_array_equal(sampled("whole.h5", [30]), sampled("parts.h5", [10, 7, 13]))
+@pytest.fixture(scope="module")
+def start(posterior):
+    return posterior.start(2 * posterior.n_dimensions, np.random.default_rng(17))
+
+
+def test_interrupted_and_resumed_is_the_same_chain(posterior, start, tmp_path):
+    """Fails if the random state, the last positions or what is kept of them are lost between two blocks."""
+    whole = extended(posterior, start, tmp_path / "whole.h5", [30])
+    parts = extended(posterior, start, tmp_path / "parts.h5", [10, 7, 13])
+    np.testing.assert_array_equal(joined(whole, 0, 30), joined(parts, 0, 30))
+    np.testing.assert_array_equal(joined_kept(whole, 0, 30), joined_kept(parts, 0, 30))
+
+
+def test_prior_and_likelihood_are_kept_of_the_draw_they_belong_to(posterior, start, tmp_path):
+    """Fails if a rejected proposal's densities stand beside the draw that was kept, or the two are swapped."""
+    (backend,) = extended(posterior, start, tmp_path / "chain.h5", [20])
+    prior, likelihood = posterior.log_densities(backend.get_chain(flat=True))
+    kept = backend.get_blobs(flat=True)
+    np.testing.assert_allclose(kept["log_prior"], prior, rtol=1e-9)
+    np.testing.assert_allclose(kept["log_likelihood"], likelihood, rtol=1e-9)
+    with h5py.File(tmp_path / "chain.h5") as file:
+        np.testing.assert_array_equal(file["ensemble1"]["blobs"]["log_prior"].ravel(), kept["log_prior"])
+
+
+def test_a_chain_without_prior_and_likelihood_is_sampled_anew(posterior, start, tmp_path):
+    """Fails if a chain of an earlier version is gone on from, ends in a traceback, or is thrown away without a word."""
+    path, said = tmp_path / "chain.h5", []
+    (fresh,) = extended(posterior, start, path, [10])
+    before = fresh.get_chain()
+    with h5py.File(path, "a") as file:
+        del file["ensemble1"]["blobs"]
+        file["ensemble1"].attrs["has_blobs"] = False
+    (backend,) = extended(posterior, start, path, [10], said.append)
+    assert backend.iteration == 10
+    assert backend.has_blobs()
+    np.testing.assert_array_equal(backend.get_chain(), before)
+    (line,) = said
+    assert "log prior" in line
+    assert "sampling starts anew" in line
+
+
+def test_a_likelihood_that_was_changed_is_not_gone_on_from(posterior, start, tmp_path):
+    """Fails if the checksum leaves out what is kept of each draw."""
+    (backend,) = extended(posterior, start, tmp_path / "chain.h5", [10])
+    assert backend.whole
+    with h5py.File(tmp_path / "chain.h5", "a") as file:
+        kept = file["ensemble1"]["blobs"][:]
+        kept["log_likelihood"][3, 2] += 1e-9
+        file["ensemble1"]["blobs"][:] = kept
+    assert not backend.whole

@@ -14,27 +14,38 @@ import numpy as np
 
 PADDED = 2  # times its content that a chunked table takes at most, nearly
 OVERHEAD = 1 << 16  # bytes of a block that are not its steps
+KEPT = np.dtype([("log_prior", np.float64), ("log_likelihood", np.float64)])  # of each draw: emcee's blobs
 STEPS, SEAL = "steps_sha256", "seal_sha256"  # attributes of an ensemble's group
 
 
 class BlockBackend(emcee.backends.HDFBackend):
     """emcee's HDF format, but whole blocks are appended: one write a block instead of one a step.
 
+    Its blobs are each draw's log prior and log likelihood.
     Each group has the SHA-256 of its steps, each hashed with what came before, and a seal over that and the state to go on
     from: a chain in which a bit was turned is not sampled on.
     """
 
+    def reset(self, nwalkers: int, ndim: int) -> None:
+        """Begin an empty ensemble, with its blobs, for which room is asked before the first block."""
+        super().reset(nwalkers, ndim)
+        with self.open("a") as file:
+            group = file[self.name]
+            group.create_dataset("blobs", (0, nwalkers), maxshape=(None, nwalkers), dtype=KEPT)
+            group.attrs["has_blobs"] = True
+
     def append(self, block: emcee.backends.Backend, random_state: tuple[Any, ...]) -> None:
         """Append an in-memory backend's steps and the random state that follows them."""
-        chain, log_probability = block.get_chain(), block.get_log_prob()
+        chain, log_probability, kept = block.get_chain(), block.get_log_prob(), block.get_blobs()
         done, accepted = self.iteration, self.accepted + block.accepted
-        steps = _hashed(self._steps if done else "", chain, log_probability)
+        steps = _hashed(self._steps if done else "", chain, log_probability, kept)
         self._reserve(len(chain))
-        self.grow(len(chain), None)
+        self.grow(len(chain), kept[0])
         with self.open("a") as file:
             group = file[self.name]
             group["chain"][done : done + len(chain)] = chain
             group["log_prob"][done : done + len(chain)] = log_probability
+            group["blobs"][done : done + len(chain)] = kept
             group["accepted"][:] = accepted
             for i, value in enumerate(random_state):
                 group.attrs[f"random_state_{i}"] = value
@@ -48,7 +59,7 @@ class BlockBackend(emcee.backends.HDFBackend):
             OSError: there is no room.
         """
         with self.open() as file:
-            tables = [file[self.name][name] for name in ("chain", "log_prob")]
+            tables = [file[self.name][name] for name in ("chain", "log_prob", "blobs")]
             needed = [(n_steps + table.chunks[0]) * np.prod(table.shape[1:]) * table.dtype.itemsize for table in tables]
         if hasattr(os, "posix_fallocate"):
             path = Path(self.filename)
@@ -68,7 +79,7 @@ class BlockBackend(emcee.backends.HDFBackend):
             return True
         with self.open() as file:
             seal = file[self.name].attrs[SEAL]
-        steps = _hashed("", self.get_chain(), self.get_log_prob())
+        steps = _hashed("", self.get_chain(), self.get_log_prob(), self.get_blobs())
         return bool(seal == _sealed(steps, self.accepted, self.random_state))
 
 
@@ -77,11 +88,16 @@ def open_ensembles(
 ) -> list[BlockBackend]:
     """Open the chain file's ensembles of shape (n_walkers, n_dimensions), to go on where they end.
 
-    A file that cannot be read, or that was sampled otherwise (independent is the share of independent moves), starts anew.
+    A file that cannot be read, that lacks what is kept of each draw, or that was sampled otherwise (independent is the share
+    of independent moves), starts anew.
     """
     backends = [BlockBackend(str(path), name=f"ensemble{i + 1}") for i in range(number)]
     try:
         if path.exists() and _sampled_alike(path, backends, shape, independent):
+            if not all(backend.has_blobs() for backend in backends):
+                raise ValueError(
+                    "it does not keep each draw's log prior and log likelihood, being of an earlier version"
+                )
             if not all(backend.whole for backend in backends):
                 raise ValueError("its checksum is wrong")
             say(f"resuming after {min(backend.iteration for backend in backends)} steps")
@@ -103,10 +119,10 @@ def _sampled_alike(path: Path, backends: list[BlockBackend], shape: tuple[int, i
     return all(backend.initialized and backend.shape == shape for backend in backends)
 
 
-def _hashed(before: str, chain: np.ndarray, log_probability: np.ndarray) -> str:
+def _hashed(before: str, *tables: np.ndarray) -> str:
     """Return the hash of all steps, from that of those before; how they were parted into blocks makes no difference."""
-    for step, probability in zip(chain, log_probability, strict=True):
-        before = hashlib.sha256(before.encode() + step.tobytes() + probability.tobytes()).hexdigest()
+    for step in zip(*tables, strict=True):
+        before = hashlib.sha256(before.encode() + b"".join(part.tobytes() for part in step)).hexdigest()
     return before
 
 
@@ -121,3 +137,8 @@ def _sealed(steps: str, accepted: np.ndarray, random_state: Iterable[Any]) -> st
 def joined(backends: list[BlockBackend], discard: int, steps: int) -> np.ndarray:
     """Return the steps from discard to steps, shape (n_ensembles, n_steps, n_walkers, n_dimensions)."""
     return np.array([backend.get_chain()[discard:steps] for backend in backends])
+
+
+def joined_kept(backends: list[BlockBackend], discard: int, steps: int) -> np.ndarray:
+    """Return what was kept of the same draws, a structured array (n_ensembles, n_steps, n_walkers) of type KEPT."""
+    return np.array([backend.get_blobs()[discard:steps] for backend in backends])

@@ -101,23 +101,28 @@ class Posterior:
         """Return the parameters and the log noise level for coordinates (..., n_dimensions)."""
         return self.centre + u @ self.factor.T
 
-    def log_probability(self, u: np.ndarray) -> np.ndarray:
-        """Return the log posterior, up to a constant, of coordinates (n_walkers, n_dimensions); -inf outside bounds."""
+    def log_densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return log prior and log likelihood, each (n_walkers,) and up to a constant, of coordinates (n_walkers, n_dimensions).
+
+        Outside the bounds the prior's is -inf, and the likelihood, which is not evaluated there, 0.
+        """
         x = self.parameters(u)
         model = self.problem.model
         values, log_noise = x[:, :-1], x[:, -1]
         lower, upper = model.bounds.T
         inside = ((values >= lower) & (values <= upper)).all(axis=1)
-        result = np.full(len(x), -np.inf)
+        prior, likelihood = np.full(len(x), -np.inf), np.zeros(len(x))
         if inside.any():
-            n_values = self.problem.size
-            squares = self.squares(values[inside].T)
-            scaled = (values[inside] - model.nominal) / model.prior_sd
-            result[inside] = (
-                -0.5 * squares * np.exp(-2 * log_noise[inside]) - n_values * log_noise[inside]
-                - 0.5 * (scaled**2).sum(axis=1) - 0.5 * (log_noise[inside] / LOG_NOISE_SD) ** 2
-            )  # fmt: skip
-        return result
+            values, log_noise = values[inside], log_noise[inside]
+            scaled = (values - model.nominal) / model.prior_sd
+            prior[inside] = -0.5 * (scaled**2).sum(axis=1) - 0.5 * (log_noise / LOG_NOISE_SD) ** 2
+            likelihood[inside] = -0.5 * self.squares(values.T) * np.exp(-2 * log_noise) - self.problem.size * log_noise
+        return prior, likelihood
+
+    def log_probability(self, u: np.ndarray) -> np.ndarray:
+        """Return the log posterior, up to a constant, of coordinates (n_walkers, n_dimensions); -inf outside bounds."""
+        prior, likelihood = self.log_densities(u)
+        return prior + likelihood
 
     def start(self, n_walkers: int, rng: np.random.Generator) -> np.ndarray:
         """Return walkers (n_walkers, n_dimensions) drawn from Laplace's normal, redrawn until all are inside the bounds."""

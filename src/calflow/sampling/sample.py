@@ -13,7 +13,7 @@ from calflow.estimation.calibrated import Identified, with_maps_held
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
-from calflow.sampling.backend import BlockBackend, joined, open_ensembles
+from calflow.sampling.backend import KEPT, BlockBackend, joined, joined_kept, open_ensembles
 from calflow.sampling.posterior import Laplace, Posterior, moves, posterior_of
 
 ENOUGH_TAU = 50  # autocorrelation times that a chain must be long
@@ -41,8 +41,9 @@ class Sampled:
     """A sampled posterior.
 
     known is the model without what was held, data the rows (all of them), chain (n_ensembles, n_steps, n_walkers, n_dimensions)
-    the walkers after the burn-in in scaled coordinates; steps, discard and tau [steps] are those made, left out at the
-    start, and until a walker forgets; accepted is the share of independent proposals that are, None where there are none.
+    the walkers after the burn-in in scaled coordinates, log_prior and log_likelihood (n_ensembles, n_steps, n_walkers) theirs, up
+    to a constant; steps, discard and tau [steps] are those made, left out at the start, and until a walker forgets; accepted is
+    the share of independent proposals that are, None where there are none.
     """
 
     known: Identified
@@ -50,6 +51,8 @@ class Sampled:
     posterior: Posterior
     laplace: Laplace
     chain: np.ndarray
+    log_prior: np.ndarray
+    log_likelihood: np.ndarray
     steps: int
     discard: int
     tau: float
@@ -105,9 +108,10 @@ def sample(
     seeds = [int(rng(f"moves{i}").integers(2**31)) for i in range(len(backends))]
     steps, tau = _lengthen(posterior, backends, starts, seeds, independent, length, advance)
     discard = min(steps // 4, int(min(5 * tau, steps)))
-    chain = joined(backends, discard, steps)
+    chain, kept = joined(backends, discard, steps), joined_kept(backends, discard, steps)
     share = accepted if independent else None
-    return Sampled(known, data, posterior, laplace, chain, steps, discard, tau, share, length)
+    prior, likelihood = kept["log_prior"], kept["log_likelihood"]
+    return Sampled(known, data, posterior, laplace, chain, prior, likelihood, steps, discard, tau, share, length)
 
 
 def too_few_walkers(walkers: int | None, n_dimensions: int) -> str:
@@ -149,12 +153,17 @@ def _lengthen(
 def _extend(
     backend: BlockBackend, posterior: Posterior, start: np.ndarray, seed: int, independent: float, steps: int
 ) -> None:
+    def densities(u: np.ndarray) -> list[tuple[float, float, float]]:
+        prior, likelihood = posterior.log_densities(u)
+        return list(zip(prior + likelihood, prior, likelihood, strict=True))
+
     block = emcee.backends.Backend()
     sampler = emcee.EnsembleSampler(
         *start.shape,
-        posterior.log_probability,
+        densities,
         vectorize=True,
         backend=block,
+        blobs_dtype=KEPT,
         moves=moves(posterior.folded, independent),
     )
     if backend.iteration:
