@@ -113,13 +113,14 @@ def what_is_not_physical_is_called_so(folder: Path, said: dict[str, str]) -> Non
 
 @pytest.mark.parametrize("page", sorted([*DOCS.glob("*.md"), DOCS.parent / "README.md"]), ids=lambda page: page.stem)
 def test_links_lead_somewhere(page):
-    """Fails if a page links to a file, or to a heading of one, that is not there."""
+    """Fails if a page links to a file, or to a heading of one, that is not there, or a page of the site to one outside of it."""
     for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
         if "://" in target:
             continue
         name, _, anchor = target.partition("#")
         path = page.parent / name if name else page
         assert path.exists(), target
+        assert page.parent != DOCS or path.resolve().is_relative_to(DOCS), f"{target} is not in the site"
         if anchor:
             headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
             assert anchor in {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}, (
