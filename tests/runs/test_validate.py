@@ -44,6 +44,16 @@ def test_a_sound_robot_meets_its_tolerance_and_a_tight_one_is_not_met(measured):
     assert told.code == 3
 
 
+def test_the_calibration_s_own_file_is_no_proof(measured):
+    """Fails if the measurements that the robot was fitted to pass for new ones, or new ones are taken for them."""
+    own = measured.calflow("validate", measured / "runs", measured / "measurements.csv", "--out", measured / "own")
+    assert "note: measurements.csv is the very file that the calibration was made of" in own.err
+    moved = measured.calflow("drift", measured / "runs", measured / "measurements.csv", "--out", measured / "own-drift")
+    assert "measurements.csv is the very file that the calibration was made of" in moved.err
+    new = measured.calflow("validate", measured / "runs", measured / "new.csv", "--out", measured / "new")
+    assert "the very file" not in new.err
+
+
 def test_errors_are_the_barycentres_distances(measured):
     """Fails if AP is not that of the rows as `predict` has them, or RP not that of the rows as measured."""
     found = cf.validate(measured / "runs", measured / "new.csv")

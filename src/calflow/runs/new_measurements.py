@@ -12,7 +12,9 @@ from calflow.files.problems import refuse
 from calflow.measurements.cells import read_cells
 from calflow.measurements.layout import Layout
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.reading import sha256
 from calflow.runs.calibrated_run import CalibratedRun
+from calflow.runs.manifest import is_measured
 
 SEEN_FROM_OUTSIDE = ("position", "pose")
 DISPENSABLE = ("split", "session", "repeat")  # what a mapped column of the study's file may say that a new one need not
@@ -51,5 +53,14 @@ def read_new(run: CalibratedRun, rows: str | Path) -> Measurements:
     return replace(
         measured,
         table=measured.table.assign(split="train"),
-        notes=(*measured.notes, *run.notes),
+        notes=(*measured.notes, *_seen(run, path), *run.notes),
     )
+
+
+def _seen(run: CalibratedRun, path: Path) -> tuple[str, ...]:
+    """Say that a file is one that the run was made of; a part of it, or a copy written otherwise, is not recognised."""
+    used = {digest for name, digest in run.manifest.inputs.items() if is_measured(name)}
+    if sha256(path) not in used:
+        return ()
+    return (f"{path.name} is the very file that the calibration was made of: at poses that it was fitted to errors are smaller "
+            "than at others; measure new ones",)  # fmt: skip
