@@ -125,7 +125,7 @@ def test_rows_are_read_as_the_studys_data_are(finished, asked):
 
 
 ROWS = {
-    "no such file": (None, ["asked.csv: cannot be read"]),
+    "no such file": (None, ["asked.csv: no such file"]),
     "a column short": ("q1_deg,q2_deg\n1,2\n", ["asked.csv:1: missing column: expected q3_rad or q3_deg"]),
     "measured positions": (
         "q1_deg,q2_deg,q3_deg,x_mm\n1,2,3,4\n",

@@ -23,6 +23,8 @@ def stated_poses(file: Path, model: Model) -> np.ndarray:
     """
     try:
         table = pd.read_csv(regular_file(file), skip_blank_lines=False).dropna(how="all")
+    except FileNotFoundError:
+        raise refuse("no such file", file) from None
     except (OSError, ValueError) as error:
         raise refuse(f"cannot be read: {error}", file) from None
     columns = _joint_columns(list(map(str, table)), model.robot, file)

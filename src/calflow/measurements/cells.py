@@ -31,6 +31,8 @@ def read_cells(path: Path, layout: Layout) -> pd.DataFrame:
         check_text(path)
         raw = pd.read_csv(path, sep=layout.separator, dtype=str, keep_default_na=False, skip_blank_lines=False,
                           encoding="utf-8-sig")  # fmt: skip
+    except FileNotFoundError:
+        raise refuse("no such file", path) from None
     except pd.errors.EmptyDataError:
         raise refuse(EMPTY, path) from None
     except (OSError, ValueError) as error:
