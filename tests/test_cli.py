@@ -89,7 +89,7 @@ def test_ctrl_c_ends_with_130_and_goes_on(small):
         err = running.communicate(timeout=60)[1]
     assert running.returncode == 130, err
     assert err.strip() == "interrupted: the same command resumes where it stopped"
-    assert "sample     run    did not finish last time (interrupted)" in small.calflow("plan").out
+    assert "sample         run    did not finish last time (interrupted)" in small.calflow("plan").out
 
 
 def test_ctrl_c_is_heeded_inside_a_fit(small):
@@ -106,7 +106,7 @@ def test_ctrl_c_is_heeded_inside_a_fit(small):
         err = running.communicate(timeout=60)[1]
     assert running.returncode == 130, err
     assert err.splitlines()[-1] == "interrupted: the same command resumes where it stopped"
-    assert "identify   run    did not finish last time (interrupted)" in small.calflow("plan").out
+    assert "identify       run    did not finish last time (interrupted)" in small.calflow("plan").out
     small.edit("quick.toml", ("starts = 20000", "starts = 1"))
     answer = small.calflow("run")
     assert answer.code == 0

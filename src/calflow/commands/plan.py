@@ -22,4 +22,4 @@ def plan(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
 
     loaded = load_study(study)
     for step in make_plan(loaded, out or default_folder(loaded), stage, force):
-        click.echo(f"{step.stage.name:10} {'reuse' if step.reuse else 'run':6} {step.reason}")
+        click.echo(f"{step.stage.name:14} {'reuse' if step.reuse else 'run':6} {step.reason}")

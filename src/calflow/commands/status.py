@@ -25,4 +25,4 @@ def status(study_or_run: Path) -> None:
     for name, entry in manifest.stages.items():
         seconds = "" if entry.seconds is None else f"{entry.seconds:.1f} s"
         reused = f"; reused since: {entry.reused}" if entry.reused else ""
-        click.echo(f"{name:10} {entry.status:12} {seconds:>8}  ran because: {entry.reason}{reused}")
+        click.echo(f"{name:14} {entry.status:12} {seconds:>8}  ran because: {entry.reason}{reused}")
