@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from calflow.design.candidates import allowed, candidates, pack
+from calflow.design.cell import Cell, Station
 from calflow.design.exchange import information
 from calflow.design.optimality import Parameters
 from calflow.design.planned import Planned
@@ -44,7 +45,24 @@ def test_refined_poses_are_better_and_allowed(model, for_tool):
         return criterion.loss(np.linalg.inv(information(jacobian, prior)))
 
     assert loss(found) < 0.9 * loss(readings)
-    assert len(allowed(model, found, "rated", "E", REGION)[0]) == 30
+    assert allowed(model, found, "rated", "E", REGION).all()
+
+
+def test_refined_poses_keep_to_the_cell(model):
+    """Fails if a pose is moved to where the cell refuses it; or none would be without it, or none is moved."""
+    cell = Cell(
+        stations=(Station((7.0, 0.0, 1.0)),), reflector_axis=(1.0, 0.0, 1.0), acceptance=np.deg2rad(60), floor=0.2
+    )
+    planned = Planned(model.observations[0], 5e-5)
+    readings, _ = candidates(model, 30, "rated", "E", REGION, np.random.default_rng(2), None, cell)
+    prior = np.eye(len(model.parameters))
+    free, kept = (
+        refined(model, planned, readings, "rated", "E", REGION, prior, Parameters(len(prior)), one)
+        for one in (None, cell)
+    )
+    assert not allowed(model, free, "rated", "E", REGION, cell).all()
+    assert allowed(model, kept, "rated", "E", REGION, cell).all()
+    assert (kept != readings).any()
 
 
 def test_poses_whose_reports_matter_stay(model):

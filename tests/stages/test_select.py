@@ -126,3 +126,65 @@ def test_refined_poses_are_said_to_be_better(small):
     gained = 100 * (1 - better["expected_sd_mm"] / worth["expected_sd_mm"])
     assert certificate["refined_percent"] == pytest.approx(gained, abs=1e-6)
     assert gained > 0
+
+
+CELL = """
+[stages.select.cell]
+reflector_axis = [1.0, 0.0, 0.0]
+acceptance_deg = 80
+floor_mm = 100
+link_radii_mm = [60, 50, 40]
+
+[[stages.select.cell.stations]]
+origin_mm = [3000, 500, 300]
+range_max_m = 3.5
+elevation_max_deg = 25
+
+[[stages.select.cell.boxes]]
+min_mm = [500, 300, 0]
+max_mm = [900, 700, 600]
+
+[[stages.select.cell.cylinders]]
+start_mm = [600, -500, 0]
+end_mm = [600, -500, 800]
+radius_mm = 80
+"""
+
+
+def test_poses_keep_to_the_cell_of_the_study(small):
+    """Fails if a key of the cell is lost or its unit, or if nobody is told how many poses each rule refused."""
+    _, _, said = selected(small, "", CELL)
+    for rule in ("range", "elevation", "acceptance of the reflector", "floor, boxes or cylinders"):
+        assert f"{rule} " in said.partition("refused by")[2].splitlines()[0]
+    chosen = pd.read_csv(small / "runs" / "select" / "poses.csv")
+    reflector = chosen[["nominal_x_mm", "nominal_y_mm", "nominal_z_mm"]].to_numpy()
+    way = reflector - [3000, 500, 300]
+    assert (np.linalg.norm(way, axis=1) < 3500.1).all()
+    assert (np.degrees(np.arctan2(way[:, 2], np.hypot(way[:, 0], way[:, 1]))) < 25.1).all()
+
+
+def test_a_cell_that_does_not_fit_the_robot_is_refused(small):
+    """Fails if the wrong number of radii, a configuration of three joints or torque without rated torque is passed over."""
+    wrong = CELL.replace("40]", "40, 30]\nconfiguration_deg = [0, -90, 90]\ntorque_share = 0.8")
+    small.edit("study.toml", ("poses = 8\n", f"poses = 8\n{wrong}\n"))
+    said = "\n".join(small.refused())
+    for words in (
+        "stages.select.cell.link_radii: expected 3 radii, one a joint, found 4",
+        "elbow and wrist are known of arms of six joints",
+        "needs masses and rated_torque",
+    ):
+        assert words in said
+    assert any("cell" in line and "study.toml:" in line for line in said.splitlines())
+
+
+def test_impossible_cells_are_refused(small):
+    """Fails if a box inside out, a range that ends before it begins, or a cone that nobody looks into is taken."""
+    for changed, words in (
+        (CELL.replace("max_mm = [900", "max_mm = [400"), "min must lie below max"),
+        (CELL.replace("range_max_m = 3.5", "range_max_m = 3.5\nrange_min_m = 4"), "range_min must lie below range_max"),
+        ("[stages.select.cell]\nacceptance_deg = 80", "acceptance needs a station"),
+        ("[stages.select.cell]\nacceptence_deg = 80", "unknown key, did you mean 'acceptance_deg'"),
+    ):
+        small.edit("study.toml", ("poses = 8\n", f"poses = 8\n{changed}\n"))
+        assert words in "\n".join(small.refused())
+        small.edit("study.toml", (f"poses = 8\n{changed}\n", "poses = 8\n"))

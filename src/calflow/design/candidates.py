@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import qmc
 
+from calflow.design.cell import Cell, refused_words
 from calflow.design.contact import brought
+from calflow.estimation.progress import Say, nobody
 from calflow.files.problems import refuse
 from calflow.model import Model
 from calflow.observations import Observation
@@ -18,6 +20,7 @@ READINGS = "q{joint}_{deg|mm}"  # the columns of joint readings
 LARGEST_DRAW = 1 << 15  # poses drawn at once
 ROUNDING = 1e-9  # rad or m
 MAX_DRAWS = 40  # rounds of drawing before the region counts as out of reach
+HARDER = 5  # times as many rounds where there is a cell to keep to
 
 
 def candidates(
@@ -28,20 +31,24 @@ def candidates(
     region: np.ndarray | None,
     rng: np.random.Generator,
     observation: Observation | None = None,
+    cell: Cell | None = None,
+    say: Say = nobody,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return joint readings (number, n_joints) [rad, or m] and their packed conditions (n_conditions, number).
 
     Drawn by a scrambled Sobol sequence over the joints' ranges; region is a box (2, 3) [m] in the measuring frame that the
-    nominal marker must be in. Where an observation needs the robot to touch something, the poses do.
+    nominal marker must be in. Where an observation needs the robot to touch something, the poses do. Where there is a cell all
+    are such as it allows, and say is told how many it refused.
 
     Raises:
-        InputError: hardly any pose within the joints' ranges reaches the region.
+        InputError: hardly any pose within the joints' ranges reaches the region, or is allowed by the cell.
     """
     sobol = qmc.Sobol(model.robot.n_joints, rng=rng)
     size = min(LARGEST_DRAW, 1 << int(np.ceil(np.log2(4 * number))))
     rigid = replace(model, effects=(), observations=(), probes=())  # the nominal robot, at a fifth of the work
     kept: list[np.ndarray] = []
-    rounds = MAX_DRAWS * max(1, number // size)
+    refusals: list[np.ndarray] = []
+    rounds = MAX_DRAWS * max(1, number // size) * (HARDER if cell else 1)
     for _ in range(rounds):
         drawn = qmc.scale(sobol.random(size), *model.robot.limits.T)
         readings = drawn @ model.robot.angle_matrix.T
@@ -58,26 +65,40 @@ def candidates(
             position = rigid.position(rigid.nominal, pack(rigid, readings, payload, marker))
             good &= ((position > region[0]) & (position < region[1])).all(axis=1)
         good[good] = reachable(model.robot, angles[good])
+        if cell is not None:
+            refusals.append(cell.refusals(model, rows[:, good], marker))
+            good[good] = refusals[-1] == 0
         kept.append(readings[good])
         if sum(map(len, kept)) >= number:
             readings = np.vstack(kept)[:number]
+            if cell is not None:
+                say(f"of those drawn within joint limits and region {refused_words(np.concatenate(refusals))}")
             return readings, pack(model, readings, payload, marker)
+    left, refused = "reach the region", ""
+    if cell is not None:
+        left, refused = "are left", f" Of those there {refused_words(np.concatenate(refusals))}"
     raise refuse(
-        f"of {rounds * size} poses within the joint limits only {sum(map(len, kept))} reach the region, {number} are needed: "
-        "is the region (in the measuring frame) within the robot's reach?"
+        f"of {rounds * size} poses within the joint limits only {sum(map(len, kept))} {left}, {number} are needed: "
+        f"is the region (in the measuring frame) within the robot's reach?{refused}"
     )
 
 
 def allowed(
-    model: Model, readings: np.ndarray, payload: str, marker: str, region: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return those of stated joint readings (n, n_joints) that are within limits and region, and their packed conditions."""
+    model: Model, readings: np.ndarray, payload: str, marker: str, region: np.ndarray | None, cell: Cell | None = None,
+    say: Say = nobody,
+) -> np.ndarray:  # fmt: skip
+    """Return which of stated joint readings (n, n_joints) are within limits and region, and allowed by the cell, shape (n,)."""
     angles = readings @ model.robot.reading_matrix.T
+    rows = pack(model, readings, payload, marker)
     good = model.robot.within_limits(angles) & reachable(model.robot, angles)
     if region is not None:
-        position = model.position(model.nominal, pack(model, readings, payload, marker))
+        position = model.position(model.nominal, rows)
         good &= ((position > region[0]) & (position < region[1])).all(axis=1)
-    return readings[good], pack(model, readings[good], payload, marker)
+    if cell is not None:
+        refusals = cell.refusals(model, rows[:, good], marker)
+        say(f"of those stated within joint limits and region {refused_words(refusals)}")
+        good[good] = refusals == 0
+    return np.asarray(good)
 
 
 def reading_columns(robot: Robot) -> list[str]:

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.design.candidates import allowed, pack
+from calflow.design.cell import Cell
 from calflow.design.exchange import information
 from calflow.design.optimality import Criterion
 from calflow.design.planned import Planned
@@ -28,12 +29,13 @@ OPTIONS: dict[str, Any] = {
 
 def refined(
     model: Model, planned: Planned, readings: np.ndarray, payload: str, marker: str, region: np.ndarray | None,
-    prior: np.ndarray, criterion: Criterion,
+    prior: np.ndarray, criterion: Criterion, cell: Cell | None = None,
 ) -> np.ndarray:  # fmt: skip
     """Return joint readings (n_poses, n_joints) near those given with a smaller loss; the same where there are none.
 
     What a pose tells must not depend on what is reported there, as of positions. A pose that ends where it may not be (a
-    loop's straight way there passes a dead point) goes back, and so do all where that costs more than was gained.
+    loop's straight way there passes a dead point, or the cell refuses it) goes back, and so do all where that costs more than
+    was gained.
     """
     slope = _slope(model, planned, payload, marker)
     if slope is None:
@@ -45,8 +47,8 @@ def refined(
         own = planned.whitened(model, model.nominal, pack(model, poses, payload, marker)) * model.prior_sd
         return criterion.loss(np.linalg.inv(information(own, prior)))
 
-    kept = [len(allowed(model, pose[None], payload, marker, region)[0]) == 1 for pose in found]
-    moved = np.where(np.array(kept)[:, None], found, readings)
+    kept = allowed(model, found, payload, marker, region, cell)
+    moved = np.where(kept[:, None], found, readings)
     return moved if loss(moved) < loss(readings) else readings
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.design.candidates import READINGS, allowed, candidates, pack, reading_columns, shown_readings
+from calflow.design.cell import Cell
 from calflow.design.exchange import greedy, information
 from calflow.design.how_many import HowMany, enough, knee, next_worth
 from calflow.design.minimax import search_worst
@@ -109,6 +110,7 @@ def select(
     payload: str = "",
     marker: str = "",
     region: np.ndarray | None = None,
+    cell: Cell | None = None,
     planned: Planned | None = None,
     of: int = 2000,
     stated: np.ndarray | None = None,
@@ -130,6 +132,7 @@ def select(
         payload: the load they are measured under; empty: none.
         marker: what is measured; the first where it is empty.
         region: a box (2, 3) [m] in the measuring frame that the marker must be in.
+        cell: what they must keep to: lines of sight, what stands around, a configuration.
         planned: how they will be measured; as positions, 50 µm per axis, where nothing is said.
         of: number of candidates that are drawn.
         stated: joint readings (n, n_joints) to choose of, in the place of drawn ones.
@@ -148,12 +151,16 @@ def select(
     if not model.observations:
         model = replace(model, observations=(planned.observation,))
     if stated is None:
-        readings, rows = candidates(model, of, payload, marker, region, rng("candidates"), planned.observation)
+        readings, rows = candidates(
+            model, of, payload, marker, region, rng("candidates"), planned.observation, cell, say
+        )
     else:
-        readings, rows = allowed(model, stated, payload, marker, region)
+        readings = stated[allowed(model, stated, payload, marker, region, cell, say)]
+        rows = pack(model, readings, payload, marker)
         if len(readings) < number:
             raise refuse(
-                f"of {len(stated)} stated poses {len(readings)} are within joint limits and region, {number} are to be chosen"
+                f"of {len(stated)} stated poses {len(readings)} are within joint limits{' and' if cell is None else ','} region"
+                f"{' and cell' if cell else ''}, {number} are to be chosen"
             )
     advance(0.3)
     whitened = planned.whitened(model, model.nominal, rows)
@@ -179,7 +186,7 @@ def select(
 
     poses, own = readings[found.chosen], whitened[found.chosen]
     if refine:
-        poses = refined(model, planned, poses, payload, marker, region, prior, criterion)
+        poses = refined(model, planned, poses, payload, marker, region, prior, criterion, cell)
         own = planned.whitened(model, model.nominal, pack(model, poses, payload, marker)) * model.prior_sd
         gained = 100 * (1 - criterion.loss(np.linalg.inv(information(own, prior))) / found.loss)
         certificate = replace(certificate, refined_percent=gained)

@@ -18,6 +18,7 @@ from calflow.files.tables import Column, columns
 from calflow.files.toml import FileModel
 from calflow.measurements.acceptance import Acceptance
 from calflow.stages import STAGES
+from calflow.stages.cell_settings import BoxSettings, CellSettings, CylinderSettings, StationSettings
 from calflow.stages.select import SelectSettings, TaskSettings
 
 KINDS = {str: "text", int: "integer", float: "number", bool: "true or false"}
@@ -46,6 +47,10 @@ def renewed(text: str) -> str:
         "acceptance": keys("[acceptance]", Acceptance),
         "select": keys("[stages.select]", SelectSettings),
         "task": keys("[stages.select.task]", TaskSettings),
+        "cell": keys("[stages.select.cell]", CellSettings),
+        "stations": keys("[[stages.select.cell.stations]]", StationSettings),
+        "boxes": keys("[[stages.select.cell.boxes]]", BoxSettings),
+        "cylinders": keys("[[stages.select.cell.cylinders]]", CylinderSettings),
         "tables": contents(),
     }
     for name, written in kept.items():

@@ -26,6 +26,7 @@ from calflow.model import Model, build
 from calflow.observations import Observation
 from calflow.observations.position import Position
 from calflow.robot.parts import Base
+from calflow.stages.cell_settings import CellSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study, known_effects
 
@@ -87,7 +88,7 @@ class SelectSettings(Region):
     candidates_file: str = Field(
         default="",
         description="a CSV of joint readings (`q1_deg` …) to choose of, such as taught poses, in the place of drawn ones; "
-        "those beyond joint limits or outside the region are left out",
+        "those beyond joint limits or outside the region, or that the cell refuses, are left out",
     )
     tolerance: Length | None = Field(
         default=None,
@@ -97,8 +98,8 @@ class SelectSettings(Region):
     )
     refine: bool = Field(
         default=False,
-        description="`true`: the poses chosen are moved between the candidates, within joint limits and region; not taught poses, "
-        "and not for the `worst`",
+        description="`true`: the poses chosen are moved between the candidates, within joint limits, region and cell; not taught "
+        "poses, and not for the `worst`",
     )
     add_to_measured: bool = Field(
         default=False,
@@ -111,6 +112,7 @@ class SelectSettings(Region):
         "square of its error), or where in the task it is `worst`; the tool where there is a task, else the parameters",
     )
     task: TaskSettings | None = Field(default=None, description="a table: where the tool must be right, see below")
+    cell: CellSettings | None = Field(default=None, description="a table: what the poses must keep to, see below")
     payload: str = Field(default="", description="what the robot carries while it is measured")
     marker: str = Field(default="", description="what is measured; the first")
     sigma: Length = Field(
@@ -160,6 +162,7 @@ def run(context: Context) -> Results:
         model, settings.poses, aim=settings.aim, task=task, there=there, stated=stated,
         tolerance=settings.tolerance, refine=settings.refine,
         payload=settings.payload, marker=settings.marker, region=settings.region, planned=planned,
+        cell=settings.cell.of(robot) if settings.cell else None,
         of=settings.candidates, rng=context.rng, say=context.say, advance=context.advance,
     )  # fmt: skip
     tables = {"select/poses.csv": chosen.poses, "select/observability.csv": chosen.observability}
@@ -186,6 +189,8 @@ def problems(study: Study, settings: SelectSettings, data: Measurements | None) 
         if name and name not in known:
             message = f"unknown {what} '{name}'; there are {', '.join(known) or 'none'}{nearest(name, known)}"
             found.append(study.setting_problem("select", message, *where))
+    told = settings.cell.wrong(study.robot) if settings.cell else ()
+    found += [study.setting_problem("select", message, "cell", key) for message, key in told]
     found += [study.setting_problem("select", message, "also_effects") for message in _untold(study, settings)]
     return found
 

@@ -1,0 +1,269 @@
+"""Poses that the cell allows, against pinocchio's kinematics and coal's distances."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.optimize import minimize_scalar
+from scipy.spatial.transform import Rotation
+
+from calflow.design.candidates import allowed, candidates, pack
+from calflow.design.capsules import between_segments, from_box
+from calflow.design.cell import RULES, Box, Cell, Cylinder, Station, checked_pairs, configuration, free_links
+from calflow.design.skeleton import Skeleton
+from calflow.files.problems import InputError
+from calflow.model import build
+from robots import ASKEW, hh800, holding_torque, industrial, pinocchio_model, ur10
+from robots import frames as numpy_frames
+
+NUMBER = 1000
+STATION = Station((4.0, 1.0, 1.2), near=1.0, far=6.0, lowest=np.deg2rad(-30), highest=np.deg2rad(25))
+BIG = Cell(
+    stations=(STATION, Station((3.0, -4.5, 2.0))),
+    reflector_axis=(0.3, 0.0, 1.0),
+    acceptance=np.deg2rad(100),
+    radii=(0.25, 0.2, 0.16, 0.16, 0.12, 0.1),
+    tool_radius=0.05,
+    clearance=0.02,
+    floor=0.1,
+    boxes=(Box((0.9, -0.4, 0.0), (2.0, 0.3, 0.8)), Box((-1.5, 1.0, 0.0), (0.0, 1.8, 2.0))),
+    cylinders=(Cylinder((0.6, -1.5, 0.0), (0.9, -1.5, 2.5), 0.2),),
+)
+SMALL = replace(
+    BIG,
+    radii=None,
+    boxes=(Box((0.4, -0.4, 0.0), (0.9, 0.3, 0.3)), Box((-0.9, 0.4, 0.0), (0.0, 0.9, 1.0))),
+    cylinders=(Cylinder((0.3, -0.7, 0.0), (0.4, -0.7, 1.2), 0.1),),
+    floor=-0.05,
+)
+
+
+def capsule(start, end, radius):
+    """A capsule of coal between two points."""
+    way = end - start
+    length = np.linalg.norm(way)
+    turn = Rotation.align_vectors(way[None], [[0, 0, 1]])[0].as_matrix() if length > 1e-9 else np.eye(3)
+    return coal.Capsule(radius, length), coal.Transform3s(turn, (start + end) / 2)
+
+
+def box(one):
+    """A box of coal."""
+    low, high = np.array(one.low), np.array(one.high)
+    return coal.Box(*(high - low)), coal.Transform3s(np.eye(3), (low + high) / 2)
+
+
+def cylinder(one):
+    """A cylinder of coal, its ends rounded."""
+    return capsule(np.array(one.start), np.array(one.end), one.radius)
+
+
+def apart(one, other):
+    """The distance of two of coal's shapes [m], negative where they meet."""
+    return coal.distance(*one, *other, coal.DistanceRequest(), coal.DistanceResult())
+
+
+class Outside:
+    """A robot's joints by pinocchio, and what of a cell coal and plain trigonometry say."""
+
+    def __init__(self, robot, cell):
+        self.robot, self.cell = robot, cell
+        self.model = pinocchio_model(robot, next(iter(robot.payloads)))
+        self.data = self.model.createData()
+        turn = Rotation.from_euler("XYZ", robot.base.rotation).as_matrix()
+        self.stands = pin.SE3(turn, np.array(robot.base.origin))
+        self.drawn = [box(one) for one in cell.boxes] + [cylinder(one) for one in cell.cylinders]
+
+    def room(self, q):
+        """The least of how far each of range, elevation, acceptance, links, surroundings and sight are from refusing [m or rad]."""
+        cell, robot = self.cell, self.robot
+        pin.framesForwardKinematics(self.model, self.data, q)
+        origins = [
+            self.data.oMi[k + 1].act(np.array([0, 0, -joint.frame.figures["d"]]))
+            for k, joint in enumerate(robot.joints)
+        ]
+        flange, tool = (self.data.oMf[self.model.getFrameId(name)] for name in ("flange", "E"))
+        chain = [np.zeros(3), *origins, flange.translation, tool.translation]
+        radii = [*cell.link_radii(robot), cell.tool_radius]
+        capsules = [capsule(a, b, r) for a, b, r in zip(chain[:-1], chain[1:], radii, strict=True)]
+        found = {"links": min(apart(capsules[i], capsules[j]) - cell.clearance for i, j in checked_pairs(cell, robot))}
+        frame = pin.SE3.Identity() if cell.drawn_in_base else self.stands
+        free = range(free_links(robot), len(capsules))
+        placed = [capsule(frame.act(chain[k]), frame.act(chain[k + 1]), radii[k]) for k in free]
+        lowest = min(min(frame.act(chain[k])[2], frame.act(chain[k + 1])[2]) - radii[k] for k in free)
+        near = min(apart(one, thing) for one in placed for thing in self.drawn)
+        found["around"] = min(near, lowest - cell.floor) - cell.clearance
+        for station in cell.stations:
+            eye, reflector = np.array(station.origin), self.stands.act(tool.translation)
+            away = np.linalg.norm(reflector - eye)
+            height = np.arctan2(reflector[2] - eye[2], np.hypot(*(reflector - eye)[:2]))
+            axis = self.stands.rotation @ flange.rotation @ np.array(cell.reflector_axis)
+            aside = np.arctan2(np.linalg.norm(np.cross(axis, eye - reflector)), axis @ (eye - reflector))
+            light = capsule(reflector, eye, 1e-9)
+            drawn = capsule(*(frame.act(self.stands.actInv(point)) for point in (reflector, eye)), 1e-9)
+            links = [capsule(self.stands.act(a), self.stands.act(b), r)
+                     for a, b, r in zip(chain[:-2], chain[1:-1], radii[:-1], strict=True)]  # fmt: skip
+            sight = [apart(light, one) for one in links] + [apart(drawn, thing) for thing in self.drawn]
+            rooms = (away - station.near, station.far - away, height - station.lowest, station.highest - height)
+            for name, room in zip(("range", "range", "elevation", "elevation", "acceptance", "sight"),
+                                  (*rooms, cell.acceptance - aside, min(sight)), strict=True):  # fmt: skip
+                found[name] = min(found.get(name, np.inf), room)
+        return found
+
+
+CASES = {
+    "industrial": (industrial, BIG),
+    "ur10": (ur10, SMALL),
+    "askew": (lambda: replace(industrial(), base=ASKEW), replace(BIG, drawn_in_base=False, floor=0.3)),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_the_cell_allows_is_what_others_find(name):
+    """Fails if an allowed pose collides or is out of sight by pinocchio and coal, or one is refused without cause."""
+    make, cell = CASES[name]
+    robot = make()
+    model, outside = build(robot, ()), Outside(robot, cell)
+    readings, rows = candidates(model, NUMBER, "load", "E", None, np.random.default_rng(5))
+    refusals = cell.refusals(model, rows, "E")
+    rooms = [outside.room(q) for q in readings]
+    least = np.array([min(room.values()) for room in rooms])
+    sure = np.abs(least) > 1e-5  # coal's own tolerance is about 1e-6
+    assert sure.sum() > 0.99 * NUMBER
+    assert np.array_equal(refusals[sure] == 0, least[sure] > 0)
+    assert 0 < (refusals == 0).sum() < NUMBER
+    names = ["range", "elevation", "acceptance", "links", "around", "sight"]
+    first = np.array([next((k for k, one in enumerate(names, 3) if room[one] <= 0), 0) for room in rooms])
+    certain = np.array([min(map(abs, room.values())) for room in rooms]) > 1e-5
+    assert np.array_equal(first[certain], refusals[certain])
+    assert len(np.unique(refusals)) >= 6
+
+
+@pytest.mark.parametrize("name", ["industrial", "ur10"])
+def test_all_candidates_keep_to_the_cell(name):
+    """Fails if one of 1,000 candidates is in a collision or out of sight, or nobody is told what was refused by what."""
+    make, cell = CASES[name]
+    robot, said = make(), []
+    outside = Outside(robot, cell)
+    readings, _ = candidates(
+        build(robot, ()), NUMBER, "load", "E", None, np.random.default_rng(6), None, cell, said.append
+    )
+    assert len(readings) == NUMBER
+    assert min(min(outside.room(q).values()) for q in readings) > -1e-6
+    (words,) = said
+    assert "line of sight" in words
+    assert "links that touch each other" in words
+
+
+def test_a_cell_that_allows_nothing_says_what_refused():
+    """Fails if a search for poses that there are not goes on for ever, or does not say which rule leaves none."""
+    cell = Cell(stations=(Station((30.0, 0.0, 0.0), far=1.0),))
+    with pytest.raises(InputError, match=r"only 0 are left.*the cell allows 0 of \d+ poses; refused by range \d+$"):
+        candidates(build(ur10(), ()), 10, "load", "E", None, np.random.default_rng(1), None, cell)
+
+
+def test_distances_are_the_least_along_the_segments():
+    """Fails if a formula is wrong where segments are parallel, points, inside the box or beyond its corner."""
+    rng = np.random.default_rng(1)
+    a, b, c, d = rng.normal(size=(4, 300, 3))
+    b[:30] = a[:30]
+    d[:30:2] = c[:30:2]
+    d[30:90] = c[30:90] + (b - a)[30:90] * rng.choice([-0.7, 1.3], (60, 1))
+    b[90:120, 1:] = a[90:120, 1:]
+    low, high = np.array([-0.6, -0.2, -0.4]), np.array([0.5, 0.3, 1.0])
+
+    def least(distance):
+        grid = np.linspace(0, 1, 201)
+        k = int(np.argmin([distance(t) for t in grid]))
+        bounds = grid[max(0, k - 1)], grid[min(200, k + 1)]
+        return min(minimize_scalar(distance, bounds=bounds, options={"xatol": 1e-12}, method="bounded").fun,
+                   distance(0.0), distance(1.0))  # fmt: skip
+
+    def to_segment(point, start, end):
+        way = end - start
+        share = np.clip((point - start) @ way / max(way @ way, 1e-30), 0, 1)
+        return np.linalg.norm(point - start - share * way)
+
+    lines = between_segments(a, b, c, d)
+    boxes = from_box(a, b, low, high)
+    for start, end, other, far, line, from_it in zip(a, b, c, d, lines, boxes, strict=True):
+
+        def to_line(t, start=start, way=end - start, other=other, far=far):
+            return to_segment(start + t * way, other, far)
+
+        def to_box(t, start=start, way=end - start):
+            point = start + t * way
+            return np.linalg.norm(point - np.clip(point, low, high))
+
+        assert line == pytest.approx(least(to_line), abs=1e-7)
+        assert from_it == pytest.approx(least(to_box), abs=1e-7)
+    assert (boxes == 0).sum() > 10
+
+
+def test_the_skeleton_is_the_robots():
+    """Fails if a joint, a pin of the loop or the reflector is elsewhere than the mechanics in numpy have it."""
+    robot = hh800()
+    readings, _ = candidates(build(robot, ()), 50, "rated", "E", None, np.random.default_rng(3))
+    at, there = Skeleton.of(robot, readings, "E"), numpy_frames(robot, readings)
+    for k, joint in enumerate(there.joints):
+        np.testing.assert_allclose(at.nodes[:, k + 1], joint[:, :3, 3], atol=1e-9)
+        np.testing.assert_allclose(at.axes[:, k], joint[:, :3, 2], atol=1e-9)
+    flange = there.ends[-1]
+    np.testing.assert_allclose(at.flange, flange[:, :3, :3], atol=1e-9)
+    np.testing.assert_allclose(at.marker, flange[:, :3, 3] + flange[:, :3, :3] @ robot.markers["E"].point, atol=1e-9)
+    rod = there.bars[1]
+    far = rod[:, :3, 3] + robot.loop.rod.length * rod[:, :3, 0]
+    np.testing.assert_allclose(at.bars, np.stack([there.bars[0][:, :3, 3], rod[:, :3, 3], far], axis=1), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(at.bars[:, 2] - at.nodes[:, 3], axis=1), robot.loop.rocker)
+
+
+def test_elbow_and_wrist_are_kept():
+    """Fails if joint 5 passes zero among poses of one wrist, or the UR10's joint 3 among those of one elbow."""
+    robot = ur10()
+    like = tuple(np.deg2rad([0, -90, 80, 0, 60, 0]))
+    readings, _ = candidates(build(robot, ()), 200, "load", "E", None, np.random.default_rng(2), None, Cell(like=like))
+    assert (np.sin(readings[:, 2]) > 0).all()
+    assert (np.sin(readings[:, 4]) > 0).all()
+    arm = industrial()
+    for q in np.deg2rad([[10, 20, 30, 40, 50, 60], [10, 20, 30, 40, -50, 60]]):
+        assert (
+            configuration(arm, Skeleton.of(arm, q[None], "E"))[0, 1]
+            == np.sign(q[4]) * configuration(arm, Skeleton.of(arm, np.deg2rad([[0, 0, 0, 0, 90, 0]]), "E"))[0, 1]
+        )
+
+
+def test_loads_that_joints_cannot_hold_are_refused():
+    """Fails if gravity's torque, from the energy in numpy, is beyond what is allowed, or the payload does not count."""
+    robot = industrial()
+    rated = 4000.0
+    robot = replace(robot, joints=tuple(replace(joint, rated_torque=rated) for joint in robot.joints))
+    model, cell = build(robot, ()), Cell(torque_share=0.5, self_collision=False)
+    readings, rows = candidates(model, 200, "load", "E", None, np.random.default_rng(2))
+    worst = np.abs(holding_torque(robot, readings, "load")).max(axis=1)
+    refusals = cell.refusals(model, rows, "E")
+    assert np.array_equal(refusals == 0, worst <= 0.5 * rated)
+    assert set(np.unique(refusals)) == {0, list(RULES).index("payload") + 1}
+    empty = cell.refusals(model, pack(model, readings, "", "E"), "E")
+    assert (empty == 0).sum() > (refusals == 0).sum()
+
+
+def test_stated_poses_keep_to_the_cell():
+    """Fails if taught poses are taken that the cell refuses."""
+    robot = industrial()
+    model = build(robot, ())
+    readings, rows = candidates(model, 100, "load", "E", None, np.random.default_rng(2))
+    kept = allowed(model, readings, "load", "E", None, BIG)
+    assert np.array_equal(kept, BIG.refusals(model, rows, "E") == 0)
+
+
+def test_sight_begins_where_it_is_said():
+    """Fails if what holds the reflector stands in its light although the line is said to begin beyond it, or counts not at all."""
+    robot = ur10(markers={"E": {"point_m": [0.0, 0.0, 0.01]}})
+    model = build(robot, ())
+    _, rows = candidates(model, 100, "load", "E", None, np.random.default_rng(2))
+    cell = Cell(stations=(Station((4.0, 0.0, 1.0)),), self_collision=False)
+    assert not (cell.refusals(model, rows, "E") == 0).any()
+    assert (replace(cell, sight_from=0.15).refusals(model, rows, "E") == 0).sum() > 20
