@@ -145,7 +145,7 @@ class Regressors(Generic[H]):
         offset = fit.estimate - model.nominal
         precision = model.prior_sd**-2.0
         scale = max(1.0, problem.scatter / USUAL)
-        jacobian, found, candidates = matrix[:, free], matrix[:, n:], _candidates(effects)
+        jacobian, found, candidates = matrix[:, free], matrix[:, n:], candidates_of(effects)
         return Regressors(
             left,
             jacobian,
@@ -226,7 +226,8 @@ def _group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     return np.asarray((total.T / np.maximum(count, 1)).T[group])
 
 
-def _candidates(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:
+def candidates_of(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:
+    """Return every place of these effects with its columns, effect by effect."""
     found, start = [], 0
     for effect in effects:
         if isinstance(effect, Cause):

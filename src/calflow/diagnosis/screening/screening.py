@@ -16,9 +16,11 @@ from typing import Generic
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
+from scipy.stats import f as f_distribution
 
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.regressors import Candidate, Regressors
+from calflow.diagnosis.screening.trials import Trials
 
 MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
 INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
@@ -129,6 +131,22 @@ class _Contest:
         return np.asarray(np.maximum.reduceat(drops[self.order], self.first, axis=0))
 
 
+@dataclass(frozen=True, eq=False)
+class _Weighed:
+    """A block's candidates weighed by some draws of their scores, (n_members, n_draws) each.
+
+    squared is the drop of chi² without priors and bounds, drops that with them, relief what far priors cost less than stated;
+    estimate is (n_members, d, n_draws), covariance (n_members, d, d).
+    """
+
+    squared: np.ndarray
+    drops: np.ndarray
+    bic: np.ndarray
+    relief: np.ndarray
+    estimate: np.ndarray
+    covariance: np.ndarray
+
+
 @dataclass(frozen=True)
 class Screening(Generic[H]):
     """The test of all candidates against what a model leaves."""
@@ -173,6 +191,19 @@ class Screening(Generic[H]):
         """Return S between some columns, shape (n_columns, n_columns)."""
         x, imitated = self.regressors.matrix[:, columns], self._imitated[:, columns]
         return np.asarray(x.T @ x - imitated.T @ imitated)
+
+    def response(self, columns: np.ndarray) -> np.ndarray:
+        """Return by how much u of all columns falls with some columns' amplitudes, shape (n_columns, n_own)."""
+        r = self.regressors
+        return np.asarray(r.matrix.T @ r.matrix[:, columns] - self._imitated.T @ self._imitated[:, columns])
+
+    def settled(self, residual: np.ndarray, pull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return u (n_columns, n_draws) and chi² (n_draws,) of residuals (n, n_draws) with the priors' pull (n_free, n_draws)."""
+        r = self.regressors
+        gradient = solve_triangular(self._factor, r.jacobian.T @ residual + pull, lower=True)
+        score = r.matrix.T @ residual - self._imitated.T @ gradient
+        chi2 = (residual**2).sum(axis=0) + (pull**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
+        return score, chi2
 
     @property
     def degrees_of_freedom(self) -> float:
@@ -222,42 +253,61 @@ class Screening(Generic[H]):
         n = len(self.regressors.residual)
         found = []
         for block in self._blocks:
-            own = self.score[block.columns]
-            squared = np.einsum("mij,mj->mi", block.roots, own) ** 2
             sure = np.median(
                 self.sure[block.columns], axis=1
             )  # few columns matter alike, and of many no single one does
             left = np.maximum(np.minimum(sure, self.degrees_of_freedom - block.degrees_of_freedom), 1.0)
-            p = self._p(squared.sum(axis=1), self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
-            precision = self.regressors.prior_sd[block.columns] ** -2.0
-            covariance = np.linalg.inv(block.information + np.eye(own.shape[1]) * precision[:, None, :])
-            estimate = -np.einsum("mij,mj->mi", covariance, own)
-            bounds = np.array([self.regressors.candidates[member].cause.bounds for member in block.members])
-            least, most = bounds.swapaxes(0, 1)
-            inside = np.clip(estimate, least, most)
-            beyond = estimate - inside
-            lost = np.einsum("mi,mij,mj->m", beyond, block.information, beyond) + (precision * beyond**2).sum(axis=1)
-            estimate, pulled = inside, (precision * inside**2).sum(axis=1)
-            relief = pulled - prior_cost(pulled, own.shape[1])
-            drops = (squared * block.weight).sum(axis=1) - lost + relief
-            drops = np.maximum(drops, 0.0)
+            weighed = self._weighed(block, self.score[block.columns, None], np.array([self.chi2]))
+            p = self._p(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
+            drops, bic, relief = weighed.drops[:, 0], weighed.bic[:, 0], weighed.relief[:, 0]
             spent = block.weight.sum(axis=1)
-            scans = np.array(
-                [self.variants[self.regressors.candidates[member].cause.place] for member in block.members]
-            )
-            wider = spent * np.log(self.regressors.scale)
-            explained = np.minimum(drops / self.chi2, 1 - 1e-12)
-            bic = n * np.log1p(-explained) + spent * np.log(n)  # rivals are weighed alike; how sure each is p says
-            bic += 2 * (wider + np.log(scans))
             found += [
                 Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),
-                      float(p[k]), float(bic[k]), float(block.share[k]), estimate[k], covariance[k],
+                      float(p[k]), float(bic[k]), float(block.share[k]), weighed.estimate[k, :, 0], weighed.covariance[k],
                       block.information[k], int(block.degrees_of_freedom[k]), 
                       float(left[k]),
                       float(n * relief[k] / self.chi2))
                 for k, member in enumerate(block.members)
             ]  # fmt: skip
         return sorted(found, key=lambda score: score.delta_bic)
+
+    def _weighed(self, block: _Block, score: np.ndarray, chi2: np.ndarray) -> _Weighed:
+        """Weigh a block's candidates by any scores (n_members, d, n_draws) of theirs where the model leaves a chi² (n_draws,)."""
+        r, n = self.regressors, len(self.regressors.residual)
+        squared = (block.roots @ score) ** 2
+        precision = r.prior_sd[block.columns] ** -2.0
+        covariance = np.linalg.inv(block.information + np.eye(score.shape[1]) * precision[:, None, :])
+        estimate = -covariance @ score
+        bounds = np.array([r.candidates[member].cause.bounds for member in block.members])
+        inside = np.clip(estimate, bounds[:, 0, :, None], bounds[:, 1, :, None])
+        beyond = estimate - inside
+        lost = (beyond * (block.information @ beyond)).sum(axis=1) + (precision[..., None] * beyond**2).sum(axis=1)
+        pulled = (precision[..., None] * inside**2).sum(axis=1)
+        relief = pulled - prior_cost(pulled, score.shape[1])
+        drops = np.maximum((squared * block.weight[..., None]).sum(axis=1) - lost + relief, 0.0)
+        spent = block.weight.sum(axis=1)
+        scans = np.array([self.variants[r.candidates[member].cause.place] for member in block.members])
+        explained = np.minimum(drops / chi2, 1 - 1e-12)
+        dearer = spent * np.log(n) + 2 * (spent * np.log(r.scale) + np.log(scans))
+        bic = n * np.log1p(-explained) + dearer[:, None]  # rivals are weighed alike; how sure each is p says
+        return _Weighed(squared.sum(axis=1), drops, bic, relief, inside, covariance)
+
+    def trials(self, score: np.ndarray, chi2: np.ndarray, family: Family, false_alarm: float) -> Trials[H]:
+        """Test all visible candidates at once by many scores (n_columns, n_draws), where the model leaves a chi² (n_draws,)."""
+        members, bic, passed = list[int](), [], []
+        total = self.degrees_of_freedom
+        for block in self._blocks:
+            weighed, spent = self._weighed(block, score[block.columns], chi2), block.degrees_of_freedom
+            causes = [self.regressors.candidates[member].cause for member in block.members]
+            tests = np.array([family.scans.get(cause.place, 1.0) for cause in causes]) * family.places
+            left = np.maximum(total - spent, 1.0)
+            threshold = f_distribution.isf(-np.expm1(np.log1p(-false_alarm) / tests), spent, left)
+            ratio = weighed.squared / np.maximum(chi2 - weighed.squared, 1e-12 * chi2) * (left / spent)[:, None]
+            members += block.members
+            bic.append(weighed.bic)
+            passed.append((ratio > threshold[:, None]) & (weighed.bic < 0) & (weighed.drops > MATERIAL * chi2))
+        causes = [self.regressors.candidates[member].cause for member in members]
+        return Trials(tuple(causes), np.vstack(bic), np.vstack(passed))
 
     def family(self, rng: np.random.Generator) -> Family:
         """Return how many independent tests each place's scan and all places together are worth, by a bootstrap.
@@ -281,9 +331,7 @@ class Screening(Generic[H]):
             count = part.stop - part.start
             noise = size[:, None] * rng.choice([-1.0, 1.0], (n, count))
             pseudo = np.sqrt(r.precision)[:, None] * rng.standard_normal((r.jacobian.shape[1], count))
-            gradient = solve_triangular(self._factor, r.jacobian.T @ noise + pseudo, lower=True)
-            score = r.matrix.T @ noise - self._imitated.T @ gradient
-            chi2 = (noise**2).sum(axis=0) + (pseudo**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
+            score, chi2 = self.settled(noise, pseudo)
             for block, contest in zip(self._blocks, contests, strict=True):
                 whitened = np.einsum("mij,mjk->mik", block.roots, score[block.columns])
                 largest = contest.won((whitened**2).sum(axis=1))
