@@ -188,3 +188,20 @@ def test_impossible_cells_are_refused(small):
         small.edit("study.toml", ("poses = 8\n", f"poses = 8\n{changed}\n"))
         assert words in "\n".join(small.refused())
         small.edit("study.toml", (f"poses = 8\n{changed}\n", "poses = 8\n"))
+
+
+def test_what_the_plan_tells_apart_is_said_where_it_is_asked_for(small):
+    """Fails if the table comes unasked, counts a study's own effect as a cause, or the stage does not say the gaps in words."""
+    said = selected(small, "")[2]
+    assert "causes" not in said
+    assert not (small / "runs" / "select" / "isolability.csv").exists()
+    said = selected(small, "isolability = true\nrecords = []", out="told")[2]
+    table = pd.read_csv(small / "told" / "select" / "isolability.csv")
+    assert (small / "told" / "select" / "isolability.schema.json").exists()
+    assert not set(table["cause"]) & {"geometry", "joint-compliance"}
+    worst = table[table["worst"]]
+    assert worst["cause"].isin(["joint-backlash"]).any()
+    assert table["chance"].between(0, 1).all()
+    assert (table["enough"] == (table["chance"] >= 0.9)).all()
+    assert "would be seen" in said
+    assert any(words in said for words in worst["words"])

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.noise import Noise
 from calflow.model import Model
 from calflow.observations import Observation
@@ -36,5 +37,21 @@ class Planned:
         """
         reported = self.observation.expected(model.point(p, rows), model.rotation(p, rows))
         jacobian = model.observed_jacobian(self.observation, p, rows, reported)
-        sd = np.array([self.rotation if unit == "rad" else self.sigma for unit in self.observation.units])
-        return jacobian / sd[:, None]
+        return jacobian / self._sd[:, None]
+
+    def problem(self, model: Model, p: np.ndarray, rows: np.ndarray) -> LeastSquares:
+        """Return the least squares problem of packed conditions (n_conditions, n_rows) that report what the model says at p.
+
+        The planned observation is the model's only one.
+        """
+        reported = self.observation.expected(model.point(p, rows), model.rotation(p, rows))
+        sigma = np.tile(self._sd[:, None], rows.shape[1])
+        own = np.arange(rows.shape[1])
+        return LeastSquares(
+            model, (SeriesBlock(model, self.observation, own, rows, reported, 1 / sigma, sigma, sigma),)
+        )
+
+    @property
+    def _sd(self) -> np.ndarray:
+        """Standard deviation of each unit reported."""
+        return np.array([self.rotation if unit == "rad" else self.sigma for unit in self.observation.units])

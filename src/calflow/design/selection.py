@@ -93,12 +93,16 @@ class Certificate:
 
 @dataclass(frozen=True)
 class Selection:
-    """The poses chosen, in measuring order, what every number of them is worth, and how good the choice is."""
+    """The poses chosen, in measuring order, what every number of them is worth, and how good the choice is.
+
+    readings (n, n_joints) are those of poses, with joints that follow others.
+    """
 
     poses: pd.DataFrame
     observability: pd.DataFrame
     certificate: Certificate
     how_many: HowMany
+    readings: np.ndarray
 
 
 def select(
@@ -202,8 +206,8 @@ def select(
         enough_poses=met,
         needed_poses=needed,
     )
-    table = _poses(model, poses[shortest_tour(poses)], payload, marker)
-    return Selection(table, worth, certificate, how_many)
+    ordered = poses[shortest_tour(poses)]
+    return Selection(_poses(model, ordered, payload, marker), worth, certificate, how_many, ordered)
 
 
 def _certificate(found: Found, aim: Aim, whitened: np.ndarray) -> Certificate:

@@ -7,13 +7,19 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from pydantic import Field, field_validator, model_validator
 
+from calflow.design.candidates import candidates
 from calflow.design.how_many import HowMany
+from calflow.design.isolability import Isolability, isolability
 from calflow.design.planned import Planned
 from calflow.design.selection import Aim, Certificate, Observability, PlannedPose, select
 from calflow.design.stated_poses import stated_poses
 from calflow.design.task import Task
+from calflow.design.told_apart import IsolabilityCell, isolability_gaps, isolability_summary, isolability_table
+from calflow.design.visits import Record, Visits
+from calflow.diagnosis.search.acceptance import FALSE_ALARM
 from calflow.effects import catalogue
 from calflow.effects.needs import unmet
 from calflow.files.documents import to_document
@@ -29,6 +35,8 @@ from calflow.robot.parts import Base
 from calflow.stages.cell_settings import CellSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study, known_effects
+
+SAID = 5  # gaps in words
 
 
 class Region(FileModel):
@@ -127,6 +135,20 @@ class SelectSettings(Region):
         description="causes that are only suspected: the poses are to tell of them as of the study's effects",
     )
 
+    isolability: bool = Field(
+        default=False,
+        description="`true`: which causes of the catalogue the planned poses would show, and tell from which others, is said in "
+        "`select/isolability.csv`, with what could be added to the plan; it takes some seconds to minutes",
+    )
+    isolability_size: float = Field(
+        default=1.0, gt=0, description="of these causes, in usual sizes (their priors' standard deviations)"
+    )
+    records: tuple[Record, ...] = Field(
+        default=("approach",),
+        description="what will be recorded of each row besides joint readings: `approach`, `travel`, `time`, `temperature`; for "
+        "`isolability`",
+    )
+
     @field_validator("also_effects")
     @classmethod
     def _known(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
@@ -166,8 +188,39 @@ def run(context: Context) -> Results:
         of=settings.candidates, rng=context.rng, say=context.say, advance=context.advance,
     )  # fmt: skip
     tables = {"select/poses.csv": chosen.poses, "select/observability.csv": chosen.observability}
+    if settings.isolability:
+        tables["select/isolability.csv"] = _isolability(context, model, planned, chosen.readings)
     documents = {"select/certificate.json": chosen.certificate, "select/how_many.json": chosen.how_many}
     return Results(tables, {path: to_document(one) for path, one in documents.items()})
+
+
+def _isolability(context: Context, model: Model, planned: Planned, readings: np.ndarray) -> pd.DataFrame:
+    """Say what the poses can tell apart, with and without what could be added to them."""
+    study, settings, n = context.study, context.settings, len(readings)
+    marker = settings.marker or next(iter(model.robot.markers))
+    visits = Visits(model.robot, readings, (settings.payload,) * n, (marker,), frozenset(settings.records))
+    more, _ = candidates(
+        model, n, settings.payload, marker, settings.region, context.rng("further poses"), planned.observation
+    )
+    false_alarm = float(study.settings("diagnose").get("false_alarm", FALSE_ALARM))
+
+    def told(of: Visits) -> Isolability:
+        rng = context.rng("isolability")  # the same noise each time: what differs is the plan
+        return isolability(
+            study.file.effects, planned, of, rng, size=settings.isolability_size, false_alarm=false_alarm
+        )
+
+    now = told(visits)
+    table = isolability_table(
+        now, settings.isolability_size, {words: told(added) for words, added in visits.additions(more)}
+    )
+    context.say(isolability_summary(table))
+    gaps = isolability_gaps(table)
+    for line in gaps[:SAID]:
+        context.say(line)
+    if more_gaps := int(table["worst"].sum()) - len(gaps[:SAID]):
+        context.say(f"{more_gaps} further gaps are in select/isolability.csv")
+    return table
 
 
 def problems(study: Study, settings: SelectSettings, data: Measurements | None) -> list[Problem]:
@@ -273,7 +326,11 @@ STAGE = Stage(
     SelectSettings,
     run,
     measured=False,
-    tables={"select/poses.csv": PlannedPose, "select/observability.csv": Observability},
+    tables={
+        "select/poses.csv": PlannedPose,
+        "select/observability.csv": Observability,
+        "select/isolability.csv": IsolabilityCell,
+    },
     documents={"select/certificate.json": Certificate, "select/how_many.json": HowMany},
     problems=problems,
     reads=_files,

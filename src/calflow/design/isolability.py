@@ -1,0 +1,157 @@
+"""Isolability: which causes a plan of poses would show, and from which others it would tell each, before anything is measured.
+
+Of every cause at a stated size many measurements are drawn, as the linearised model and the noise say, and each is tested
+and weighed as diagnose does it: the share of them in which the cause passes is the chance that it is seen, the share in which
+besides a rival's BIC is more than that of a near rival above its own is the chance that it is told from that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from calflow.design.planned import Planned
+from calflow.design.visits import Visits
+from calflow.diagnosis.findings.verdict import WITHIN
+from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.screening.hypothesis import H
+from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors, candidates_of
+from calflow.diagnosis.screening.screening import Family, Screening
+from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES
+from calflow.effects import Effect
+from calflow.effects.cause import Cause
+from calflow.estimation.probing import probed
+from calflow.model import Model, stated
+
+DRAWS = 400  # measurements drawn of each cause: a chance of 0.9 is known to 0.015
+FORMS = 20  # of a cause, drawn among its variants
+Place = tuple[str, str]  # effect and part
+
+
+@dataclass(frozen=True, eq=False)
+class Isolability:
+    """Of each place of a cause the chance that it is seen, and of each pair (true, rival) that the one is seen and told.
+
+    causes has a form of each place, lacking what a test of an effect needs, untold the ids of what no data of this kind tell from
+    a place, and what that would take (empty: another sensor or load).
+    """
+
+    causes: Mapping[Place, Cause]
+    seen: Mapping[Place, float]
+    told: Mapping[tuple[Place, Place], float]
+    lacking: Mapping[str, str]
+    untold: Mapping[Place, Mapping[str, str]]
+
+
+def isolability(
+    effects: Sequence[str],
+    planned: Planned,
+    visits: Visits,
+    rng: np.random.Generator,
+    *,
+    size: float = 1.0,
+    false_alarm: float = FALSE_ALARM,
+    draws: int = DRAWS,
+) -> Isolability:
+    """Return what a plan can tell of causes besides effects that are fitted.
+
+    Args:
+        effects: ids of what is fitted anyway.
+        planned: how each pose will be measured.
+        visits: which poses, with what on and beside the robot.
+        rng: draws causes and noise.
+        size: of each cause, in its usual size: the root mean square of its parameters, in their priors' standard deviations.
+        false_alarm: chance that diagnose finds anything where nothing is hidden.
+        draws: measurements of each cause.
+    """
+    data = visits.measurements()
+    catalogue = Catalogue.of(data, effects)
+    model = stated(visits.robot, effects, data, (planned.observation,))
+    screening = Screening(_regressors(model, planned, data.rows, catalogue.effects, rng))
+    seen, told = chances(screening, screening.family(rng), SHARES["causes"] * false_alarm, rng, size=size, draws=draws)
+    causes = {candidate.cause.place: candidate.cause for candidate in screening.regressors.candidates}
+    untold = {place: _untold(cause, catalogue, causes) for place, cause in causes.items()}
+    return Isolability(causes, seen, told, catalogue.lacking, untold)
+
+
+def chances(
+    screening: Screening[H],
+    family: Family,
+    false_alarm: float,
+    rng: np.random.Generator,
+    *,
+    size: float = 1.0,
+    draws: int = DRAWS,
+) -> tuple[dict[Place, float], dict[tuple[Place, Place], float]]:
+    """Return the chance of each place that it is seen, and of each pair (true, rival) that the one is seen and told.
+
+    false_alarm is that of the whole family of tests; every cause meets the same noise.
+    """
+    regressors = screening.regressors
+    noise = rng.standard_normal((len(regressors.residual), draws))
+    pull = np.sqrt(regressors.precision)[:, None] * rng.standard_normal((len(regressors.precision), draws))
+    still, left = screening.settled(noise, pull)
+    forms: dict[Place, list[Candidate[H]]] = {}
+    for candidate in regressors.candidates:
+        forms.setdefault(candidate.cause.place, []).append(candidate)
+    seen = dict.fromkeys(forms, 0)
+    told = dict.fromkeys(permutations(forms, 2), 0)
+    for place, own in forms.items():
+        tried = [own[k] for k in rng.permutation(len(own))[:FORMS]]
+        for candidate, which in zip(tried, np.array_split(np.arange(draws), len(tried)), strict=True):
+            truth, columns = amplitudes(candidate, regressors.prior_sd, size, len(which), rng), candidate.columns
+            score = still[:, which] - screening.response(columns) @ truth
+            chi2 = left[which] - (truth * (still[columns][:, which] + score[columns])).sum(axis=0)
+            found = screening.trials(score, chi2, family, false_alarm).by_place()
+            if place not in found:  # it does not show in any form
+                break
+            bic, passed = found[place]
+            seen[place] += int(passed.sum())
+            for rival in forms.keys() - {place}:  # what does not show cannot be behind what does
+                apart = found[rival][0] - bic >= WITHIN if rival in found else True
+                told[place, rival] += int((passed & apart).sum())
+    return {place: n / draws for place, n in seen.items()}, {pair: n / draws for pair, n in told.items()}
+
+
+def amplitudes(
+    candidate: Candidate[H], prior_sd: np.ndarray, size: float, number: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Draw a cause's parameters (n_parameters, number) of one size in any direction, on the side that their bounds allow."""
+    direction = rng.standard_normal((len(candidate.columns), number))
+    direction *= np.sqrt(len(direction) / (direction**2).sum(axis=0))
+    drawn = size * prior_sd[candidate.columns, None] * direction
+    low, high = candidate.cause.bounds[:, :, None]
+    return np.asarray(np.clip(np.where((drawn < low) | (drawn > high), -drawn, drawn), low, high))
+
+
+def _regressors(
+    model: Model, planned: Planned, rows: np.ndarray, effects: Sequence[Effect], rng: np.random.Generator
+) -> Regressors[Cause]:
+    """What every candidate would do to whitened rows (n_conditions, n_rows); the residual is noise, drawn once.
+
+    Joints give way by as much as is usual: some causes show by that alone.
+    """
+    n = len(model.parameters)
+    sd = np.array([parameter.prior_sd for parameter in model.parameters])
+    soft = np.array([p.prior_sd if p.effect == "joint-compliance" else 0.0 for p in model.parameters])
+    point = model.nominal + soft
+    _, matrix = probed(planned.problem(model, point, rows), point, effects)
+    jacobian, found, candidates = matrix[:, :n], matrix[:, n:], candidates_of(effects)
+    residual, precision = rng.standard_normal(len(matrix)), sd**-2.0
+    products = Products.of(residual, jacobian, found, candidates)
+    known = cho_solve(cho_factor(products.fitted + np.diag(precision)), products.fitted)
+    prior_sd = np.array([parameter.prior_sd for effect in effects for parameter in effect.declared])
+    return Regressors(
+        residual, jacobian, precision, np.zeros(n), 0.0, found, prior_sd, candidates, products, float(np.trace(known))
+    )  # fmt: skip
+
+
+def _untold(cause: Cause, catalogue: Catalogue, tested: Mapping[Place, Cause]) -> dict[str, str]:
+    """What may be behind a cause and no such data test, or tell from it, with what that would take."""
+    there = {(one.id, one.joint) for one in tested.values()}
+    alike = {name: "" for name in cause.alike if (name, cause.joint) not in there}
+    return alike | catalogue.untestable(cause.id)

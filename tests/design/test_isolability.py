@@ -1,0 +1,142 @@
+"""What a plan of poses would show and tell apart, before anything is measured."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import f as f_distribution
+
+from calflow.design.isolability import chances, isolability
+from calflow.design.planned import Planned
+from calflow.design.told_apart import isolability_gaps, isolability_summary, isolability_table
+from calflow.design.visits import Visits
+from calflow.diagnosis.linear import Block
+from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors
+from calflow.diagnosis.screening.screening import Family, Screening
+from calflow.measurements.series import Series
+from calflow.observations.position import Position
+from calflow.robot.robot import Robot
+from conftest import SMALL
+
+EFFECTS = ("geometry", "joint-compliance")
+POSES = 60
+RECORDED = "the side that each joint comes from recorded"
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory):
+    """What random poses of the small robot tell, with nothing but readings recorded, and with the approach beside."""
+    path = tmp_path_factory.mktemp("small") / "robot.toml"
+    path.write_text(SMALL["robot.toml"], encoding="utf-8")
+    robot = Robot.from_toml(path)
+    readings = np.random.default_rng(1).uniform(*robot.limits.T, (POSES, robot.n_joints))
+    visits = Visits(robot, readings, ("light",) * POSES, ("tool",))
+    device = Planned(Position.planned(Series()), 5e-5)
+    more = dict(visits.additions(readings[:0]))
+    return [isolability(EFFECTS, device, one, np.random.default_rng(2)) for one in (visits, more[RECORDED])]
+
+
+def test_causes_known_to_be_alike_are_not_told_apart(planned):
+    """Fails if a compensator's spring, which turns with joint 2 as its eccentricity does, counts as told from it."""
+    plain, _ = planned
+    assert plain.seen["joint-eccentricity", "joint2"] > 0.9
+    assert plain.told[("joint-eccentricity", "joint2"), ("gravity-compensator", "joint2")] < 0.9
+
+
+def test_a_large_cause_is_seen_and_told(planned):
+    """Fails if what is many times the noise, and alike nothing else, is not told from everything."""
+    plain, _ = planned
+    own = ("gear-ratio-error", "joint1")
+    assert plain.seen[own] > 0.95
+    assert all(chance > 0.95 for (true, _), chance in plain.told.items() if true == own)
+
+
+def test_backlash_takes_the_side_that_joints_come_from(planned):
+    """Fails if backlash is said to be seen without approach, or the addition that shows it is not found or not said."""
+    plain, approached = planned
+    assert "approach1" in plain.lacking["joint-backlash"]
+    table = isolability_table(plain, 1.0, {"nothing": plain, RECORDED: approached})
+    (row,) = table[(table["cause"] == "joint-backlash") & table["worst"]].to_dict("records")
+    assert (row["chance"], row["addition"]) == (0.0, RECORDED)
+    assert row["chance_then"] > 0.9
+    assert "is not seen: it takes columns approach1" in row["words"]
+    assert f"with {RECORDED} in 100 of 100 (joint1, joint2, joint3)" in row["words"]
+    assert (table[table["worst"]]["words"] != "").all()
+    sure = (table["cause"] == "gear-ratio-error") & (table["joint"] == 1)
+    assert table.loc[sure, "enough"].all()
+    assert not table.loc[sure, "worst"].any()
+    assert row["words"] in isolability_gaps(table)
+    assert isolability_summary(table).startswith(f"of {len(plain.causes)} causes ")
+
+
+def test_chances_are_those_of_fits_to_simulated_measurements():
+    """Fails if a chance is more than four of its standard errors off the share of fits, by code of its own, that come out so."""
+    n, number, alarm = 60, 1500, 0.02
+    rng = np.random.default_rng(3)
+    fitted, base = rng.standard_normal((n, 4)), rng.standard_normal((n, 2))
+    matrices = {
+        "one": base[:, :1],
+        "near": base[:, :1] + 0.5 * rng.standard_normal((n, 1)),
+        "two": base + 0.3 * fitted[:, :2],
+    }
+    sd = {"one": 0.45, "near": 0.6, "two": 0.4}
+    prior = np.array([1.0, 2.0, 0.1, 5.0])
+    blocks = [Block(name, matrix, sd[name]) for name, matrix in matrices.items()]
+    candidates, start = [], 0
+    for block in blocks:
+        candidates.append(Candidate(block, start + np.arange(block.n_parameters)))
+        start += block.n_parameters
+    matrix, noise = np.hstack([block.matrix for block in blocks]), rng.standard_normal(n)
+    information = fitted.T @ fitted
+    taken = float(np.trace(np.linalg.solve(information + np.diag(prior**-2.0), information)))
+    regressors = Regressors(
+        noise, fitted, prior**-2.0, np.zeros(4), 0.0, matrix, np.concatenate([block.sd for block in blocks]),
+        tuple(candidates), Products.of(noise, fitted, matrix, candidates), taken,
+    )  # fmt: skip
+    family = Family({}, 5.0)
+    seen, told = chances(Screening(regressors), family, alarm, rng, draws=number)
+    found = _simulated(matrices, sd, fitted, prior, n - taken, 1 - (1 - alarm) ** (1 / 5), number)
+    stated = {(name, ""): seen[name, ""] for name in matrices}
+    stated |= {(true, rival): told[(true, ""), (rival, "")] for true in matrices for rival in matrices if true != rival}
+    assert sum(0.1 < chance < 0.9 for chance in stated.values()) >= 5
+    for pair, chance in stated.items():
+        error = np.sqrt(2 * max(chance * (1 - chance), 1 / number) / number)
+        assert abs(chance - found[pair]) < 4 * error, (pair, chance, found[pair])
+
+
+def _simulated(matrices, sd, fitted, prior, left, single, number):
+    """The share of simulated measurements in which each cause passes (rival ""), and in which a rival is excluded besides."""
+    rng = np.random.default_rng(4)
+    n = len(fitted)
+    counts = {(true, rival): 0 for true in matrices for rival in ("", *matrices) if true != rival}
+    for true, matrix in matrices.items():
+        for _ in range(number):
+            theta = rng.standard_normal(matrix.shape[1])
+            theta *= sd[true] * np.sqrt(len(theta)) / np.linalg.norm(theta)
+            y = fitted @ (prior * rng.standard_normal(fitted.shape[1])) + matrix @ theta + rng.standard_normal(n)
+            without = _left(y, fitted, prior)
+            bic, passes = {}, False
+            for name, other in matrices.items():
+                size = np.full(other.shape[1], sd[name])
+                both = np.hstack([fitted, other])
+                drop = without - _left(y, both, np.append(prior, size))
+                hat = other - fitted @ np.linalg.solve(fitted.T @ fitted + np.diag(prior**-2.0), fitted.T @ other)
+                known = np.linalg.eigvalsh(sd[name] ** 2 * other.T @ hat)
+                spent = (known / (known + 1)).sum()
+                bic[name] = n * np.log1p(-drop / without) + spent * np.log(n)
+                if name == true:
+                    free = without - _left(y, both, np.append(prior, np.full(len(size), 1e6)))
+                    d = len(size)
+                    p = f_distribution.sf(free / d / ((without - free) / (left - d)), d, left - d)
+                    passes = p < single and bic[name] < 0 and drop / without > 0.01
+            counts[true, ""] += passes
+            for rival in matrices.keys() - {true}:
+                counts[true, rival] += passes and bic[rival] - bic[true] >= 10
+    return {pair: count / number for pair, count in counts.items()}
+
+
+def _left(y, matrix, prior):
+    """Chi² of the best fit with priors about zero."""
+    stacked = np.vstack([matrix, np.diag(1 / prior)])
+    target = np.append(y, np.zeros(len(prior)))
+    return float(((target - stacked @ np.linalg.lstsq(stacked, target, rcond=None)[0]) ** 2).sum())
