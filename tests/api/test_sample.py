@@ -103,9 +103,14 @@ def test_without_arviz_it_says_what_to_install(points):
         with pytest.raises(ImportError, match="pip install arviz-base"):
             posterior.to_inference_data()
         return
-    drawn = posterior.to_inference_data()["posterior"]["joint2.a"]
+    given = posterior.to_inference_data()
+    drawn = given["posterior"]["joint2.a"]
     assert drawn.sizes["chain"] < drawn.sizes["draw"]
     assert float(drawn.mean()) == pytest.approx(posterior.draws["joint2.a"].mean())
+    sampled = posterior.sampled
+    prior, likelihood = sampled.posterior.log_densities(sampled.chain[0, :, 3])
+    np.testing.assert_allclose(given["log_prior"]["parameters"][3], prior, rtol=1e-9)
+    np.testing.assert_allclose(given["log_likelihood"]["measurements"][3], likelihood, rtol=1e-9)
 
 
 def test_the_package_shows_its_public_names_only():

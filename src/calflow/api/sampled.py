@@ -68,7 +68,10 @@ class Posterior:
         return pd.DataFrame(self.values.reshape(-1, n), columns=self.names, index=index).reset_index()
 
     def to_inference_data(self) -> Any:
-        """Return the draws as ArviZ takes them, with the group `posterior`; each walker is a chain.
+        """Return the draws as ArviZ takes them; each walker is a chain.
+
+        The groups are `posterior`, and `log_prior` and `log_likelihood` of all parameters and of all rows together, as ArviZ's
+        `psense` wants them; `loo` would want them row by row.
 
         Raises:
             ImportError: ArviZ is not installed.
@@ -77,9 +80,16 @@ class Posterior:
             from arviz_base import from_dict
         except ImportError:
             raise ImportError(NO_ARVIZ) from None
-        n_ensembles, n_steps, n_walkers, _ = self.values.shape
-        chains = self.values.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, -1)
-        return from_dict({"posterior": {name: chains[..., k] for k, name in enumerate(self.names)}})
+
+        def by_walker(draws: np.ndarray) -> np.ndarray:
+            return np.concatenate(draws.swapaxes(1, 2))
+
+        chains = by_walker(self.values)
+        return from_dict({
+            "posterior": {name: chains[..., k] for k, name in enumerate(self.names)},
+            "log_prior": {"parameters": by_walker(self.sampled.log_prior)},
+            "log_likelihood": {"measurements": by_walker(self.sampled.log_likelihood)},
+        })  # fmt: skip
 
     def __repr__(self) -> str:
         found = self.summary
