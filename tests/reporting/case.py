@@ -331,7 +331,9 @@ def with_sample(given: Context, steps: int = 40) -> Context:
     posterior = pd.DataFrame({"parameter": names, "unit": [*parameters["unit"], "1"], "mean": centre, "sd": sd})
     for name, shift in (("q025", -2.0), ("q500", 0.0), ("q975", 2.0)):
         posterior[name] = np.array(centre) + shift * np.array(sd)
-    posterior = posterior.assign(rhat=1.001, ess=5000.0 + np.arange(n))
+    posterior = posterior.assign(
+        rhat=1.001, ess=5000.0 + np.arange(n), prior_sensitivity=0.01, likelihood_sensitivity=0.1
+    )
     residuals = given.tables["identify/residuals.csv"]
     error = np.linalg.norm(residuals[["dx_mm", "dy_mm", "dz_mm"]], axis=1)
     predictive = residuals[["pose", "repeat", "marker", "split"]].assign(

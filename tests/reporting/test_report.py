@@ -169,6 +169,18 @@ def test_the_chain_is_drawn_in_the_parameters_own_units(whole: Context) -> None:
     assert drawn[:, 1].mean() == pytest.approx(1.0, abs=0.15)
 
 
+def test_a_parameter_that_the_prior_alone_determines_is_told(whole: Context) -> None:
+    """Fails if a prior is shown as a result, or a measured parameter is called a prior."""
+    words = "your prior, not your data"
+    assert words not in source_of(whole)
+    table = whole.tables["sample/posterior.csv"].copy()
+    table.loc[table["parameter"] == "joint2.a", ["prior_sensitivity", "likelihood_sensitivity"]] = 0.08, 0.02
+    table.loc[table["parameter"] == "joint3.a", ["prior_sensitivity", "likelihood_sensitivity"]] = 0.09, 0.06
+    told = source_of(replace(whole, results=whole.results | Results({"sample/posterior.csv": table})))
+    assert f"joint2.a: this is {words}" in told
+    assert "joint3.a: prior and data both count" in told
+
+
 def test_a_sampled_run_without_its_chain_is_reported(whole: Context, tmp_path: Path) -> None:
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "traces.svg").touch()  # of an earlier report, which had a chain

@@ -13,6 +13,7 @@ from calflow.estimation.parameters import UNIT
 from calflow.files.tables import column, typed
 from calflow.sampling.chain_summary import ChainSummary, Cut
 from calflow.sampling.sample import ENOUGH_TAU, ChainLength, Sampled
+from calflow.sampling.sensitivity import sensitivity
 
 NEAR_BOUND, CUT = 0.1, 0.01  # a posterior is cut where 1 % of it lies within a tenth of its sd from a bound
 DRAWS = 500  # for predictions
@@ -31,6 +32,13 @@ class PosteriorRow:
     q975: float = column("their 97.5 % quantile", UNIT)
     rhat: float = column("whether the ensembles agree: near 1")
     ess: float = column("effective number of independent draws")
+    prior_sensitivity: float = column(
+        "how much the posterior changes with the prior (power scaling); above 0.05: it counts; empty: "
+        "all draws are alike"
+    )
+    likelihood_sensitivity: float = column(
+        "the same with the likelihood; below 0.05 where the prior's is above: the prior, not the data, says where it lies"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +61,7 @@ def posterior_table(sampled: Sampled) -> pd.DataFrame:
     """Return a summary of each parameter; the noise level as a factor on the noise that identify used.
 
     R-hat compares the ensembles, each flattened, since only they are independent; the effective sample size counts the
-    autocorrelation of each walker (both rank-normalised, Vehtari et al. 2021).
+    autocorrelation of each walker (both rank-normalised, Vehtari et al. 2021). Sensitivities are to prior and likelihood.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -65,6 +73,10 @@ def posterior_table(sampled: Sampled) -> pd.DataFrame:
     flat = values.reshape(-1, n)
     by_ensemble = values.reshape(n_ensembles, n_steps * n_walkers, n)
     by_walker = values.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, n)
+    prior, likelihood = (
+        density.transpose(0, 2, 1).reshape(n_ensembles * n_walkers, n_steps)
+        for density in (sampled.log_prior, sampled.log_likelihood)
+    )
     quantiles = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
     parameters = known.model.parameters
     made = pd.DataFrame(
@@ -78,6 +90,8 @@ def posterior_table(sampled: Sampled) -> pd.DataFrame:
             "q975": quantiles[2],
             "rhat": [float(array_stats.rhat(by_ensemble[:, :, k])) for k in range(n)],
             "ess": [float(array_stats.ess(by_walker[:, :, k])) for k in range(n)],
+            "prior_sensitivity": sensitivity(by_walker, prior),
+            "likelihood_sensitivity": sensitivity(by_walker, likelihood),
         }
     )
     return typed(made, PosteriorRow)

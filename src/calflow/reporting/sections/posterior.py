@@ -18,6 +18,7 @@ from calflow.reporting.section import Advice, Section
 from calflow.reporting.style import WIDTH
 from calflow.reporting.words import listed, readable, short_names, with_sd
 from calflow.sampling.chain_summary import ChainSummary
+from calflow.sampling.sensitivity import prior_dominates, shared
 
 SAME = 1.01  # R-hat up to which ensembles agree
 TRACED, PAIRED = 3, 6  # parameters in the figures
@@ -52,6 +53,7 @@ def write(material: Material) -> list[Block]:
         Paragraph(INTRODUCTION, keep=True),
         Table(("check", "found", "wanted"), _checks(posterior, summary), "lll"),
         *_cuts(summary),
+        *_priors(posterior),
         *_held(held),
         Plot("posterior_sd", against_laplace(names, ratio), RATIO, ratios),
         *_chain(material),
@@ -95,6 +97,22 @@ def _cuts(summary: ChainSummary) -> list[Block]:
         "not its mean and sd."
         for one in summary.cut
     ]
+    return [Bullets(said)] if said else []
+
+
+def _priors(posterior: pd.DataFrame) -> list[Block]:
+    """Say which parameters are what was assumed of them, and which are partly so."""
+    names = posterior["parameter"].astype(str)
+    assumed, both = names[prior_dominates(posterior)].tolist(), names[shared(posterior)].tolist()
+    said = []
+    if assumed:
+        said.append(
+            f"{listed(assumed)}: {'this is' if len(assumed) == 1 else 'these are'} your prior, not your data. Where "
+            f"{'it lies' if len(assumed) == 1 else 'they lie'} changes with what was assumed beforehand, of the parameter itself "
+            "or of one it trades with, and hardly with what was measured."
+        )
+    if both:
+        said.append(f"{listed(both)}: prior and data both count; a narrower prior would be seen in the result.")
     return [Bullets(said)] if said else []
 
 
