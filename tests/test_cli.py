@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import shutil
 import signal
 import subprocess
@@ -58,6 +59,16 @@ def test_a_wrong_call_is_explained(arguments):
     answer = in_process(*arguments)
     assert answer.code == 2
     assert "Error: " in answer.err
+
+
+@pytest.mark.parametrize(("asked", "threads"), [(None, "1"), ("3", "3")])
+def test_the_program_computes_on_one_thread_unless_asked(asked, threads, monkeypatch):
+    """Fails if linear algebra is shared among threads that wait for each other, or what a user asks for is not taken."""
+    monkeypatch.setenv(cli.THREADS, "0")  # is put back after the test
+    monkeypatch.setenv(cli.THREADS, asked) if asked else monkeypatch.delenv(cli.THREADS)
+    monkeypatch.setattr(cli, "main", lambda: None)
+    cli.program()
+    assert os.environ[cli.THREADS] == threads
 
 
 @pytest.mark.parametrize("command", ["check", "plan", "run", "status", "simulate", "report"])

@@ -10,6 +10,7 @@ import click
 from calflow.commands import COMMANDS
 
 TROUBLE = 1  # exit code of trouble of the machine
+THREADS = "OMP_NUM_THREADS"  # what the libraries of linear algebra read when they are loaded
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -48,7 +49,8 @@ def main() -> None:
 
 
 def program() -> None:
-    """Run the command line as the program, which ends with it."""
+    """Run the command line as the program, which ends with it; the matrices of an arm are too small to be shared among threads."""
+    os.environ.setdefault(THREADS, "1")  # before numpy is there; they would wait for each other most of the time
     try:
         main()
     except SystemExit as leaving:
