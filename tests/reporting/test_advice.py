@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from calflow.design.discrimination import NextPose, SeparationRow
+from calflow.design.told_apart import IsolabilityCell
 from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.diagnosis.findings.tables import CandidateRow, FindingRow
 from calflow.estimation.accuracy import Accuracy
@@ -33,6 +34,7 @@ from calflow.reporting.sections import (
     posterior,
     predictive,
     residuals,
+    told_apart,
 )
 from calflow.reporting.sections.further_steps import SECTION as FURTHER_STEPS
 from calflow.reporting.sections.verdict import FEWEST, headline, leftover, next_steps, split_steps
@@ -161,7 +163,18 @@ def lost(*by_pose: float) -> dict[str, object]:
     }
 
 
+def planned(words: str = "") -> pd.DataFrame:
+    """What a plan tells apart: a cause that is seen, or a gap that something fills."""
+    cell = IsolabilityCell(
+        cause="joint-backlash", joint=1, part="joint1", size=1e-4, unit="rad", rival="", rival_joint=None, rival_part="",
+        chance=0.2 if words else 1.0, enough=not words, needs="", worst=bool(words), addition="a thermometer" if words else "",
+        chance_then=0.95 if words else None, words=words,
+    )  # fmt: skip
+    return to_frame([cell], IsolabilityCell)
+
+
 QUIET: dict[str, object] = {
+    "select/isolability.csv": planned(),
     **summary(),
     "identify/accuracy.csv": accuracies(),
     "identify/faults.csv": faulty(),
@@ -218,6 +231,8 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (posterior.too_short, chain(90), 2, "about 90 more steps"),
     (posterior.ensembles_disagree, {"sample/posterior.csv": pd.DataFrame({"parameter": ["a", "b"], "rhat": [1.2, 1.0]})}, 2,
      "disagree on a"),
+    (told_apart.add_to_the_plan, {"select/isolability.csv": planned("play is seen in 20 of 100; with more in 95")}, 3,
+     "Play is seen in 20 of 100; with more in 95."),
     (predictive.too_narrow, {"sample/predictive.csv": predictions(45, 15)}, 2, "Only 45 of 60"),
 ]  # fmt: skip
 
@@ -261,8 +276,8 @@ def test_every_rule_is_tested() -> None:
         (search.untested, {"diagnose/findings.csv": found("unexplained"),
                            "diagnose/candidates.csv": to_frame([CandidateRow(cause="frame-drift", imitated=True)],
                                                                CandidateRow)}),
-        (predictive.too_narrow, {"sample/predictive.csv": predictions(54, 6)}),
-        (predictive.too_narrow, {"sample/predictive.csv": predictions(10, 50, split="train")}),
+    (predictive.too_narrow, {"sample/predictive.csv": predictions(54, 6)}),
+    (predictive.too_narrow, {"sample/predictive.csv": predictions(10, 50, split="train")}),
     ],
 )  # fmt: skip
 def test_rule_stays_silent_short_of_its_limit(rule: Rule, tables: Mapping[str, object]) -> None:

@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 import typst
 
+from calflow.design.told_apart import IsolabilityCell
 from calflow.estimation.alternative import Alternative
 from calflow.files.results import Results
+from calflow.files.tables import to_frame
 from calflow.reporting import document
 from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, RestOfPage, Table
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section, chosen, sections
+from calflow.reporting.section import Section, advice, chosen, sections
 from calflow.reporting.sections.verdict import certainty
 from calflow.reporting.style import style
 from calflow.stages.report import STAGE
@@ -266,3 +268,33 @@ def test_the_largest_error_stands_first_among_flagged_rows(small: Context) -> No
     assert re.search(r'\[#"(\d+)";\]', table.partition("table.hline(stroke: 0.4pt)")[2])[1] == str(
         rows["line"][error.argmax()]
     )  # type: ignore[index]
+
+
+def test_what_a_plan_tells_apart_is_drawn_and_said(small: Context):
+    """Fails if a gap that something fills is not said, on the first page too, or one that nothing fills is taken for it."""
+    gap = "play 1 is told from drift in 12 of 100; with a thermometer in 95 of 100"
+    rows = [
+        cell(true, rival, 0.12 if (true, rival) == ("play", "drift") else 1.0, gap if (true, rival) == ("play", "drift") else "")
+        for true in ("play", "drift") for rival in ("", "play", "drift") if true != rival
+    ]  # fmt: skip
+    rows += [
+        replace(
+            cell("slack", "", 0.0, ""), worst=True, words="slack is seen in 0 of 100, and nothing tried changes that"
+        )
+    ]
+    table = to_frame(rows, IsolabilityCell)
+    given = replace(small, results=small.results | Results({"select/isolability.csv": table}))
+    told = source_of(given)
+    assert "Of 3 causes 2 would be seen, and 1 of these told from all others." in told
+    assert f"P{gap[1:]}." in told
+    assert "nothing tried" not in told.replace("what nothing tried fills", "")
+    assert any(item.sentence == f"P{gap[1:]}." for item in advice(sections(), given.results))
+
+
+def cell(true: str, rival: str, chance: float, words: str) -> IsolabilityCell:
+    """A row of the table of what a plan tells apart."""
+    return IsolabilityCell(
+        cause=true, joint=1, part="joint1", size=1e-4, unit="rad", rival=rival, rival_joint=1 if rival else None,
+        rival_part="joint1" if rival else "", chance=chance, enough=chance >= 0.9, needs="", worst=bool(words),
+        addition="a thermometer" if words else "", chance_then=0.95 if words else None, words=words,
+    )  # fmt: skip
