@@ -17,6 +17,7 @@ from calflow.robot.robot import Robot
 from calflow.robot.transforms import placement
 
 USUAL_RADIUS = 0.04  # of a link, in lengths of the stretched arm: what the library's robots have, about
+TOUCHING = 1e-9  # m: a line through a thing is so near to it at most, by rounding
 BLOCK = 8192  # poses at once: what a processor's cache holds
 
 
@@ -250,7 +251,7 @@ def _seen(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarra
             good &= between_segments(start, end, a, b) > radius
         drawn = (_drawn(cell, model.robot, point) for point in (start, end))
         for distance in _obstacles(cell, *drawn):
-            good &= distance > 0
+            good &= distance > TOUCHING
     return good
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from calflow.design.candidates import allowed, pack
 from calflow.design.cell import Cell
+from calflow.design.cell_bounds import bounded
 from calflow.design.exchange import information
 from calflow.design.optimality import Criterion
 from calflow.design.planned import Planned
@@ -16,6 +17,8 @@ from calflow.model import Model
 from calflow.robot.loop import DEAD_POINT
 
 ITERATIONS = 60
+SHARES = (1.0, 0.5, 0.25, 0.1)  # of a way that are tried: what has no slope, such as links that touch, may stand in it
+NEARBY = 0.3  # rad, or m: how far a joint may go where there is a cell, whose links and boxes IPOPT does not know
 MARGIN = 1e-6  # rad, m and of a cosine: IPOPT may pass a bound by a little less
 OPTIONS: dict[str, Any] = {
     "ipopt.hessian_approximation": "limited-memory",
@@ -35,21 +38,29 @@ def refined(
 
     What a pose tells must not depend on what is reported there, as of positions. A pose that ends where it may not be (a
     loop's straight way there passes a dead point, or the cell refuses it) goes back, and so do all where that costs more than
-    was gained.
+    was gained. Where one went back, each goes as much of its way as it may and as is worth it beside the others.
     """
     slope = _slope(model, planned, payload, marker)
     if slope is None:
         return readings
-    solver, bounds = _program(model, slope, payload, marker, region, prior, criterion, len(readings))
-    found = np.array(solver(x0=readings.ravel(), **bounds)["x"]).reshape(readings.shape)
+    solver, bounds = _program(model, slope, payload, marker, region, prior, criterion, len(readings), cell)
+    far = np.inf if cell is None else NEARBY
+    start = readings.ravel()
+    found = np.array(solver(x0=start, lbx=start - far, ubx=start + far, **bounds)["x"]).reshape(readings.shape)
 
     def loss(poses: np.ndarray) -> float:
         own = planned.whitened(model, model.nominal, pack(model, poses, payload, marker)) * model.prior_sd
         return criterion.loss(np.linalg.inv(information(own, prior)))
 
-    kept = allowed(model, found, payload, marker, region, cell)
-    moved = np.where(kept[:, None], found, readings)
-    return moved if loss(moved) < loss(readings) else readings
+    whole = allowed(model, found, payload, marker, region, cell)
+    best = min(readings, np.where(whole[:, None], found, readings), key=loss)
+    for share in SHARES if not whole.all() else ():
+        part = readings + share * (found - readings)
+        for k in np.flatnonzero(allowed(model, part, payload, marker, region, cell)):
+            one = best.copy()
+            one[k] = part[k]
+            best = min(best, one, key=loss)
+    return best
 
 
 def _slope(model: Model, planned: Planned, payload: str, marker: str) -> ca.Function | None:
@@ -73,9 +84,9 @@ def _packed(model: Model, q: ca.SX, payload: str, marker: str) -> ca.SX:
 
 def _program(
     model: Model, slope: ca.Function, payload: str, marker: str, region: np.ndarray | None, prior: np.ndarray,
-    criterion: Criterion, n: int,
+    criterion: Criterion, n: int, cell: Cell | None,
 ) -> tuple[ca.Function, dict[str, np.ndarray]]:  # fmt: skip
-    """IPOPT's problem of all poses, and the bounds of its constraints: joint limits, region, the loop's dead points."""
+    """IPOPT's problem of all poses, and the bounds of its constraints: joint limits, region, dead points, sight."""
     robot = model.robot
     q = ca.SX.sym("q", robot.n_joints)
     predicted = ca.Function("predicted", list(model.symbols[:2]), [model.symbols[2].point, model.symbols[2].closure])
@@ -85,6 +96,9 @@ def _program(
         held, limits = [*held, point], [*limits, region.T]
     if robot.loop is not None:
         held, limits = [*held, cosine], [*limits, np.array([[-DEAD_POINT, DEAD_POINT]])]
+    if cell is not None:
+        views, within = bounded(cell, robot, marker, ca.DM(robot.reading_matrix) @ q)
+        held, limits = [*held, *views], [*limits, *within]
     constraints = ca.Function("constraints", [q], [ca.vertcat(*held)])
 
     matrix = ca.SX.sym("matrix", *prior.shape)

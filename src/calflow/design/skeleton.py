@@ -54,6 +54,13 @@ def link_lengths(robot: Robot) -> np.ndarray:
     return np.asarray(np.linalg.norm(np.diff(ends.nodes, axis=1), axis=2).max(axis=0))
 
 
+def reflector(robot: Robot, marker: str, q: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return the expressions of the marker (3,) and of the flange's turn (3, 3) at driven joint angles q (n_joints,)."""
+    found = _function(robot, marker)(ca.SX(0, 1), q)
+    turn = 3 * (2 * robot.n_joints + 2)
+    return found[turn + 9 : turn + 12], ca.reshape(found[turn : turn + 9], 3, 3)
+
+
 @lru_cache(maxsize=16)
 def _function(robot: Robot, marker: str) -> ca.Function:
     """The function of driven joint angles that gives all points and directions, one after the other."""
