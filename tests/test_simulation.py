@@ -162,7 +162,7 @@ def test_wrong_values_and_payloads_are_told_together(small):
 @pytest.mark.parametrize(
     ("poses", "expected"),
     [
-        (None, ["p.csv: cannot be read"]),
+        (None, ["p.csv: no such file"]),
         ("q1_deg,q2_deg,q3_deg\n", ["p.csv: holds no poses"]),
         (
             "q1_deg,q2_dg,q3_inch\n1,2,3\n",
