@@ -1,6 +1,8 @@
 """Poses: how sure the tool is over a task by random poses, by those best for all parameters, and by those best for the task.
 
-python benchmarks/poses.py [scale] [robots] [figaroh PYTHON]: PYTHON is one that has figaroh (PyPI), in an environment of its own.
+python benchmarks/poses.py [scale] [robots] [constraints] [figaroh PYTHON]
+
+PYTHON is one that has figaroh (PyPI), in an environment of its own.
 """
 
 from __future__ import annotations
@@ -15,18 +17,23 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.design.candidates import candidates
+from calflow.design.candidates import candidates, reading_columns, shown_readings
 from calflow.design.exchange import information
 from calflow.design.minimax import search_worst
 from calflow.design.optimality import Parameters, ToolError, indices
 from calflow.design.planned import Planned
 from calflow.design.search import search
+from calflow.design.selection import select
 from calflow.design.task import Task
+from calflow.estimation.progress import draws
 from calflow.measurements.series import Series
 from calflow.model import Model, build
 from calflow.observations.position import Position
 from calflow.robot.robot import Robot
 from calflow.templates import library
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from collisions import CASES, Outside
 
 HERE = Path(__file__).parent
 STUDY = HERE.parent / "studies" / "hh800"
@@ -37,6 +44,9 @@ CANDIDATES = 10_000
 RANDOM = 20  # random sets of poses
 SEEN = np.array([[0.2, -0.6, 0.05], [1.0, 0.6, 0.9]])  # where the tracker sees the marker, in reaches
 WORK = np.array([[0.5, -0.3, 0.1], [0.85, 0.3, 0.5]])  # where the robot works
+CELLS = ("industrial", "ur10")  # of tests/collisions.py
+PLANS = 50  # of 100 poses, a cell
+ROUNDED = 1e-5  # m or rad: the tables have 0.0001 degrees
 CHECK = 1000  # points of the task that no choice has seen
 SCALE = """
 import resource, sys, time
@@ -148,6 +158,32 @@ def scale() -> None:
         )
 
 
+def constraints() -> None:
+    """Print how many of 10,000 poses chosen in a cell, and moved, pinocchio and coal find in a collision or out of sight.
+
+    The tests' two robots in their cells, 50 plans each of 100 poses; and how long 100,000 allowed candidates take.
+    """
+    for name in CELLS:
+        make, cell = CASES[name]
+        arm, load, said = make(), "load", list[str]()
+        model, outside = build(arm, ("geometry",)), Outside(arm, cell)
+        rooms = []
+        for plan in range(PLANS):
+            poses = select(
+                model, 100, payload=load, marker="E", cell=cell, of=500, refine=True, rng=draws(plan), say=said.append
+            ).poses
+            readings = poses[reading_columns(arm)].to_numpy() / shown_readings(arm, np.ones((1, arm.n_joints)))
+            rooms += [outside.room(q) for q in readings]
+        least = {rule: min(room[rule] for room in rooms) for rule in rooms[0]}
+        wrong = sum(min(room.values()) < -ROUNDED for room in rooms)
+        print(f"{name}: {wrong} of {len(rooms)} poses refused; least room [m or rad] "
+              + ", ".join(f"{rule} {room:.6f}" for rule, room in least.items()), flush=True)  # fmt: skip
+        print(f"  the first plan: {said[0]}; {said[3]}")
+        began = time.process_time()
+        candidates(model, 100_000, load, "E", None, np.random.default_rng(1), None, cell, print)
+        print(f"  100,000 allowed ones: {time.process_time() - began:.1f} s of processor time", flush=True)
+
+
 def figaroh(python: str, number: int, poses: int) -> None:
     """Print O1 and time of figaroh's search by exchange and of calflow's: same UR10, candidates and identifiable parameters."""
     one = case("ur10", number)
@@ -176,6 +212,8 @@ def main(arguments: list[str]) -> None:
         scale()
     if not arguments or "robots" in arguments:
         robots()
+    if "constraints" in arguments:
+        constraints()
     if "figaroh" in arguments:
         for number, poses in ((300, 30), (3000, 60)):
             figaroh(arguments[arguments.index("figaroh") + 1], number, poses)
