@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -94,6 +95,15 @@ def plan(study: Study, folder: Path, only: str | None = None, force: bool = Fals
             continue  # it takes its results into account where they are there; it does not ask for them
         steps.append(PlannedStage(stage, why is None, why or UNCHANGED, key))
     return steps
+
+
+def passed_over(folder: Path, only: str | None, steps: Sequence[PlannedStage]) -> list[str]:
+    """Return the stages whose results are there and would count in a single stage, but are of other inputs or versions."""
+    manifest = read_manifest(folder)
+    if only is None or manifest is None:
+        return []
+    taken = {step.stage.name for step in steps}
+    return [name for name in STAGES[only].uses if name in manifest.stages and name not in taken]
 
 
 def _with_needs(stage: str) -> list[str]:

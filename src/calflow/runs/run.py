@@ -16,7 +16,7 @@ from calflow.runs.folder import default_folder, read_results
 from calflow.runs.listener import Listener, Silent
 from calflow.runs.lock import locked
 from calflow.runs.manifest import read_manifest
-from calflow.runs.planning import plan
+from calflow.runs.planning import passed_over, plan
 from calflow.study import Study
 
 
@@ -70,6 +70,10 @@ def run(
             steps = plan(study, folder, stage, force)
         _keep_inputs(study, folder)
         results = Results()
+        for name in passed_over(folder, stage, steps):
+            listener.say(
+                f"{name} is left out: its results are of other inputs, settings or versions; run the study to renew them"
+            )
         for step in steps:
             if step.reuse:
                 listener.reuse(step.stage, step.reason)
