@@ -31,12 +31,13 @@ def test_letters_that_no_font_has_are_told_by_their_numbers(monkeypatch: pytest.
 
 def test_a_font_of_the_machine_is_taken_where_the_own_lacks_letters(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fails if letters are told by numbers although a font has them, or a font is taken that is of no use."""
-    stix = next(entry for entry in fontManager.ttflist if entry.name == "STIXSizeOneSym" or entry.name == "STIXGeneral")
+    upright = [entry for entry in fontManager.ttflist if entry.name == "STIXGeneral" and entry.style == "normal"]
+    stix = min(upright, key=lambda entry: entry.fname)  # the list is in no order
     own = set(FT2Font(findfont(OWN)).get_charmap())
     letter = next(
         chr(code) for code in FT2Font(stix.fname).get_charmap() if code not in own and chr(code).isprintable()
     )
-    useless = next(entry for entry in fontManager.ttflist if entry.name == OWN)
+    useless = next(entry for entry in fontManager.ttflist if entry.fname == findfont(OWN))
     monkeypatch.setattr(fontManager, "ttflist", [useless])
     monkeypatch.setattr(font_manager, "findSystemFonts", lambda: [stix.fname])  # installed since the list was made
     fonts = fonts_for(f"a{letter}")

@@ -163,7 +163,7 @@ def test_an_unknown_stage_is_refused(finished):
 
 
 def test_a_stage_takes_others_into_account_only_where_they_hold(finished, monkeypatch):
-    """Fails if a late stage run alone misses results that are there, uses or passes over outdated ones in silence, or asks for more."""
+    """Fails if a late stage run alone misses results that are there, or passes over outdated ones in silence, or asks for more."""
 
     class None_(FileModel):
         """No settings."""
