@@ -17,18 +17,19 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.design.candidates import candidates, reading_columns, shown_readings
-from calflow.design.exchange import information
-from calflow.design.minimax import search_worst
-from calflow.design.optimality import Parameters, ToolError, indices
+from calflow.design.candidates import candidates
 from calflow.design.planned import Planned
-from calflow.design.search import search
+from calflow.design.search.exchange import information
+from calflow.design.search.minimax import search_worst
+from calflow.design.search.optimality import Parameters, ToolError, indices
+from calflow.design.search.search import search
 from calflow.design.selection import select
 from calflow.design.task import Task
 from calflow.estimation.progress import draws
 from calflow.measurements.series import Series
 from calflow.model import Model, build
 from calflow.observations.position import Position
+from calflow.robot.readings import reading_columns, shown_readings
 from calflow.robot.robot import Robot
 from calflow.templates import library
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, field_validator, model_validator
 
-from calflow.design.candidates import candidates, pack, reading_columns, shown_readings
+from calflow.design.candidates import candidates, pack
 from calflow.design.stated_poses import stated_poses
 from calflow.effects import catalogue
 from calflow.effects.needs import unmet
@@ -19,6 +19,7 @@ from calflow.files.problems import InputError, Problem, nearest, shortened, toge
 from calflow.files.toml import FileModel, Length, Lengths3, Origin, Unit, read_toml
 from calflow.files.units import LARGEST, spellings
 from calflow.model import Model, build
+from calflow.robot.readings import reading_columns, shown_readings
 from calflow.robot.robot import Robot
 from calflow.study import check_effects, known_effects
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import f as f_distribution
 
-from calflow.design.isolability import chances, isolability
+from calflow.design.isolability.isolability import chances, isolability
+from calflow.design.isolability.told_apart import isolability_gaps, isolability_summary, isolability_table
+from calflow.design.isolability.visits import Visits
 from calflow.design.planned import Planned
-from calflow.design.told_apart import isolability_gaps, isolability_summary, isolability_table
-from calflow.design.visits import Visits
 from calflow.diagnosis.linear import Block
 from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors
 from calflow.diagnosis.screening.screening import Family, Screening

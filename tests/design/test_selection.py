@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from calflow.design.candidates import reading_columns, shown_readings
 from calflow.design.selection import select
 from calflow.model import build
 from calflow.robot.parts import Coupling
+from calflow.robot.readings import reading_columns, shown_readings
 from robots import industrial
 
 LIMITS = np.deg2rad([(-90, 60), (-40, 20), (-10, 80), (-170, 30), (-100, 100), (10, 200)])

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.design.candidates import candidates
-from calflow.design.discrimination import NextPose, SeparationRow
+from calflow.design.isolability.discrimination import NextPose, SeparationRow
 from calflow.diagnosis.findings.curves import CurvePoint
 from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.diagnosis.findings.misfit import Region

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.design.discrimination import NextPose, SeparationRow
-from calflow.design.told_apart import IsolabilityCell
+from calflow.design.isolability.discrimination import NextPose, SeparationRow
+from calflow.design.isolability.told_apart import IsolabilityCell
 from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.diagnosis.findings.tables import CandidateRow, FindingRow
 from calflow.estimation.accuracy import Accuracy

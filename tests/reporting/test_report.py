@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import typst
 
-from calflow.design.told_apart import IsolabilityCell
+from calflow.design.isolability.told_apart import IsolabilityCell
 from calflow.estimation.alternative import Alternative
 from calflow.files.results import Results
 from calflow.files.tables import to_frame

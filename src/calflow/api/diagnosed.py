@@ -15,7 +15,7 @@ from calflow.api.inputs import check_same
 from calflow.api.model import Model
 from calflow.api.rows import Rows
 from calflow.deployment.needed_conditions import NeededCondition
-from calflow.design.discrimination import NextPose, SeparationRow, questions
+from calflow.design.isolability.discrimination import NextPose, SeparationRow, questions
 from calflow.diagnosis.diagnosis import diagnose as diagnosed
 from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.diagnosis.findings.extended_model import extended_model

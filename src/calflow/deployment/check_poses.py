@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from calflow.deployment.movements import movements
-from calflow.design.exchange import exchange, greedy
-from calflow.design.optimality import Parameters
+from calflow.design.search.exchange import exchange, greedy
+from calflow.design.search.optimality import Parameters
 from calflow.estimation.calibrated import Identified
 from calflow.estimation.certainty import unexplained
 from calflow.measurements.columns import POSITION

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from calflow.deployment.commands import Compensation
-from calflow.design.candidates import READINGS, reading_columns, shown_readings
 from calflow.files.tables import column, typed
+from calflow.robot.readings import READINGS, reading_columns, shown_readings
 
 AXES = ("x", "y", "z")
 

@@ -16,12 +16,12 @@ from calflow.deployment.movements import Kind, movements
 from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.settling import Settling, settling
 from calflow.deployment.validation import Station, of_sessions, stands
-from calflow.design.candidates import READINGS, reading_columns, shown_readings
 from calflow.estimation.calibrated import Identified
 from calflow.files.documents import to_document
 from calflow.files.results import Results
 from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
+from calflow.robot.readings import READINGS, reading_columns, shown_readings
 
 Status = Literal["in place", "moved", "conditions", "cannot be told"]
 MOVEMENTS_SHARE = 0.8  # of the false alarms that are allowed: movements', the rest is for what no movement explains

@@ -11,9 +11,9 @@ from calflow.deployment.check import ANYWHERE, Check
 from calflow.deployment.drift import Explained
 from calflow.deployment.movements import Movement, movements
 from calflow.design.candidates import candidates
-from calflow.design.exchange import greedy
-from calflow.design.optimality import Parameters
-from calflow.design.t_optimality import TCriterion, propose
+from calflow.design.isolability.t_optimality import TCriterion, propose
+from calflow.design.search.exchange import greedy
+from calflow.design.search.optimality import Parameters
 from calflow.estimation.calibrated import Identified
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements

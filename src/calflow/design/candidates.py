@@ -7,16 +7,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import qmc
 
-from calflow.design.cell import Cell, refused_words
+from calflow.design.cell.cell import Cell, refused_words
 from calflow.design.contact import brought
 from calflow.estimation.progress import Say, nobody
 from calflow.files.problems import refuse
 from calflow.model import Model
 from calflow.observations import Observation
 from calflow.robot.loop import reachable
-from calflow.robot.robot import Robot
 
-READINGS = "q{joint}_{deg|mm}"  # the columns of joint readings
 LARGEST_DRAW = 1 << 15  # poses drawn at once
 ROUNDING = 1e-9  # rad or m
 MAX_DRAWS = 40  # rounds of drawing before the region counts as out of reach
@@ -99,21 +97,6 @@ def allowed(
         say(f"of those stated within joint limits and region {refused_words(refusals)}")
         good[good] = refusals == 0
     return np.asarray(good)
-
-
-def reading_columns(robot: Robot) -> list[str]:
-    """Return the columns of joint readings by their names, e.g. q1_deg; joints that follow others have none."""
-    return [f"q{i + 1}_{robot.joints[i].shown[0]}" for i in robot.driven]
-
-
-def reading_labels(robot: Robot) -> list[str]:
-    """Return the same for people, e.g. q1 [deg]."""
-    return [f"q{i + 1} [{robot.joints[i].shown[0]}]" for i in robot.driven]
-
-
-def shown_readings(robot: Robot, readings: np.ndarray) -> np.ndarray:
-    """Return readings (n, n_joints) [rad, or m] as these columns have them, shape (n, number of columns)."""
-    return np.asarray(readings[:, robot.driven] * [robot.joints[i].shown[1] for i in robot.driven])
 
 
 def pack(model: Model, readings: np.ndarray, payload: str, marker: str) -> np.ndarray:

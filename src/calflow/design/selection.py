@@ -9,15 +9,15 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from calflow.design.candidates import READINGS, allowed, candidates, pack, reading_columns, shown_readings
-from calflow.design.cell import Cell
-from calflow.design.exchange import greedy, information
+from calflow.design.candidates import allowed, candidates, pack
+from calflow.design.cell.cell import Cell
 from calflow.design.how_many import HowMany, enough, knee, next_worth
-from calflow.design.minimax import search_worst
-from calflow.design.optimality import Criterion, Parameters, ToolError, indices
 from calflow.design.planned import Planned
-from calflow.design.refinement import refined
-from calflow.design.search import Found, search
+from calflow.design.search.exchange import greedy, information
+from calflow.design.search.minimax import search_worst
+from calflow.design.search.optimality import Criterion, Parameters, ToolError, indices
+from calflow.design.search.refinement import refined
+from calflow.design.search.search import Found, search
 from calflow.design.task import Task
 from calflow.design.tour import shortest_tour
 from calflow.estimation.identifiability import NULL
@@ -27,6 +27,7 @@ from calflow.files.tables import column, to_frame, typed
 from calflow.measurements.series import Series
 from calflow.model import Model
 from calflow.observations.position import Position
+from calflow.robot.readings import READINGS, reading_columns, shown_readings
 
 USUAL_SIGMA = 5e-5  # m, of a laser tracker on a large robot
 TASK_POSES = 400  # poses of the task where nobody says which

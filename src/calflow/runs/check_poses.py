@@ -10,8 +10,8 @@ import pandas as pd
 from calflow.deployment.check_poses import FEWEST, check_poses, unmoved
 from calflow.deployment.drift import FALSE_ALARM
 from calflow.deployment.drift_verdict import Drift, drift
-from calflow.design.candidates import reading_columns, shown_readings
 from calflow.files.problems import refuse
+from calflow.robot.readings import reading_columns, shown_readings
 from calflow.runs.calibrated_run import CalibratedRun
 from calflow.runs.new_measurements import read_new
 

@@ -12,11 +12,11 @@ from calflow.deployment.commands import compensated
 from calflow.deployment.prediction import Missing, beyond_limits, standing
 from calflow.deployment.target_frames import in_measuring_frame, read_frames
 from calflow.deployment.targets import Targets
-from calflow.design.candidates import reading_columns
 from calflow.estimation.plausibility import plausible
 from calflow.files.problems import InputError, Problem
 from calflow.measurements.columns import FRAME, numbered
 from calflow.measurements.measurements import Measurements
+from calflow.robot.readings import reading_columns
 from calflow.runs.calibrated_run import CalibratedRun
 from calflow.runs.given_rows import given_rows
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from calflow.design.cell import Box, Cell, Cylinder, Station
+from calflow.design.cell.cell import Box, Cell, Cylinder, Station
 from calflow.files.toml import Angle, FileModel, Length, Lengths3, Unit
 from calflow.robot.robot import Robot
 

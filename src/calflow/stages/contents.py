@@ -19,7 +19,7 @@ from calflow.files.toml import FileModel
 from calflow.measurements.acceptance import Acceptance
 from calflow.stages import STAGES
 from calflow.stages.cell_settings import BoxSettings, CellSettings, CylinderSettings, StationSettings
-from calflow.stages.select import SelectSettings, TaskSettings
+from calflow.stages.select_settings import SelectSettings, TaskSettings
 
 KINDS = {str: "text", int: "integer", float: "number", bool: "true or false"}
 ANSWERS: Mapping[str, type] = {  # the tables that commands other than run write

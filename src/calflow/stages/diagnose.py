@@ -8,7 +8,7 @@ import pandas as pd
 from pydantic import Field, field_validator
 
 from calflow.deployment.needed_conditions import NeededCondition, needed_conditions
-from calflow.design.discrimination import (
+from calflow.design.isolability.discrimination import (
     NextPose,
     Question,
     SeparationRow,

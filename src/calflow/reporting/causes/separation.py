@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow, no_pose_words
+from calflow.design.isolability.discrimination import ENOUGH, NextPose, SeparationRow, no_pose_words
 from calflow.files.results import Results
 from calflow.reporting.findings import Found, cause_name, cause_words, findings
 from calflow.reporting.section import Advice

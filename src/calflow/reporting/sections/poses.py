@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pandas as pd
 
-from calflow.design.candidates import reading_columns, reading_labels
 from calflow.design.how_many import HowMany
 from calflow.design.selection import Aim, Certificate
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table
@@ -13,6 +12,7 @@ from calflow.reporting.figures.residuals import map_of_poses
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.words import mm, number
+from calflow.robot.readings import reading_columns, reading_labels
 from calflow.robot.robot import Robot
 
 SHOWN = 10  # poses in the table

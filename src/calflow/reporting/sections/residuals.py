@@ -6,13 +6,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from calflow.design.candidates import reading_columns, reading_labels, shown_readings
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Scene, Table
 from calflow.reporting.figures.residuals import against_joints, against_place, in_workspace, magnification
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Advice, Section
 from calflow.reporting.words import listed, mm, plural, ratio
+from calflow.robot.readings import reading_columns, reading_labels, shown_readings
 
 SHOWN = 15  # flagged rows in the table
 DRAWN = 700  # arrows in the workspace that can still be told apart

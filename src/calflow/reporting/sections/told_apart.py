@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calflow.design.told_apart import isolability_gaps, isolability_summary
+from calflow.design.isolability.told_apart import isolability_gaps, isolability_summary
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.figures.isolability import isolability

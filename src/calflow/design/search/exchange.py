@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calflow.design.optimality import Criterion
+from calflow.design.search.optimality import Criterion
 
 EXCHANGE_PASSES = 20
 SMALLEST_GAIN = 1e-6  # share of a pose's own worth: swaps that gain less are rounding

@@ -14,8 +14,8 @@ from itertools import permutations
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from calflow.design.isolability.visits import Visits
 from calflow.design.planned import Planned
-from calflow.design.visits import Visits
 from calflow.diagnosis.findings.verdict import WITHIN
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.screening.hypothesis import H

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calflow.design.exchange import exchange, greedy, information
-from calflow.design.optimality import Criterion
-from calflow.design.relaxation import Relaxed, relaxed
+from calflow.design.search.exchange import exchange, greedy, information
+from calflow.design.search.optimality import Criterion
+from calflow.design.search.relaxation import Relaxed, relaxed
 
 SHORTLIST = 2000  # candidates, those to which the loss is most sensitive, that whole poses are chosen of
 STARTS = 8  # designs drawn from the relaxed one at most

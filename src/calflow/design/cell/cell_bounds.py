@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from calflow.design.cell import Cell
-from calflow.design.skeleton import reflector
+from calflow.design.cell.cell import Cell
+from calflow.design.cell.skeleton import reflector
 from calflow.robot.robot import Robot
 from calflow.robot.transforms import placement
 

@@ -12,9 +12,9 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 
-from calflow.design.candidates import READINGS, candidates, reading_columns, shown_readings
+from calflow.design.candidates import candidates
+from calflow.design.isolability.t_optimality import Choices, Explanation, Pair, TCriterion, closest, propose
 from calflow.design.planned import Planned
-from calflow.design.t_optimality import Choices, Explanation, Pair, TCriterion, closest, propose
 from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.diagnosis.findings.verdict import Rival, Verdict, label
 from calflow.diagnosis.search.fitted import Fitted
@@ -27,6 +27,7 @@ from calflow.files.tables import column, to_frame, typed
 from calflow.measurements.columns import condition_columns
 from calflow.measurements.measurements import Measurements
 from calflow.observations import Observation
+from calflow.robot.readings import READINGS, reading_columns, shown_readings
 
 POSES = 20
 THINNEST = 0.1  # m: a measured region is widened to it, since poses are drawn at random

@@ -8,11 +8,11 @@ import casadi as ca
 import numpy as np
 
 from calflow.design.candidates import allowed, pack
-from calflow.design.cell import Cell
-from calflow.design.cell_bounds import bounded
-from calflow.design.exchange import information
-from calflow.design.optimality import Criterion
+from calflow.design.cell.cell import Cell
+from calflow.design.cell.cell_bounds import bounded
 from calflow.design.planned import Planned
+from calflow.design.search.exchange import information
+from calflow.design.search.optimality import Criterion
 from calflow.model import Model
 from calflow.robot.loop import DEAD_POINT
 

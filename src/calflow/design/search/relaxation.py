@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calflow.design.exchange import information
-from calflow.design.optimality import Criterion
+from calflow.design.search.exchange import information
+from calflow.design.search.optimality import Criterion
 
 CLOSE = 1e-3  # gap of the squared loss to its bound at which the relaxed design counts as found
 ROUNDS = 60

@@ -9,8 +9,8 @@ from itertools import combinations
 import casadi as ca
 import numpy as np
 
-from calflow.design.capsules import between_segments, from_box
-from calflow.design.skeleton import Skeleton, link_lengths
+from calflow.design.cell.capsules import between_segments, from_box
+from calflow.design.cell.skeleton import Skeleton, link_lengths
 from calflow.model import Model, over_rows
 from calflow.robot.parts import Vector
 from calflow.robot.robot import Robot

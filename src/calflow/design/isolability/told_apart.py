@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from calflow.design.discrimination import ANY_MEANS, ENOUGH
-from calflow.design.isolability import Isolability, Place
+from calflow.design.isolability.discrimination import ANY_MEANS, ENOUGH
+from calflow.design.isolability.isolability import Isolability, Place
 from calflow.diagnosis.findings.verdict import label
 from calflow.effects import catalogue
 from calflow.files.tables import column, to_frame

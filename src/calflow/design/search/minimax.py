@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from calflow.design.exchange import information
-from calflow.design.optimality import ToolError
-from calflow.design.relaxation import relaxed
-from calflow.design.search import Found, search
+from calflow.design.search.exchange import information
+from calflow.design.search.optimality import ToolError
+from calflow.design.search.relaxation import relaxed
+from calflow.design.search.search import Found, search
 
 ROUNDS = 12  # in which points that are less sure come to count more
 EAGERNESS = 2.0  # power of a point's variance by which its share grows in a round

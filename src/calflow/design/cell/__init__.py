@@ -1,0 +1,1 @@
+"""The cell: what stands around the robot, and which poses are allowed in it."""

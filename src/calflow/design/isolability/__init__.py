@@ -1,0 +1,1 @@
+"""Isolability: which causes poses show, and from which others they tell each."""
