@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from calflow.files.problems import InputError
     from calflow.measurements.measurements import Measurements
     from calflow.robot.frames import Frame, dh, modified_dh
-    from calflow.robot.parts import Base, Coupling, FourBar, Joint, Marker, Payload
+    from calflow.robot.parts import Base, Coupling, Expected, FourBar, Joint, Marker, Payload
     from calflow.robot.robot import Robot
     from calflow.runs.check_poses import choose_check_poses
     from calflow.runs.compare import compare
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from calflow.study import Study, load_study
 
 __all__ = [
-    "Base", "Comparison", "Compensation", "Coupling", "Diagnosis", "Drift", "Fit", "FourBar", "Frame", "InputError",
+    "Base", "Comparison", "Compensation", "Coupling", "Diagnosis", "Drift", "Expected", "Fit", "FourBar", "Frame", "InputError",
     "Joint", "Marker", "Measurements", "Model", "Payload", "Posterior", "Prediction", "Robot", "Run", "Study",
     "Validation", "choose_check_poses", "compare", "compensate", "dh", "diagnose", "drift", "export_run", "filter_program",
     "identify", "load_study", "modified_dh", "predict", "report", "run", "sample", "simulate", "validate",
@@ -63,7 +63,7 @@ _HOMES = {
     "files.problems": ("InputError",),
     "measurements.measurements": ("Measurements",),
     "robot.frames": ("Frame", "dh", "modified_dh"),
-    "robot.parts": ("Base", "Coupling", "FourBar", "Joint", "Marker", "Payload"),
+    "robot.parts": ("Base", "Coupling", "Expected", "FourBar", "Joint", "Marker", "Payload"),
     "robot.robot": ("Robot",),
     "runs.check_poses": ("choose_check_poses",),
     "runs.compensate": ("compensate",),

@@ -89,6 +89,11 @@ class Model:
         return np.array([parameter.nominal for parameter in self.parameters])
 
     @cached_property
+    def prior_mean(self) -> np.ndarray:
+        """Prior means, shape (n_parameters,)."""
+        return np.array([parameter.prior_mean for parameter in self.parameters])
+
+    @cached_property
     def prior_sd(self) -> np.ndarray:
         """Prior standard deviations, shape (n_parameters,)."""
         return np.array([parameter.prior_sd for parameter in self.parameters])

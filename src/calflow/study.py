@@ -130,17 +130,21 @@ def known_effects(effects: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
-    """Check that the robot file says what the effects cannot do without.
+    """Check that the robot file says what the effects cannot do without, and expects nothing of parameters that they lack.
 
     Raises:
         InputError: it does not.
     """
     from calflow.effects import catalogue
+    from calflow.effects.expected import mistaken
 
+    origin = Origin.of(path)
+    if wrong := [origin.problem(message, "expected", k) for k, message in mistaken(robot, effects)]:
+        raise InputError(wrong)
     needing = [effect for effect in effects if "torques" in catalogue()[effect].needs]
     measured = all(joint.rated_torque for joint in robot.joints)  # measured torques may then stand for masses
     if needing and not robot.has_masses and not measured:
-        origin, otherwise = Origin.of(path), "or, where joint torques are measured, every joint's rated_torque_Nm"
+        otherwise = "or, where joint torques are measured, every joint's rated_torque_Nm"
         links = [
             origin.problem(
                 f"missing: effect '{needing[0]}' needs the mass of every joint's link, mass_kg and com_mm ({otherwise})",

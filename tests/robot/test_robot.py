@@ -14,7 +14,7 @@ import robots
 from calflow.effects import catalogue
 from calflow.files.problems import InputError
 from calflow.robot.frames import Frame, Step, dh, modified_dh
-from calflow.robot.parts import Bar, Base, Coupling, FourBar, Joint, Marker, Payload
+from calflow.robot.parts import Bar, Base, Coupling, Expected, FourBar, Joint, Marker, Payload
 from calflow.robot.robot import Robot
 from calflow.robot.statics import rated_torques
 
@@ -59,6 +59,14 @@ point_mm = [10, 20, 300]
 [markers.F]
 point_mm = [-10, 20, 300]
 relative_sd_mm = 0.01
+
+[[expected]]
+effect = "geometry"
+part = "joint2"
+symbol = "alpha"
+unit = "rad"
+mean = 1.3e-4
+sd = 2e-5
 """
 BUILT = Robot(
     [
@@ -73,6 +81,7 @@ BUILT = Robot(
     tool_rotation=[0, np.pi / 2, 0],
     payloads={"half load": Payload(4, [0, 0.02, 0.1])},
     markers={"E": Marker((0.01, 0.02, 0.3)), "F": Marker(np.array([-0.01, 0.02, 0.3]), relative_sd=1e-5)},
+    expected=[Expected("geometry", "joint2", "alpha", "rad", mean=1.3e-4, sd=2e-5)],
 )  # fmt: skip
 
 
@@ -204,7 +213,7 @@ def test_equality_sees_every_difference():
     loop = FourBar(2, Bar(0.5), Bar(1.0), 0.5)
     changes = {
         "name": "other", "notes": "", "gravity": (0, 0, -9.8), "base": Base(), "couplings": (), "tool_rotation": None, "loop": loop,
-        "joints": BUILT.joints[::-1], "payloads": {}, "markers": {"E": Marker((0, 0, 0))},
+        "joints": BUILT.joints[::-1], "expected": (), "payloads": {}, "markers": {"E": Marker((0, 0, 0))},
     }  # fmt: skip
     for name, value in changes.items():
         other = replace(BUILT, **{name: value})

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calflow.effects import catalogue
+from calflow.effects.expected import mistaken
 from calflow.effects.needs import unmet
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.measurements.measurements import Measurements
@@ -16,7 +17,8 @@ def effects_of(effects: Sequence[str], robot: Robot, data: Measurements) -> tupl
     """Return the effects' ids.
 
     Raises:
-        InputError: one is unknown or there twice, is a model of the noise, or needs what robot and data lack.
+        InputError: one is unknown or there twice, is a model of the noise, or needs what robot and data lack, or the robot
+            expects something of a parameter that is not there.
     """
     try:
         named = known_effects(tuple(effects))
@@ -30,6 +32,7 @@ def effects_of(effects: Sequence[str], robot: Robot, data: Measurements) -> tupl
         Problem(f"effect '{effect}' needs {lacking}")
         for effect in named for lacking in unmet(catalogue()[effect].needs, robot, data.given)
     ]  # fmt: skip
+    problems += [Problem(message, key=f"expected[{k + 1}]") for k, message in mistaken(robot, named)]
     if problems:
         raise InputError(problems)
     return named

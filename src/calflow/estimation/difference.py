@@ -9,6 +9,7 @@ from scipy.linalg import eigh
 from scipy.stats import chi2
 
 from calflow.estimation.calibrated import Identified
+from calflow.robot.parameter import Parameter
 
 TELLING = 1e-7  # share of both variances that a difference has, below which two calibrations say the same: nothing
 
@@ -39,7 +40,7 @@ class Difference:
         pairs = [
             (k, known[one.name]) for k, one in enumerate(first.model.parameters)
             if one.name in known and one.part not in elsewhere and one.figure == second.model.parameters[known[one.name]].figure
-            and one.prior_sd == second.model.parameters[known[one.name]].prior_sd
+            and _prior(one) == _prior(second.model.parameters[known[one.name]])
             and not first.at_bound[k] and not second.at_bound[known[one.name]]
         ]  # fmt: skip
         i, j = (np.array(own, dtype=int) for own in (zip(*pairs, strict=True) if pairs else ((), ())))
@@ -64,6 +65,10 @@ class Difference:
         along = (vectors.T @ (self.value / np.sqrt(np.diag(self.apart))))[telling]
         squared = float((along**2 / share[telling]).sum())
         return squared, int(telling.sum()), float(chi2.sf(squared, max(1, int(telling.sum()))))
+
+
+def _prior(parameter: Parameter) -> tuple[float, float]:
+    return parameter.prior_mean, parameter.prior_sd
 
 
 def _elsewhere(first: Identified, second: Identified) -> set[str]:

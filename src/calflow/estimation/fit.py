@@ -95,12 +95,12 @@ def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "l
 
     Args:
         problem: the model and its data.
-        starts: parameter values to start from, shape (n_starts, n_parameters); nominal by default.
+        starts: parameter values to start from, shape (n_starts, n_parameters); the priors' means by default.
         loss: how the square of a row's whitened residual counts; soft_l1 and cauchy weigh outliers less.
     """
     solver, expanded, _callbacks = _solver(problem, loss)
     model = problem.model
-    starts = model.nominal[None] if starts is None else starts
+    starts = model.prior_mean[None] if starts is None else starts
     lower, upper = model.bounds.T / model.prior_sd
     solutions = []
     for start in starts:
@@ -134,9 +134,9 @@ def restated(result: Fit, problem: LeastSquares) -> Fit:
 
 
 def draw_starts(model: Model, n_starts: int, rng: np.random.Generator) -> np.ndarray:
-    """Return the nominal values and n_starts - 1 draws from half the prior's width, shape (n_starts, n_parameters)."""
-    drawn = model.nominal + 0.5 * model.prior_sd * rng.standard_normal((n_starts - 1, len(model.nominal)))
-    return np.vstack([model.nominal, np.clip(drawn, *model.bounds.T)])
+    """Return the priors' means and n_starts - 1 draws from half the prior's width, shape (n_starts, n_parameters)."""
+    drawn = model.prior_mean + 0.5 * model.prior_sd * rng.standard_normal((n_starts - 1, len(model.prior_mean)))
+    return np.vstack([model.prior_mean, np.clip(drawn, *model.bounds.T)])
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class Expansion:
 def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
     """Expand the objective about scaled parameters x, block by block of rows, so that memory does not grow with them."""
     model, n = problem.model, len(x)
-    offset = x - model.nominal / model.prior_sd
+    offset = x - model.prior_mean / model.prior_sd
     value, gradient, hessian, residuals = 0.5 * offset @ offset, offset.copy(), np.eye(n), []
     for _, residual, jacobian in problem.linearised(x * model.prior_sd):
         squared = (residual**2).sum(axis=1)

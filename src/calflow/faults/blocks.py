@@ -54,7 +54,7 @@ class Linear:
         jacobian = np.einsum("ij,njk->nik", fit.turn, fit.model.position_jacobian(fit.estimate, data.rows[:, here]))
         prior = fit.prior
         jacobian = (jacobian * prior).reshape(-1, len(prior)) / LEAST_GROSS
-        at_nominal = error.ravel() / LEAST_GROSS + jacobian @ ((fit.estimate - fit.model.nominal) / prior)
+        at_nominal = error.ravel() / LEAST_GROSS + jacobian @ ((fit.estimate - fit.model.prior_mean) / prior)
         factor = np.linalg.cholesky(np.linalg.inv(jacobian.T @ jacobian + np.eye(len(prior))))
         fitted = jacobian @ factor
         left = at_nominal - fitted @ (fitted.T @ at_nominal)

@@ -106,7 +106,7 @@ class Rough:
     @property
     def deviation(self) -> float:
         """How far the robot is from its nominal: its parameters' squares in standard deviations."""
-        return float((((self.estimate - self.model.nominal) / self.prior) ** 2).sum())
+        return float((((self.estimate - self.model.prior_mean) / self.prior) ** 2).sum())
 
     def predicted(self, rows: np.ndarray) -> np.ndarray:
         """Return positions (n_rows, 3) [m] for packed conditions; nan where a loop cannot be closed."""
@@ -170,7 +170,7 @@ def rough(model: Model, rows: np.ndarray, position: np.ndarray, turn: np.ndarray
     """
     measured = (position - shift) @ turn
     prior = _prior(model)
-    estimate, n = model.nominal.copy(), len(model.parameters)
+    estimate, n = model.prior_mean.copy(), len(model.parameters)
     for _ in range(LINEARISED):
         jacobian = model.position_jacobian(estimate, rows)
         left = measured - model.position(estimate, rows)
@@ -184,7 +184,7 @@ def rough(model: Model, rows: np.ndarray, position: np.ndarray, turn: np.ndarray
             data_only = (weighted.transpose(0, 2, 1) @ scaled).sum(axis=0)
             gradient = (weighted.transpose(0, 2, 1) @ _blocks(left.reshape(-1, 1))).sum(axis=0)[:, 0]
             information = data_only + np.eye(n)
-            step = np.linalg.solve(information, gradient - (estimate - model.nominal) / prior)
+            step = np.linalg.solve(information, gradient - (estimate - model.prior_mean) / prior)
             moved = (scaled @ step).ravel()[: left.size].reshape(left.shape)
             error = left - moved
             scale = _scale(error, np.trace(np.linalg.solve(information, data_only)) / left.size)

@@ -157,6 +157,26 @@ class Base(Part):
 
 
 @dataclass(frozen=True)
+class Expected(Part):
+    """What is known of a parameter before this robot is measured, as from others of its type: mean and standard deviation (SI).
+
+    Effect, part and symbol name the parameter, as tables of parameters do; of effects that come in variants nothing is expected.
+    """
+
+    effect: str
+    part: str
+    symbol: str
+    unit: str
+    mean: float
+    sd: float
+
+    @property
+    def identity(self) -> tuple[str, str, str, str]:
+        """What the parameter is known by."""
+        return self.effect, "", self.part, self.symbol
+
+
+@dataclass(frozen=True)
 class Coupling(Part):
     """A joint reading that moves another joint too: q[joint] += factor * reading[source]; joints count from 1."""
 

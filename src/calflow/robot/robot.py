@@ -17,7 +17,19 @@ from calflow.robot import summary
 from calflow.robot.checks import follower_problems, joint_problems, other_problems
 from calflow.robot.formats import robot_file, toml_written, urdf
 from calflow.robot.frames import Frame, Step, kinematics
-from calflow.robot.parts import STANDARD_GRAVITY, Base, Coupling, FourBar, Joint, Marker, Named, Part, Payload, Vector
+from calflow.robot.parts import (
+    STANDARD_GRAVITY,
+    Base,
+    Coupling,
+    Expected,
+    FourBar,
+    Joint,
+    Marker,
+    Named,
+    Part,
+    Payload,
+    Vector,
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -27,7 +39,8 @@ class Robot(Part):
     gravity [m/s²] is in the frame of link `ground`, which stands on the floor: 0 is the base. Where the chain begins at a work
     piece, the joints up to that link carry the piece (a turntable), and those after it are the arm's. Payloads and markers are
     in the flange's frame; tool_rotation [rad, about x, y and z in turn] leads from the flange to the frame whose orientation is
-    measured. Two robots are equal where all that they hold is, the order of payloads and markers included.
+    measured. expected is what is known of its parameters before it is measured. Two robots are equal where all that they hold
+    is, the order of payloads and markers included.
 
     Raises:
         InputError: with all values that cannot be.
@@ -44,6 +57,7 @@ class Robot(Part):
     tool_rotation: Vector | None = None
     payloads: Mapping[str, Payload] = field(default_factory=Named)
     markers: Mapping[str, Marker] = field(default_factory=Named)
+    expected: tuple[Expected, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -114,7 +114,7 @@ class Posterior:
         prior, likelihood = np.full(len(x), -np.inf), np.zeros(len(x))
         if inside.any():
             values, log_noise = values[inside], log_noise[inside]
-            scaled = (values - model.nominal) / model.prior_sd
+            scaled = (values - model.prior_mean) / model.prior_sd
             prior[inside] = -0.5 * (scaled**2).sum(axis=1) - 0.5 * (log_noise / LOG_NOISE_SD) ** 2
             likelihood[inside] = -0.5 * self.squares(values.T) * np.exp(-2 * log_noise) - self.problem.size * log_noise
         return prior, likelihood

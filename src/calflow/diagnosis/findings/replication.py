@@ -102,7 +102,7 @@ def confirm(found: Fitted, other: Measurements) -> Confirmation:
 
     def fitted(effects: Sequence[Effect]) -> Fit:
         model = Model(robot, tuple(effects), other.given, observed)
-        return fit_reweighted(model, train, noise, model.nominal[None], found.loss)[0]
+        return fit_reweighted(model, train, noise, model.prior_mean[None], found.loss)[0]
 
     alone, without = fitted((*plain, *own)), fitted(plain)
     rows, curves = [], []

@@ -142,7 +142,7 @@ class Regressors(Generic[H]):
             correlation.whiten(left)
             correlation.whiten(matrix)
         free = np.flatnonzero(~fit.at_bound)
-        offset = fit.estimate - model.nominal
+        offset = fit.estimate - model.prior_mean
         precision = model.prior_sd**-2.0
         scale = max(1.0, problem.scatter / USUAL)
         jacobian, found, candidates = matrix[:, free], matrix[:, n:], candidates_of(effects)

@@ -113,7 +113,7 @@ class Fitted:
         own, model = self.fit, self.model
         if self.background is not None:
             return Screening(self.regressors(())).chi2 + 2 * FAR**2 * float((self.far - 1).sum())
-        pulled = (own.estimate - model.nominal) / model.prior_sd
+        pulled = (own.estimate - model.prior_mean) / model.prior_sd
         return float((own.residual**2).sum() + 2 * FAR**2 * (self.far - 1).sum() + pulled @ pulled)
 
     @property

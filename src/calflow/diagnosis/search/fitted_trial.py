@@ -76,7 +76,7 @@ class FittedTrial(Trial[Cause]):
     def _relief(self, cause: Cause) -> float:
         model = self.fitted.model
         own = model.columns(cause)
-        return relief(self.fitted.fit.estimate[own] - model.nominal[own], model.prior_sd[own])
+        return relief(self.fitted.fit.estimate[own] - model.prior_mean[own], model.prior_sd[own])
 
 
 def among(trail: Sequence[Fitted], causes: Sequence[Cause]) -> Fit:

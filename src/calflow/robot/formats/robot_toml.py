@@ -11,7 +11,7 @@ from calflow.files.problems import shortened
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Mass, Moment
 from calflow.files.units import in_si
 from calflow.robot.frames import CONVENTIONS, Frame, Motion, Place, Step
-from calflow.robot.parts import STANDARD_GRAVITY, Bar, Base, Coupling, FourBar, Joint, Marker, Payload
+from calflow.robot.parts import STANDARD_GRAVITY, Bar, Base, Coupling, Expected, FourBar, Joint, Marker, Payload
 
 UNKNOWN = "unknown"  # a payload's mass
 OWN_FRAMES = "frames"  # the convention of a robot whose frames follow none
@@ -207,6 +207,17 @@ class CouplingTable(FileModel):
     factor: float
 
 
+class ExpectedTable(FileModel):
+    """What is known of a parameter before the robot is measured; mean and sd are in SI, as `unit` says."""
+
+    effect: str
+    part: str
+    symbol: str
+    unit: str
+    mean: float
+    sd: float = Field(gt=0)
+
+
 class Surroundings(FileModel):
     """What a robot file says besides the joints, whatever file states those."""
 
@@ -217,6 +228,7 @@ class Surroundings(FileModel):
     tool_rotation: Angles3 | None = None
     payloads: dict[str, PayloadTable] = {}
     markers: dict[str, MarkerTable] = Field(default={}, validate_default=True)
+    expected: tuple[ExpectedTable, ...] = ()
 
     @field_validator("markers")
     @classmethod
@@ -237,6 +249,7 @@ class Surroundings(FileModel):
             "tool_rotation": self.tool_rotation,
             "payloads": {name: Payload(**vars(payload)) for name, payload in self.payloads.items()},
             "markers": {name: Marker(**vars(marker)) for name, marker in self.markers.items()},
+            "expected": tuple(Expected(**vars(one)) for one in self.expected),
         }
 
 

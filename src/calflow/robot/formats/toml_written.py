@@ -58,6 +58,8 @@ def _lines(fields: Mapping[str, Any]) -> Iterator[str]:
         yield from ("", f"[markers.{_key(name)}]", *_quantity("point", marker.point, "length"))
         yield from _quantity("relative_sd", marker.relative_sd, "length")
         yield from _entries({"known": None if marker.known else False})
+    for one in fields["expected"]:
+        yield from ("", "[[expected]]", *_entries(vars(one)))
 
 
 def _joint(joint: Joint, convention: str) -> Iterator[str]:
