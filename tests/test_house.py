@@ -25,6 +25,7 @@ FLOORS = (  # an import points to a floor further up this list, or stays within 
     ("reporting",),
     ("stages",),
     ("runs",),
+    ("fleet",),
     ("api",),
     ("commands",),
     ("__init__", "cli"),

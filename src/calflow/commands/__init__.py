@@ -9,6 +9,7 @@ from calflow.commands.compensate import compensate
 from calflow.commands.drift import drift
 from calflow.commands.export import export
 from calflow.commands.filter import filter_targets
+from calflow.commands.fleet import fleet
 from calflow.commands.new import new
 from calflow.commands.plan import plan
 from calflow.commands.predict import predict
@@ -34,4 +35,5 @@ COMMANDS = (
     check_poses,
     drift,
     compare,
+    fleet,
 )

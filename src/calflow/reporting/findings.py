@@ -113,6 +113,15 @@ class Found:
         return amount(self.cause, self.estimate, self.sd, self.unit)
 
     @property
+    def in_short(self) -> str:
+        """What was found in a line: a cause with its size, what something unexplained depends on, else the verdict itself."""
+        if self.told:
+            return f"{self.names}, {self.amount}"
+        if self.status == "unexplained" and not self.is_misfit:
+            return f"something unexplained that depends on {self.inputs}"
+        return self.statement
+
+    @property
     def is_misfit(self) -> bool:
         """Whether it is a lack of fit as such, told whether an input explains it or not."""
         return self.status == "unexplained" and not self.depends_on

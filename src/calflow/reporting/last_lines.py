@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
-from calflow.diagnosis.findings.tables import FindingRow
 from calflow.estimation.accuracy import Accuracy
 from calflow.files.results import Results
 from calflow.files.tables import from_frame
@@ -43,21 +42,16 @@ def _accuracy(results: Results) -> list[str]:
 def _findings(results: Results) -> list[str]:
     if "diagnose/findings.csv" not in results:
         return []
-    rows = results.rows("diagnose/findings.csv", FindingRow)
-    told = [f"found: {_told(one, row)}" for one, row in zip(findings(results), rows, strict=True)]
+    told = [f"found: {_told(one)}" for one in findings(results)]
     unseen = results.document("diagnose/summary.json", DiagnosisSummary).unseen
     return told or [f"found: nothing that the model lacks{f'; {unseen}' if unseen else ''}"]
 
 
-def _told(one: Found, row: FindingRow) -> str:
+def _told(one: Found) -> str:
     """A finding with its cause, joint, size and gain."""
-    if one.told:
-        said = f"{one.names}, {one.amount}"
-    elif one.status == "unexplained" and not one.is_misfit:
-        said = f"something unexplained that depends on {one.inputs}"
-    else:
-        return row.statement
-    gain, low, high = one.gain
+    said, (gain, low, high) = one.in_short, one.gain
+    if one.is_misfit or one.status == "data_fault":
+        return said
     if math.isnan(gain):
         return said
     if math.isnan(low):

@@ -27,3 +27,12 @@ def locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         lock.release()
+
+
+def wait_until_free(folder: Path) -> None:
+    """Wait until no run is at work in a folder, which may not exist yet."""
+    from filelock import FileLock
+
+    if folder.is_dir():
+        with FileLock(folder / ".lock"):
+            pass

@@ -1,0 +1,122 @@
+"""All robots of a plant: what would be done, doing it, how far it is, and what came of it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from calflow.commands.options import FILE, NOT_WELL, resumable
+
+if TYPE_CHECKING:
+    from calflow.fleet.fleet import Fleet
+    from calflow.fleet.fleet_folder import FleetFolder
+    from calflow.fleet.outcome import Outcome
+
+OUT = click.option("--out", type=FILE, help="The fleet's folder; runs/<fleet name> by default.")
+
+
+@click.group()
+def fleet() -> None:
+    """Calibrate many robots of a few types, on one machine or a cluster."""
+
+
+@fleet.command()
+@click.argument("fleet_file", metavar="FLEET.toml", type=FILE)
+@OUT
+def plan(fleet_file: Path, out: Path | None) -> None:
+    """Show which robots would be calibrated, and why; writes each one's study, and runs none."""
+    from calflow.fleet.engine import check_engine
+    from calflow.fleet.planned import planned
+
+    check_engine()
+    for one in planned(*_opened(fleet_file, out)):
+        click.echo(one)
+
+
+@fleet.command()
+@click.argument("fleet_file", metavar="FLEET.toml", type=FILE)
+@click.argument("options", metavar="[-- SNAKEMAKE OPTIONS]", nargs=-1)
+@OUT
+@click.option("--cores", type=click.IntRange(min=1), help="Of this machine; all by default.")
+@click.option("--batch", type=click.IntRange(min=1), help="Robots that a job calibrates one after the other.")
+@click.option("--profile", default="", help="A profile of Snakemake's, which says where jobs run: a cluster, a cloud.")
+def run(
+    fleet_file: Path, options: tuple[str, ...], out: Path | None, cores: int | None, batch: int | None, profile: str
+) -> None:
+    """Calibrate all robots: what did not change is reused, what failed is tried again, what was interrupted is resumed.
+
+    Ends with 0 where every robot is calibrated, with 3 where some are not.
+    """
+    from calflow.fleet.engine import Asked, check_engine, command, running
+    from calflow.fleet.fleet_report import fleet_lines
+    from calflow.fleet.jobs import size_for
+    from calflow.fleet.standing import arriving, forget_failures, outcomes
+    from calflow.fleet.summary import write_summary
+    from calflow.runs.lock import locked
+
+    check_engine()
+    loaded, folder = _opened(fleet_file, out)
+    cores = cores or os.cpu_count() or 1
+    folder.path.mkdir(parents=True, exist_ok=True)
+    log = folder.path / "snakemake.log"
+    with resumable(), locked(folder.path):
+        forget_failures(loaded, folder)
+        called = command(loaded, folder, Asked(cores, batch or size_for(len(loaded.robots), cores), profile, options))
+        with running(called, log) as process:
+            for one in arriving(loaded, folder, lambda: process.poll() is not None):
+                click.echo(f"{one.robot}: {one.verdict or f'failed: {one.reason}'}")
+        found = outcomes(loaded, folder)
+        if process.returncode:
+            click.echo(f"Snakemake ended with {process.returncode}: what it said is in {log}", err=True)
+            write_summary(folder, loaded.title, found)
+    for line in fleet_lines(found):
+        click.echo(line)
+    _tell_failed(found)
+    click.echo(f"report: {folder.path / 'report.pdf'}")
+    sys.exit(0 if all(one.status == "calibrated" for one in found) else NOT_WELL)
+
+
+@fleet.command()
+@click.argument("fleet_file", metavar="FLEET.toml", type=FILE)
+@OUT
+def status(fleet_file: Path, out: Path | None) -> None:
+    """Show how far a fleet has come, and what failed."""
+    from calflow.fleet.fleet_report import fleet_lines
+    from calflow.fleet.standing import outcomes
+
+    found = outcomes(*_opened(fleet_file, out))
+    for line in fleet_lines(found):
+        click.echo(line)
+    _tell_failed(found)
+
+
+@fleet.command()
+@click.argument("fleet_file", metavar="FLEET.toml", type=FILE)
+@OUT
+def report(fleet_file: Path, out: Path | None) -> None:
+    """Write fleet.csv and the reports anew from what came of the robots so far."""
+    from calflow.fleet.standing import outcomes
+    from calflow.fleet.summary import write_summary
+
+    loaded, folder = _opened(fleet_file, out)
+    write_summary(folder, loaded.title, outcomes(loaded, folder))
+    click.echo(f"report: {folder.path / 'report.pdf'}")
+
+
+def _opened(fleet_file: Path, out: Path | None) -> tuple[Fleet, FleetFolder]:
+    from calflow.fleet.fleet import load_fleet
+    from calflow.fleet.standing import fleet_folder
+
+    loaded = load_fleet(fleet_file)
+    return loaded, fleet_folder(loaded, out)
+
+
+def _tell_failed(found: list[Outcome]) -> None:
+    for one in found:
+        if one.status != "calibrated":
+            where = f" in {one.failed_stage}" if one.failed_stage else ""
+            click.echo(f"! {one.robot} ({one.type}): {one.status}{where}: {one.reason}")

@@ -1,0 +1,179 @@
+"""A fleet: robots of a few types, each with its measurements, ready to be calibrated."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from calflow.files.problems import InputError, Problem, nearest, together
+from calflow.files.toml import Origin, read_toml
+from calflow.fleet.fleet_file import FleetFile, TypeTable, check_name
+from calflow.fleet.pattern import filled, robots_of
+from calflow.robot.robot import Robot
+from calflow.runs.planning import stages_of
+from calflow.study import Study, check_effects, load_study
+
+NEEDED = "identify"  # the stage without which nothing is known of a robot
+
+
+@dataclass(frozen=True)
+class RobotType:
+    """A type of robots: the study whose settings they share, with the type's robot file."""
+
+    name: str
+    study: Study
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files that say what is asked of robots of this type."""
+        return (self.study.path, *self.study.robot_paths, self.study.workflow_path)
+
+
+@dataclass(frozen=True)
+class FleetRobot:
+    """A robot of a fleet: its name, type and measurement files, one a series."""
+
+    name: str
+    type: RobotType
+    data: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """A fleet file with its types and robots; the robots are in the order of their names."""
+
+    path: Path
+    file: FleetFile
+    types: tuple[RobotType, ...]
+    robots: tuple[FleetRobot, ...]
+
+    @property
+    def name(self) -> str:
+        """The fleet's name, which names its folder."""
+        return self.file.fleet.name
+
+    @property
+    def title(self) -> str:
+        """What its report is called."""
+        return self.file.fleet.title or self.name
+
+    def robot(self, name: str) -> FleetRobot:
+        """Return a robot by its name."""
+        return next(robot for robot in self.robots if robot.name == name)
+
+
+def load_fleet(path: str | Path) -> Fleet:
+    """Read a fleet file with its types' studies, and find its robots; a robot's measurements are read when it is its turn.
+
+    Raises:
+        InputError: with all problems of the files read.
+    """
+    path = Path(path)
+    file = read_toml(path, FleetFile)
+    origin = Origin.of(path)
+    found = together(
+        *(partial(_type, name, table, origin) for name, table in file.types.items()),
+        partial(_check_robots, file, origin),
+    )
+    types: dict[str, RobotType] = {one.name: one for one in found[:-1]}
+    robots = [FleetRobot(name, types[type_], data) for name, type_, data in _robots(file, path.parent)]
+    if problems := [*_named_wrongly(robots, origin), *_of_other_series(robots, origin)]:
+        raise InputError(problems)
+    if not robots:
+        raise InputError(
+            [origin.problem("has no robots: no file is where 'data' says, and no [robots.NAME] is there", "types")]
+        )
+    return Fleet(path, file, tuple(types.values()), tuple(sorted(robots, key=lambda robot: robot.name)))
+
+
+def _type(name: str, table: TypeTable, origin: Origin) -> RobotType:
+    """Load a type's study and hold it against what every robot's study must be."""
+    folder = origin.path.parent
+    keys = {"study": folder / table.study} | ({"robot": folder / table.robot} if table.robot else {})
+    absent = [
+        origin.problem(f"there is no file {at}", "types", name, key) for key, at in keys.items() if not at.exists()
+    ]
+    if absent:
+        raise InputError(absent)
+    study = load_study(keys["study"])
+    if "robot" in keys:
+        study = replace(study, robot=Robot.from_toml(keys["robot"]), robot_path=keys["robot"])
+        check_effects(study.file.effects, study.robot, study.robot_path)
+    stages = stages_of(study)
+    wrong = []
+    if NEEDED not in study.stages:
+        wrong.append(
+            f"its workflow '{study.workflow.name}' lacks the stage {NEEDED}, without which nothing is known of a robot"
+        )
+    if study.file.confirm:
+        wrong.append("it has 'confirm', which names a series of one robot and not of all")
+    wrong += [
+        f"its stage {stage.name} reads files of its own ({file.name}), which a study of many robots cannot have"
+        for stage in stages
+        for file in stage.reads(study, study.validated_settings(stage.name, stage.settings))
+    ]
+    if wrong:
+        raise InputError(
+            [
+                origin.problem(f"{study.path} is no study for many robots: {said}", "types", name, "study")
+                for said in wrong
+            ]
+        )
+    return RobotType(name, study)
+
+
+def _check_robots(file: FleetFile, origin: Origin) -> None:
+    """Check that the robots named have a type that there is, and measurements."""
+    problems = []
+    for name, table in file.robots.items():
+        if table.type not in file.types:
+            message = f"unknown type '{table.type}'; there are {', '.join(file.types)}{nearest(table.type, file.types)}"
+            problems.append(origin.problem(message, "robots", name, "type"))
+        elif not (table.data or file.types[table.type].data):
+            message = f"missing: expected 'data', here or in [types.{table.type}]"
+            problems.append(origin.problem(message, "robots", name))
+    if problems:
+        raise InputError(problems)
+
+
+def _robots(file: FleetFile, folder: Path) -> Iterator[tuple[str, str, tuple[Path, ...]]]:
+    """Each robot's name, type and files: those that are named, and of each type those that its pattern finds besides."""
+    for name, table in file.robots.items():
+        patterns = table.data or file.types[table.type].data
+        yield name, table.type, tuple(folder / filled(pattern, name) for pattern in patterns)
+    for type_, shared in file.types.items():
+        found = robots_of(shared.data[0], folder) if shared.data else []
+        for name in found:
+            if name not in file.robots or file.robots[name].type != type_:
+                yield name, type_, tuple(folder / filled(pattern, name) for pattern in shared.data)
+
+
+def _named_wrongly(robots: list[FleetRobot], origin: Origin) -> Iterator[Problem]:
+    """Names that no folder can have, and names of two robots."""
+    for robot in robots:
+        try:
+            check_name(robot.name)
+        except ValueError as error:
+            yield origin.problem(str(error), "robots", robot.name)
+    for name, number in Counter(robot.name for robot in robots).items():
+        if number > 1:
+            types = " and ".join(robot.type.name for robot in robots if robot.name == name)
+            yield origin.problem(
+                f"robot '{name}' is there {number} times, of the types {types}: expected a name of its own", "types"
+            )
+
+
+def _of_other_series(robots: list[FleetRobot], origin: Origin) -> Iterator[Problem]:
+    """Robots that have more files, or fewer, than their type's study has series."""
+    for robot in robots:
+        series = max(1, len(robot.type.study.file.sources))
+        if len(robot.data) != series:
+            message = (
+                f"robot '{robot.name}': expected {series} in 'data', one a series of its study, found {len(robot.data)}"
+            )
+            own = ("robots", robot.name, "data")
+            where = own if own in origin.lines else ("types", robot.type.name, "data")
+            yield origin.problem(message, *where)

@@ -1,0 +1,77 @@
+"""The fleet file as written: the types of robots, and the robots."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, field_validator
+
+from calflow.files.toml import FileModel
+from calflow.fleet.pattern import ROBOT
+
+NAME = r"\w[\w.-]*"
+
+
+def check_name(name: str) -> str:
+    """Return a name that a folder can have.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not re.fullmatch(NAME, name):
+        raise ValueError(f"expected letters, digits, '_', '-' and '.' (it names a folder), found {name!r}")
+    return name
+
+
+def _several(value: Any) -> Any:
+    return (value,) if isinstance(value, str) else value
+
+
+Files = Annotated[tuple[str, ...], BeforeValidator(_several)]  # one a series of the study, in order
+
+
+class Plant(FileModel):
+    """The table `[fleet]`."""
+
+    name: str
+    title: str = ""
+
+    @field_validator("name")
+    @classmethod
+    def _names_a_folder(cls, name: str) -> str:
+        return check_name(name)
+
+
+class TypeTable(FileModel):
+    """A table `[types.NAME]`: a study whose settings all robots of the type share, and where their measurements are.
+
+    robot: a robot file in the place of the study's; data: a pattern with {robot}, several where the study has several series.
+    """
+
+    study: str
+    robot: str = ""
+    data: Files = ()
+
+    @field_validator("data")
+    @classmethod
+    def _tells_robots_apart(cls, data: tuple[str, ...]) -> tuple[str, ...]:
+        same = [pattern for pattern in data if ROBOT not in pattern]
+        if same:
+            raise ValueError(f"expected {ROBOT} where the robot's name stands, found {same[0]!r}")
+        return data
+
+
+class RobotTable(FileModel):
+    """A table `[robots.NAME]`: its type, and where its measurements are if not where its type's are."""
+
+    type: str
+    data: Files = ()
+
+
+class FleetFile(FileModel):
+    """A fleet file as written."""
+
+    fleet: Plant
+    types: dict[str, TypeTable] = Field(min_length=1)
+    robots: dict[str, RobotTable] = {}

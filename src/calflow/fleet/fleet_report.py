@@ -1,0 +1,139 @@
+"""The report of a fleet: one page for whoever has a minute, and a table of all robots for whoever looks for one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from calflow.files.tables import to_frame
+from calflow.fleet.outcome import Outcome, worst_first
+from calflow.reporting.blocks import Block, Gap, Heading, Paragraph, Part, Plot, RestOfPage, Table
+from calflow.reporting.style import ACCENT, DARK, MIDDLE, WIDTH
+from calflow.reporting.words import first_up, listed, mm, plural, ratio
+
+MOST_TOLD = 18  # robots on the first page
+LONGEST = 150  # letters of a verdict on the first page
+BAND = 0.6  # of the room between types that a type's robots take
+
+
+def fleet_report(title: str, found: Sequence[Outcome]) -> list[Part]:
+    """Return the parts of a fleet's report: the page, and the table of all robots."""
+    worst = worst_first(found)
+    return [("", _page(title, worst)), ("All robots", [_explained(), _table(worst)])]
+
+
+def fleet_lines(found: Sequence[Outcome]) -> list[str]:
+    """Return how a fleet stands in sentences."""
+    lines = [f"{_count(found)}."]
+    judged = [one for one in found if one.after_mean_mm is not None and one.before_mean_mm is not None]
+    if judged:
+        before, after = (
+            np.array([getattr(one, name) for one in judged]) for name in ("before_mean_mm", "after_mean_mm")
+        )
+        lines.append(
+            f"The middle robot's mean position error falls from {mm(float(np.median(before)))} mm to "
+            f"{mm(float(np.median(after)))} mm; the worst one, {judged[int(after.argmax())].robot}, is left with "
+            f"{mm(float(after.max()))} mm."
+        )
+    return lines
+
+
+def _count(found: Sequence[Outcome]) -> str:
+    """Say how many robots are calibrated, and how many are not."""
+    failed = [one.robot for one in found if one.status == "failed"]
+    waiting = [one.robot for one in found if one.status == "not run"]
+    useless = [one.robot for one in found if one.usable is False]
+    said = [f"{sum(one.status == 'calibrated' for one in found)} of {plural(len(found), 'robot')} calibrated"]
+    said += [f"{len(failed)} failed ({listed(failed, 6)})"] if failed else []
+    said += [f"{len(waiting)} not run ({listed(waiting, 6)})"] if waiting else []
+    said += [f"{len(useless)} with a model that is not to be used ({listed(useless, 6)})"] if useless else []
+    return "; ".join(said)
+
+
+def _page(title: str, worst: Sequence[Outcome]) -> list[Block]:
+    types = list(dict.fromkeys(sorted(one.type for one in worst)))
+    told = worst[:MOST_TOLD]
+    head = (
+        "All robots, worst first"
+        if len(told) == len(worst)
+        else f"The {len(told)} of {len(worst)} robots that need a look first"
+    )
+    rows = [
+        (one.robot, one.type, _error(one.before_mean_mm), _error(one.after_mean_mm), _in_short(one)) for one in told
+    ]
+    first, *more = fleet_lines(worst)
+    return [
+        Paragraph("Fleet report", 10),
+        Heading(title, 0),
+        Paragraph(f"{plural(len(worst), 'robot')} of {plural(len(types), 'type')}: {listed(types)}", 10),
+        Gap(14),
+        Paragraph(first, 13, bold=True),
+        *(Paragraph(line, 11) for line in more),
+        Gap(8),
+        *([_drawn(worst, types)] if any(one.after_mean_mm is not None for one in worst) else []),
+        RestOfPage([
+            Heading(head),
+            Table(("robot", "type", "before [mm]", "after [mm]", "verdict"), rows, "llrrl", size=None, wide=4),
+        ]),
+    ]  # fmt: skip
+
+
+def _error(value: float | None) -> str:
+    return "–" if value is None else mm(value)
+
+
+def _in_short(one: Outcome) -> str:
+    """A robot's verdict as the first page has room for it."""
+    said = one.verdict or _why(one)
+    if one.causes:
+        said += f" Found: {'; '.join(one.causes)}."
+    return said if len(said) <= LONGEST else f"{said[:LONGEST]} …"
+
+
+def _why(one: Outcome) -> str:
+    where = f" in {one.failed_stage}" if one.failed_stage else ""
+    return f"{first_up(one.status)}{where}: {one.reason}"
+
+
+def _explained() -> Block:
+    return Paragraph(
+        "Position errors are those of poses held out of the fit where there are any, with the robot as its maker states it and "
+        "as it was calibrated. Each robot's own report is in robots/NAME, what its run told in logs/NAME.log.", 9.5
+    )  # fmt: skip
+
+
+def _table(worst: Sequence[Outcome]) -> Block:
+    header = ("robot", "type", "verdict", "mean before [mm]", "mean after [mm]", "largest before [mm]", "largest after [mm]",
+              "times better", "causes found", "failed: where and why")  # fmt: skip
+    return Table(header, [_row(one) for one in worst], "lllrrrrrll", size=7)
+
+
+def _row(one: Outcome) -> tuple[str, ...]:
+    figures = (one.before_mean_mm, one.after_mean_mm, one.before_max_mm, one.after_max_mm)
+    gain = ratio(one.before_mean_mm / one.after_mean_mm) if one.before_mean_mm and one.after_mean_mm else "–"
+    verdict, why = (one.verdict, "") if one.status == "calibrated" else (first_up(one.status), _why(one))
+    return (one.robot, one.type, verdict, *map(_error, figures), gain, "; ".join(one.causes), why)
+
+
+def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
+    """The error of every robot before and after, a band a type."""
+    judged = [one for one in worst if one.after_mean_mm is not None]
+    data = to_frame(judged, Outcome)[["type", "robot", "before_mean_mm", "after_mean_mm", "usable"]]
+    data = data.sort_values(["type", "robot"], ignore_index=True)
+    count = data.groupby("type")["robot"].transform("size")
+    place = (data.groupby("type").cumcount() + 0.5) / count - 0.5  # across the band
+    height = data["type"].map(types.index) + BAND * place
+    drawn = Figure((WIDTH, 0.8 + 0.36 * len(types)))
+    axes = drawn.add_subplot()
+    axes.plot(data["before_mean_mm"], height, "o", color=MIDDLE, mfc="none", label="before")
+    axes.plot(data["after_mean_mm"], height, "^", color=DARK, label="after")
+    if (bad := ~data["usable"].fillna(True)).any():
+        axes.plot(data["after_mean_mm"][bad], height[bad], "x", color=ACCENT, ms=7, label="not to be used")
+    axes.set_xscale("log")
+    axes.set_yticks(range(len(types)), types)
+    axes.set_ylim(len(types) - 0.5, -0.5)
+    axes.set_xlabel("mean position error of a robot [mm]")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    return Plot("fleet", drawn, "Every robot of each type before and after calibration.", data=data)

@@ -1,0 +1,82 @@
+"""An outcome: what came of a robot of a fleet, in figures and in the words of its own report."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from calflow.files.documents import from_document, to_document
+from calflow.files.results import Results
+from calflow.files.tables import column
+from calflow.files.writing import write_whole
+from calflow.reporting.findings import findings
+from calflow.reporting.material import latest, split_judged, steps
+from calflow.reporting.sections.verdict import judgement
+from calflow.reporting.tolerance import useless
+
+Status = Literal["calibrated", "failed", "not run"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What came of a robot of a fleet."""
+
+    robot: str = column("its name")
+    type: str = column("its type")
+    status: Status = column("whether its run came to its end; not run: nothing is known of it yet")
+    usable: bool | None = column("false: its report says not to use the model; empty: there is none", default=None)
+    verdict: str = column("its report's verdict, in words", default="")
+    judged_by: Literal["holdout", "train", ""] = column("poses that the errors are of: held out, or fitted", default="")
+    points: int | None = column("number of measured points among them", default=None)
+    before_mean_mm: float | None = column("mean position error of the robot as its maker states it", "mm", default=None)
+    before_max_mm: float | None = column("largest such error", "mm", default=None)
+    after_mean_mm: float | None = column("mean position error of the calibrated robot", "mm", default=None)
+    after_max_mm: float | None = column("largest such error", "mm", default=None)
+    causes: tuple[str, ...] = column(
+        "what diagnose found that the model lacked, with its size", separator="; ", default=()
+    )
+    failed_stage: str = column("the stage in which it failed; empty: before the first", default="")
+    reason: str = column("why it failed, or was not run", default="")
+
+    @staticmethod
+    def of(robot: str, type_: str, results: Results) -> Outcome:
+        """Return the outcome of a run from its results, which have those of identify."""
+        accuracy = latest(results, "accuracy")
+        split = split_judged(accuracy)
+        models = steps(accuracy, split)
+        first, last = models[0], models[-1]
+        return Outcome(
+            robot=robot, type=type_, status="calibrated", usable=not useless(results, models),
+            verdict=judgement(results, models), judged_by="holdout" if split == "holdout" else "train", points=last.n,
+            before_mean_mm=first.mean, before_max_mm=first.max, after_mean_mm=last.mean, after_max_mm=last.max,
+            causes=tuple(one.in_short for one in findings(results)),
+        )  # fmt: skip
+
+
+def worst_first(outcomes: Iterable[Outcome]) -> list[Outcome]:
+    """Return outcomes in the order in which they need a look: failed, not to be used, and then the largest error first."""
+
+    def rank(one: Outcome) -> tuple[bool, bool, float, str]:
+        return one.status == "calibrated", one.usable is not False, -(one.after_mean_mm or 0.0), one.robot
+
+    return sorted(outcomes, key=rank)
+
+
+def write_outcome(path: Path, outcome: Outcome) -> None:
+    """Write an outcome whole."""
+    write_whole(path, (json.dumps(to_document(outcome), indent=2, ensure_ascii=False) + "\n").encode())
+
+
+def read_outcome(path: Path) -> Outcome | None:
+    """Return an outcome that was written; None where there is none.
+
+    Raises:
+        InputError: it was changed, or another version of calflow wrote it.
+    """
+    try:
+        return from_document(json.loads(path.read_text(encoding="utf-8")), Outcome)
+    except FileNotFoundError:
+        return None

@@ -1,0 +1,32 @@
+"""The plan of a fleet: of each robot whether its run goes on, begins or is reused, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from calflow.files.problems import InputError
+from calflow.fleet.fleet import Fleet, FleetRobot
+from calflow.fleet.fleet_folder import FleetFolder
+from calflow.fleet.robot_study import write_study
+from calflow.runs.planning import plan
+from calflow.study import load_study
+
+
+def planned(fleet: Fleet, folder: FleetFolder) -> Iterator[str]:
+    """Return a line a robot; each one's study is written on the way, for `calflow check` and the like."""
+    width = max(len(robot.name) for robot in fleet.robots)
+    wide = max(len(one.name) for one in fleet.types)
+    for robot in fleet.robots:
+        write_study(robot, folder.study(robot.name))
+        yield f"{robot.name:{width}}  {robot.type.name:{wide}}  {_said(robot, folder)}"
+
+
+def _said(robot: FleetRobot, folder: FleetFolder) -> str:
+    try:
+        steps = plan(load_study(folder.study(robot.name)), folder.run(robot.name))
+    except InputError as error:
+        return f"would fail: {'; '.join(map(str, error.problems))}"
+    again = [step for step in steps if not step.reuse]
+    if not again:
+        return f"reuse  {steps[0].reason}"
+    return f"run    {', '.join(step.stage.name for step in again)}: {again[0].reason}"

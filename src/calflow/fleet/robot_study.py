@@ -1,0 +1,53 @@
+"""A robot's own study: its type's, with the robot's name and measurements in it, so that every other command takes it too."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from calflow.files.problems import refuse
+from calflow.files.toml import parse_toml
+from calflow.files.writing import write_whole
+from calflow.fleet.fleet import FleetRobot
+
+FOUND_BY = {"file", "url", "sha256"}  # keys that say which file the measurements are in
+
+
+def write_study(robot: FleetRobot, path: Path) -> None:
+    """Write a robot's study file.
+
+    Raises:
+        InputError: the library that writes TOML is not there.
+    """
+    try:
+        import tomli_w
+    except ModuleNotFoundError:
+        raise lacking("tomli-w") from None
+    write_whole(path, tomli_w.dumps(study_of(robot)).encode())
+
+
+def study_of(robot: FleetRobot) -> dict[str, Any]:
+    """Return a robot's study as a file anywhere has it."""
+    study = robot.type.study
+    raw, _ = parse_toml(study.path)
+    title = {"title": f"{study.file.title}, {robot.name}"} if study.file.title else {}
+    own = {"workflow": os.path.abspath(study.workflow_path)} if study.file.workflow.endswith(".toml") else {}
+    files = [os.path.abspath(path) for path in robot.data]
+    measured = raw.get("measurements", {})
+    several = isinstance(measured, list)
+    sources = [_with_file(one, file) for one, file in zip(measured if several else [measured], files, strict=True)]
+    return {
+        **raw, "name": robot.name, **title, "robot": os.path.abspath(study.robot_path), **own,
+        "measurements": sources if several else sources[0],
+    }  # fmt: skip
+
+
+def _with_file(source: Mapping[str, Any], file: str) -> dict[str, Any]:
+    return {"file": file} | {key: value for key, value in source.items() if key not in FOUND_BY}
+
+
+def lacking(library: str) -> Exception:
+    """Return the error for a library of the extra that is not installed, to be raised by the caller."""
+    return refuse(f"a fleet needs {library}, which is not installed: pip install 'calflow[fleet]'")
