@@ -30,8 +30,9 @@ def main() -> None:
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
-    except (click.Abort, KeyboardInterrupt):
-        click.echo("interrupted: the same command resumes where it stopped", err=True)
+    except (click.Abort, KeyboardInterrupt) as interruption:  # click raises its own from Python's
+        told = getattr(interruption.__cause__ or interruption, "__notes__", ["the same command begins anew"])
+        click.echo(f"interrupted: {' '.join(told)}", err=True)
         sys.exit(130)
     except OSError as error:
         so = " ".join(

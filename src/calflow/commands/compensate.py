@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.options import FILE, apart
+from calflow.commands.options import FILE, OVER, apart, write_free
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 @click.argument("study_or_run", type=FILE)
 @click.argument("targets", metavar="TARGETS.csv", type=FILE)
 @click.option("--out", type=FILE, help="CSV to write; printed by default.")
+@OVER
 @click.option(
     "--frames", type=FILE, help="TOML file of the frames that a column 'frame' names, besides measuring and base."
 )
@@ -31,13 +32,14 @@ if TYPE_CHECKING:
     help="Do rows that lack needed columns too, with a wider standard deviation.",
 )
 def compensate(
-    study_or_run: Path, targets: Path, out: Path | None, frames: Path | None, in_order: bool, without_conditions: bool
-) -> None:
+    study_or_run: Path, targets: Path, out: Path | None, force: bool, frames: Path | None, in_order: bool,
+    without_conditions: bool,
+) -> None:  # fmt: skip
     """Work out joint commands with which the real robot lands on the targets of TARGETS.csv.
 
     Give the run's folder, or its study.
     """
-    from calflow.files.csv import csv_text, write_csv
+    from calflow.files.csv import csv_text
     from calflow.runs.compensate import compensate as compensate_targets
 
     apart(out, "--out", targets)
@@ -49,9 +51,9 @@ def compensate(
     if out is None:
         click.echo(csv_text(table), nl=False)
         return
-    write_csv(out, table)
+    write_free(out, csv_text(table).encode(), force)
     landed = table[table["reached"]]
-    click.echo(f"wrote {out}: {len(landed)} of {len(table)} targets reached")
+    click.echo(f"{len(landed)} of {len(table)} targets reached")
     if len(landed):
         click.echo(f"distance from the target, root mean square: {_rms(landed['nominal_miss_mm']):.3f} mm with nominal commands, "
                    f"{_rms(landed['expected_mm']):.3f} mm expected with these")  # fmt: skip

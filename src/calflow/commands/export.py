@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.options import FILE
+from calflow.commands.options import FILE, OVER, write_free
 
 if TYPE_CHECKING:
     from calflow.deployment.export import Format
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     help="urdf; xacro-properties (origins alone); dh (a robot file); json; controller (a CSV of figures to type in).",
 )
 @click.option("--out", type=FILE, help="File to write; printed by default.")
-def export(study_or_run: Path, to: Format, out: Path | None) -> None:
+@OVER
+def export(study_or_run: Path, to: Format, out: Path | None, force: bool) -> None:
     """Write the calibrated robot for other programs, and say what their format cannot hold.
 
     Give the run's folder, or its study.
     """
-    from calflow.files.writing import write_whole
     from calflow.runs.export import export_run
 
     found = export_run(study_or_run, to)
@@ -36,5 +36,4 @@ def export(study_or_run: Path, to: Format, out: Path | None) -> None:
     if out is None:
         click.echo(found.text, nl=False)
     else:
-        write_whole(out, found.text.encode())
-        click.echo(f"wrote {out}")
+        write_free(out, found.text.encode(), force)

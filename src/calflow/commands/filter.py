@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.options import FILE, apart, check_free
+from calflow.commands.options import FILE, OVER, apart, check_free
 
 MOST_TOLD = 20  # of one kind that are printed
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @click.argument("study_or_run", type=FILE)
 @click.argument("program", type=FILE)
 @click.option("--out", type=FILE, help="Program to write; NAME.corrected.EXT beside the program by default.")
-@click.option("--force", is_flag=True, help="Write over a program that holds something else.")
+@OVER
 @click.option("--summary", type=FILE, help="CSV to write with what became of each target.")
 @click.option("--payload", help="What is carried, by its name in the robot file.")
 @click.option(
@@ -49,7 +49,7 @@ def filter_targets(
     RAPID, KRL, FANUC LS and URScript are read; every byte but the targets' numbers stays. Give the run's folder, or its study.
     """
     from calflow.deployment.programs.filtering import FilteredTarget
-    from calflow.files.csv import write_csv
+    from calflow.files.csv import csv_text
     from calflow.files.tables import to_frame
     from calflow.files.writing import write_whole
     from calflow.runs.filter import filter_program
@@ -64,13 +64,17 @@ def filter_targets(
         missing="widen" if without_conditions else "refuse",
     )  # fmt: skip
     check_free(target, done.source, force)
+    table = csv_text(to_frame(done.rows, FilteredTarget)).encode()
+    if summary is not None:
+        check_free(summary, table, force, "another name")
     for line in summary_lines(program, done):
         click.echo(line)
     for note in done.notes:
         click.echo(f"note: {note}", err=True)
     write_whole(target, done.source)
     if summary is not None:
-        write_csv(summary, to_frame(done.rows, FilteredTarget))
+        write_whole(summary, table)
+        click.echo(f"wrote {summary}")
     click.echo(f"wrote {target}")
 
 

@@ -6,24 +6,25 @@ from pathlib import Path
 
 import click
 
-from calflow.commands.options import FILE, apart
+from calflow.commands.options import FILE, OVER, apart, write_free
 
 
 @click.command()
 @click.argument("study_or_run", type=FILE)
 @click.argument("rows", metavar="ROWS.csv", type=FILE)
 @click.option("--out", type=FILE, help="CSV to write; printed by default.")
+@OVER
 @click.option(
     "--without-conditions",
     is_flag=True,
     help="Predict rows that lack needed columns too, with a wider standard deviation.",
 )
-def predict(study_or_run: Path, rows: Path, out: Path | None, without_conditions: bool) -> None:
+def predict(study_or_run: Path, rows: Path, out: Path | None, force: bool, without_conditions: bool) -> None:
     """Predict where the calibrated robot's markers will be at the joints and conditions of ROWS.csv.
 
     Give the run's folder, or its study.
     """
-    from calflow.files.csv import csv_text, write_csv
+    from calflow.files.csv import csv_text
     from calflow.runs.predict import predict as predict_rows
 
     apart(out, "--out", rows)
@@ -33,5 +34,4 @@ def predict(study_or_run: Path, rows: Path, out: Path | None, without_conditions
     if out is None:
         click.echo(csv_text(table), nl=False)
     else:
-        write_csv(out, table)
-        click.echo(f"wrote {out}")
+        write_free(out, csv_text(table).encode(), force)

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import click
 
-from calflow.commands.options import FILE, check_free
+from calflow.commands.options import FILE, OVER, check_free
 
 
 @click.command()
 @click.argument("truth", type=FILE)
 @click.option("--out", type=FILE, help="Measurement CSV; measurements.csv beside the truth file by default.")
-@click.option("--force", is_flag=True, help="Write over a file that holds something else.")
+@OVER
 def simulate(truth: Path, out: Path | None, force: bool) -> None:
     """Write the measurements that a truth file describes."""
     from calflow.files.csv import csv_text, write_csv

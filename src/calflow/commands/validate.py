@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.options import FILE, NOT_TOLD, NOT_WELL, STATION
+from calflow.commands.options import FILE, NOT_TOLD, NOT_WELL, STATION, Command
 
 if TYPE_CHECKING:
     from calflow.deployment.validation import Station
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 STATUS = {"not met": NOT_WELL, "cannot be told": NOT_TOLD}
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("study_or_run", type=FILE)
 @click.argument("rows", metavar="NEW.csv", type=FILE)
 @click.option("--tolerance-mm", type=float, help="What a pose may err by: asks for a verdict.")

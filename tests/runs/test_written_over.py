@@ -1,0 +1,65 @@
+"""What commands write: nothing of somebody else's is written over unasked, and what they say is in the words of their options."""
+
+from __future__ import annotations
+
+import pytest
+
+from conftest import in_process
+
+PROGRAM = "&ACCESS RVP\nDEF weld()\nPTP {A1 10, A2 -60, A3 60}\nEND\n"
+WRITTEN = {
+    "compensate": ("measurements.csv", "--out"),
+    "predict": ("rows.csv", "--out"),
+    "export": ("--to", "dh", "--out"),
+    "check-poses": ("measurements.csv", "--out"),
+    "filter": ("weld.src", "--summary"),
+}
+
+
+def asked(folder, command, written):
+    """A call of a command that writes to a file of the folder."""
+    (folder / "weld.src").write_text(PROGRAM, encoding="utf-8")
+    folder.measure(folder.rows.drop(columns=["x_mm", "y_mm", "z_mm"]), "rows.csv")
+    own = (folder / one if one.endswith((".csv", ".src")) else one for one in WRITTEN[command])
+    return (command, folder / "runs", *own, folder / written)
+
+
+@pytest.mark.parametrize("command", WRITTEN)
+def test_a_file_that_holds_something_else_is_left_unless_forced(finished, command):
+    """Fails if a result takes the place of a file that its user has not offered, or of the same result only when forced."""
+    (finished / "mine").write_text("mine", encoding="utf-8")
+    *_, told = finished.refused(*asked(finished, command, "mine"))  # after notes
+    assert told == "mine: is there already and holds something else; give --force to write over it, or another name"
+    assert (finished / "mine").read_text(encoding="utf-8") == "mine"
+    assert finished.calflow(*asked(finished, command, "mine"), "--force").code == 0
+    made = (finished / "mine").read_bytes()
+    assert made != b"mine"
+    assert finished.calflow(*asked(finished, command, "mine")).code == 0
+    assert (finished / "mine").read_bytes() == made
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("check-poses", "--number", 2), "--number: expected 3 to 40"),
+        (("drift", "--false-alarm", 2), "--false-alarm: expected 0.001 to 0.5"),
+        (("validate", "--tolerance-mm", 0), "--tolerance-mm: expected more than 0"),
+        (("validate", "--task", 0), "--task: expected at least one pose"),
+    ],
+)
+def test_an_option_is_called_by_its_name(finished, arguments, told):
+    """Fails if a user is told of a name that no option has."""
+    command, *options = arguments
+    (said,) = finished.refused(command, finished / "runs", finished / "measurements.csv", *options)
+    assert said.startswith(told)
+
+
+def test_an_interrupted_command_that_cannot_resume_does_not_say_so(finished, monkeypatch):
+    """Fails if the user of a command that begins anew is told that it goes on."""
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("calflow.runs.predict.predict", interrupted)
+    answer = in_process("predict", finished / "runs", finished / "measurements.csv")
+    assert (answer.code, answer.err.strip()) == (130, "interrupted: the same command begins anew")
