@@ -30,7 +30,20 @@ try:
 finally:
     print(*sys.modules)
 """
-COMMANDS = ["check", "compensate", "export", "filter", "new", "plan", "predict", "report", "run", "simulate", "status"]
+COMMANDS = [
+    "check",
+    "compensate",
+    "export",
+    "filter",
+    "fleet",
+    "new",
+    "plan",
+    "predict",
+    "report",
+    "run",
+    "simulate",
+    "status",
+]
 HEAVY = ["casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "pint", "pydantic", "scipy"]
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from calflow.files.tables import to_frame
 from calflow.fleet.outcome import Outcome, worst_first
 from calflow.reporting.blocks import Block, Gap, Heading, Paragraph, Part, Plot, RestOfPage, Table
-from calflow.reporting.style import ACCENT, DARK, MIDDLE, WIDTH
+from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, plain_decades
 from calflow.reporting.words import first_up, listed, mm, plural, ratio
 
 MOST_TOLD = 18  # robots on the first page
@@ -33,8 +32,8 @@ def fleet_lines(found: Sequence[Outcome]) -> list[str]:
             np.array([getattr(one, name) for one in judged]) for name in ("before_mean_mm", "after_mean_mm")
         )
         lines.append(
-            f"The middle robot's mean position error falls from {mm(float(np.median(before)))} mm to "
-            f"{mm(float(np.median(after)))} mm; the worst one, {judged[int(after.argmax())].robot}, is left with "
+            f"Half of them have a mean position error of {mm(float(np.median(after)))} mm or less (before: "
+            f"{mm(float(np.median(before)))} mm); the worst one, {judged[int(after.argmax())].robot}, is left with "
             f"{mm(float(after.max()))} mm."
         )
     return lines
@@ -125,13 +124,15 @@ def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
     count = data.groupby("type")["robot"].transform("size")
     place = (data.groupby("type").cumcount() + 0.5) / count - 0.5  # across the band
     height = data["type"].map(types.index) + BAND * place
-    drawn = Figure((WIDTH, 0.8 + 0.36 * len(types)))
+    errors = data[["before_mean_mm", "after_mean_mm"]]
+    drawn = figure(0.8 + min(0.36 * len(types), 3.2))
     axes = drawn.add_subplot()
     axes.plot(data["before_mean_mm"], height, "o", color=MIDDLE, mfc="none", label="before")
     axes.plot(data["after_mean_mm"], height, "^", color=DARK, label="after")
     if (bad := ~data["usable"].fillna(True)).any():
         axes.plot(data["after_mean_mm"][bad], height[bad], "x", color=ACCENT, ms=7, label="not to be used")
     axes.set_xscale("log")
+    plain_decades(axes.xaxis, errors.min(axis=None), errors.max(axis=None))
     axes.set_yticks(range(len(types)), types)
     axes.set_ylim(len(types) - 0.5, -0.5)
     axes.set_xlabel("mean position error of a robot [mm]")

@@ -10,7 +10,9 @@ from unicodedata import east_asian_width
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 WIDTH = 6.7  # inches: the text width of the page, so that letters keep their size
 DARK, ACCENT, MIDDLE, LIGHT = "#1f3f66", "#c8641b", "#7f8790", "#d4d8dd"
@@ -96,3 +98,10 @@ def dots(axes: Axes, x: np.ndarray, y: np.ndarray, held: np.ndarray, size: float
 def crowded(n_rows: int) -> float:
     """Return the marker size for this many rows."""
     return float(np.clip(9 - 1.8 * np.log10(max(n_rows, 10) / 10), 1.5, 9))
+
+
+def plain_decades(axis: Axis, low: float, high: float) -> None:
+    """Mark a logarithmic axis from low to high with plain numbers, more of them where it is short."""
+    axis.set_major_locator(LogLocator(subs=(1.0,) if high / low > 50 else (1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())

@@ -14,10 +14,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from calflow.reporting.material import ModelAccuracy
-from calflow.reporting.style import ACCENT, DARK, LIGHT, MANY, MIDDLE, crowded, dots, figure, panels
+from calflow.reporting.style import ACCENT, DARK, LIGHT, MANY, MIDDLE, crowded, dots, figure, panels, plain_decades
 from calflow.reporting.words import mm, number
 
 FEW_VALUES = 6  # of a variable, up to which its rows are drawn in groups
@@ -86,9 +85,7 @@ def waterfall(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
     _left(axes, len(steps), base, steps[-1].mean, floor)
     axes.set_xscale("log")
     axes.set_xlim(base, largest * (largest / base) ** 0.14)
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if largest / base > 50 else (1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    plain_decades(axes.xaxis, base, largest)
     _rows(axes, [*labels, "left"])
     axes.set_xlabel("mean tool-position error [mm]")
     _legend(drawn, (axes,))

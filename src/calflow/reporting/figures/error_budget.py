@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from calflow.reporting.material import ModelAccuracy
-from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, figure, panels
+from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, figure, panels, plain_decades
 from calflow.reporting.words import mm
 
 NOISE_DRAWS = 200_000
@@ -142,6 +141,4 @@ def _wrapped(step: ModelAccuracy) -> str:
 def _log_mm(axes: Axes, low: float, high: float) -> None:
     axes.set_yscale("log")
     axes.set_ylim(low, high * (high / low) ** 0.16)
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0,) if high / low > 50 else (1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    plain_decades(axes.yaxis, low, high)

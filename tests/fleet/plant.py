@@ -1,0 +1,86 @@
+"""A small plant: three robots of one type, of which the fleet file is told by a pattern; and what its user does there."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from conftest import SMALL, Answer, Folder, in_process
+
+ROBOTS = ("A-1", "B-2", "C-3")
+FLEET = """\
+[fleet]
+name = "plant"
+title = "The small plant"
+
+[types.small]
+study = "type/study.toml"
+data = "data/{robot}/measurements.csv"
+"""
+IDENTIFY = """\
+name = "quick"
+stages = ["identify"]
+
+[settings.identify]
+starts = 1
+"""
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A plant's folder."""
+
+    path: Path
+
+    def __truediv__(self, name: str) -> Path:
+        return self.path / name
+
+    @property
+    def file(self) -> Path:
+        """The fleet file."""
+        return self / "plant.toml"
+
+    @property
+    def out(self) -> Path:
+        """The fleet's folder."""
+        return self / "out"
+
+    def fleet(self, command: str, *arguments: object) -> Answer:
+        """Run a command on the fleet file, into its folder unless told otherwise."""
+        out = () if "--out" in arguments else ("--out", self.out)
+        return in_process("fleet", command, self.file, *out, *arguments)
+
+    def measurements(self, robot: str) -> Path:
+        """A robot's measurements."""
+        return self / "data" / robot / "measurements.csv"
+
+
+def built(path: Path, measured: Path) -> Plant:
+    """Build the plant in a folder; its robots have the same measurements but for some noise."""
+    plant = Plant(path)
+    (plant / "type").mkdir(parents=True)
+    plant.file.write_text(FLEET, encoding="utf-8")
+    for name in ("robot.toml", "study.toml"):
+        (plant / "type" / name).write_text(SMALL[name].replace("\n[stages.select]\nposes = 8\n", ""), encoding="utf-8")
+    (plant / "type" / "quick.toml").write_text(IDENTIFY, encoding="utf-8")
+    for k, robot in enumerate(ROBOTS):
+        plant.measurements(robot).parent.mkdir(parents=True)
+        shutil.copy(measured, plant.measurements(robot))
+        rows = Folder(plant.measurements(robot).parent)
+        table = rows.rows
+        table["x_mm"] = [f"{float(x) + 0.01 * ((j * (k + 2)) % 3 - 1):.4f}" for j, x in enumerate(table["x_mm"])]
+        rows.measure(table)
+    return plant
+
+
+def broken(plant: Plant, robot: str) -> None:
+    """Misspell a column of a robot's measurements."""
+    path = plant.measurements(robot)
+    path.write_text(path.read_text(encoding="utf-8").replace("y_mm", "y_mmm", 1), encoding="utf-8")
+
+
+def mended(plant: Plant, robot: str) -> None:
+    """Spell the column right."""
+    path = plant.measurements(robot)
+    path.write_text(path.read_text(encoding="utf-8").replace("y_mmm", "y_mm", 1), encoding="utf-8")
