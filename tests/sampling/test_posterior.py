@@ -30,9 +30,7 @@ def test_moves_recover_a_known_covariance(independent, steps):
 
     # walkers start from the target itself, so nothing has to be thrown away
     start = rng.standard_normal((4 * n, n)) @ root.T
-    sampler = emcee.EnsembleSampler(
-        4 * n, n, log_probability, vectorize=True, moves=moves(np.zeros(n, dtype=bool), independent)
-    )
+    sampler = emcee.EnsembleSampler(4 * n, n, log_probability, vectorize=True, moves=moves(independent))
     sampler.run_mcmc(emcee.State(start, random_state=np.random.RandomState(1).get_state()), steps)
     whitened = sampler.get_chain(flat=True) @ inverse.T
     covariance = np.cov(whitened.T)
@@ -65,8 +63,9 @@ def test_log_probability_is_the_models(posterior):
     inside = ((x[:, :-1] >= model.bounds[:, 0]) & (x[:, :-1] <= model.bounds[:, 1])).all(axis=1)
     expected = np.where(inside, expected, -np.inf)
     assert inside.any()
-    np.testing.assert_allclose(posterior.log_probability(u), expected, rtol=1e-9)
-    prior, likelihood = posterior.log_densities(u)
+    slope = posterior.coordinates.mapped(u)[1]
+    np.testing.assert_allclose(posterior.log_probability(u) - slope, expected, rtol=1e-9)
+    _, prior, likelihood = posterior.log_densities(u)
     levels = x[inside, -1]
     priors = -0.5 * (((x[inside, :-1] - model.nominal) / model.prior_sd) ** 2).sum(axis=1) - 0.5 * levels**2
     np.testing.assert_allclose(prior[inside], priors, rtol=1e-9)
@@ -101,10 +100,31 @@ def test_interrupted_and_resumed_is_the_same_chain(posterior, start, tmp_path):
     np.testing.assert_array_equal(joined_kept(whole, 0, 30), joined_kept(parts, 0, 30))
 
 
+def test_a_block_that_was_not_finished_leaves_the_chain_as_it_was(posterior, start, tmp_path, monkeypatch):
+    """Fails if a block is written into the chain's own file: killed between two of HDF5's writes, no step of it could be read."""
+    path, said = tmp_path / "chain.h5", []
+    extended(posterior, start, path, [10])
+    before = path.read_bytes()
+
+    def stopped(source, target):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("calflow.sampling.backend.os.replace", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            extended(posterior, start, path, [20])
+    assert path.read_bytes() == before
+    parts = extended(posterior, start, path, [20], said.append)
+    assert said == ["resuming after 10 steps"]
+    assert [file.name for file in tmp_path.iterdir()] == ["chain.h5"]
+    whole = extended(posterior, start, tmp_path / "whole.h5", [30])
+    np.testing.assert_array_equal(joined(whole, 0, 30), joined(parts, 0, 30))
+
+
 def test_prior_and_likelihood_are_kept_of_the_draw_they_belong_to(posterior, start, tmp_path):
     """Fails if a rejected proposal's densities stand beside the draw that was kept, or the two are swapped."""
     (backend,) = extended(posterior, start, tmp_path / "chain.h5", [20])
-    prior, likelihood = posterior.log_densities(backend.get_chain(flat=True))
+    _, prior, likelihood = posterior.log_densities(backend.get_chain(flat=True))
     kept = backend.get_blobs(flat=True)
     np.testing.assert_allclose(kept["log_prior"], prior, rtol=1e-9)
     np.testing.assert_allclose(kept["log_likelihood"], likelihood, rtol=1e-9)

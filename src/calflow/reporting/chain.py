@@ -16,7 +16,7 @@ SHOWN_STEPS = 600
 
 @dataclass(frozen=True)
 class Chain:
-    """Walkers in scaled coordinates, shape (n_ensembles, n_shown, n_walkers, n_dimensions), at these steps."""
+    """Walkers in round coordinates, shape (n_ensembles, n_shown, n_walkers, n_dimensions), at these steps."""
 
     posterior: Posterior
     walkers: np.ndarray
@@ -39,7 +39,7 @@ class Chain:
 
     def values(self, which: np.ndarray) -> np.ndarray:
         """Return these parameters [SI], the last one being the noise factor, shape (…, n_walkers, n_which)."""
-        values = self.posterior.centre[which] + self.walkers @ self.posterior.factor[which].T
+        values = self.posterior.parameters(self.walkers)[..., which]
         return np.where(which == self.posterior.n_dimensions - 1, np.exp(values), values)
 
     def draws(self, which: np.ndarray, number: int) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 PADDED = 2  # times its content that a chunked table takes at most, nearly
 OVERHEAD = 1 << 16  # bytes of a block that are not its steps
 KEPT = np.dtype([("log_prior", np.float64), ("log_likelihood", np.float64)])  # of each draw: emcee's blobs
+COORDINATES = "cut normals"  # in which walkers are kept; a chain in others is not gone on from
 STEPS, SEAL = "steps_sha256", "seal_sha256"  # attributes of an ensemble's group
 
 
@@ -35,7 +37,25 @@ class BlockBackend(emcee.backends.HDFBackend):
             group.attrs["has_blobs"] = True
 
     def append(self, block: emcee.backends.Backend, random_state: tuple[Any, ...]) -> None:
-        """Append an in-memory backend's steps and the random state that follows them."""
+        """Append an in-memory backend's steps and the random state that follows them.
+
+        It is done in a copy of the file that then takes its place: HDF5 writes its tables and what it knows of them piece by piece,
+        and a file in which it was stopped between two of them cannot be opened.
+
+        Raises:
+            OSError: there is no room on the disk.
+        """
+        path = Path(self.filename)
+        part = _beside(path)
+        try:
+            shutil.copyfile(path, part)
+            BlockBackend(str(part), name=self.name)._append(block, random_state)
+            os.replace(part, path)
+        except OSError:
+            part.unlink(missing_ok=True)
+            raise
+
+    def _append(self, block: emcee.backends.Backend, random_state: tuple[Any, ...]) -> None:
         chain, log_probability, kept = block.get_chain(), block.get_log_prob(), block.get_blobs()
         done, accepted = self.iteration, self.accepted + block.accepted
         steps = _hashed(self._steps if done else "", chain, log_probability, kept)
@@ -91,6 +111,7 @@ def open_ensembles(
     A file that cannot be read, that lacks what is kept of each draw, or that was sampled otherwise (independent is the share
     of independent moves), starts anew.
     """
+    _beside(path).unlink(missing_ok=True)  # of a program that was killed while it wrote
     backends = [BlockBackend(str(path), name=f"ensemble{i + 1}") for i in range(number)]
     try:
         if path.exists() and _sampled_alike(path, backends, shape, independent):
@@ -108,14 +129,20 @@ def open_ensembles(
     for backend in backends:
         backend.reset(*shape)
     with h5py.File(path, "a") as file:
-        file.attrs["independent"] = independent
+        file.attrs["independent"], file.attrs["coordinates"] = independent, COORDINATES
     return backends
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(path.name + ".part")
 
 
 def _sampled_alike(path: Path, backends: list[BlockBackend], shape: tuple[int, int], independent: float) -> bool:
     with h5py.File(path) as file:
         if file.attrs["independent"] != independent or len(file) != len(backends):
             return False
+        if file.attrs.get("coordinates") != COORDINATES:
+            raise ValueError("its walkers are in the coordinates of an earlier version")
     return all(backend.initialized and backend.shape == shape for backend in backends)
 
 

@@ -9,13 +9,14 @@ from functools import cached_property
 import casadi as ca
 import emcee
 import numpy as np
-from scipy.special import gammaln
 
 from calflow.compiled import compiled
 from calflow.estimation.calibrated import Identified
+from calflow.estimation.fit import expansion
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.repeats import averaged
 from calflow.measurements.measurements import Measurements
+from calflow.sampling.coordinates import Coordinates
 
 LOG_NOISE_SD = 1.0  # prior on the log of the noise level: a factor e either way
 VARIANCE_PASSES = 3  # the noise level and the number of parameters it leaves undetermined depend on each other, weakly
@@ -25,67 +26,59 @@ EXPECTED_EVALUATIONS = 10_000  # of each row: sampling always pays for compiling
 
 @dataclass(frozen=True)
 class Laplace:
-    """A normal approximation about the estimate: covariance (n, n) of the parameters off their bounds.
+    """A normal approximation of the posterior without its bounds, from an expansion about the estimate within them.
 
-    variance is the noise's, relative to the problem's weights. A parameter at a bound stands in the covariance by
-    itself, with the variance that it would have if all others were known.
+    mean (n,) and covariance (n, n) are that normal's, its mean beyond a bound where one is active; sd (n,) are the fit's
+    standard deviations, for which parameters at a bound are held there, and 0 for these. variance is the noise's, relative to the
+    problem's weights.
     """
 
     estimate: np.ndarray
+    mean: np.ndarray
     covariance: np.ndarray
-    at_bound: np.ndarray
+    sd: np.ndarray
     variance: float
 
     @staticmethod
     def of(problem: LeastSquares, estimate: np.ndarray, at_bound: np.ndarray) -> Laplace:
-        """Approximate the posterior of a problem at its estimate; the noise level is what the fit leaves."""
-        residual, r_factor = problem.reduced(estimate)
-        scaled = r_factor * problem.model.prior_sd
-        free = ~at_bound
+        """Approximate the posterior of a problem about its estimate; the noise level is what the fit leaves."""
+        prior_sd = problem.model.prior_sd
+        there = expansion(problem, estimate / prior_sd, "linear")
+        pull = (estimate - problem.model.nominal) / prior_sd
+        told, free = there.hessian - np.eye(len(estimate)), ~at_bound
         variance = 1.0
         for _ in range(VARIANCE_PASSES):
-            information = scaled.T @ scaled / variance + np.eye(len(estimate))
+            information = told / variance + np.eye(len(estimate))
             inverse = np.linalg.inv(information[np.ix_(free, free)])
             determined = len(inverse) - np.trace(inverse)
-            variance = float((residual**2).sum() / max(1.0, residual.size - determined))
-        covariance = np.diag(np.where(free, 0.0, 1 / np.diag(information)))
-        covariance[np.ix_(free, free)] = inverse
-        return Laplace(
-            estimate, covariance * np.outer(problem.model.prior_sd, problem.model.prior_sd), at_bound, variance
-        )
+            variance = float((there.residual**2).sum() / max(1.0, there.residual.size - determined))
+        sd = np.zeros(len(estimate))
+        sd[free] = np.sqrt(np.diag(inverse)) * prior_sd[free]
+        covariance = np.linalg.inv(information) * np.outer(prior_sd, prior_sd)
+        gradient = ((there.gradient - pull) / variance + pull) / prior_sd
+        return Laplace(estimate, estimate - covariance @ gradient, covariance, sd, variance)
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """Log posterior of the parameters and the log of the noise level, as a function of scaled coordinates.
+    """Log posterior of the parameters and the log of the noise level, as a function of coordinates that make it round.
 
-    x = centre + factor @ u, factor being the Cholesky factor of Laplace's covariance; u and x have n_parameters + 1
-    entries, the last for the log of the noise relative to the problem's weights. folded marks the coordinates that
-    begin at a bound: they are positive.
+    Parameters and coordinates have n_parameters + 1 entries, the last for the log of the noise relative to the problem's weights.
     """
 
     problem: LeastSquares
-    centre: np.ndarray
-    factor: np.ndarray
-    folded: np.ndarray
+    coordinates: Coordinates
 
     @staticmethod
     def about(problem: LeastSquares, laplace: Laplace) -> Posterior:
-        """Scale by Laplace's approximation; a coordinate of a parameter at a bound counts from there inwards."""
-        centre = np.append(laplace.estimate, 0.5 * np.log(laplace.variance))
+        """Take the coordinates in which Laplace's normal, cut at the bounds, is a standard normal."""
         n = len(laplace.estimate)
-        factor = np.zeros((n + 1, n + 1))
-        free = ~laplace.at_bound
-        sd = np.sqrt(np.diag(laplace.covariance))
-        scaled = laplace.covariance[np.ix_(free, free)] / np.outer(sd[free], sd[free])
-        factor[np.ix_(np.append(free, False), np.append(free, False))] = np.linalg.cholesky(scaled) * sd[free][:, None]
-        lower, upper = problem.model.bounds.T
-        at_lower = laplace.estimate - lower < upper - laplace.estimate
-        for i in np.flatnonzero(laplace.at_bound):
-            centre[i] = lower[i] if at_lower[i] else upper[i]
-            factor[i, i] = sd[i] if at_lower[i] else -sd[i]
-        factor[-1, -1] = 1 / np.sqrt(2 * problem.size)
-        return Posterior(problem, centre, factor, np.append(laplace.at_bound, False))
+        middle = 0.5 * np.log(laplace.variance)
+        covariance = np.zeros((n + 1, n + 1))
+        covariance[:n, :n], covariance[n, n] = laplace.covariance, 1 / (2 * problem.size)
+        bounds = np.vstack([problem.model.bounds, (-np.inf, np.inf)])
+        estimate, mean = np.append(laplace.estimate, middle), np.append(laplace.mean, middle)
+        return Posterior(problem, Coordinates.about(estimate, mean, covariance, bounds))
 
     @cached_property
     def squares(self) -> Callable[[np.ndarray], np.ndarray]:
@@ -95,18 +88,17 @@ class Posterior:
     @property
     def n_dimensions(self) -> int:
         """Number of coordinates."""
-        return len(self.centre)
+        return len(self.coordinates.mean)
 
     def parameters(self, u: np.ndarray) -> np.ndarray:
         """Return the parameters and the log noise level for coordinates (..., n_dimensions)."""
-        return self.centre + u @ self.factor.T
+        return self.coordinates.mapped(u)[0]
 
-    def log_densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return log prior and log likelihood, each (n_walkers,) and up to a constant, of coordinates (n_walkers, n_dimensions).
+    def densities_at(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return log prior and log likelihood, each (n_walkers,) and up to a constant, of parameters (n_walkers, n_dimensions).
 
         Outside the bounds the prior's is -inf, and the likelihood, which is not evaluated there, 0.
         """
-        x = self.parameters(u)
         model = self.problem.model
         values, log_noise = x[:, :-1], x[:, -1]
         lower, upper = model.bounds.T
@@ -119,58 +111,53 @@ class Posterior:
             likelihood[inside] = -0.5 * self.squares(values.T) * np.exp(-2 * log_noise) - self.problem.size * log_noise
         return prior, likelihood
 
+    def log_densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the log posterior of coordinates (n_walkers, n_dimensions), and log prior and log likelihood of their parameters.
+
+        Each (n_walkers,) and up to a constant. The first has besides the other two what the map stretches there.
+        """
+        x, log_slope = self.coordinates.mapped(u)
+        prior, likelihood = self.densities_at(x)
+        return prior + likelihood + log_slope, prior, likelihood
+
     def log_probability(self, u: np.ndarray) -> np.ndarray:
         """Return the log posterior, up to a constant, of coordinates (n_walkers, n_dimensions); -inf outside bounds."""
-        prior, likelihood = self.log_densities(u)
-        return prior + likelihood
+        return self.log_densities(u)[0]
 
     def start(self, n_walkers: int, rng: np.random.Generator) -> np.ndarray:
-        """Return walkers (n_walkers, n_dimensions) drawn from Laplace's normal, redrawn until all are inside the bounds."""
-        walkers = _fold(rng.standard_normal((n_walkers, self.n_dimensions)), self.folded)
+        """Return walkers (n_walkers, n_dimensions) drawn from the coordinates' normal, redrawn until all are inside the bounds."""
+        walkers = rng.standard_normal((n_walkers, self.n_dimensions))
         for _ in range(200):
             outside = ~np.isfinite(self.log_probability(walkers))
             if not outside.any():
                 return walkers
-            walkers[outside] = _fold(rng.standard_normal((int(outside.sum()), self.n_dimensions)), self.folded)
+            walkers[outside] = rng.standard_normal((int(outside.sum()), self.n_dimensions))
         raise RuntimeError("no start inside the bounds: Laplace's approximation lies outside them almost everywhere")
 
 
-def moves(folded: np.ndarray, independent: float) -> list[tuple[emcee.moves.Move, float]]:
-    """Return the mixture of moves: an independent Student t in Laplace's coordinates, and differential evolution.
+def moves(independent: float) -> list[tuple[emcee.moves.Move, float]]:
+    """Return the mixture of moves: an independent Student t in round coordinates, and differential evolution.
 
-    folded (n_dimensions,) marks positive coordinates, independent is the share of the first move. `DESnookerMove` is left
+    independent is the share of the first move. `DESnookerMove` is left
     out on purpose: in emcee 3.1.6 its acceptance lacks a factor and it samples too narrow a posterior.
     """
     mixture = [
-        (emcee.moves.MHMove(student_proposal(folded)), independent),
+        (emcee.moves.MHMove(propose_student), independent),
         (emcee.moves.DEMove(), 1 - independent),
     ]
     return [(move, weight) for move, weight in mixture if weight > 0]
 
 
-def student_proposal(folded: np.ndarray) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
-    """Return emcee's proposal function for an independent multivariate Student t with unit scale.
-
-    Folding a coordinate doubles the density everywhere, which leaves its ratio as it is.
-    """
-    n_dimensions = len(folded)
-
-    def log_density(u: np.ndarray) -> np.ndarray:
-        constant = (
-            gammaln((DEGREES + n_dimensions) / 2) - gammaln(DEGREES / 2) - 0.5 * n_dimensions * np.log(DEGREES * np.pi)
-        )
-        return constant - 0.5 * (DEGREES + n_dimensions) * np.log1p((u**2).sum(axis=1) / DEGREES)
-
-    def propose(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
-        mixing = rng.chisquare(DEGREES, size=(len(u), 1)) / DEGREES
-        proposed = _fold(rng.standard_normal(u.shape) / np.sqrt(mixing), folded)
-        return proposed, log_density(u) - log_density(proposed)
-
-    return propose
+def propose_student(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+    """Propose, as emcee asks for it, draws (n_walkers, n_dimensions) of a multivariate Student t with unit scale."""
+    mixing = rng.chisquare(DEGREES, size=(len(u), 1)) / DEGREES
+    proposed = rng.standard_normal(u.shape) / np.sqrt(mixing)
+    return proposed, _log_student(u) - _log_student(proposed)
 
 
-def _fold(u: np.ndarray, folded: np.ndarray) -> np.ndarray:
-    return np.where(folded, np.abs(u), u)
+def _log_student(u: np.ndarray) -> np.ndarray:
+    """Logarithm of that density, up to a constant, (n_walkers,)."""
+    return np.asarray(-0.5 * (DEGREES + u.shape[1]) * np.log1p((u**2).sum(axis=1) / DEGREES))
 
 
 def _sum_of_squares(problem: LeastSquares) -> Callable[[np.ndarray], np.ndarray]:

@@ -133,7 +133,7 @@ def predictive_table(sampled: Sampled, rng: np.random.Generator) -> pd.DataFrame
 def chain_summary(sampled: Sampled, table: pd.DataFrame) -> ChainSummary:
     """Say how long the chain is, and whether that is enough; table is its posterior's."""
     values, known, laplace = sampled.values, sampled.known, sampled.laplace
-    ratio = (table["sd"].to_numpy()[:-1] / np.sqrt(np.diag(laplace.covariance)))[~known.at_bound]
+    ratio = (table["sd"].to_numpy()[:-1][~known.at_bound]) / laplace.sd[~known.at_bound]
     cut = []
     for i, parameter in enumerate(known.model.parameters):
         sample = values[..., i].ravel()

@@ -123,7 +123,7 @@ def too_few_walkers(walkers: int | None, n_dimensions: int) -> str:
 
 def _acceptance(posterior: Posterior, walkers: np.ndarray, rng: np.random.Generator) -> float:
     """Mean acceptance of one independent proposal from each start."""
-    move = moves(posterior.folded, 1.0)[0][0]
+    move = moves(1.0)[0][0]
     proposed, log_ratio = move.get_proposal(walkers, np.random.RandomState(rng.integers(2**31)))
     gain = posterior.log_probability(proposed) - posterior.log_probability(walkers) + log_ratio
     return float(np.exp(np.minimum(gain, 0)).mean())
@@ -154,8 +154,7 @@ def _extend(
     backend: BlockBackend, posterior: Posterior, start: np.ndarray, seed: int, independent: float, steps: int
 ) -> None:
     def densities(u: np.ndarray) -> list[tuple[float, float, float]]:
-        prior, likelihood = posterior.log_densities(u)
-        return list(zip(prior + likelihood, prior, likelihood, strict=True))
+        return list(zip(*posterior.log_densities(u), strict=True))
 
     block = emcee.backends.Backend()
     sampler = emcee.EnsembleSampler(
@@ -164,7 +163,7 @@ def _extend(
         vectorize=True,
         backend=block,
         blobs_dtype=KEPT,
-        moves=moves(posterior.folded, independent),
+        moves=moves(independent),
     )
     if backend.iteration:
         state = backend.get_last_sample()
