@@ -17,7 +17,7 @@ FLOORS = (  # an import points to a floor further up this list, or stays within 
     ("observations", "effects"),
     ("model",),
     ("estimation",),
-    ("faults", "diagnosis", "sampling"),
+    ("faults", "diagnosis", "sampling", "population"),
     ("design",),
     ("deployment",),
     ("study", "templates"),

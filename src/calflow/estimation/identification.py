@@ -170,14 +170,16 @@ def identify(
 
 
 def too_few_equations(model: Model, train: Measurements) -> str:
-    """Say that training rows are too few for a model; empty where they are enough."""
+    """Say that training rows are too few for a model; empty where they are enough, since what is expected needs none."""
+    expected = {one.identity for one in model.robot.expected}
+    unknown = sum(one.identity not in expected for one in model.parameters)
     first = np.unique(conditions(train), return_index=True)[1]
     equations = sum(len(model.observations[k].units) for k in train.series_number[first])
-    if equations >= len(model.parameters):
+    if equations >= unknown:
         return ""
     poses = train.table["pose"].nunique()
-    wanted = -(-len(model.parameters) * poses // equations)
-    return (f"{equations} equations ({poses} training poses) for {len(model.parameters)} parameters: measure at least "
+    wanted = -(-unknown * poses // equations)
+    return (f"{equations} equations ({poses} training poses) for {unknown} parameters: measure at least "
             f"{wanted} training poses, better twice as many")  # fmt: skip
 
 

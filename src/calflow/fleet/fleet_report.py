@@ -132,7 +132,7 @@ def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
     if (bad := ~data["usable"].fillna(True)).any():
         axes.plot(data["after_mean_mm"][bad], height[bad], "x", color=ACCENT, ms=7, label="not to be used")
     axes.set_xscale("log")
-    plain_decades(axes.xaxis, errors.min(axis=None), errors.max(axis=None))
+    plain_decades(axes.xaxis, float(errors.to_numpy().min()), float(errors.to_numpy().max()))
     axes.set_yticks(range(len(types)), types)
     axes.set_ylim(len(types) - 0.5, -0.5)
     axes.set_xlabel("mean position error of a robot [mm]")

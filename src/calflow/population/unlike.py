@@ -1,0 +1,141 @@
+"""Robots unlike their type: which parameter of which robot lies where its type's do not.
+
+Each robot is held against the type as the others tell it. A parameter's score test asks whether a shift of it alone explains
+the robot better than the type's spread does; the spread is known from as many robots as there are, so its statistic is
+Student's. The most telling parameter of all is taken to be unlike, no longer tells of its type, and all is asked again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from calflow.population.told import Told
+from calflow.population.type_prior import FEWEST, NARROWEST, TypePrior, pooled, type_prior, variances
+from calflow.robot.parameter import Parameter
+
+FALSE_ALARM = 0.05  # chance that any robot of a type is named where none is unlike it
+MOST = 0.2  # share of the robots' parameters that may be unlike, beyond which there is no type
+UNSEEN = 1e-9  # information, in units of the prior's, below which a robot tells nothing of a parameter
+CLOSELY = 8  # robots of which the others' spread is estimated anew
+ALIKE = 6.0  # fall of chi² within which another parameter explains a robot about as well
+
+
+@dataclass(frozen=True)
+class Unlike:
+    """A robot's parameter that is unlike its type's: its shift from the mean with standard deviation, in units of the prior's.
+
+    p is the chance that any parameter of any robot of a type looks like this; instead has parameters whose shift would explain
+    the robot about as well.
+    """
+
+    robot: str
+    parameter: Parameter
+    shift: float
+    sd: float
+    spreads: float
+    p: float
+    instead: tuple[Parameter, ...]
+
+
+def unlike(
+    parameters: Sequence[Parameter], told: Sequence[Told], false_alarm: float = FALSE_ALARM
+) -> tuple[TypePrior, list[Unlike]]:
+    """Return the type's prior as the robots tell it that are like it, and what is unlike it, the surest first.
+
+    Raises:
+        ValueError: there are fewer than FEWEST robots.
+    """
+    if len(told) < FEWEST:
+        raise ValueError(f"expected at least {FEWEST} robots, found {len(told)}")
+    found: list[Unlike] = []
+    own = np.zeros((len(told), len(parameters)), dtype=bool)
+    while True:
+        prior = type_prior(parameters, told, own)
+        first = _most_telling(prior, false_alarm)
+        if first is None or own.any(axis=1).sum() > MOST * len(told):
+            return prior, found
+        robot, k, one = first
+        own[robot, k] = True
+        found.append(one)
+
+
+def _most_telling(prior: TypePrior, false_alarm: float) -> tuple[int, int, Unlike] | None:
+    """Return the robot and parameter whose shift explains most, where chance seldom does; None where there is none."""
+    tests = max(1, int((prior.determined > 0).sum())) * len(prior.told)
+    first = np.argsort([shifts.chance.min() for shifts in _roughly(prior)])[:CLOSELY]
+    exact = {int(robot): _shifts(prior, robot, _others(prior, robot)) for robot in first}
+    robot = min(exact, key=lambda one: exact[one].chance.min())
+    shifts = exact[robot]
+    k = int(np.argmin(shifts.chance))
+    p = min(1.0, float(shifts.chance[k]) * tests)
+    if p > false_alarm:
+        return None
+    explained = (shifts.shift / shifts.sd) ** 2
+    near = np.flatnonzero((explained > explained[k] - ALIKE) & ~prior.own[robot])
+    one = Unlike(
+        prior.told[robot].robot, prior.parameters[k], float(shifts.shift[k]), float(shifts.sd[k]),
+        float(shifts.shift[k] / shifts.spread[k]), p, tuple(prior.parameters[j] for j in near if j != k),
+    )  # fmt: skip
+    return robot, k, one
+
+
+@dataclass(frozen=True, eq=False)
+class _Shifts:
+    """Of each parameter of a robot (n,): its shift from the type of the others, its sd, their spread, the chance of so much."""
+
+    shift: np.ndarray
+    sd: np.ndarray
+    spread: np.ndarray
+    chance: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Others:
+    """The type as the other robots tell it: its mean (n,) with covariance (n, n), and their spread (n,)."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    spread: np.ndarray
+
+
+def _roughly(prior: TypePrior) -> Iterator[_Shifts]:
+    """Yield each robot's shifts, the others' spread being known as far as the robot's own squares tell."""
+    weight, pull = pooled(prior.told, variances(prior.spread, prior.own))
+    whole, total = weight.sum(axis=0) + np.eye(len(prior.mean)), pull.sum(axis=0)
+    for robot in range(len(prior.told)):
+        covariance = np.linalg.inv(whole - weight[robot])
+        others = _Others(covariance @ (total - pull[robot]), covariance, _spread_without(prior, robot))
+        yield _shifts(prior, robot, others)
+
+
+def _others(prior: TypePrior, robot: int) -> _Others:
+    """The type as the others tell it, all estimated anew."""
+    told = [one for k, one in enumerate(prior.told) if k != robot]
+    own = np.delete(prior.own, robot, axis=0)
+    found = type_prior(prior.parameters, told, own, _spread_without(prior, robot))
+    return _Others(found.mean, found.covariance, found.spread)
+
+
+def _spread_without(prior: TypePrior, robot: int) -> np.ndarray:
+    left = np.delete(np.where(prior.own, 0.0, prior.squares), robot, axis=0).sum(axis=0)
+    counted = np.maximum(1, (~np.delete(prior.own, robot, axis=0)).sum(axis=0))
+    return np.asarray(np.maximum(np.sqrt(left / counted), NARROWEST))
+
+
+def _shifts(prior: TypePrior, robot: int, others: _Others) -> _Shifts:
+    """Hold a robot against the others by each parameter's score test."""
+    variance = variances(others.spread, prior.own[robot : robot + 1])
+    (information,), (pull,) = pooled(prior.told[robot : robot + 1], variance)
+    score = pull - information @ others.mean
+    scatter = np.diag(information + information @ others.covariance @ information)
+    slope = np.diag(information)
+    seen = (slope > UNSEEN) & ~prior.own[robot]
+    shift, sd, chance = np.zeros(len(slope)), np.ones(len(slope)), np.ones(len(slope))
+    shift[seen], sd[seen] = score[seen] / slope[seen], np.sqrt(scatter[seen]) / slope[seen]
+    freedom = np.maximum(1, (~prior.own).sum(axis=0) - 2)
+    chance[seen] = 2 * student.sf(np.abs(shift) / sd, freedom)[seen]
+    return _Shifts(shift, sd, others.spread, chance)
