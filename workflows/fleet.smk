@@ -49,4 +49,4 @@ for number, job in enumerate(JOBS):
             robots=job.names,
         retries: 1
         shell:
-            "{PYTHON:q} -m calflow.fleet.work {FLEET.path:q} {FOLDER.path:q} {params.robots:q}"
+            "{PYTHON:q} -m calflow fleet work {FLEET.path:q} --out {FOLDER.path:q} {params.robots:q}"

@@ -38,7 +38,7 @@ def test_a_robot_that_fails_is_named_with_its_reason_and_harms_no_other(ran):
     assert answer.code == 3
     assert "2 of 3 robots calibrated; 1 failed (B-2)." in answer.out
     assert (
-        f"! B-2 (small): failed: {plant.measurements('B-2')}:1: unknown column 'y_mmm', did you mean 'y_mm'?"
+        f"! B-2 (small): Failed: {plant.measurements('B-2')}:1: unknown column 'y_mmm', did you mean 'y_mm'?"
         in answer.out
     )
     found = rows(plant.out)
@@ -68,7 +68,7 @@ def test_plan_and_status_say_how_far_it_is(ran, plant):
     assert [line.split()[2] for line in told] == ["reuse", "run", "reuse"]
     answer = done.fleet("status")
     assert (answer.code, answer.out.splitlines()[0]) == (0, "2 of 3 robots calibrated; 1 failed (B-2).")
-    assert "B-2 (small): failed: " in answer.out
+    assert "B-2 (small): Failed: " in answer.out
     assert all("was never run" in line for line in plant.fleet("plan").out.splitlines())
     assert plant.fleet("status").out.splitlines()[0] == "0 of 3 robots calibrated; 3 not run (A-1, B-2 and C-3)."
 

@@ -52,7 +52,7 @@ def run(
     Ends with 0 where every robot is calibrated, with 3 where some are not.
     """
     from calflow.fleet.engine import Asked, check_engine, command, running
-    from calflow.fleet.fleet_report import fleet_lines
+    from calflow.fleet.fleet_lines import fleet_lines, why
     from calflow.fleet.jobs import size_for
     from calflow.fleet.standing import arriving, forget_failures, outcomes
     from calflow.fleet.summary import write_summary
@@ -68,7 +68,7 @@ def run(
         called = command(loaded, folder, Asked(cores, batch or size_for(len(loaded.robots), cores), profile, options))
         with running(called, log) as process:
             for one in arriving(loaded, folder, lambda: process.poll() is not None):
-                click.echo(f"{one.robot}: {one.verdict or f'failed: {one.reason}'}")
+                click.echo(f"{one.robot}: {one.verdict or why(one)}")
         found = outcomes(loaded, folder)
         if process.returncode:
             click.echo(f"Snakemake ended with {process.returncode}: what it said is in {log}", err=True)
@@ -85,7 +85,7 @@ def run(
 @OUT
 def status(fleet_file: Path, out: Path | None) -> None:
     """Show how far a fleet has come, and what failed."""
-    from calflow.fleet.fleet_report import fleet_lines
+    from calflow.fleet.fleet_lines import fleet_lines
     from calflow.fleet.standing import outcomes
 
     found = outcomes(*_opened(fleet_file, out))
@@ -107,6 +107,17 @@ def report(fleet_file: Path, out: Path | None) -> None:
     click.echo(f"report: {folder.path / 'report.pdf'}")
 
 
+@fleet.command(hidden=True)
+@click.argument("fleet_file", metavar="FLEET.toml", type=FILE)
+@click.argument("robots", metavar="ROBOT…", nargs=-1, required=True)
+@OUT
+def work(fleet_file: Path, robots: tuple[str, ...], out: Path | None) -> None:
+    """Calibrate some robots of a fleet: a job of the workflow."""
+    from calflow.fleet.work import work as work_on
+
+    work_on(*_opened(fleet_file, out), robots)
+
+
 def _opened(fleet_file: Path, out: Path | None) -> tuple[Fleet, FleetFolder]:
     from calflow.fleet.fleet import load_fleet
     from calflow.fleet.standing import fleet_folder
@@ -116,7 +127,8 @@ def _opened(fleet_file: Path, out: Path | None) -> tuple[Fleet, FleetFolder]:
 
 
 def _tell_failed(found: list[Outcome]) -> None:
+    from calflow.fleet.fleet_lines import why
+
     for one in found:
         if one.status != "calibrated":
-            where = f" in {one.failed_stage}" if one.failed_stage else ""
-            click.echo(f"! {one.robot} ({one.type}): {one.status}{where}: {one.reason}")
+            click.echo(f"! {one.robot} ({one.type}): {why(one)}")

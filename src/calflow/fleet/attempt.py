@@ -12,18 +12,13 @@ from pathlib import Path
 from calflow.files.problems import InputError
 from calflow.fleet.fleet import FleetRobot
 from calflow.fleet.fleet_folder import FleetFolder
+from calflow.fleet.judged import judged
 from calflow.fleet.outcome import Outcome
 from calflow.fleet.robot_study import write_study
 from calflow.runs.lock import wait_until_free
 from calflow.runs.run import run
 from calflow.stages.stage import Stage
 from calflow.study import load_study
-
-LOADED_ONCE = [
-    "calflow.fleet.attempt",
-    "calflow.reporting.written",
-    "typst",
-]  # by the process of which each attempt is a copy
 
 
 class Log:
@@ -67,8 +62,7 @@ def attempt(robot: FleetRobot, folder: FleetFolder) -> Outcome:
         write_study(robot, folder.study(name))
     except (InputError, OSError) as error:
         return _failed(name, type_, "", error)
-    apart = get_context("forkserver")
-    apart.set_forkserver_preload(LOADED_ONCE)
+    apart = get_context("fork")  # a copy has all libraries loaded: that takes longer than many a robot
     receiving, sending = apart.Pipe(duplex=False)
     process = apart.Process(target=_told, args=(name, type_, folder, sending))
     process.start()
@@ -87,11 +81,10 @@ def _told(robot: str, type_: str, folder: FleetFolder, sending: Connection) -> N
     log = Log(folder.log(robot))
     try:
         wait_until_free(folder.run(robot))  # the process of a job that was killed may still be at work there
-        outcome = Outcome.of(
-            robot, type_, run(load_study(folder.study(robot)), folder.run(robot), listener=log).results
-        )
+        made = run(load_study(folder.study(robot)), folder.run(robot), listener=log)
+        outcome = judged(robot, type_, made.results)
     except Exception as error:  # whatever it is, it is this robot's alone
-        log.say(traceback.format_exc())
+        log.say(traceback.format_exc().rstrip())
         outcome = _failed(robot, type_, log.stage, error)
     sending.send(outcome)
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from calflow.files.tables import to_frame
+from calflow.fleet.fleet_lines import error, fleet_lines, why
 from calflow.fleet.outcome import Outcome, worst_first
 from calflow.reporting.blocks import Block, Gap, Heading, Paragraph, Part, Plot, RestOfPage, Table
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, plain_decades
-from calflow.reporting.words import first_up, listed, mm, plural, ratio
+from calflow.reporting.words import first_up, listed, plural, ratio
 
 MOST_TOLD = 18  # robots on the first page
 LONGEST = 150  # letters of a verdict on the first page
@@ -23,34 +22,6 @@ def fleet_report(title: str, found: Sequence[Outcome]) -> list[Part]:
     return [("", _page(title, worst)), ("All robots", [_explained(), _table(worst)])]
 
 
-def fleet_lines(found: Sequence[Outcome]) -> list[str]:
-    """Return how a fleet stands in sentences."""
-    lines = [f"{_count(found)}."]
-    judged = [one for one in found if one.after_mean_mm is not None and one.before_mean_mm is not None]
-    if judged:
-        before, after = (
-            np.array([getattr(one, name) for one in judged]) for name in ("before_mean_mm", "after_mean_mm")
-        )
-        lines.append(
-            f"Half of them have a mean position error of {mm(float(np.median(after)))} mm or less (before: "
-            f"{mm(float(np.median(before)))} mm); the worst one, {judged[int(after.argmax())].robot}, is left with "
-            f"{mm(float(after.max()))} mm."
-        )
-    return lines
-
-
-def _count(found: Sequence[Outcome]) -> str:
-    """Say how many robots are calibrated, and how many are not."""
-    failed = [one.robot for one in found if one.status == "failed"]
-    waiting = [one.robot for one in found if one.status == "not run"]
-    useless = [one.robot for one in found if one.usable is False]
-    said = [f"{sum(one.status == 'calibrated' for one in found)} of {plural(len(found), 'robot')} calibrated"]
-    said += [f"{len(failed)} failed ({listed(failed, 6)})"] if failed else []
-    said += [f"{len(waiting)} not run ({listed(waiting, 6)})"] if waiting else []
-    said += [f"{len(useless)} with a model that is not to be used ({listed(useless, 6)})"] if useless else []
-    return "; ".join(said)
-
-
 def _page(title: str, worst: Sequence[Outcome]) -> list[Block]:
     types = list(dict.fromkeys(sorted(one.type for one in worst)))
     told = worst[:MOST_TOLD]
@@ -59,9 +30,7 @@ def _page(title: str, worst: Sequence[Outcome]) -> list[Block]:
         if len(told) == len(worst)
         else f"The {len(told)} of {len(worst)} robots that need a look first"
     )
-    rows = [
-        (one.robot, one.type, _error(one.before_mean_mm), _error(one.after_mean_mm), _in_short(one)) for one in told
-    ]
+    rows = [(one.robot, one.type, error(one.before_mean_mm), error(one.after_mean_mm), _in_short(one)) for one in told]
     first, *more = fleet_lines(worst)
     return [
         Paragraph("Fleet report", 10),
@@ -79,21 +48,12 @@ def _page(title: str, worst: Sequence[Outcome]) -> list[Block]:
     ]  # fmt: skip
 
 
-def _error(value: float | None) -> str:
-    return "–" if value is None else mm(value)
-
-
 def _in_short(one: Outcome) -> str:
     """A robot's verdict as the first page has room for it."""
-    said = one.verdict or _why(one)
+    said = one.verdict or why(one)
     if one.causes:
         said += f" Found: {'; '.join(one.causes)}."
     return said if len(said) <= LONGEST else f"{said[:LONGEST]} …"
-
-
-def _why(one: Outcome) -> str:
-    where = f" in {one.failed_stage}" if one.failed_stage else ""
-    return f"{first_up(one.status)}{where}: {one.reason}"
 
 
 def _explained() -> Block:
@@ -112,8 +72,8 @@ def _table(worst: Sequence[Outcome]) -> Block:
 def _row(one: Outcome) -> tuple[str, ...]:
     figures = (one.before_mean_mm, one.after_mean_mm, one.before_max_mm, one.after_max_mm)
     gain = ratio(one.before_mean_mm / one.after_mean_mm) if one.before_mean_mm and one.after_mean_mm else "–"
-    verdict, why = (one.verdict, "") if one.status == "calibrated" else (first_up(one.status), _why(one))
-    return (one.robot, one.type, verdict, *map(_error, figures), gain, "; ".join(one.causes), why)
+    verdict, reason = (one.verdict, "") if one.status == "calibrated" else (first_up(one.status), why(one))
+    return (one.robot, one.type, verdict, *map(error, figures), gain, "; ".join(one.causes), reason)
 
 
 def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
@@ -124,7 +84,7 @@ def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
     count = data.groupby("type")["robot"].transform("size")
     place = (data.groupby("type").cumcount() + 0.5) / count - 0.5  # across the band
     height = data["type"].map(types.index) + BAND * place
-    errors = data[["before_mean_mm", "after_mean_mm"]]
+    errors = data[["before_mean_mm", "after_mean_mm"]].to_numpy()
     drawn = figure(0.8 + min(0.36 * len(types), 3.2))
     axes = drawn.add_subplot()
     axes.plot(data["before_mean_mm"], height, "o", color=MIDDLE, mfc="none", label="before")
@@ -132,7 +92,7 @@ def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
     if (bad := ~data["usable"].fillna(True)).any():
         axes.plot(data["after_mean_mm"][bad], height[bad], "x", color=ACCENT, ms=7, label="not to be used")
     axes.set_xscale("log")
-    plain_decades(axes.xaxis, float(errors.to_numpy().min()), float(errors.to_numpy().max()))
+    plain_decades(axes.xaxis, errors.min(), errors.max())
     axes.set_yticks(range(len(types)), types)
     axes.set_ylim(len(types) - 0.5, -0.5)
     axes.set_xlabel("mean position error of a robot [mm]")

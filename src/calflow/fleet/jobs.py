@@ -10,7 +10,7 @@ from calflow.fleet.fleet import Fleet, FleetRobot
 from calflow.fleet.fleet_folder import FleetFolder
 from calflow.runs.cache_key import code_digest, versions
 
-MOST = 25  # robots in a job: what a job that dies has to look through again
+MOST = 100  # robots in a job: with more, the time that Python takes to start would not be felt less
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,15 @@ class Job:
 
 
 def jobs(fleet: Fleet, size: int) -> list[Job]:
-    """Return the fleet's robots in groups of a size."""
-    return [Job(tuple(fleet.robots[k : k + size])) for k in range(0, len(fleet.robots), size)]
+    """Return the fleet's robots in groups of at most a size; neighbours are in different ones, so that types are spread evenly."""
+    number = math.ceil(len(fleet.robots) / size)
+    return [Job(fleet.robots[k::number]) for k in range(number)]
 
 
 def size_for(robots: int, cores: int) -> int:
-    """Return how many robots a job has: few enough for two jobs a core, many enough to start Python seldom."""
-    return min(MOST, max(1, math.ceil(robots / (2 * cores))))
+    """Return how many robots a job has where each core is to have as many jobs as another, and as few as may be."""
+    each = math.ceil(robots / (MOST * cores))
+    return math.ceil(robots / (each * cores))
 
 
 def made_by() -> str:

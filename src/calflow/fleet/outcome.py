@@ -9,13 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 from calflow.files.documents import from_document, to_document
-from calflow.files.results import Results
 from calflow.files.tables import column
 from calflow.files.writing import write_whole
-from calflow.reporting.findings import findings
-from calflow.reporting.material import latest, split_judged, steps
-from calflow.reporting.sections.verdict import judgement
-from calflow.reporting.tolerance import useless
 
 Status = Literal["calibrated", "failed", "not run"]
 
@@ -40,20 +35,6 @@ class Outcome:
     )
     failed_stage: str = column("the stage in which it failed; empty: before the first", default="")
     reason: str = column("why it failed, or was not run", default="")
-
-    @staticmethod
-    def of(robot: str, type_: str, results: Results) -> Outcome:
-        """Return the outcome of a run from its results, which have those of identify."""
-        accuracy = latest(results, "accuracy")
-        split = split_judged(accuracy)
-        models = steps(accuracy, split)
-        first, last = models[0], models[-1]
-        return Outcome(
-            robot=robot, type=type_, status="calibrated", usable=not useless(results, models),
-            verdict=judgement(results, models), judged_by="holdout" if split == "holdout" else "train", points=last.n,
-            before_mean_mm=first.mean, before_max_mm=first.max, after_mean_mm=last.mean, after_max_mm=last.max,
-            causes=tuple(one.in_short for one in findings(results)),
-        )  # fmt: skip
 
 
 def worst_first(outcomes: Iterable[Outcome]) -> list[Outcome]:

@@ -1,0 +1,25 @@
+"""The page about fleets says what is so."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+from calflow.files.tables import columns
+from calflow.fleet.fleet_file import FleetFile
+from calflow.fleet.outcome import Outcome
+
+PAGE = (Path(__file__).parents[2] / "docs" / "fleet.md").read_text(encoding="utf-8")
+
+
+def test_the_fleet_file_of_the_page_can_be_read():
+    """Fails if a user who copies it is refused."""
+    (example,) = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
+    assert list(FleetFile.model_validate(tomllib.loads(example)).types) == ["hh800", "kr210"]
+
+
+def test_every_column_of_the_table_is_told():
+    """Fails if fleet.csv has a column that the page does not explain as the code does, or the page one that is not there."""
+    told = dict(re.findall(r"^\| `(\w+)` \| .* \| ([^|]+) \|$", PAGE, re.MULTILINE))
+    assert {column.name: column.meaning for column in columns(Outcome)} == told
