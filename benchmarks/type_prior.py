@@ -3,7 +3,7 @@
 Robots of the HH800's type are built by code apart from calflow's graph: all share the type's own deviations from the maker's
 figures, and each has some of its own, as machining (0.1 mm, 0.1 mrad), mastering (0.3 mrad of each joint's zero) and springs
 (5 %) leave them. Base and tool stand elsewhere each time. Errors are from what the device reports at held-out poses, its noise
-included. Ten poses are drawn like the others, or chosen by `select` for the tool's error, all under full load.
+included. Ten poses are drawn like the others, or chosen by `select` for the tool's error, refined, all under full load.
 
     python benchmarks/type_prior.py --seed 1 --robots 50 --further 20 --fleets 4
 """
@@ -106,8 +106,7 @@ class Plant:
         """Few readings (FEW, 6) [rad] that tell most of the tool of a robot that something is expected of."""
         model = build(expecting, EFFECTS)
         task = Task.of(model, self.drawn_poses(100, rng), PAYLOADS, next(iter(expecting.markers)))
-        stated = self.drawn_poses(2000, rng)
-        return select(model, FEW, aim="tool", task=task, payload=PAYLOADS[-1], stated=stated).readings
+        return select(model, FEW, aim="tool", task=task, payload=PAYLOADS[-1], of=5000, refine=True).readings
 
 
 def known(robot: cf.Robot, data: cf.Measurements) -> tuple[Identified, float]:

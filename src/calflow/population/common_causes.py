@@ -1,0 +1,88 @@
+"""Causes that robots of a type have in common, told from those that are one robot's own."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.stats import beta
+
+from calflow.population.type_prior import FEWEST
+
+BELOW = 0.05  # chance with which the share of robots may be on the other side of one half
+
+Whose = Literal["type", "robot", "cannot tell"]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A cause that a robot shows: its id, joint (0: none) and variant in words, its size with standard deviation, in `unit`."""
+
+    cause: str
+    joint: int
+    detail: str
+    size: float
+    sd: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class CommonCause:
+    """A cause that some of a type's robots show, and whose it is.
+
+    share is that of robots which show it, low and high its 95 % interval (Jeffreys); size the middle one of theirs, spread the
+    standard deviation of the true sizes, their errors taken out.
+    """
+
+    cause: str
+    joint: int
+    detail: str
+    robots: tuple[str, ...]
+    of: int
+    low: float
+    high: float
+    whose: Whose
+    size: float
+    spread: float
+    unit: str
+
+    @property
+    def share(self) -> float:
+        """Share of the robots that show it."""
+        return len(self.robots) / self.of
+
+
+def common_causes(shown: Mapping[str, Sequence[Shown]]) -> list[CommonCause]:
+    """Return every cause that robots of a type show, by robot, with whose it is; those of most robots first.
+
+    It is the type's where more than half of such robots surely have it, and the robots' own where fewer surely do; a few robots do not
+    say.
+    """
+    by_place: dict[tuple[str, int], dict[str, Shown]] = {}
+    for robot, causes in shown.items():
+        for one in causes:
+            by_place.setdefault((one.cause, one.joint), {}).setdefault(robot, one)
+    found = [_common(place, those, len(shown)) for place, those in by_place.items()]
+    return sorted(found, key=lambda one: (-len(one.robots), one.cause, one.joint))
+
+
+def _common(place: tuple[str, int], those: Mapping[str, Shown], of: int) -> CommonCause:
+    number = len(those)
+    posterior = beta(number + 0.5, of - number + 0.5)
+    low, high = (float(bound) for bound in posterior.ppf([0.025, 0.975]))
+    below = float(posterior.cdf(0.5))
+    sure: Whose = "type" if below < BELOW else "robot" if below > 1 - BELOW else "cannot tell"
+    whose = sure if of >= FEWEST else "cannot tell"
+    detail, same = Counter(one.detail for one in those.values()).most_common(1)[0]
+    sizes, sds = (np.array([getattr(one, name) for one in those.values()]) for name in ("size", "sd"))
+    known = np.isfinite(sizes) & np.isfinite(sds)
+    spread = float("nan")
+    if known.sum() > 1:
+        spread = float(np.sqrt(max(0.0, np.var(sizes[known], ddof=1) - np.mean(sds[known] ** 2))))
+    return CommonCause(
+        *place, detail if same > 0.5 * number else "", tuple(those), of, low, high, whose,
+        float(np.nanmedian(sizes)) if known.any() else float("nan"), spread, next(iter(those.values())).unit,
+    )  # fmt: skip
