@@ -16,7 +16,7 @@ from conftest import in_process
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = (  # in the order in which a newcomer reads them
     *("tutorial", "robots", "select", "identify", "diagnose", "sample"),
-    *("compensate", "programs", "export", "validate", "drift", "compare", "residual_field"),
+    *("compensate", "programs", "export", "validate", "drift", "compare", "reproduce", "residual_field"),
 )
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 VERDICTS = {"validate": (0, 3, 4), "drift": (0, 3, 4)}  # exit codes that are answers
@@ -103,6 +103,7 @@ def tasks_write_what_they_say(folder: Path) -> None:
     for name in ("accepted/report.pdf", "check/moved.csv", "check/recalibration.csv", "check/next_poses.csv"):
         assert (folder / name).is_file(), name
     assert (folder / "compared/report.pdf").is_file()
+    assert (folder / "my-robot.zip").is_file()
 
 
 def what_is_not_physical_is_called_so(folder: Path, said: dict[str, str]) -> None:

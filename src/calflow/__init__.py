@@ -36,17 +36,20 @@ if TYPE_CHECKING:
     from calflow.runs.drift import drift
     from calflow.runs.export import export_run
     from calflow.runs.filter import filter_program
+    from calflow.runs.pack import pack
     from calflow.runs.predict import predict
+    from calflow.runs.reproduce import Reproduction, reproduce
     from calflow.runs.run import Run, run
     from calflow.runs.validate import validate
     from calflow.simulation import simulate
     from calflow.study import Study, load_study
 
 __all__ = [
-    "Base", "Comparison", "Compensation", "Coupling", "Diagnosis", "Drift", "Expected", "Fit", "FourBar", "Frame", "InputError",
-    "Joint", "Marker", "Measurements", "Model", "Payload", "Posterior", "Prediction", "Robot", "Run", "Study",
-    "Validation", "choose_check_poses", "compare", "compensate", "dh", "diagnose", "drift", "export_run", "filter_program",
-    "identify", "load_study", "modified_dh", "predict", "report", "run", "sample", "simulate", "validate",
+    "Base", "Comparison", "Compensation", "Coupling", "Diagnosis", "Drift", "Expected", "Fit", "FourBar", "Frame",
+    "InputError", "Joint", "Marker", "Measurements", "Model", "Payload", "Posterior", "Prediction", "Reproduction",
+    "Robot", "Run", "Study", "Validation", "choose_check_poses", "compare", "compensate", "dh", "diagnose", "drift",
+    "export_run", "filter_program", "identify", "load_study", "modified_dh", "pack", "predict", "report", "reproduce",
+    "run", "sample", "simulate", "validate",
 ]  # fmt: skip
 
 _HOMES = {
@@ -71,7 +74,9 @@ _HOMES = {
     "runs.filter": ("filter_program",),
     "runs.compare": ("compare",),
     "runs.drift": ("drift",),
+    "runs.pack": ("pack",),
     "runs.predict": ("predict",),
+    "runs.reproduce": ("Reproduction", "reproduce"),
     "runs.run": ("Run", "run"),
     "runs.validate": ("validate",),
     "simulation": ("simulate",),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,7 +19,7 @@ from calflow.files.units import split_unit
 from calflow.measurements.acceptance import Acceptance
 from calflow.measurements.combined import combined
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.reading import locate
+from calflow.measurements.reading import data_folder, locate
 from calflow.measurements.series import Series
 from calflow.measurements.source import MeasurementSource
 from calflow.observations import Observation, observations
@@ -183,7 +183,10 @@ def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> N
 
 @dataclass(frozen=True)
 class Study:
-    """A study with its robot and workflow, ready to run; settings holds each stage's table, study over workflow."""
+    """A study with its robot and workflow, ready to run; settings holds each stage's table, study over workflow.
+
+    data is the folder in which measurements are looked for before the study's own; None where there is none.
+    """
 
     path: Path
     file: StudyFile
@@ -191,6 +194,7 @@ class Study:
     robot_path: Path
     workflow: WorkflowFile
     workflow_path: Path
+    data: Path | None = field(default_factory=data_folder)
 
     @property
     def name(self) -> str:
@@ -220,7 +224,7 @@ class Study:
         """
         if not self.file.sources:
             raise refuse("has no measurements yet: expected a table [measurements] with file = …", self.path)
-        return tuple(together(*(partial(locate, source, self.path.parent) for source in self.file.sources)))
+        return tuple(together(*(partial(locate, source, self.path.parent, self.data) for source in self.file.sources)))
 
     @property
     def measurement_path(self) -> Path:
@@ -240,7 +244,7 @@ class Study:
         """
         if not self.file.confirm:
             return None
-        other = load_study(self.path.parent / self.file.confirm)
+        other = replace(load_study(self.path.parent / self.file.confirm), data=self.data)
         n, found = self.robot.n_joints, other.robot.n_joints
         if n != found:
             raise InputError(

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from calflow.files.problems import InputError
 from calflow.files.units import SUFFIXES
 from calflow.measurements.columns import column_names
-from calflow.measurements.reading import locate, read_measurements
+from calflow.measurements.reading import data_folder, locate, read_measurements
 from calflow.measurements.source import MeasurementSource
 from calflow.robot.robot import Robot
 
@@ -203,13 +203,17 @@ def sha(path):
 def test_a_file_is_looked_for_in_order(small, tmp_path, monkeypatch):
     """Fails if CALFLOW_DATA is not first, is needed, or the study's own file is not found."""
     source = MeasurementSource(file="measurements.csv")
-    assert locate(source, small.path) == small / "measurements.csv"
+    assert locate(source, small.path, data_folder()) == small / "measurements.csv"
     monkeypatch.setenv("CALFLOW_DATA", str(tmp_path))
-    assert locate(source, small.path) == small / "measurements.csv"
+    assert locate(source, small.path, data_folder()) == small / "measurements.csv"
     (tmp_path / "measurements.csv").write_text("other", encoding="utf-8")
-    assert locate(source, small.path) == tmp_path / "measurements.csv"
+    assert locate(source, small.path, data_folder()) == tmp_path / "measurements.csv"
     with pytest.raises(InputError, match="wrong SHA-256: the study names"):
-        locate(MeasurementSource(file="measurements.csv", sha256=sha(small / "measurements.csv")), small.path)
+        locate(
+            MeasurementSource(file="measurements.csv", sha256=sha(small / "measurements.csv")),
+            small.path,
+            data_folder(),
+        )
 
 
 def test_a_url_is_fetched_only_where_the_file_is_not_there(small, monkeypatch):

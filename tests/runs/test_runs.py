@@ -481,7 +481,7 @@ def limited(size):
     return limit
 
 
-@pytest.mark.parametrize(("size", "stage"), [(4_000, "identify"), (1_000_000, "sample")])
+@pytest.mark.parametrize(("size", "stage"), [(7_000, "identify"), (1_000_000, "sample")])
 def test_a_full_disk_is_told_and_the_same_command_goes_on(small, finished, size, stage):
     """Fails if a full disk ends in a traceback or a crash, loses finished stages, or leaves halves that pass for wholes."""
     full = small.apart("-m", "calflow", "run", small.path, "--out", small / "runs", preexec_fn=limited(size))

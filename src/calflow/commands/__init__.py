@@ -11,9 +11,11 @@ from calflow.commands.export import export
 from calflow.commands.filter import filter_targets
 from calflow.commands.fleet import fleet
 from calflow.commands.new import new
+from calflow.commands.pack import pack
 from calflow.commands.plan import plan
 from calflow.commands.predict import predict
 from calflow.commands.report import report
+from calflow.commands.reproduce import reproduce
 from calflow.commands.run import run
 from calflow.commands.simulate import simulate
 from calflow.commands.status import status
@@ -36,4 +38,6 @@ COMMANDS = (
     drift,
     compare,
     fleet,
+    reproduce,
+    pack,
 )

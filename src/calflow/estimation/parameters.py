@@ -27,7 +27,7 @@ class FittedParameter:
     joint: int | None = column("number of its joint or link")
     unit: str = column("of the figures in this row (SI)")
     nominal: float = column("its value where the effect is absent", UNIT)
-    estimate: float = column("what the fit found", UNIT)
+    estimate: float = column("what the fit found", UNIT, sd="sd")
     sd: float = column(
         "standard deviation of the estimate, after diagnose with what may be left in the errors of rows near each other; "
         "empty at a bound",
@@ -38,7 +38,7 @@ class FittedParameter:
     at_bound: bool = column("whether the estimate sits on a bound")
     prior_share: float = column("share of the estimate's variance that is the prior's; 1: the data say nothing")
     figure: float = column("the maker's figure that the parameter's value is added to", UNIT)
-    calibrated: float = column("figure + estimate", UNIT)
+    calibrated: float = column("figure + estimate", UNIT, sd="sd")
     meaning: str = column("what it is, in words")
 
 

@@ -34,7 +34,8 @@ PROFILE = "https://datapackage.org/profiles/2.0/tableschema.json"
 class Column:
     """A column, or with braces in its name a pattern of columns: its field, type, unit and meaning.
 
-    many: a cell holds a list, with separator between its items; gaps: a cell may be empty; choices: what a text may be.
+    many: a cell holds a list, with separator between its items; gaps: a cell may be empty; choices: what a text may be;
+    sd: the column that holds the values' standard deviations.
     """
 
     field: str
@@ -46,6 +47,7 @@ class Column:
     gaps: bool
     separator: str
     choices: tuple[str, ...]
+    sd: str = ""
 
     @property
     def is_pattern(self) -> bool:
@@ -69,7 +71,9 @@ class Column:
         return said
 
 
-def column(meaning: str, unit: str = "", *, name: str = "", separator: str = ";", default: Any = MISSING) -> Any:
+def column(
+    meaning: str, unit: str = "", *, name: str = "", separator: str = ";", sd: str = "", default: Any = MISSING
+) -> Any:
     """Declare a field of a row as a column.
 
     Args:
@@ -77,9 +81,10 @@ def column(meaning: str, unit: str = "", *, name: str = "", separator: str = ";"
         unit: of its values; none where they have none.
         name: the column's name, or pattern, where it is not the field's.
         separator: between the items of a list.
+        sd: the column that holds the standard deviations of its values.
         default: of rows that are made without it.
     """
-    told = {"meaning": meaning, "unit": unit, "name": name, "separator": separator}
+    told = {"meaning": meaning, "unit": unit, "name": name, "separator": separator, "sd": sd}
     return field(default=default, metadata={"column": told})
 
 
@@ -98,7 +103,9 @@ def _columns(row_type: Hashable) -> tuple[Column, ...]:
         kind, many, gaps, choices = _kind(hints[one.name])
         name = told["name"] or one.name
         found.append(
-            Column(one.name, name, kind, told["meaning"], told["unit"], many, gaps, told["separator"], choices)
+            Column(
+                one.name, name, kind, told["meaning"], told["unit"], many, gaps, told["separator"], choices, told["sd"]
+            )
         )
     return tuple(found)
 

@@ -21,16 +21,21 @@ def read_measurements(path: Path, robot: Robot, source: MeasurementSource | None
     return Measurements.from_csv(path, robot, **({} if source is None else vars(source.layout)))
 
 
-def locate(source: MeasurementSource, folder: Path) -> Path:
-    """Return the path of the measurement file: CALFLOW_DATA, then the study's folder, then fetched by its url.
+def data_folder() -> Path | None:
+    """Return the folder in which measurements are looked for first: the one that CALFLOW_DATA names."""
+    named = os.environ.get("CALFLOW_DATA")
+    return Path(named) if named else None
+
+
+def locate(source: MeasurementSource, folder: Path, data: Path | None = None) -> Path:
+    """Return the path of the measurement file: in a folder of data, then in the study's, then fetched by its url.
 
     Raises:
         InputError: it is nowhere, or its SHA-256 differs from the study's.
     """
-    data = os.environ.get("CALFLOW_DATA")
     here = folder / source.file
     path, said = None, ""
-    for place in [Path(data) / source.file, here] if data else [here]:
+    for place in [data / source.file, here] if data else [here]:
         try:
             path = regular_file(place)
             break

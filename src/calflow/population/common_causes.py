@@ -58,8 +58,8 @@ class CommonCause:
 def common_causes(shown: Mapping[str, Sequence[Shown]]) -> list[CommonCause]:
     """Return every cause that robots of a type show, by robot, with whose it is; those of most robots first.
 
-    It is the type's where more than half of such robots surely have it, and the robots' own where fewer surely do; a few robots do not
-    say.
+    It is the type's where more than half of such robots surely have it, and the robots' own where fewer surely do; of fewer
+    than FEWEST robots nothing can be told.
     """
     by_place: dict[tuple[str, int], dict[str, Shown]] = {}
     for robot, causes in shown.items():

@@ -79,10 +79,11 @@ def _confirming_key(study: Study) -> dict[str, str]:
 
 
 def _measurement_hashes(study: Study) -> dict[str, str]:
-    """Return the SHA-256 of every series' file by its name, which is a path where several have the same."""
+    """Return the SHA-256 of every series' file by its name, as the study states it where several have the same."""
     paths = study.measurement_paths
     names = [path.name for path in paths]
-    return {path.name if names.count(path.name) == 1 else str(path): sha256(path) for path in paths}
+    stated = zip(paths, study.file.sources, strict=True)
+    return {path.name if names.count(path.name) == 1 else one.file: sha256(path) for path, one in stated}
 
 
 def _asked(study: Study, without: set[str]) -> dict[str, str]:

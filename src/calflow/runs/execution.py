@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import time
+from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,15 @@ from calflow.files.plugins import packages
 from calflow.files.results import Results
 from calflow.files.writing import write_whole
 from calflow.measurements.reading import sha256
-from calflow.runs.cache_key import file_hashes, versions
+from calflow.runs.cache_key import code_digest, file_hashes, versions
 from calflow.runs.containment import inside
+from calflow.runs.environment import environment, machine
 from calflow.runs.kept import write_results
 from calflow.runs.listener import Listener, onward
 from calflow.runs.manifest import Manifest, StageEntry, is_measured, read_manifest, write_manifest
 from calflow.runs.planning import PlannedStage
 from calflow.runs.reasons import FORCED
+from calflow.runs.study_files import study_files
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
@@ -66,7 +69,8 @@ def execute(
     if not any((folder / PARTIAL).iterdir()):
         (folder / PARTIAL).rmdir()
     seconds = round(time.monotonic() - started, 3)
-    done = StageEntry(status="done", reason=step.reason, key=step.key, seconds=seconds, outputs=hashes)
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    done = StageEntry(status="done", reason=step.reason, key=step.key, seconds=seconds, finished=now, outputs=hashes)
     record(study, folder, stage, done)
 
 
@@ -80,17 +84,22 @@ def record_reuse(study: Study, folder: Path, step: PlannedStage) -> None:
 def record(study: Study, folder: Path, stage: Stage, entry: StageEntry) -> None:
     """Write a stage's entry into the manifest; those of other stages stay."""
     before = read_manifest(folder)
+    stages = {**(before.stages if before else {}), stage.name: entry}
     manifest = Manifest(
         calflow=metadata.version("calflow"),
         versions=versions(),
         packages=packages(),
+        code=code_digest(),
+        machine=machine(),
+        environment=environment(),
         study=study.name,
         study_file=str(study.path.resolve()),
         folder=str(folder.resolve()),
         workflow=study.workflow.name,
         seed=study.file.seed,
         inputs=_input_hashes(study, stage, before.inputs if before else {}),
-        stages={**(before.stages if before else {}), stage.name: entry},
+        files=study_files(study, stages, stage.measured, before.files if before else {}),
+        stages=stages,
     )
     write_manifest(folder, manifest)
 

@@ -24,7 +24,8 @@ class _Kept(BaseModel):
 class StageEntry(_Kept):
     """A stage in the manifest: its state, why it last ran, and why that was reused since.
 
-    outputs has the SHA-256 of each file it wrote, by its path in the run folder, and key what these depend on.
+    outputs has the SHA-256 of each file it wrote, by its path in the run folder, and key what these depend on; finished is
+    when it did, in UTC.
     """
 
     status: Literal["running", "interrupted", "failed", "done"]
@@ -32,6 +33,7 @@ class StageEntry(_Kept):
     key: dict[str, str]
     reused: str | None = None
     seconds: float | None = Field(default=None, ge=0)
+    finished: str = ""
     outputs: dict[str, str] | None = None
 
     @model_validator(mode="after")
@@ -41,18 +43,34 @@ class StageEntry(_Kept):
         return self
 
 
+class KeptFile(_Kept):
+    """A file that results depend on: its SHA-256, where it was (absolute), and whether it is of what was measured."""
+
+    sha256: str
+    path: str
+    measured: bool = False
+
+
 class Manifest(_Kept):
-    """What a run folder tells of itself; study_file and folder are where the study and the run were, absolute."""
+    """What a run folder tells of itself; study_file and folder are where the study and the run were, absolute.
+
+    files has every input but the workflow by its name as it is seen from the study's folder (absolute where the study says so),
+    environment the version of every package that was installed for calflow, code a hash of calflow's own.
+    """
 
     calflow: str
     versions: dict[str, str]
     packages: dict[str, str] = {}
+    code: str = ""
+    machine: str = ""
+    environment: dict[str, str] = {}
     study: str
     study_file: str
     folder: str = ""
     workflow: str
     seed: int
     inputs: dict[str, str]
+    files: dict[str, KeptFile] = {}
     stages: dict[str, StageEntry]
 
     def outputs(self, stage: str) -> dict[str, str]:

@@ -27,7 +27,7 @@ def reason(before: StageEntry | None, key: Mapping[str, str], folder: Path, run_
     old = before.key
     changed = [name for name in {**old, **key} if old.get(name) != key.get(name)]
     if changed:
-        return "; ".join(_difference(name, old.get(name), key.get(name)) for name in changed)
+        return "; ".join(difference(name, old.get(name), key.get(name)) for name in changed)
     return damage(before, folder)
 
 
@@ -53,7 +53,7 @@ def outdated(manifest: Manifest, folder: Path, stage: str, robot: Robot) -> str 
     return damage(entry, folder)
 
 
-def _difference(name: str, old: str | None, new: str | None) -> str:
+def difference(name: str, old: str | None, new: str | None) -> str:
     if name.startswith(("setting ", "study's ")) and len(f"{old}{new}") < LONGEST_CHANGE:
         return f"{name} changed from {old} to {new}"
     return f"{name.removeprefix('file ').removeprefix('after ')} changed"

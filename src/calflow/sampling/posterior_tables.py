@@ -25,11 +25,11 @@ class PosteriorRow:
 
     parameter: str = column("its name")
     unit: str = column("of the figures in this row (SI)")
-    mean: float = column("of all draws", UNIT)
+    mean: float = column("of all draws", UNIT, sd="sd")
     sd: float = column("their standard deviation", UNIT)
-    q025: float = column("their 2.5 % quantile", UNIT)
-    q500: float = column("their median", UNIT)
-    q975: float = column("their 97.5 % quantile", UNIT)
+    q025: float = column("their 2.5 % quantile", UNIT, sd="sd")
+    q500: float = column("their median", UNIT, sd="sd")
+    q975: float = column("their 97.5 % quantile", UNIT, sd="sd")
     rhat: float = column("whether the ensembles agree: near 1")
     ess: float = column("effective number of independent draws")
     prior_sensitivity: float = column(

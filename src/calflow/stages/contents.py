@@ -14,6 +14,7 @@ from pydantic.fields import FieldInfo
 from calflow.deployment import comparison, drift_verdict, validation
 from calflow.deployment.command_table import Command
 from calflow.deployment.controller_figures import ControllerFigure
+from calflow.files.deviations import Deviation
 from calflow.files.tables import Column, columns
 from calflow.files.toml import FileModel
 from calflow.measurements.acceptance import Acceptance
@@ -25,6 +26,7 @@ KINDS = {str: "text", int: "integer", float: "number", bool: "true or false"}
 ANSWERS: Mapping[str, type] = {  # the tables that commands other than run write
     "calflow compensate": Command,
     "calflow export --to controller": ControllerFigure,
+    "calflow reproduce --out, differences.csv": Deviation,
 }
 FOLDERS = {
     "validate": validation.TABLES,

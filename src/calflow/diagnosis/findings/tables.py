@@ -44,7 +44,7 @@ class FindingRow:
     )
     cause: str = column("id of the effect, or of the fault; empty: unexplained", default="")
     joint: int | None = column("number of its joint or link; empty: none", default=None)
-    estimate: float = column("its size", UNIT, default=NAN)
+    estimate: float = column("its size", UNIT, sd="sd", default=NAN)
     sd: float = column("standard deviation of the size, whichever form of the cause is true", UNIT, default=NAN)
     unit: str = column("of the size (SI)", default="")
     p_family: float = column("chance that noise alone makes any of all tests look like this", default=NAN)
@@ -94,7 +94,7 @@ class CandidateRow:
     delta_bic: float = column("change of BIC: below 0 it explains more than its parameters cost", default=NAN)
     probability: float = column("that it is this place rather than another, or nothing", default=NAN)
     visible_share: float = column("what the model's own parameters cannot imitate", default=NAN)
-    estimate: float = column("its size", UNIT, default=NAN)
+    estimate: float = column("its size", UNIT, sd="sd", default=NAN)
     sd: float = column("standard deviation of the size", UNIT, default=NAN)
     unit: str = column("of the size (SI)", default="")
     limit: float = column(

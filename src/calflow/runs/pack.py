@@ -1,0 +1,70 @@
+"""Packing: a run with all that it takes to repeat it elsewhere, in one archive that is the same byte by byte each time."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+import zipfile
+from pathlib import Path
+
+from calflow.files.problems import InputError, Problem
+from calflow.runs.containment import inside
+from calflow.runs.manifest import NAME, Manifest
+from calflow.runs.reproduce import checked_run, finished
+from calflow.runs.ro_crate import NAME as METADATA
+from calflow.runs.ro_crate import ro_crate
+from calflow.runs.study_files import INPUTS, LAID_OUT, laid_out, lay_out
+
+ENVIRONMENT = "environment.txt"
+BEGINNING = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can state: the archive's bytes tell no time
+READABLE, UNIX = 0o100644 << 16, 3
+
+
+def pack(folder: str | Path) -> bytes:
+    """Return a run folder as a zip: what its stages wrote, all its inputs, the versions it was made with, and RO-Crate metadata.
+
+    Unpacked it is a run folder, of which `calflow reproduce` needs nothing else. The same run gives the same bytes.
+
+    Raises:
+        InputError: an input has changed or is missing, or is named by an absolute path; results were changed; or an earlier
+            version of calflow made the run.
+    """
+    folder = Path(folder)
+    manifest = checked_run(folder)
+    files = _files(manifest, folder)
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in {METADATA: ro_crate(manifest, files), **files}.items():
+            entry = zipfile.ZipInfo(name, BEGINNING)
+            entry.external_attr, entry.create_system, entry.compress_type = READABLE, UNIX, zipfile.ZIP_DEFLATED
+            archive.writestr(entry, content, compresslevel=9)
+    return packed.getvalue()
+
+
+def environment_lock(manifest: Manifest) -> str:
+    """Return the versions that a run was made with, as pip reads them."""
+    versions = {**manifest.versions, **manifest.environment}
+    python = versions.pop("python")
+    head = f"# Python {python}, {manifest.machine}; calflow's code {manifest.code}\n"
+    return head + "".join(f"{name}=={version}\n" for name, version in sorted(versions.items()))
+
+
+def _files(manifest: Manifest, folder: Path) -> dict[str, bytes]:
+    """The archive's files by their path in it, but for the metadata, in order."""
+    names = [NAME, *(name for stage in finished(manifest) for name in manifest.outputs(stage))]
+    names += [f"{INPUTS}/{path.name}" for path in (folder / INPUTS).glob("*") if path.is_file()]
+    found = {name: inside(folder, name).read_bytes() for name in names}
+    found |= {f"{LAID_OUT}/{place}": content for place, content in _inputs(manifest, folder).items()}
+    found[ENVIRONMENT] = environment_lock(manifest).encode()
+    return dict(sorted(found.items()))
+
+
+def _inputs(manifest: Manifest, folder: Path) -> dict[str, bytes]:
+    """Every input by its place under the archive's inputs."""
+    places = laid_out(manifest.files)
+    if elsewhere := [name for name in manifest.files if name not in places]:
+        said = "is named by an absolute path, which another machine does not have: name it as seen from the study, and run again"
+        raise InputError(Problem(said, Path(manifest.study_file), key=name) for name in elsewhere)
+    with tempfile.TemporaryDirectory() as made:
+        lay_out(manifest, folder, Path(made))
+        return {place: (Path(made) / place).read_bytes() for place in places.values()}

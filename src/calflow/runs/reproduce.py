@@ -1,0 +1,179 @@
+"""Reproduction: a run once more from its own inputs, and bit by bit what differs."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from calflow.files.csv import write_csv
+from calflow.files.deviations import Deviation, document_deviations, table_deviations
+from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.tables import to_frame
+from calflow.runs.cache_key import code_digest, common_key, stage_key, versions
+from calflow.runs.environment import changes, environment, machine
+from calflow.runs.listener import Listener, Silent
+from calflow.runs.manifest import Manifest, read_manifest
+from calflow.runs.reasons import damage, difference
+from calflow.runs.run import run
+from calflow.runs.study_files import load_again
+from calflow.stages import STAGES
+from calflow.stages.stage import Stage
+from calflow.study import Study
+
+DIFFERENCES = "differences.csv"
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """What came of running a run again.
+
+    same and other are its files, by their path in the run folder, that came out as they were, and otherwise; deviations say of
+    tables and summaries what differs; changed says which versions do, and unfinished which stages there was nothing of.
+    """
+
+    same: tuple[str, ...]
+    other: tuple[str, ...]
+    deviations: tuple[Deviation, ...]
+    changed: tuple[str, ...]
+    unfinished: tuple[str, ...]
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """What differs, a row a column of a table."""
+        return to_frame(self.deviations, Deviation)
+
+
+def reproduce(folder: str | Path, out: str | Path | None = None, listener: Listener | None = None) -> Reproduction:
+    """Run what a run folder holds again, from the inputs that it holds or names, and compare every file.
+
+    Args:
+        folder: the run folder, or an unpacked archive of it.
+        out: an empty folder to keep the study (`study`), its run (`run`) and what differs in; none is kept by default.
+        listener: is told how it goes on.
+
+    Raises:
+        InputError: an input has changed or is missing, the folder's own results were changed, or an earlier version of calflow
+            made it, which did not say what it was made of.
+    """
+    folder = Path(folder)
+    manifest = checked_run(folder)
+    if out is not None:
+        return _reproduced(manifest, folder, _empty(Path(out)), listener or Silent(), True)
+    with tempfile.TemporaryDirectory() as made:
+        return _reproduced(manifest, folder, Path(made), listener or Silent(), False)
+
+
+def checked_run(folder: Path) -> Manifest:
+    """Return the manifest of a run folder that holds results as they were made, and says of what.
+
+    Raises:
+        InputError: it does not.
+    """
+    manifest = read_manifest(folder)
+    if manifest is None:
+        raise refuse("holds no run: expected a folder that 'calflow run' has filled", folder)
+    if not manifest.files:
+        raise refuse(
+            "an earlier version of calflow made this run, which did not say where its inputs lay; run the study again",
+            folder,
+        )
+    if not finished(manifest):
+        raise refuse("no stage of this run is done; run the study first", folder)
+    said = [damage(manifest.stages[name], folder) for name in finished(manifest)]
+    if any(said):
+        raise InputError(Problem(f"{one} since the run", folder) for one in said if one)
+    return manifest
+
+
+def finished(manifest: Manifest) -> list[str]:
+    """Return the stages that are done."""
+    return [name for name, entry in manifest.stages.items() if entry.status == "done"]
+
+
+def _empty(out: Path) -> Path:
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise refuse("is not empty: expected a folder of its own for --out", out)
+    return out
+
+
+def _reproduced(manifest: Manifest, folder: Path, work: Path, listener: Listener, keep: bool) -> Reproduction:
+    study = load_again(manifest, folder, work / "study")
+    done = finished(manifest)
+    stages = [STAGES[name] for name in dict.fromkeys((*study.stages, *STAGES)) if name in done]
+    _check_inputs(manifest, study, stages)
+    again = work / "run"
+    if set(study.stages) <= set(done):
+        run(study, again, listener=listener)
+    made = read_manifest(again)
+    for stage in stages:
+        if made is None or stage.name not in made.stages:
+            made = read_manifest(run(study, again, stage.name, listener=listener).folder)
+    assert made is not None
+    was = {name: digest for stage in stages for name, digest in manifest.outputs(stage.name).items()}
+    now = {name: digest for stage in stages for name, digest in made.outputs(stage.name).items()}
+    other = [name for name in dict.fromkeys((*was, *now)) if was.get(name) != now.get(name)]
+    found = Reproduction(
+        tuple(name for name in was if name not in other), tuple(other),
+        tuple(one for name in other for one in _deviations(name, folder, again)),
+        tuple(_versions_changed(manifest)), tuple(name for name in manifest.stages if name not in done),
+    )  # fmt: skip
+    if keep:
+        write_csv(work / DIFFERENCES, found.table)
+    return found
+
+
+def _check_inputs(manifest: Manifest, study: Study, stages: list[Stage]) -> None:
+    """Check that each stage was made of the inputs that the folder has now, whatever the versions.
+
+    Raises:
+        InputError: a stage was made of other ones, as where a study was edited and only a part of it run again.
+    """
+    common, keys, problems = common_key(study), dict[str, Mapping[str, str]](), []
+    for stage in stages:
+        keys[stage.name] = stage_key(study, stage, common, keys)
+        old, new = (_of_inputs(key) for key in (manifest.stages[stage.name].key, keys[stage.name]))
+        changed = [name for name in {**old, **new} if old.get(name) != new.get(name)]
+        told = [difference(name, old.get(name), new.get(name)) for name in changed]
+        if told:
+            problems.append(
+                Problem(
+                    f"{stage.name} was made of other inputs than the run names now: {'; '.join(told)}; run the study again"
+                )
+            )
+    if problems:
+        raise InputError(problems)
+
+
+def _of_inputs(key: Mapping[str, str]) -> dict[str, str]:
+    """What a key says of inputs and settings."""
+    elsewhere = ("code", "versions", "package ", "after ")
+    return {name: value for name, value in key.items() if not name.startswith(elsewhere)}
+
+
+def _versions_changed(manifest: Manifest) -> Iterator[str]:
+    if manifest.code != code_digest():
+        yield f"calflow's code {manifest.calflow} ({manifest.code}) → this one ({code_digest()})"
+    yield from changes({**manifest.versions, **manifest.environment}, {**versions(), **environment()})
+    yield from changes({"machine": manifest.machine}, {"machine": machine()})
+
+
+def _deviations(name: str, was: Path, now: Path) -> list[Deviation]:
+    """What differs in a file; nothing of one that is neither a table nor a summary, or is not there twice."""
+    first, second = was / name, now / name
+    tables = {path: kind for stage in STAGES.values() for path, kind in stage.tables.items()}
+    if not (first.is_file() and second.is_file()):
+        return []
+    if name in tables:
+        return table_deviations(name, _texts(first), _texts(second), tables[name])
+    if name.endswith(".json"):
+        return document_deviations(name, *(json.loads(path.read_text(encoding="utf-8")) for path in (first, second)))
+    return []
+
+
+def _texts(path: Path) -> pd.DataFrame:
+    return pd.read_csv(path, dtype=str, keep_default_na=False)

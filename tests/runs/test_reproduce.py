@@ -1,0 +1,162 @@
+"""Reproduction: the same bytes from a run's own inputs, or which of them are not there, or what differs and by how much."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import zipfile
+
+import pandas as pd
+import pytest
+
+from calflow.runs.manifest import read_manifest
+from calflow.runs.reproduce import reproduce
+from calflow.runs.study_files import laid_out
+from conftest import Folder
+
+
+def test_a_moved_run_comes_out_the_same(finished):
+    """Fails if a result depends on where a run lies or on anything but its inputs, or a difference is told where there is none."""
+    answer = finished.calflow("reproduce", finished / "runs")
+    assert answer.code == 0, answer
+    n = sum(len(entry.outputs) for entry in read_manifest(finished / "runs").stages.values())
+    assert answer.out.endswith(f"the same: all {n} files have the same bytes\n")
+
+
+def test_inputs_that_changed_or_are_gone_are_all_named(finished):
+    """Fails if a run is repeated with other inputs, or only the first that is wrong is told."""
+    manifest = json.loads((finished / "runs" / "manifest.json").read_text(encoding="utf-8"))
+    for one in manifest["files"].values():  # where it was made is no more
+        one["path"] = one["path"].replace(manifest["folder"].removesuffix("/runs"), "/gone")
+    manifest |= {"folder": "/gone/runs", "study_file": "/gone/study.toml"}
+    (finished / "runs" / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    finished.edit("measurements.csv", ("1", "2"))
+    (finished / "runs" / "inputs" / "robot.toml").unlink()
+    (finished / "robot.toml").unlink()
+    robot, measured = finished.refused("reproduce", finished / "runs")
+    assert robot.startswith("runs: robot.toml: is missing: it was /gone/robot.toml")
+    assert measured.startswith("runs: measurements.csv: has changed since the run, at ")
+
+
+def test_stages_of_other_inputs_are_told(finished):
+    """Fails if a run of which only a part was made again after an edit counts as one that can be repeated."""
+    finished.edit("study.toml", ("seed = 7", "seed = 8"))
+    assert finished.calflow("run", "--stage", "identify").code == 0
+    told = finished.refused("reproduce", finished / "runs")
+    assert [one.split(" ")[0] for one in told] == ["select", "sample"]
+    assert all("study's seed changed from 7 to 8" in one for one in told)
+
+
+def test_what_differs_is_told_with_its_size(finished):
+    """Fails if another number passes for the same, or by how much is wrong."""
+    table = pd.read_csv(finished / "runs" / "identify" / "parameters.csv")
+    k = int(table.index[table["parameter"] == "joint2.a"][0])
+    table.loc[k, "estimate"] += 3 * table.loc[k, "sd"]
+    table["estimate"] = table["estimate"].map("{:.10g}".format)
+    finished.rewrite("identify/parameters.csv", table)
+    finished.edit("runs/manifest.json", *[('"numpy": "', '"numpy":  "0.')] * 2)
+    answer = finished.calflow("reproduce", finished / "runs", "--out", finished / "again")
+    assert answer.code == 1
+    assert "numpy 0." in answer.out
+    told = pd.read_csv(finished / "again" / "differences.csv")
+    row = told[told["column"] == "estimate"].iloc[0]
+    assert row["in_sd"] == pytest.approx(3, rel=1e-6)
+    assert row["cells"] == 1
+    assert (finished / "again" / "run" / "manifest.json").is_file()
+    (said,) = finished.refused("reproduce", finished / "runs", "--out", finished / "again")
+    assert said.startswith("again: is not empty")
+
+
+def test_results_that_were_changed_are_not_compared(finished):
+    """Fails if a table that somebody edited counts as what the run made."""
+    finished.edit("runs/identify/accuracy.csv", ("mean", "main"))
+    (told,) = finished.refused("reproduce", finished / "runs")
+    assert told == "runs: identify/accuracy.csv was changed by hand since the run"
+
+
+def test_a_run_that_does_not_say_what_it_was_made_of_is_refused(finished):
+    """Fails if a run of an earlier version ends in a traceback."""
+    manifest = json.loads((finished / "runs" / "manifest.json").read_text(encoding="utf-8"))
+    del manifest["files"]
+    (finished / "runs" / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    for command in ("reproduce", "pack"):
+        (told,) = finished.refused(command, finished / "runs")
+        assert told.startswith("runs: an earlier version of calflow made this run")
+
+
+def test_names_that_lead_above_the_study_keep_their_way():
+    """Fails if files that were laid out again do not find each other."""
+    places = laid_out(["study.toml", "../robots/r.toml", "../../data/m.csv", "../x/study.toml", "/far/away.csv"])
+    assert places == {
+        "study.toml": "above/above/study.toml", "../robots/r.toml": "above/robots/r.toml", "../../data/m.csv": "data/m.csv",
+        "../x/study.toml": "above/x/study.toml",
+    }  # fmt: skip
+
+
+@pytest.fixture
+def spread(small, tmp_path):
+    """A study whose robot, candidates and confirming series lie in folders beside its own, and its run."""
+    base = tmp_path / "spread"
+    for name in ("robots", "first", "second"):
+        (base / name).mkdir(parents=True)
+    shutil.copy(small / "robot.toml", base / "robots" / "arm.toml")
+    small.edit("study.toml", ('"robot.toml"', '"../robots/arm.toml"'))
+    small.edit("quick.toml", ('["select", "identify", "sample"]', '["select", "identify", "diagnose"]'))
+    small.edit("quick.toml", ("candidates = 100", 'candidates_file = "../robots/poses.csv"'))
+    for name in ("first", "second"):
+        for file in ("study.toml", "quick.toml", "measurements.csv"):
+            shutil.copy(small / file, base / name / file)
+    small.rows[[f"q{i}_deg" for i in (1, 2, 3)]].drop_duplicates().to_csv(base / "robots" / "poses.csv", index=False)
+    folder = Folder(base / "first")
+    folder.edit("study.toml", ("effects =", 'confirm = "../second/study.toml"\neffects ='))
+    second = Folder(base / "second")
+    second.measure(second.rows[::-1])
+    answer = folder.calflow("run")
+    assert answer.code == 0, answer
+    return folder
+
+
+def test_a_packed_run_is_repeated_elsewhere(spread, tmp_path, monkeypatch):
+    """Fails if the archive lacks an input, or data of the same name on the other machine take the place of its own."""
+    answer = spread.calflow("pack", spread / "runs", "--out", tmp_path / "run.zip")
+    assert answer.code == 0, answer
+    shutil.rmtree(tmp_path / "spread")
+    with zipfile.ZipFile(tmp_path / "run.zip") as archive:
+        archive.extractall(tmp_path / "elsewhere")
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "measurements.csv").write_text("other", encoding="utf-8")
+    monkeypatch.setenv("CALFLOW_DATA", str(tmp_path / "data"))
+    found = reproduce(tmp_path / "elsewhere")
+    assert not found.other
+    assert {"identify/parameters.csv", "diagnose/findings.csv", "select/poses.csv"} <= set(found.same)
+
+
+def test_an_archive_has_the_same_bytes_each_time_and_describes_each_file(finished, tmp_path):
+    """Fails if time or order of files shows in the archive, or a reader of RO-Crates misses one, or what its columns mean."""
+    from rocrate.rocrate import ROCrate
+
+    for name in ("a.zip", "b.zip"):
+        assert finished.calflow("pack", finished / "runs", "--out", tmp_path / name).code == 0
+    assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()
+    with zipfile.ZipFile(io.BytesIO((tmp_path / "a.zip").read_bytes())) as archive:
+        names = set(archive.namelist())
+        archive.extractall(tmp_path / "crate")
+    crate = ROCrate(tmp_path / "crate")
+    described = {entity.id for entity in crate.data_entities}
+    assert described == names - {"ro-crate-metadata.json"}
+    table = crate.dereference("identify/parameters.csv")
+    assert table["conformsTo"].id == "identify/parameters.schema.json"
+    lock = (tmp_path / "crate" / "environment.txt").read_text(encoding="utf-8").splitlines()
+    assert {"calflow", "numpy", "casadi"} <= {line.partition("==")[0] for line in lock}
+    action = crate.dereference("#run")
+    assert "inputs/files/measurements.csv" in {one.id for one in action["object"]}
+
+
+def test_what_is_named_by_an_absolute_path_cannot_be_packed(finished):
+    """Fails if an archive is made that no other machine can repeat."""
+    finished.edit("study.toml", ('file = "measurements.csv"', f'file = "{finished / "measurements.csv"}"'))
+    assert finished.calflow("run", "--stage", "identify", "--out", finished / "other").code == 0
+    (told,) = finished.refused("pack", finished / "other")
+    assert "is named by an absolute path" in told
+    assert finished.calflow("reproduce", finished / "other").code == 0
