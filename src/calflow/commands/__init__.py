@@ -17,6 +17,7 @@ from calflow.commands.predict import predict
 from calflow.commands.report import report
 from calflow.commands.reproduce import reproduce
 from calflow.commands.run import run
+from calflow.commands.schema import schema
 from calflow.commands.simulate import simulate
 from calflow.commands.status import status
 from calflow.commands.validate import validate
@@ -40,4 +41,5 @@ COMMANDS = (
     fleet,
     reproduce,
     pack,
+    schema,
 )

@@ -31,11 +31,16 @@ def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
 )
 def new(folder: Path, robot: str, tip: str | None, base: str | None) -> None:
     """Write a new study into FOLDER, to be filled in."""
-    from calflow.templates import write_study
+    from calflow.files.writing import write_whole
+    from calflow.stages.file_schemas import schema_text
+    from calflow.templates import SCHEMAS, schema_kinds, schema_path, write_study
 
     for path in write_study(folder, robot, tip, base):
         click.echo(f"wrote {path}")
+    for kind in schema_kinds(robot).values():
+        write_whole(folder / schema_path(kind), schema_text(kind).encode())
     doing = "look over" if robot else "describe your robot in"
     click.echo(f"next: {doing} {folder / 'robot.toml'}, put the measurements into "
                f"{folder / 'measurements.csv'}, then: calflow check {folder}")  # fmt: skip
     click.echo(f"to try it with simulated measurements first: calflow simulate {folder / 'truth.toml'}")
+    click.echo(f"editors complete and check these files by {folder / SCHEMAS}")

@@ -95,13 +95,18 @@ class FileModel(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
+    @classmethod
+    def dimensions(cls) -> dict[str, str | None]:
+        """Return the dimension of each field; None of one whose key carries no unit."""
+        return {name: _dimension(field) for name, field in cls.model_fields.items()}
+
     @model_validator(mode="before")
     @classmethod
     def _units(cls, raw: Any) -> Any:
         """Replace `a_mm = 5` by `a = 0.005` for the fields that have a dimension."""
         if not isinstance(raw, dict):
             return raw
-        dimensions = {name: _dimension(field) for name, field in cls.model_fields.items()}
+        dimensions = cls.dimensions()
         converted: dict[str, Any] = {}
         for key, value in raw.items():
             name, unit = (key, "") if key in dimensions else split_unit(key) or (key, "")

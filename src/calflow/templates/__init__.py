@@ -17,6 +17,7 @@ from calflow.robot.robot import Robot
 from calflow.templates import library
 
 FILES = ("robot.toml", "study.toml", "truth.toml")
+SCHEMAS = ".schemas"  # folder beside a study's files in which `calflow new` writes their JSON Schemas
 ERRORS_MRAD = (1.2, -0.9)  # of two joints' zeros, to be found again
 
 
@@ -33,6 +34,8 @@ def write_study(folder: Path, robot: str = "", tip: str | None = None, base: str
         raise refuse("is a file; expected a folder, which may not exist yet", folder)
     study = re.sub(r"^\W+|[^\w.-]+", "-", folder.resolve().name).strip("-") or "study"
     texts = _texts(study, robot, tip, base)
+    kinds = schema_kinds(robot)
+    texts = {name: _checked_by(kinds[name], text) if name in kinds else text for name, text in texts.items()}
     there = [folder / name for name in texts if (folder / name).exists()]
     if there:
         raise InputError(Problem("is there already; nothing was written", path) for path in there)
@@ -45,6 +48,22 @@ def write_study(folder: Path, robot: str = "", tip: str | None = None, base: str
             (folder / name).unlink(missing_ok=True)
         raise
     return [folder / name for name in texts]
+
+
+def schema_kinds(robot: str = "") -> dict[str, str]:
+    """Return the kind of each of a new study's files, whose schema its first line names; robot as of `write_study`."""
+    stated = "urdf-robot" if robot.lower().endswith(urdf.SUFFIX) else "robot"
+    return dict(zip(FILES, (stated, "study", "truth"), strict=True))
+
+
+def schema_path(kind: str) -> str:
+    """Return where the schema of a kind of file lies, as seen from a new study's files."""
+    return f"{SCHEMAS}/{kind}.schema.json"
+
+
+def _checked_by(kind: str, text: str) -> str:
+    """A file's text with the line by which editors complete and check it."""
+    return f"#:schema {schema_path(kind)}\n{text}"
 
 
 def _texts(study: str, robot: str, tip: str | None, base: str | None) -> dict[str, str]:

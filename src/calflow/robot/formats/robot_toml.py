@@ -163,10 +163,16 @@ class LoopTable(FileModel):
         return FourBar(**{**vars(self), **bars})
 
 
+def _or_unknown(schema: dict[str, Any]) -> None:
+    """Have the schema of a number allow what stands for one that nobody knows."""
+    number = {key: schema.pop(key) for key in ("type", "minimum")}
+    schema["anyOf"] = [number, {"const": UNKNOWN}]
+
+
 class PayloadTable(FileModel):
     """A load on the flange."""
 
-    mass: Mass | None = Field(ge=0)
+    mass: Mass | None = Field(ge=0, json_schema_extra=_or_unknown)
     com: Lengths3 = (0.0, 0.0, 0.0)
 
     @field_validator("mass", mode="before")

@@ -1,0 +1,108 @@
+"""JSON Schema of the TOML files: what an editor completes and checks, made from the models that read them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import TypeAdapter
+from pydantic.json_schema import GenerateJsonSchema
+from pydantic_core import core_schema
+
+from calflow.files.toml import FileModel
+from calflow.files.units import SUFFIXES, to_si
+
+Schema = dict[str, Any]
+BOUNDS = ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum")
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+DIALECT_4 = "http://json-schema.org/draft-04/schema#"
+
+
+class FileSchema(GenerateJsonSchema):
+    """JSON Schema 2020-12 of file models: a quantity is its keys with units, and nothing is null, which TOML has not."""
+
+    def model_schema(self, schema: core_schema.ModelSchema) -> Schema:
+        """Return a model's schema with the keys that a file has."""
+        made, kind = super().model_schema(schema), schema["cls"]
+        if not issubclass(kind, FileModel) or "properties" not in made:
+            return made
+        dimensions, properties, required = kind.dimensions(), made["properties"], made.pop("required", [])
+        found: Schema = {}
+        needed: list[Schema] = []
+        for name, own in properties.items():
+            dimension = dimensions.get(name)
+            keys = [f"{name}_{unit}" for unit in SUFFIXES[dimension]] if dimension else [name]
+            found |= {
+                key: _in_unit(own, unit)
+                for key, unit in zip(keys, SUFFIXES[dimension] if dimension else ("",), strict=True)
+            }
+            if name in required and dimension:
+                needed.append({"oneOf": [{"required": [key]} for key in keys]})
+        always = [name for name in required if not dimensions.get(name)]
+        return (
+            made
+            | {"properties": found}
+            | ({"required": always} if always else {})
+            | ({"allOf": needed} if needed else {})
+        )
+
+    def nullable_schema(self, schema: core_schema.NullableSchema) -> Schema:
+        """Return the schema of what there may be."""
+        return self.generate_inner(schema["schema"])
+
+    def none_schema(self, schema: core_schema.NoneSchema) -> Schema:
+        """Return the schema of what no file can hold."""
+        return {"not": {}}
+
+
+def json_schema(kind: Any, title: str) -> Schema:
+    """Return the JSON Schema, draft 2020-12, of a file model or of a union of some."""
+    made = TypeAdapter(kind).json_schema(schema_generator=FileSchema)
+    return {"$schema": DIALECT, "title": title, **{key: value for key, value in made.items() if key != "title"}}
+
+
+def draft_4(schema: Schema) -> Schema:
+    """Return a schema in the words of draft 4, which is what Taplo, and by it most editors' TOML support, reads."""
+    made: Schema = _older(schema)
+    return made | {"$schema": DIALECT_4}
+
+
+def _older(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_older(one) for one in value]
+    if not isinstance(value, Mapping):
+        return value
+    said = {key: _older(one) for key, one in value.items() if key not in ("$schema", "discriminator", "propertyNames")}
+    if "$defs" in said:
+        said["definitions"] = said.pop("$defs")
+    if isinstance(said.get("$ref"), str):
+        said["$ref"] = said["$ref"].replace("#/$defs/", "#/definitions/")
+        if len(said) > 1:  # what stands beside a reference does not count in draft 4
+            said = {"allOf": [{"$ref": said.pop("$ref")}], **said}
+    if "const" in said and not isinstance(said["const"], Mapping):
+        said["enum"] = [said.pop("const")]
+    if isinstance(said.get("prefixItems"), list):
+        said |= {"items": said.pop("prefixItems"), "additionalItems": False}
+    for bound, plain in (("exclusiveMinimum", "minimum"), ("exclusiveMaximum", "maximum")):
+        if isinstance(said.get(bound), int | float) and not isinstance(said[bound], bool):
+            said |= {plain: said[bound], bound: True}
+    return said
+
+
+def _in_unit(schema: Any, unit: str) -> Any:
+    """A quantity's schema, its bounds and default in SI, with these in a unit."""
+    if not unit:
+        return schema
+    factor, offset = to_si(unit)
+
+    def converted(value: Any) -> Any:
+        if isinstance(value, list | tuple):
+            return [converted(one) for one in value]
+        return float(f"{(value - offset) / factor:.10g}") if isinstance(value, int | float) else value
+
+    if isinstance(schema, list):
+        return [_in_unit(one, unit) for one in schema]
+    if not isinstance(schema, Mapping):
+        return schema
+    said = {key: converted(one) if key in (*BOUNDS, "default") else _in_unit(one, unit) for key, one in schema.items()}
+    return {key: one for key, one in said.items() if not (key == "default" and one is None)}

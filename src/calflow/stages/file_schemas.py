@@ -1,0 +1,102 @@
+"""The kinds of files that a user writes, each with its JSON Schema, in which an editor finds effects and settings by name."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from functools import reduce
+from operator import or_
+from typing import Any, Literal
+
+from pydantic import create_model
+
+from calflow.deployment.target_frames import FramesFile
+from calflow.effects import catalogue
+from calflow.files.json_schema import Schema, draft_4, json_schema
+from calflow.files.problems import nearest, refuse
+from calflow.files.toml import FileModel
+from calflow.measurements.source import MeasurementSource
+from calflow.observations import catalogue as observation_kinds
+from calflow.robot.formats.robot_toml import RobotFile
+from calflow.robot.formats.urdf_toml import UrdfRobotFile
+from calflow.simulation import Truth
+from calflow.stages import STAGES
+from calflow.study import StudyFile, WorkflowFile
+
+Draft = Literal["4", "2020-12"]
+
+
+def schema(kind: str, draft: Draft = "4") -> Schema:
+    """Return the JSON Schema of a kind of file, with the effects, observations and stages that are installed.
+
+    Raises:
+        InputError: there is no such kind.
+    """
+    if kind not in KINDS:
+        raise refuse(f"unknown kind '{kind}'; there are {', '.join(KINDS)}{nearest(kind, KINDS)}")
+    made = json_schema(KINDS[kind](), f"calflow's {kind} file")
+    return draft_4(made) if draft == "4" else made
+
+
+def schema_text(kind: str, draft: Draft = "4") -> str:
+    """Return the JSON Schema of a kind of file as it is written.
+
+    Raises:
+        InputError: there is no such kind.
+    """
+    return f"{json.dumps(schema(kind, draft), indent=2, ensure_ascii=False)}\n"
+
+
+def _study() -> type[FileModel]:
+    """A study's file in which effects, series and stages are those that there are."""
+    settings = reduce(or_, dict.fromkeys(one.settings for one in observation_kinds().values()))
+    source = create_model(
+        "MeasurementSource", __base__=MeasurementSource, __doc__=MeasurementSource.__doc__,
+        kind=(_one_of("", *observation_kinds()), ""), settings=(settings, {}),
+    )  # fmt: skip
+    measurements: Any = source | tuple[source, ...] | None  # type: ignore[valid-type]
+    return create_model(
+        "StudyFile", __base__=StudyFile, __doc__=StudyFile.__doc__,
+        effects=(_several(catalogue()), StudyFile.model_fields["effects"].default),
+        measurements=(measurements, None), stages=(_settings(), {}),
+    )  # fmt: skip
+
+
+def _workflow() -> type[FileModel]:
+    return create_model(
+        "WorkflowFile",
+        __base__=WorkflowFile,
+        __doc__=WorkflowFile.__doc__,
+        stages=(_several(STAGES), ...),
+        settings=(_settings(), {}),
+    )
+
+
+def _truth() -> type[FileModel]:
+    return create_model("Truth", __base__=Truth, __doc__=Truth.__doc__, effects=(_several(catalogue()), ...))
+
+
+def _settings() -> type[FileModel]:
+    """A table of settings a stage."""
+    fields: Any = {name: (stage.settings | None, None) for name, stage in STAGES.items()}
+    made: type[FileModel] = create_model("StageSettings", __base__=FileModel, **fields)
+    return made
+
+
+def _one_of(*names: str) -> Any:
+    return Literal[names]
+
+
+def _several(names: Iterable[str]) -> Any:
+    one: Any = _one_of(*names)
+    return tuple[one, ...]
+
+
+KINDS: Mapping[str, Callable[[], Any]] = {
+    "study": _study,
+    "robot": lambda: RobotFile,
+    "urdf-robot": lambda: UrdfRobotFile,
+    "workflow": _workflow,
+    "truth": _truth,
+    "frames": lambda: FramesFile,
+}
