@@ -10,7 +10,7 @@ import click
 from calflow.commands.options import FILE, OVER, write_free
 
 if TYPE_CHECKING:
-    from calflow.stages.file_schemas import Draft
+    from calflow.api.file_schemas import Draft
 
 
 @click.command()
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 @click.option("--out", type=FILE, help="File to write, a folder where no KIND is given; printed by default.")
 @OVER
 def schema(kind: str, draft: Draft, out: Path | None, force: bool) -> None:
-    """Write the JSON Schema of a KIND of file (study, robot, urdf-robot, workflow, truth, frames); of all without KIND.
+    """Write the JSON Schema of a KIND of file (study, robot, urdf-robot, workflow, truth, frames, fleet); of all without KIND.
 
     A file whose first line is `#:schema PATH` is then completed and checked by editors, and by `taplo check`.
     """
-    from calflow.stages.file_schemas import KINDS, schema_text
+    from calflow.api.file_schemas import KINDS, schema_text
 
     if not kind and out is None:
         raise click.UsageError(f"expected a KIND ({', '.join(KINDS)}), or --out FOLDER for all")

@@ -28,7 +28,9 @@ def _several(value: Any) -> Any:
     return (value,) if isinstance(value, str) else value
 
 
-Files = Annotated[tuple[str, ...], BeforeValidator(_several)]  # one a series of the study, in order
+Files = Annotated[
+    tuple[str, ...], BeforeValidator(_several, json_schema_input_type=str | tuple[str, ...])
+]  # one a series of the study, in order
 
 
 class Plant(FileModel):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from calflow.stages.file_schemas import KINDS, schema
+from calflow.api.file_schemas import KINDS, schema
 from conftest import in_process
 
 ROOT = Path(__file__).parents[2]
@@ -90,6 +90,7 @@ RIGHT = [
     ("study", STUDY + SEVERAL),
     ("robot", ROBOT + '\n[payloads.load]\nmass_kg = "unknown"\n'),
     ("robot", ROBOT + "\n[payloads.load]\nmass_g = 5\n"),
+    ("fleet", '[fleet]\nname = "p"\n[types.a]\nstudy = "s.toml"\ndata = "{robot}.csv"\n[robots.r1]\ntype = "a"\ndata = ["x.csv"]\n'),
     ("frames", "[frames.bench]\norigin_mm = [1, 2, 3]\n"),
 ]  # fmt: skip
 
@@ -131,6 +132,6 @@ def test_an_unknown_kind_is_told():
     """Fails if a misspelt kind ends in a traceback."""
     answer = in_process("schema", "stdy")
     assert (answer.code, answer.err) == (
-        2, "unknown kind 'stdy'; there are study, robot, urdf-robot, workflow, truth, frames, did you mean 'study'?\n",
+        2, "unknown kind 'stdy'; there are study, robot, urdf-robot, workflow, truth, frames, fleet, did you mean 'study'?\n",
     )  # fmt: skip
     assert in_process("schema").code == 2

@@ -15,6 +15,7 @@ from calflow.effects import catalogue
 from calflow.files.json_schema import Schema, draft_4, json_schema
 from calflow.files.problems import nearest, refuse
 from calflow.files.toml import FileModel
+from calflow.fleet.fleet_file import FleetFile
 from calflow.measurements.source import MeasurementSource
 from calflow.observations import catalogue as observation_kinds
 from calflow.robot.formats.robot_toml import RobotFile
@@ -99,4 +100,5 @@ KINDS: Mapping[str, Callable[[], Any]] = {
     "workflow": _workflow,
     "truth": _truth,
     "frames": lambda: FramesFile,
+    "fleet": lambda: FleetFile,
 }
