@@ -163,7 +163,7 @@ def test_wrong_values_and_payloads_are_told_together(small):
     ("poses", "expected"),
     [
         (None, ["p.csv: no such file"]),
-        ("q1_deg,q2_deg,q3_deg\n", ["p.csv: holds no poses"]),
+        ("q1_deg,q2_deg,q3_deg\n", ["p.csv: is empty"]),
         (
             "q1_deg,q2_dg,q3_inch\n1,2,3\n",
             [
@@ -171,10 +171,14 @@ def test_wrong_values_and_payloads_are_told_together(small):
                 "q3_deg",
             ],
         ),
+        (
+            "q1_deg,q2_deg,q3_deg,q1_rad\n1,2,3,4\n",
+            ["p.csv:1: column 'q1_deg': 'q1' is there twice, in different units"],
+        ),
         ("q1_deg,q2_deg,q3_deg\n1,2,3\n\n1,,3\n", ["p.csv:4: a joint reading is empty"]),
         (
             "q1_deg,q2_deg,q3_deg\n1,2,3\n1,,3\n1,2,x\n",
-            ["p.csv:3: a joint reading is empty", "p.csv:4: a joint reading"],
+            ["p.csv:3: a joint reading is empty", "p.csv:4: column 'q3_deg': expected a number, found 'x'"],
         ),
     ],
 )

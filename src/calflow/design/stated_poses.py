@@ -5,12 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from calflow.design.candidates import pack
-from calflow.files.problems import InputError, Problem, nearest, refuse
-from calflow.files.regular import regular_file
-from calflow.files.units import SUFFIXES, split_unit, to_si
+from calflow.files.problems import InputError, Problem, nearest
+from calflow.files.units import SUFFIXES
+from calflow.measurements.cells import read_cells
+from calflow.measurements.header import ReadColumn
+from calflow.measurements.layout import Layout
+from calflow.measurements.values import numbers
 from calflow.model import Model
 from calflow.robot.robot import Robot
 
@@ -21,42 +23,40 @@ def stated_poses(file: Path, model: Model) -> np.ndarray:
     Raises:
         InputError: it cannot be read, lacks a joint's column, or holds no poses or such as the robot cannot take.
     """
-    try:
-        table = pd.read_csv(regular_file(file), skip_blank_lines=False).dropna(how="all")
-    except FileNotFoundError:
-        raise refuse("no such file", file) from None
-    except (OSError, ValueError) as error:
-        raise refuse(f"cannot be read: {error}", file) from None
-    columns = _joint_columns(list(map(str, table)), model.robot, file)
-    if table.empty:
-        raise refuse("holds no poses", file)
-    factors = [to_si((split_unit(name) or ("", ""))[1])[0] for name in columns]
-    stated = np.zeros((len(table), model.robot.n_joints))
-    stated[:, model.robot.driven] = factors * table[columns].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    cells = read_cells(file, Layout())
+    columns = _joint_columns(list(map(str, cells)), model.robot, file)
+    read = [numbers(cells[column.theirs], column, Layout(), file) for column in columns]
+    wrong = [problem for column in read for problem in column.problems]
+    stated = np.zeros((len(cells), model.robot.n_joints))
+    stated[:, model.robot.driven] = np.transpose([column.values for column in read])
+    empty = np.any([column.empty for column in read], axis=0)
     finite = np.asarray(np.isfinite(stated).all(axis=1))
     packed = pack(model, np.where(finite[:, None], stated, 0.0), "", "")
     closed = np.abs(model.closure_cosine(model.nominal, packed)) < 1
-    lines = table.index.to_numpy() + 2
-    problems = [Problem("a joint reading is empty or not a number", file, int(line)) for line in lines[~finite]]
+    lines = cells.index.to_numpy()
+    problems = [Problem("a joint reading is empty or not a number", file, int(line)) for line in lines[empty]]
     problems += [Problem("the four-bar loop cannot be closed at these joint readings", file, int(line))
                  for line in lines[finite & ~closed]]  # fmt: skip
-    if problems:
-        raise InputError(problems)
+    if wrong or problems:
+        raise InputError([*problems, *wrong])
     return np.asarray(stated)
 
 
-def _joint_columns(there: list[str], robot: Robot, file: Path) -> list[str]:
+def _joint_columns(there: list[str], robot: Robot, file: Path) -> list[ReadColumn]:
     """The column of each joint's reading, whatever its unit."""
-    found: list[str] = []
+    found: list[ReadColumn] = []
     problems: list[Problem] = []
     for i in robot.driven:
-        joint = robot.joints[i]
-        ways = [f"q{i + 1}_{unit}" for unit in SUFFIXES["angle" if joint.kind == "revolute" else "length"]]
-        name = next((way for way in ways if way in there), None)
-        if name is None:
+        joint, name = robot.joints[i], f"q{i + 1}"
+        units = SUFFIXES["angle" if joint.kind == "revolute" else "length"]
+        ways = [f"{name}_{unit}" for unit in units]
+        own = [ReadColumn(name, unit, way, way) for unit, way in zip(units, ways, strict=True) if way in there]
+        if not own:
             problems.append(Problem(f"missing column: expected {' or '.join(ways)}{nearest(ways[1], there)}", file, 1))
+        elif len(own) > 1:
+            problems.append(Problem(f"{own[1]}: '{name}' is there twice, in different units", file, 1))
         else:
-            found.append(name)
+            found += own
     if problems:
         raise InputError(problems)
     return found

@@ -26,7 +26,7 @@ class Problem:
         if self.line:
             place += f":{self.line}"
         key = shortened(self.key or "", LONGEST_MESSAGE)
-        return ": ".join(part for part in (place, key, shortened(self.message, LONGEST_MESSAGE)) if part)
+        return seen(": ".join(part for part in (place, key, shortened(self.message, LONGEST_MESSAGE)) if part))
 
 
 class InputError(Exception):
@@ -63,6 +63,11 @@ def together(*checks: Callable[[], Any]) -> list[Any]:
 def shortened(text: str, most: int = LONGEST_WORD) -> str:
     """Return a text that a message can show, cut where it is long."""
     return text if len(text) <= most else f"{text[:most]} …"
+
+
+def seen(text: str) -> str:
+    """Return a text whose signs all can be seen: those that a terminal hides, or obeys, are spelled as Python spells them."""
+    return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

@@ -14,7 +14,8 @@ from calflow.measurements.columns import ANGLES, LABELS, POSITION, SIGMAS, colum
 from calflow.measurements.followers import filled
 from calflow.measurements.labels import labelled
 from calflow.measurements.layout import Layout
-from calflow.measurements.rows import Rows, beyond, beyond_words, kept, placed_in_time
+from calflow.measurements.rows import Rows, kept, placed_in_time
+from calflow.measurements.values import beyond, beyond_words
 from calflow.robot.angles import angles
 from calflow.robot.robot import Robot
 

@@ -8,21 +8,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from calflow.files.problems import InputError, Problem, shortened
-from calflow.files.units import LARGEST, SUFFIXES, to_si
+from calflow.files.problems import InputError, Problem
+from calflow.files.units import SUFFIXES
 from calflow.measurements.cells import EMPTY, read_cells
-from calflow.measurements.checks import MAX_ROWS_TOLD, at_rows, check_header, check_values
+from calflow.measurements.checks import MAX_ROWS_TOLD, check_header, check_values
 from calflow.measurements.columns import SIGMAS, column_names, numbered
 from calflow.measurements.followers import filled
 from calflow.measurements.header import ReadColumn, columns_read
 from calflow.measurements.labels import labelled
 from calflow.measurements.layout import Layout
 from calflow.measurements.sequence import ordered, ranged
+from calflow.measurements.values import Values, at_lines, values_of
 from calflow.robot.robot import Robot
-
-NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
-NOTHING = ("", "nan", "-nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none")
-WRONG_UNIT = 1000.0  # times what a robot has: so far a value may lie, and be told as one in a wrong unit
 
 
 @dataclass(frozen=True)
@@ -33,15 +30,6 @@ class Rows:
     notes: tuple[str, ...]
     time_origin: float | None
     units: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class _Values:
-    """A column's values by line, nan where there is none, which cells are empty, and what is wrong with the others."""
-
-    values: pd.Series
-    empty: pd.Series
-    problems: list[Problem]
 
 
 def read_rows(
@@ -64,7 +52,7 @@ def read_rows(
     problems = [Problem(told, path, 1) for told in check_header(columns, layout, robot, conditions_only)]
     known = column_names(robot, layout.reports)
     read = {
-        column: _values(cells[column.theirs], column, layout, path) for column in columns if _is_told(column, known)
+        column: values_of(cells[column.theirs], column, layout, path) for column in columns if _is_told(column, known)
     }
     gone = _without_measurement(read, layout)
     wrong = [
@@ -98,65 +86,12 @@ def placed_in_time(
     return Rows(table, tuple(notes), time_origin)
 
 
-def beyond(values: np.ndarray, dimension: str) -> np.ndarray:
-    """Which values [SI] are larger than anything in a wrong unit could be, shape as values."""
-    return np.abs(values) > WRONG_UNIT * LARGEST[dimension]
-
-
-def beyond_words(dimension: str) -> str:
-    """Say what is the largest value that is read."""
-    si = f" {SUFFIXES[dimension][0]}" if dimension else ""
-    return f"expected at most {WRONG_UNIT * LARGEST[dimension]:g}{si}"
-
-
 def _is_told(column: ReadColumn, known: dict[str, str]) -> bool:
     """Whether a column's values can be read: it has a name that is known and a unit of its dimension."""
     return column.name in known and column.unit in SUFFIXES.get(known[column.name], ("",))
 
 
-def _values(cells: pd.Series, column: ReadColumn, layout: Layout, path: Path) -> _Values:
-    """Return a column's values in SI units."""
-    never = pd.Series(False, cells.index)
-    if column.name in ("marker", "payload", "session", "split", *layout.reports.labels):
-        return _Values(_text(cells), never, [])
-    if column.name in ("pose", "repeat"):
-        labels = _text(cells).str.replace(r"\.0*$", "", regex=True)
-        problems = _at_lines(labels == "", path, f"{column} is empty")
-        whole = labels.str.fullmatch(r"\d{1,18}").all()
-        return _Values(labels.astype(int) if whole else labels, never, problems)
-    return _numbers(cells, column, layout, path)
-
-
-def _numbers(cells: pd.Series, column: ReadColumn, layout: Layout, path: Path) -> _Values:
-    if pd.api.types.is_numeric_dtype(cells):
-        numbers, text = cells.astype(float), pd.Series(False, cells.index)
-    else:
-        written = _text(cells)
-        if layout.decimal == ",":
-            written = written.str.replace(".", "?", regex=False).str.replace(",", ".", regex=False)
-        good = written.str.fullmatch(NUMBER)
-        text = ~good & ~written.str.lower().isin(NOTHING)
-        numbers = written.where(good).astype(float)
-    factor, offset = to_si(column.unit) if column.unit else (1.0, 0.0)
-    empty = ~text & ~np.isfinite(numbers)
-    values = factor * numbers + offset
-    dimension = next((name for name, units in SUFFIXES.items() if column.unit in units), "")
-    large = pd.Series(beyond(values.where(~empty, 0.0).to_numpy(), dimension), cells.index)
-    problems = [Problem(_no_number(cells[text], column, layout), path, int(cells.index[text][0]))] if text.any() else []
-    problems += _at_lines(large, path, f"{column}: {beyond_words(dimension)}")
-    return _Values(values.where(~(empty | large)), empty, problems)
-
-
-def _no_number(wrong: pd.Series, column: ReadColumn, layout: Layout) -> str:
-    """Say that cells hold no number."""
-    first, more = shortened(str(wrong.iloc[0])), len(wrong) - 1
-    other = "," if layout.decimal == "." else "."
-    hint = f" (written with '{other}'? say decimal = \"{other}\" in the study)" if other in first else ""
-    count = f" (and {more} more rows)" if more else ""
-    return f"{column}: expected a number, found '{first}'{hint}{count}"
-
-
-def _without_measurement(read: dict[ReadColumn, _Values], layout: Layout) -> dict[str, pd.Series]:
+def _without_measurement(read: dict[ReadColumn, Values], layout: Layout) -> dict[str, pd.Series]:
     """Return for each marker ('' where markers have no columns of their own) which lines are left out for want of values."""
     gone = {}
     for marker in dict.fromkeys([column.marker for column in read if column.marker] or [""]):
@@ -174,16 +109,16 @@ def _without_measurement(read: dict[ReadColumn, _Values], layout: Layout) -> dic
     return gone
 
 
-def _empty(column: ReadColumn, own: _Values, gone: dict[str, pd.Series], layout: Layout, path: Path) -> list[Problem]:
+def _empty(column: ReadColumn, own: Values, gone: dict[str, pd.Series], layout: Layout, path: Path) -> list[Problem]:
     """Find empty cells, besides those of the device in rows that are left out."""
     empty = own.empty
     if column.name in (*layout.reports.values, *SIGMAS):
         left_out = [lines for marker, lines in gone.items() if column.marker in ("", marker)]
         empty = empty & ~pd.concat(left_out, axis=1).all(axis=1).reindex(empty.index, fill_value=False)
-    return _at_lines(empty, path, f"{column} is empty or not a number; complete the row or leave it out")
+    return at_lines(empty, path, f"{column} is empty or not a number; complete the row or leave it out")
 
 
-def _assembled(read: dict[ReadColumn, _Values], gone: dict[str, pd.Series], layout: Layout) -> pd.DataFrame:
+def _assembled(read: dict[ReadColumn, Values], gone: dict[str, pd.Series], layout: Layout) -> pd.DataFrame:
     """Return a row for each line, and for each marker where they are measured side by side."""
     blocks = []
     for marker, lines in gone.items():
@@ -222,11 +157,3 @@ def _to_come(table: pd.DataFrame, robot: Robot) -> pd.DataFrame:
     readings = {name: np.nan for name in numbered("q", robot.n_joints) if name not in table}
     poses = {} if "pose" in table else {"pose": np.arange(1, len(table) + 1)}
     return table.assign(**readings, **poses)
-
-
-def _text(cells: pd.Series) -> pd.Series:
-    return cells.where(cells.notna(), "").astype(str)
-
-
-def _at_lines(bad: pd.Series, path: Path, message: str) -> list[Problem]:
-    return at_rows(bad.to_numpy(dtype=bool), pd.DataFrame({"line": bad.index}), path, message)

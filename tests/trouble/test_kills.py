@@ -1,0 +1,33 @@
+"""Whole runs killed at random moments. The whole campaign is benchmarks/faults.py."""
+
+from __future__ import annotations
+
+import pytest
+
+from trouble import kills
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("CALFLOW_DATA", raising=False)
+        yield kills.unbroken(tmp_path_factory.mktemp("kills"))
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_killed_run_goes_on_to_the_same_bytes(whole, tmp_path, number):
+    """Fails if what a killed run leaves keeps the next one from its end, or changes a bit of a table, or lies about afterwards."""
+    assert kills.killed(whole, tmp_path / "run", seed=20, number=number).wrong == ""
+
+
+def test_another_table_is_noticed(whole, tmp_path):
+    """Fails if the comparison passes a run that left another number, or something half written."""
+    run = whole.study.parent / "unbroken"
+    assert kills.differences(whole, run) == []
+    table = run / "identify" / "accuracy.csv"
+    before = table.read_bytes()
+    table.write_bytes(before.replace(b"0", b"1", 1))
+    (run / "half.part").write_bytes(b"")
+    assert kills.differences(whole, run) == ["identify/accuracy.csv differs", "half.part lies about"]
+    table.write_bytes(before)
+    (run / "half.part").unlink()
