@@ -65,7 +65,7 @@ def test_log_probability_is_the_models(posterior):
     assert inside.any()
     slope = posterior.coordinates.mapped(u)[1]
     np.testing.assert_allclose(posterior.log_probability(u) - slope, expected, rtol=1e-9)
-    _, prior, likelihood = posterior.log_densities(u)
+    prior, likelihood = posterior.log_densities(u)
     levels = x[inside, -1]
     priors = -0.5 * (((x[inside, :-1] - model.nominal) / model.prior_sd) ** 2).sum(axis=1) - 0.5 * levels**2
     np.testing.assert_allclose(prior[inside], priors, rtol=1e-9)
@@ -124,7 +124,7 @@ def test_a_block_that_was_not_finished_leaves_the_chain_as_it_was(posterior, sta
 def test_prior_and_likelihood_are_kept_of_the_draw_they_belong_to(posterior, start, tmp_path):
     """Fails if a rejected proposal's densities stand beside the draw that was kept, or the two are swapped."""
     (backend,) = extended(posterior, start, tmp_path / "chain.h5", [20])
-    _, prior, likelihood = posterior.log_densities(backend.get_chain(flat=True))
+    prior, likelihood = posterior.log_densities(backend.get_chain(flat=True))
     kept = backend.get_blobs(flat=True)
     np.testing.assert_allclose(kept["log_prior"], prior, rtol=1e-9)
     np.testing.assert_allclose(kept["log_likelihood"], likelihood, rtol=1e-9)

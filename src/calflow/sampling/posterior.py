@@ -111,7 +111,7 @@ class Posterior:
             likelihood[inside] = -0.5 * self.squares(values.T) * np.exp(-2 * log_noise) - self.problem.size * log_noise
         return prior, likelihood
 
-    def log_densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the log posterior of coordinates (n_walkers, n_dimensions), and log prior and log likelihood of their parameters.
 
         Each (n_walkers,) and up to a constant. The first has besides the other two what the map stretches there.
@@ -120,9 +120,13 @@ class Posterior:
         prior, likelihood = self.densities_at(x)
         return prior + likelihood + log_slope, prior, likelihood
 
+    def log_densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return log prior and log likelihood of the parameters at coordinates (n_walkers, n_dimensions), see `densities_at`."""
+        return self.densities_at(self.parameters(u))
+
     def log_probability(self, u: np.ndarray) -> np.ndarray:
         """Return the log posterior, up to a constant, of coordinates (n_walkers, n_dimensions); -inf outside bounds."""
-        return self.log_densities(u)[0]
+        return self.densities(u)[0]
 
     def start(self, n_walkers: int, rng: np.random.Generator) -> np.ndarray:
         """Return walkers (n_walkers, n_dimensions) drawn from the coordinates' normal, redrawn until all are inside the bounds."""

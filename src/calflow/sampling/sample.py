@@ -154,7 +154,7 @@ def _extend(
     backend: BlockBackend, posterior: Posterior, start: np.ndarray, seed: int, independent: float, steps: int
 ) -> None:
     def densities(u: np.ndarray) -> list[tuple[float, float, float]]:
-        return list(zip(*posterior.log_densities(u), strict=True))
+        return list(zip(*posterior.densities(u), strict=True))
 
     block = emcee.backends.Backend()
     sampler = emcee.EnsembleSampler(
