@@ -31,8 +31,8 @@ def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
 )
 def new(folder: Path, robot: str, tip: str | None, base: str | None) -> None:
     """Write a new study into FOLDER, to be filled in."""
-    from calflow.files.writing import write_whole
     from calflow.api.file_schemas import schema_text
+    from calflow.files.writing import write_whole
     from calflow.templates import SCHEMAS, schema_kinds, schema_path, write_study
 
     for path in write_study(folder, robot, tip, base):

@@ -107,6 +107,7 @@ class Identified:
     elsewhere [m] is what it errs by beyond all that at poses that it was not fitted to, per axis.
 
     alternatives are other models that explain the data about as well; field is a correction beside the model that is not physical.
+    intraclass is the correlation of what the markers of a standstill err.
     """
 
     model: Model
@@ -120,6 +121,7 @@ class Identified:
     elsewhere: float = 0.0
     alternatives: tuple[Alternative, ...] = ()
     field: ResidualField | None = None
+    intraclass: float = 0.0
 
     @property
     def noise_known(self) -> bool:
@@ -146,7 +148,7 @@ class Identified:
             sigma[own & np.isnan(sigma)] = one.at_rows  # rows that do not state theirs, of a device that did
         return replace(
             stated, sigma=sigma, sources=tuple(one.source for one in self.device), discrepancy=self.discrepancy,
-            rotation_discrepancy=self.rotation_discrepancy,
+            rotation_discrepancy=self.rotation_discrepancy, intraclass=self.intraclass,
         )  # fmt: skip
 
 
@@ -327,6 +329,7 @@ def _read(stage: str, model: Model, results: Results) -> Identified:
         (summary.rotation_discrepancy_mrad or 0.0) / 1e3,
         summary.loss,
         summary.elsewhere_mm / 1e3,
+        intraclass=summary.intraclass,
     )
 
 

@@ -38,7 +38,8 @@ def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarra
     """Yield each pose's whitened residuals (n,), of lengths, and their Jacobian (n, n_parameters)."""
     for block in fit.problem.reweighted(fit.estimate, fit.loss).blocks:
         lengths = np.array([unit != "rad" for unit in block.observation.units])
-        for rows, residual, jacobian in block.linearised(fit.estimate):
+        for rows, *part in block.linearised(fit.estimate):
+            residual, jacobian = block.independent(*part)
             order = np.argsort(pose[rows], kind="stable")
             ends = np.flatnonzero(np.diff(pose[rows][order])) + 1
             for own in np.split(order, ends):

@@ -161,15 +161,17 @@ def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
     model, n = problem.model, len(x)
     offset = x - model.prior_mean / model.prior_sd
     value, gradient, hessian, residuals = 0.5 * offset @ offset, offset.copy(), np.eye(n), []
-    for _, residual, jacobian in problem.linearised(x * model.prior_sd):
-        squared = (residual**2).sum(axis=1)
-        slope = rho_slope(squared, loss)[:, None, None]
-        scaled = (jacobian * model.prior_sd).reshape(-1, n)
-        weighted = scaled if loss == "linear" else (slope * jacobian * model.prior_sd).reshape(-1, n)
-        value += 0.5 * float(rho(squared, loss).sum())
-        gradient += weighted.T @ residual.ravel()
-        hessian += weighted.T @ scaled
-        residuals.append(residual.ravel())
+    for block in problem.blocks:
+        for _, error, *slopes in block.linearised(x * model.prior_sd):
+            residual, jacobian = block.independent(error, *slopes)
+            squared = (residual**2).sum(axis=1)
+            slope = rho_slope(squared, loss)[:, None, None]
+            scaled = (jacobian * model.prior_sd).reshape(-1, n)
+            weighted = scaled if loss == "linear" else (slope * jacobian * model.prior_sd).reshape(-1, n)
+            value += 0.5 * float(rho(squared, loss).sum())
+            gradient += weighted.T @ residual.ravel()
+            hessian += weighted.T @ scaled
+            residuals.append(error.ravel())
     return Expansion(value, gradient, hessian, np.concatenate(residuals))
 
 

@@ -44,6 +44,9 @@ class FitSummary:
         "mm",
         default=0.0,
     )
+    intraclass: float = column(
+        "correlation of what the markers of a standstill err, axis by axis; 0: each for itself", default=0.0
+    )
     loss: Loss = column("of the fit")
     reduced_chi2: float | None = column("chi² per degree of freedom; null: cannot be told, the noise came from the fit")
     lack_of_fit_p: float | None = column("chance of so much where the model is right; null: cannot be told")

@@ -17,6 +17,7 @@ from calflow.estimation.extrapolation import extrapolation
 from calflow.estimation.fit import Fit, draw_starts
 from calflow.estimation.fit_summary import IdentifySummary, Solver
 from calflow.estimation.identifiability import Identifiability, identifiability
+from calflow.estimation.intraclass import fit_sharing
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import Noise
@@ -24,7 +25,6 @@ from calflow.estimation.noise_doubt import NoiseDoubt, doubts_of_repeats, doubts
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered
 from calflow.estimation.repeats import conditions, measured_noise
-from calflow.estimation.reweighting import fit_reweighted
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
@@ -75,6 +75,7 @@ class Identification:
         return Identified(
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
             self.noise.discrepancy, self.noise.rotation_discrepancy, self.loss, self.elsewhere,
+            intraclass=self.noise.intraclass,
         )  # fmt: skip
 
     @cached_property
@@ -88,6 +89,7 @@ class Identification:
             discrepancy_mm=1e3 * noise.discrepancy,
             rotation_discrepancy_mrad=None if noise.rotation is None else 1e3 * noise.rotation_discrepancy,
             elsewhere_mm=1e3 * self.elsewhere,
+            intraclass=noise.intraclass,
             loss=self.loss,
             reduced_chi2=self.lack.reduced_chi2 if noise.known else None,
             lack_of_fit_p=self.lack.p if noise.known else None,
@@ -155,12 +157,13 @@ def identify(
             raise refuse(wrong, source)
         say(f"{' + '.join(effects[:k])}: {len(model.parameters)} parameters, {len(train)} rows")
         points = draw_starts(model, starts, rng("starts"))
-        result, reweighted, lack, agree = fit_reweighted(model, train, device.only(data.train), points, loss)
+        result, reweighted, lack, agree = fit_sharing(model, train, device.only(data.train), points, loss)
         error = errors(model, result.estimate, data)
         rows += accuracy(" + ".join(effects[:k]), error, data, k, model.effects[-1])
         advance(k / len(effects))
 
-    left = replace(device, discrepancy=reweighted.discrepancy, rotation_discrepancy=reweighted.rotation_discrepancy)
+    left = replace(device, discrepancy=reweighted.discrepancy, rotation_discrepancy=reweighted.rotation_discrepancy,
+                   intraclass=reweighted.intraclass)  # fmt: skip
     left = replace(left, sigma=_of_single_rows(left, reweighted))
     if not doubts:
         doubts = doubts_of_residuals(device.only(data.train), lack, tuple(series.name for series in data.series))

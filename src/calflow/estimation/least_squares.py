@@ -13,6 +13,8 @@ import numpy as np
 from calflow.compiled import compiled
 from calflow.estimation.noise import Noise
 from calflow.estimation.nuisance import observing
+from calflow.estimation.repeats import standstills
+from calflow.estimation.sharing import Sharing
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.observations import Observation
@@ -47,6 +49,7 @@ class SeriesBlock:
 
     whitening is (n_units, n_rows) where residuals are independent, else (n_units², n_rows): a matrix a row, column by column.
     sigma (n_units, n_rows) is the device's noise along the whitened axes, total that and the model's discrepancy.
+    sharing says what rows of one standstill err in common, None where each errs for itself.
     """
 
     model: Model
@@ -57,6 +60,7 @@ class SeriesBlock:
     whitening: np.ndarray
     sigma: np.ndarray
     total: np.ndarray
+    sharing: Sharing | None = None
 
     @property
     def weight(self) -> np.ndarray:
@@ -113,10 +117,17 @@ class SeriesBlock:
 
     def linearised(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield row numbers (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, part by part."""
-        for start in range(0, len(self.rows), LINEARISED_ROWS):
-            part = slice(start, start + LINEARISED_ROWS)
+        together = len(self.rows) if self.sharing else LINEARISED_ROWS
+        for start in range(0, len(self.rows), together):
+            part = slice(start, start + together)
             residual, jacobian = over_rows(self.function, p, *(values[:, part] for values in self.data))
             yield self.rows[part], residual.T, jacobian.T.reshape(residual.shape[1], self.n_units, -1)
+
+    def independent(self, residual: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what `linearised` yields of a part without what rows of a standstill share: of variance 1 each."""
+        if self.sharing is None:
+            return residual, jacobian
+        return self.sharing.decorrelated(residual), self.sharing.decorrelated(jacobian)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +152,14 @@ class LeastSquares:
             own, units = noise.only(rows), observation.units
             reported = observation.reported(data.table.iloc[rows])
             blocks.append(SeriesBlock(model, observation, rows, data.rows[:, rows], reported, own.whitening(units),
-                                own.principal(units), own.about_model(units)))  # fmt: skip
+                                own.principal(units), own.about_model(units),
+                                shared_by(observation, own, data.only(data.of_series(k)))))  # fmt: skip
         return LeastSquares(model, tuple(blocks))
+
+    @property
+    def shares(self) -> bool:
+        """Whether any rows err in common."""
+        return any(block.sharing for block in self.blocks)
 
     @property
     def n_rows(self) -> int:
@@ -222,12 +239,27 @@ class LeastSquares:
         return replace(self, blocks=tuple(blocks))
 
     def reduced(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stacked whitened residuals (n,) at p and Householder's R factor of their Jacobian."""
+        """Return the stacked whitened residuals (n,) at p, made independent, and Householder's R factor of their Jacobian."""
         residuals, r_factor = [], np.zeros((0, len(p)))
-        for _, residual, jacobian in self.linearised(p):
-            residuals.append(residual.ravel())
-            r_factor = np.asarray(np.linalg.qr(np.vstack([r_factor, jacobian.reshape(-1, len(p))]), mode="r"))
+        for block in self.blocks:
+            for _, *part in block.linearised(p):
+                residual, jacobian = block.independent(*part)
+                residuals.append(residual.ravel())
+                r_factor = np.asarray(np.linalg.qr(np.vstack([r_factor, jacobian.reshape(-1, len(p))]), mode="r"))
         return np.concatenate(residuals), r_factor
+
+
+def shared_by(observation: Observation, noise: Noise, data: Measurements) -> Sharing | None:
+    """Return what positions of a series err in common, None where that is nothing or no two were measured at a standstill."""
+    if not noise.intraclass or not may_share(observation, noise):
+        return None
+    standstill = standstills(data)
+    return Sharing(standstill, noise.intraclass) if np.bincount(standstill).max() > 1 else None
+
+
+def may_share(observation: Observation, noise: Noise) -> bool:
+    """Whether rows have axes in common along which they may err alike: positions, as sure in all directions."""
+    return observation.units == ("m", "m", "m") and noise.axes is None
 
 
 def rho(squared: np.ndarray, loss: Loss) -> np.ndarray:

@@ -22,7 +22,8 @@ class Noise:
     Where lengths are not as sure in all directions, axes (n_rows, 3, 3) holds the principal directions (rows) of their
     covariance and ratios (n_rows, 3) the standard deviations along them over sigma. sources says of each series where its
     noise comes from, series (n_rows,) which one a row is of (None: all of the first). discrepancy [m] and
-    rotation_discrepancy [rad] are the model's. scatter is that of the rows' repeats.
+    rotation_discrepancy [rad] are the model's. intraclass is the correlation of what positions measured at one standstill err
+    about the model, axis by axis (see `sharing`). scatter is that of the rows' repeats.
     """
 
     sigma: np.ndarray
@@ -30,6 +31,7 @@ class Noise:
     discrepancy: float = 0.0
     rotation: np.ndarray | None = None
     rotation_discrepancy: float = 0.0
+    intraclass: float = 0.0
     axes: np.ndarray | None = None
     ratios: np.ndarray | None = None
     series: np.ndarray | None = None

@@ -117,14 +117,22 @@ def conditions(data: Measurements) -> np.ndarray:
 
     That is series, session, pose, marker, payload, what was touched, approach and applied wrench.
     """
+    return data.table.groupby([*_of_standstill(data), "marker"], sort=False, dropna=False).ngroup().to_numpy()
+
+
+def standstills(data: Measurements) -> np.ndarray:
+    """Number the rows by the standstill they were measured at, which markers may share, and repeats; (n_rows,)."""
+    return data.table.groupby(_of_standstill(data), sort=False, dropna=False).ngroup().to_numpy()
+
+
+def _of_standstill(data: Measurements) -> list[str]:
     given = {
         "approach": [f"approach{i + 1}" for i in range(data.robot.n_joints)],
         "wrench": ["fx", "fy", "fz", "mx", "my", "mz"],
     }
-    keys = ["pose", "marker", "payload", *(name for kind in given if kind in data.given for name in given[kind])]
+    keys = ["pose", "payload", *(name for kind in given if kind in data.given for name in given[kind])]
     labels = [name for series in data.series for name in series.labels]
-    keys += [name for name in dict.fromkeys(["series", "session", *labels]) if name in data.table]
-    return data.table.groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
+    return keys + [name for name in dict.fromkeys(["series", "session", *labels]) if name in data.table]
 
 
 def pooled_repeats(data: Measurements, error: np.ndarray, own: np.ndarray) -> Pooled:

@@ -12,9 +12,10 @@ import numpy as np
 
 from calflow.compiled import compiled
 from calflow.estimation.calibrated import Identified
-from calflow.estimation.fit import expansion
+from calflow.estimation.fit import expansion, fit
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.repeats import averaged
+from calflow.estimation.sharing import Sharing
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.coordinates import Coordinates
 
@@ -176,6 +177,8 @@ def _sum_of_squares(problem: LeastSquares) -> Callable[[np.ndarray], np.ndarray]
 
 def _squares_of(block: SeriesBlock) -> Callable[[np.ndarray], np.ndarray]:
     n_rows = len(block.rows)
+    if block.sharing is not None:
+        return _independent_squares_of(block, block.sharing)
     inputs, residual = block.expression()
     row = compiled(ca.Function("squares", inputs, [ca.sumsqr(residual)]), EXPECTED_EVALUATIONS * n_rows)
     data = [np.asfortranarray(part) for part in block.data]
@@ -191,9 +194,34 @@ def _squares_of(block: SeriesBlock) -> Callable[[np.ndarray], np.ndarray]:
     return squares
 
 
+def _independent_squares_of(block: SeriesBlock, sharing: Sharing) -> Callable[[np.ndarray], np.ndarray]:
+    n_rows = len(block.rows)
+    inputs, residual = block.expression()
+    row = compiled(ca.Function("residual", inputs, [residual]), EXPECTED_EVALUATIONS * n_rows)
+    data = [np.asfortranarray(part) for part in block.data]
+    over_rows = row.map("rows", "serial", n_rows, [0], [])
+    mapped: dict[int, ca.Function] = {}
+
+    def squares(values: np.ndarray) -> np.ndarray:
+        n_walkers = values.shape[1]
+        if n_walkers not in mapped:
+            mapped[n_walkers] = over_rows.map("walkers", "serial", n_walkers, [1, 2, 3], [])
+        errors = np.asarray(mapped[n_walkers](values, *data)).reshape(-1, n_walkers, n_rows)
+        return sharing.squares(errors.transpose(2, 0, 1))
+
+    return squares
+
+
 def posterior_of(known: Identified, data: Measurements) -> tuple[Posterior, Laplace]:
-    """Return the posterior of what was identified, given the training rows, and its approximation."""
+    """Return the posterior of what was identified, given the training rows, and its approximation.
+
+    Where markers of a standstill err in common it is about the estimate that counts this once, as not every fit does.
+    """
     means = averaged(data.only(data.train), known.noise(data).only(data.train))
     problem = LeastSquares.of(known.model, *means).reweighted(known.estimate, known.loss)
-    laplace = Laplace.of(problem, known.estimate, known.at_bound)
+    estimate, at_bound = known.estimate, known.at_bound
+    if problem.shares:
+        counted_once, _ = fit(problem, estimate[None])
+        estimate, at_bound = counted_once.estimate, counted_once.at_bound
+    laplace = Laplace.of(problem, estimate, at_bound)
     return Posterior.about(problem, laplace), laplace

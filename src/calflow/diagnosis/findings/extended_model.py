@@ -25,6 +25,7 @@ def extended_model(found: Diagnosis, known: Identified, data: Measurements) -> I
         final.model, final.fit.estimate, final.fit.covariance, final.fit.at_bound,
         series_noise(_noise(found, known, data), _growth(found)), final.noise.discrepancy,
         final.noise.rotation_discrepancy, final.loss, final.elsewhere, tuple(one.alternative for one in found.alternatives),
+        intraclass=final.intraclass,
     )  # fmt: skip
 
 
@@ -55,6 +56,7 @@ def summary(found: Diagnosis, known: Identified) -> DiagnosisSummary:
         discrepancy_mm=1e3 * final.noise.discrepancy,
         rotation_discrepancy_mrad=None if final.noise.rotation is None else 1e3 * final.noise.rotation_discrepancy,
         elsewhere_mm=1e3 * final.elsewhere,
+        intraclass=final.intraclass,
         loss=final.loss,
         reduced_chi2=final.lack.reduced_chi2 if final.noise.known else None,
         lack_of_fit_p=final.lack.p if final.noise.known else None,

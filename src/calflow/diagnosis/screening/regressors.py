@@ -16,6 +16,7 @@ from calflow.effects.cause import Cause, parts
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares, Stacking
 from calflow.estimation.probing import probed, side_by_side
+from calflow.estimation.sharing import group_means
 
 USUAL = 1e-3  # m, per axis: what a model leaves of a usual robot at most
 SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
@@ -187,7 +188,7 @@ def counted_once(
     """
     if shared >= 1:
         return residual, matrix
-    first, second = (array - (1 - shared) * _group_means(array, group) for array in (residual, matrix))
+    first, second = (array - (1 - shared) * group_means(array, group) for array in (residual, matrix))
     return first, second
 
 
@@ -210,20 +211,10 @@ def shared_error(residual: np.ndarray, group: np.ndarray, determined: float) -> 
     apart, common = len(residual) - groups, groups - determined
     if apart == 0 or common < 3:
         return 1.0, 1.0
-    means = _group_means(residual, group)
+    means = group_means(residual, group)
     between, within = float(means @ means) / common, float(((residual - means) ** 2).sum()) / apart
     p = float(f_distribution.sf(between / within, common, apart))
     return (1.0, p) if p > SHARED else (float(np.sqrt(within / between)), p)
-
-
-def _group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Mean over the residuals of each group in every one's place; values is (n, …)."""
-    count = np.bincount(group)
-    if (count <= 1).all():
-        return values
-    total = np.zeros((len(count), *values.shape[1:]))
-    np.add.at(total, group, values)
-    return np.asarray((total.T / np.maximum(count, 1)).T[group])
 
 
 def candidates_of(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:

@@ -17,6 +17,7 @@ from calflow.effects.cause import Cause
 from calflow.estimation.calibrated import Identified
 from calflow.estimation.elsewhere import elsewhere
 from calflow.estimation.fit import Fit, fit
+from calflow.estimation.intraclass import found_alike
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.noise import Noise
@@ -107,6 +108,11 @@ class Fitted:
         """What it errs by at other poses beyond what is told of noise and parameters, sd per axis [m]."""
         return elsewhere(self.fit, self.poses)
 
+    @cached_property
+    def intraclass(self) -> float:
+        """Correlation of what the markers of a standstill err."""
+        return found_alike(self.fit, self.data, self.noise)[0]
+
     @property
     def misfit(self) -> float:
         """Huber's cost of all rows, and the priors' chi²; beside a background by what it leaves of independent noise."""
@@ -133,7 +139,7 @@ class Fitted:
     @staticmethod
     def of(known: Identified, data: Measurements, noise: Noise) -> Fitted:
         """Fit an identified model anew on training rows, from where identify left it."""
-        bare = replace(noise, discrepancy=0.0, rotation_discrepancy=0.0)
+        bare = replace(noise, discrepancy=0.0, rotation_discrepancy=0.0, intraclass=0.0)
         return _settled(known.model, data, bare, known.estimate, known.loss)
 
     def _values(self, model: Model) -> np.ndarray:

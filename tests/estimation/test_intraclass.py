@@ -1,0 +1,94 @@
+"""Errors that the markers of a standstill share count once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calflow.estimation.fit import fit
+from calflow.estimation.intraclass import MOST, Products, found_alike
+from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.repeats import measured_noise
+from calflow.estimation.sharing import Sharing
+from calflow.sampling.posterior import Posterior, posterior_of
+from sampling.calibrations import SIGMA, Case, Design
+
+SHARED = Design(poses=30, markers=3, shared=2 * SIGMA, level=0.0)
+
+
+def errors(case, fitted):
+    """Errors of the fit's parameters off their bounds, over their standard deviations."""
+    known = fitted.identification.known
+    free = ~known.at_bound
+    return (known.estimate - case.truth)[free] / np.sqrt(np.diag(known.covariance)[free])
+
+
+@pytest.fixture(scope="module")
+def calibrations():
+    """Calibrations of twelve robots whose poses shift three markers alike by twice the noise."""
+    drawn = [Case.drawn(SHARED, np.random.default_rng([21, k])) for k in range(12)]
+    return [(case, case.fitted()) for case in drawn]
+
+
+def test_independent_errors_have_the_covariance_of_compound_symmetry():
+    """Fails if whitening, or the sum of squares in closed form, is not the inverse of the covariance that is claimed."""
+    rng = np.random.default_rng(1)
+    group = np.array([0, 1, 1, 0, 2, 1])
+    sharing = Sharing(group, 0.7)
+    covariance = np.where(group[:, None] == group, 0.7, 0.0) + 0.3 * np.eye(6)
+    root = sharing.decorrelated(np.eye(6))
+    np.testing.assert_allclose(root.T @ root, np.linalg.inv(covariance), atol=1e-12)
+    values = rng.standard_normal((6, 3, 4))
+    expected = np.einsum("ias,ij,jas->s", values, np.linalg.inv(covariance), values)
+    np.testing.assert_allclose(sharing.squares(values), expected, rtol=1e-12)
+    np.testing.assert_allclose((sharing.decorrelated(values) ** 2).sum(axis=(0, 1)), expected, rtol=1e-12)
+
+
+def test_what_markers_share_is_found_in_its_size(calibrations):
+    """Fails if the parameters' degrees of freedom are not taken from what markers have in common: 0.8 would be found as 0.7."""
+    found = [fitted.summary.intraclass for _, fitted in calibrations]
+    assert np.mean(found) == pytest.approx(0.8, abs=0.03)
+
+
+def test_intervals_of_shared_errors_cover(calibrations):
+    """Fails if three markers count as three poses: errors would be 1.5 standard deviations, and 80 % in their 95 % intervals."""
+    z = np.concatenate([errors(*one) for one in calibrations])
+    assert 0.85 < np.sqrt((z**2).mean()) < 1.15
+    assert (np.abs(z) < 1.96).mean() > 0.9
+
+
+def test_the_posterior_and_the_fit_are_of_one_likelihood(calibrations):
+    """Fails if the sampler counts squares otherwise than the fit: compared with the fit's own at some draws."""
+    _, fitted = calibrations[0]
+    posterior, laplace = posterior_of(fitted.identification.known, fitted.identification.data)
+    assert isinstance(posterior, Posterior)
+    assert laplace.variance == pytest.approx(1.0, abs=0.02)
+    x = posterior.parameters(0.3 * np.random.default_rng(2).standard_normal((3, posterior.n_dimensions)))[:, :-1]
+    expected = [(posterior.problem.reduced(one)[0] ** 2).sum() for one in x]
+    np.testing.assert_allclose(posterior.squares(x.T), expected, rtol=1e-9)
+
+
+def test_one_marker_is_fitted_as_if_nothing_could_be_shared():
+    """Fails by a bit in which a correlation touches rows that stand alone at their standstill."""
+    case = Case.drawn(Design(poses=25, further=1), np.random.default_rng(3))
+    fitted = case.fitted()
+    known, data = fitted.identification.known, fitted.identification.data
+    assert known.intraclass == 0
+    train = data.only(data.train)
+    noise = known.noise(train)
+    plain = LeastSquares.of(known.model, train, noise)
+    other = LeastSquares.of(known.model, train, type(noise)(**{**vars(noise), "intraclass": 0.5}))
+    assert not other.shares
+    for one, same in zip(plain.reduced(known.estimate), other.reduced(known.estimate), strict=True):
+        assert (one == same).all()
+
+
+def test_too_few_standstills_claim_nothing():
+    """Fails if a correlation is made up where the parameters have taken all that standstills have in common."""
+    case = Case.drawn(Design(poses=12, further=1, markers=3, shared=1e-4, level=0.0), np.random.default_rng(4))
+    train = case.data.only(case.data.train)
+    noise = measured_noise(train)
+    result, _ = fit(LeastSquares.of(case.model, train, noise))
+    assert Products.of(result, train, noise).common < 10
+    assert found_alike(result, train, noise) == (0.0, 1.0)
+    assert MOST < 1

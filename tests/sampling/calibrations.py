@@ -1,0 +1,156 @@
+"""Calibrations of drawn robots: parameters from their priors, measured, identified and sampled as a user's are.
+
+The model's own prior and graph make the data: whether a posterior is what it promises to be is asked of it where the model is
+right by definition. Data of other physics are those of tests/hidden.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+import calflow as cf
+from calflow.design.candidates import candidates, pack
+from calflow.estimation.accuracy import errors
+from calflow.estimation.certainty import position_variance
+from calflow.model import Model, build
+from calflow.robot.parts import Marker
+from calflow.robot.robot import Robot
+from robots import industrial
+from sampling.ranks import rank
+
+EFFECTS = ("geometry", "joint-compliance")
+SIGMA = 5e-5  # m, as it is stated
+DRAWS = 99  # that a truth is ranked among
+STEPS = 80  # of each of 280 walkers, who forget in 10
+AXES = "xyz"
+APART = ((0.05, -0.03, 0.12), (0.0, -0.33, 0.17), (0.25, -0.23, 0.02))  # m: markers on the tool
+
+
+@dataclass(frozen=True)
+class Design:
+    """How a robot is measured: poses to fit and further ones, and markers.
+
+    A pose shifts all its markers alike, by shared [m] along each axis, and its joints stand beside their readings by repeating
+    [rad], both standard deviations.
+    stated says whether the file states the noise; level is the sd of the log of the true noise over that.
+    """
+
+    poses: int = 40
+    further: int = 10
+    markers: int = 1
+    shared: float = 0.0
+    repeating: float = 0.0
+    stated: bool = True
+    level: float = 1.0
+    effects: tuple[str, ...] = EFFECTS
+
+    @property
+    def robot(self) -> Robot:
+        """The nominal robot."""
+        names = "EFG"[: self.markers]
+        return replace(industrial(), markers=dict(zip(names, map(Marker, APART), strict=False)))
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A drawn robot: true parameters, log of the true noise over the stated one, and its measurements."""
+
+    model: Model
+    truth: np.ndarray
+    log_noise: float
+    data: cf.Measurements
+
+    @staticmethod
+    def drawn(design: Design, rng: np.random.Generator) -> Case:
+        """Draw a robot from the priors, and measure it."""
+        robot = design.robot
+        model = build(robot, design.effects)
+        truth = from_prior(model, rng)
+        log_noise = design.level * rng.standard_normal()
+        readings, _ = candidates(model, design.poses + design.further, "load", "E", None, rng)
+        repeated = readings + design.repeating * rng.standard_normal(readings.shape)
+        position = np.stack([model.position(truth, packed(model, repeated, name)) for name in robot.markers], axis=1)
+        position = position + design.shared * rng.standard_normal((len(readings), 1, 3))
+        position = position + SIGMA * np.exp(log_noise) * rng.standard_normal(position.shape)
+        n, each = len(readings), design.markers
+        more: dict[str, Any] = {
+            "pose": np.repeat(np.arange(n), each),
+            "marker": list(robot.markers) * n,
+            "payload": "load",
+            "split": np.repeat(["train"] * design.poses + ["holdout"] * design.further, each),
+        }
+        if design.stated:
+            more["sigma"] = SIGMA
+        data = cf.Measurements.from_arrays(robot, np.repeat(readings, each, axis=0), position.reshape(-1, 3), **more)
+        return Case(model, truth, log_noise, data)
+
+    def fitted(self, effects: tuple[str, ...] = EFFECTS) -> cf.Fit:
+        """Identify it."""
+        return cf.identify(self.model.robot, self.data, effects, starts=1)
+
+
+def packed(model: Model, readings: np.ndarray, marker: str) -> np.ndarray:
+    """Conditions of joint readings (n, n_joints) under the load."""
+    return pack(model, readings, "load", marker)
+
+
+def from_prior(model: Model, rng: np.random.Generator) -> np.ndarray:
+    """Draw parameters from their priors, which are cut at the bounds."""
+    lower, upper = model.bounds.T
+    found = np.full(len(model.nominal), np.nan)
+    while (wrong := ~((found >= lower) & (found <= upper))).any():
+        drawn = model.nominal + model.prior_sd * rng.standard_normal(len(found))
+        found[wrong] = drawn[wrong]
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What a calibration says against the truth: ranks of the truth among draws, and errors over their standard deviations.
+
+    ranks are by quantity: parameters, noise, where the marker really is at further poses. fitted (n,) are errors of the fit's
+    parameters off their bounds over the fit's sd, predicted (n_further, 3) those of measurements at further poses; at_bound
+    is how many parameters the fit left at their bounds.
+    """
+
+    ranks: dict[str, int]
+    fitted: np.ndarray
+    predicted: np.ndarray
+    at_bound: int
+
+
+def told(case: Case, design: Design, rng: np.random.Generator) -> Told:
+    """Calibrate a case, sample it, and hold what is said against the truth."""
+    fit = case.fitted(design.effects)
+    seed = int(rng.integers(2**31))
+    posterior = cf.sample(fit.model, case.data, max_steps=STEPS, block=STEPS, seed=seed)
+    known, sampled = fit.identification.known, posterior.sampled
+    chosen = sampled.values.reshape(-1, len(case.truth) + 1)
+    chosen = chosen[rng.choice(len(chosen), DRAWS, replace=False)]
+    values, truth, names = [chosen[:, :-1]], [case.truth], [p.name for p in case.model.parameters]
+    if not design.shared and not design.repeating:  # else what is left is no single noise
+        values.append(chosen[:, -1:] + np.log(fit.identification.noise.total[0] / SIGMA))
+        truth.append(np.array([case.log_noise]))
+        names.append("noise")
+    further = case.data.only(case.data.held_out)
+    first = further.only(further.table["marker"].to_numpy() == "E")
+    for k in range(min(2, len(first))):
+        rows = first.rows[:, k : k + 1]
+        values.append(np.array([case.model.point(draw, rows)[0] for draw in chosen[:, :-1]]))
+        truth.append(case.model.point(case.truth, rows)[0])
+        names += [f"further pose {k + 1} {axis}" for axis in AXES]
+    ranks = rank(np.hstack(values), np.concatenate(truth))
+    sd = np.sqrt(np.diag(known.covariance))
+    free = ~known.at_bound
+    variance = position_variance(known, further.rows)
+    if known.noise_known:
+        variance = variance + known.noise(further).sigma[:, None] ** 2
+    return Told(
+        dict(zip(names, map(int, ranks), strict=True)),
+        ((known.estimate - case.truth)[free] / sd[free]),
+        errors(known.model, known.estimate, further) / np.sqrt(variance),
+        int(known.at_bound.sum()),
+    )
