@@ -7,9 +7,8 @@ besides a rival's BIC is more than that of a near rival above its own is the cha
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import permutations
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -29,6 +28,7 @@ from calflow.model import Model, stated
 
 DRAWS = 400  # measurements drawn of each cause: a chance of 0.9 is known to 0.015
 FORMS = 20  # of a cause, drawn among its variants
+BUILT = 0.4  # of priors' standard deviations: how far the fitted parameters of real robots are off (UR10 0.2, FANUC 0.4, UR5 1.1)
 Place = tuple[str, str]  # effect and part
 
 
@@ -68,14 +68,21 @@ def isolability(
         false_alarm: chance that diagnose finds anything where nothing is hidden.
         draws: measurements of each cause.
     """
-    data = visits.measurements()
-    catalogue = Catalogue.of(data, effects)
-    model = stated(visits.robot, effects, data, (planned.observation,))
-    screening = Screening(_regressors(model, planned, data.rows, catalogue.effects, rng))
+    screening, catalogue = screened(effects, planned, visits, rng)
     seen, told = chances(screening, screening.family(rng), SHARES["causes"] * false_alarm, rng, size=size, draws=draws)
     causes = {candidate.cause.place: candidate.cause for candidate in screening.regressors.candidates}
     untold = {place: _untold(cause, catalogue, causes) for place, cause in causes.items()}
     return Isolability(causes, seen, told, catalogue.lacking, untold)
+
+
+def screened(
+    effects: Sequence[str], planned: Planned, visits: Visits, rng: np.random.Generator
+) -> tuple[Screening[Cause], Catalogue]:
+    """Return the tests of all causes that a plan's measurements will allow, and the catalogue that they are of."""
+    data = visits.measurements()
+    catalogue = Catalogue.of(data, effects)
+    model = stated(visits.robot, effects, data, (planned.observation,))
+    return Screening(_regressors(model, planned, data.rows, catalogue.effects, rng)), catalogue
 
 
 def chances(
@@ -86,21 +93,24 @@ def chances(
     *,
     size: float = 1.0,
     draws: int = DRAWS,
+    places: Collection[Place] | None = None,
 ) -> tuple[dict[Place, float], dict[tuple[Place, Place], float]]:
     """Return the chance of each place that it is seen, and of each pair (true, rival) that the one is seen and told.
 
-    false_alarm is that of the whole family of tests; every cause meets the same noise.
+    false_alarm is that of the whole family of tests; every cause meets the same noise. places are those that may be true, all
+    where nothing is said.
     """
     regressors = screening.regressors
     noise = rng.standard_normal((len(regressors.residual), draws))
-    pull = np.sqrt(regressors.precision)[:, None] * rng.standard_normal((len(regressors.precision), draws))
+    pull = BUILT * np.sqrt(regressors.precision)[:, None] * rng.standard_normal((len(regressors.precision), draws))
     still, left = screening.settled(noise, pull)
     forms: dict[Place, list[Candidate[H]]] = {}
     for candidate in regressors.candidates:
         forms.setdefault(candidate.cause.place, []).append(candidate)
-    seen = dict.fromkeys(forms, 0)
-    told = dict.fromkeys(permutations(forms, 2), 0)
-    for place, own in forms.items():
+    true = {place: own for place, own in forms.items() if places is None or place in places}
+    seen = dict.fromkeys(true, 0)
+    told = dict.fromkeys(((place, rival) for place in true for rival in forms if rival != place), 0)
+    for place, own in true.items():
         tried = [own[k] for k in rng.permutation(len(own))[:FORMS]]
         for candidate, which in zip(tried, np.array_split(np.arange(draws), len(tried)), strict=True):
             truth, columns = amplitudes(candidate, regressors.prior_sd, size, len(which), rng), candidate.columns
@@ -109,12 +119,18 @@ def chances(
             found = screening.trials(score, chi2, family, false_alarm).by_place()
             if place not in found:  # it does not show in any form
                 break
-            bic, passed = found[place]
-            seen[place] += int(passed.sum())
+            left_open = _left_open(found)
+            seen[place] += int(left_open[place].sum())
             for rival in forms.keys() - {place}:  # what does not show cannot be behind what does
-                apart = found[rival][0] - bic >= WITHIN if rival in found else True
-                told[place, rival] += int((passed & apart).sum())
+                told[place, rival] += int((left_open[place] & ~left_open.get(rival, np.False_)).sum())
     return {place: n / draws for place, n in seen.items()}, {pair: n / draws for pair, n in told.items()}
+
+
+def _left_open(found: Mapping[Place, tuple[np.ndarray, np.ndarray]]) -> dict[Place, np.ndarray]:
+    """In which draws (n_draws,) a place is among what the finding may be: the best that passes, and all that are near it."""
+    bic, passed = (np.array([own[k] for own in found.values()]) for k in (0, 1))
+    best = np.where(passed, bic, np.inf).min(axis=0)
+    return dict(zip(found, (bic - best < WITHIN) & np.isfinite(best), strict=True))
 
 
 def amplitudes(
