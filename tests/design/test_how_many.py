@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calflow.design.how_many import enough, knee, next_worth
+from calflow.design.how_many import enough, knee, next_best
 from calflow.design.search.exchange import information
 from calflow.design.search.optimality import ToolError
 
@@ -46,11 +46,13 @@ def test_what_cannot_be_met_or_is_met_already(case):
     assert enough(jacobians, PRIOR, tool, 1.01 * tool.loss(PRIOR), rng) == (0, 0)
 
 
-def test_ten_more_are_worth_what_the_best_ten_are(case):
-    """Fails if the poses chosen count twice, or what is added is not what the error falls by."""
+def test_the_next_ten_are_the_best_that_are_left(case):
+    """Fails if the poses chosen count twice, or the one that gains most does not come first."""
     jacobians, tool = case
-    worth = next_worth(jacobians, information(jacobians[[4, 7]], PRIOR), [4, 7], tool)
-    assert worth == pytest.approx(loss(jacobians, tool, [4, 7]) - loss(jacobians, tool, range(10)))
+    added = next_best(jacobians, information(jacobians[[4, 7]], PRIOR), [4, 7], tool)
+    assert sorted([4, 7, *added]) == list(range(10))
+    firsts = [loss(jacobians, tool, [4, 7, k]) for k in added]
+    assert firsts[0] == min(firsts)
 
 
 def test_the_knee_is_where_the_curve_bends():

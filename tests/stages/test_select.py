@@ -8,6 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calflow.measurements.measurements import Measurements
+from calflow.robot.robot import Robot
+
 JOINTS = ["q1_deg", "q2_deg", "q3_deg"]
 TASK = """
 [stages.select.task]
@@ -65,12 +68,12 @@ def test_suspected_causes_are_planned_for(small):
 
 def test_what_cannot_be_planned_is_refused(small):
     """Fails if a cause that poses cannot tell of, or a payload of the task that nobody knows, is passed over."""
-    causes = 'also_effects = ["joint-backlash", "joint-error-map"]'
+    causes = 'also_effects = ["session-frame", "joint-error-map"]'
     small.edit("study.toml", ("poses = 8", f"poses = 8\n{causes}\n{TASK}"), ('"heavy", ""', '"heavi"'))
     said = "\n".join(small.refused())
     for words in (
         "unknown payload 'heavi'; there are light, heavy, did you mean 'heavy'?",
-        "poses cannot be chosen for 'joint-backlash', which needs columns approach1",
+        "poses cannot be chosen for 'session-frame', which needs a column session",
         "'joint-error-map' has no parameters before there are measurements",
     ):
         assert words in said
@@ -205,3 +208,29 @@ def test_what_the_plan_tells_apart_is_said_where_it_is_asked_for(small):
     assert (table["enough"] == (table["chance"] >= 0.9)).all()
     assert "would be seen" in said
     assert any(words in said for words in worst["words"])
+
+
+def test_what_one_thing_more_is_worth_and_what_drift_pulls_is_told(small):
+    """Fails if an addition that the robot file allows is missing, or the order asked for is not the one that is taken."""
+    said = selected(small, 'order = "random"\ndrift_um = 20')[2]
+    worth = pd.read_csv(small / "runs" / "select" / "worth.csv").fillna("")
+    for words in ("payload 'heavy'", "second marker", "second station", "twice", "further poses"):
+        assert worth["addition"].str.contains(words).sum() == 1
+    assert (worth["gain_mm"] >= -1e-9).sum() >= len(worth) - 1  # a lighter payload may tell less
+    assert worth["addition"].iloc[1] in said
+    order = pd.read_csv(small / "runs" / "select" / "order.csv")
+    assert set(order.loc[order["taken"], "order"]) == {"random"}
+    assert (order["drift_mm"] == 0.02).all()
+    assert "a device that drifts by 0.02 mm" in said
+
+
+def test_play_is_planned_for_by_vias(small):
+    """Fails if a cause that shows by the side that joints come from is refused, or poses.csv has no vias for it or is no data."""
+    said = selected(small, 'also_effects = ["joint-backlash"]')[2]
+    assert "for joint-backlash each joint comes from a via" in said
+    poses = pd.read_csv(small / "runs" / "select" / "poses.csv")
+    assert (np.sign(poses["q2_deg"] - poses["via2_deg"]) == poses["approach2"]).all()
+    filled = poses.assign(x_mm=poses["nominal_x_mm"], y_mm=poses["nominal_y_mm"], z_mm=poses["nominal_z_mm"])
+    filled.to_csv(small / "measurements.csv", index=False)
+    given = Measurements.from_csv(small / "measurements.csv", Robot.from_toml(small / "robot.toml")).given
+    assert {"approach", "travel"} <= set(given)

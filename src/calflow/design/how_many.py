@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calflow.design.search.exchange import greedy, information
+from calflow.design.search.exchange import greedy
 from calflow.design.search.optimality import ToolError
 from calflow.design.search.relaxation import relaxed, sensitivities
 from calflow.design.search.search import SHORTLIST, search
@@ -33,14 +33,12 @@ class HowMany:
     needed_poses: int | None = column("no choice of fewer of these candidates meets it", default=None)
 
 
-def next_worth(jacobians: np.ndarray, known: np.ndarray, chosen: list[int], tool: ToolError) -> float:
-    """Return by how much the tool's error [m] falls with ten poses more than those known, the best one after the other."""
-    covariance = np.linalg.inv(known)
-    promise = sensitivities(jacobians, tool.slope(covariance))
+def next_best(jacobians: np.ndarray, known: np.ndarray, chosen: list[int], tool: ToolError) -> np.ndarray:
+    """Return the ten candidates, besides those chosen, with which the tool's error falls most, the best one after the other."""
+    promise = sensitivities(jacobians, tool.slope(np.linalg.inv(known)))
     promise[chosen] = -np.inf
     near = np.argsort(promise)[len(chosen) :][-SHORTLIST:]
-    added = near[greedy(jacobians[near], known, min(FURTHER, len(near)), tool)]
-    return tool.loss(covariance) - tool.loss(np.linalg.inv(information(jacobians[added], known)))
+    return np.asarray(near[greedy(jacobians[near], known, min(FURTHER, len(near)), tool)])
 
 
 def knee(numbers: np.ndarray, errors: np.ndarray) -> int:

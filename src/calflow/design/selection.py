@@ -11,34 +11,39 @@ import pandas as pd
 
 from calflow.design.candidates import allowed, candidates, pack
 from calflow.design.cell.cell import Cell
-from calflow.design.how_many import HowMany, enough, knee, next_worth
+from calflow.design.how_many import HowMany, enough, knee, next_best
+from calflow.design.observability import observability
 from calflow.design.planned import Planned
 from calflow.design.search.exchange import greedy, information
 from calflow.design.search.minimax import search_worst
-from calflow.design.search.optimality import Criterion, Parameters, ToolError, indices
+from calflow.design.search.optimality import Criterion, Parameters
 from calflow.design.search.refinement import refined
 from calflow.design.search.search import Found, search
 from calflow.design.task import Task
-from calflow.design.tour import shortest_tour
-from calflow.estimation.identifiability import NULL
+from calflow.design.tour import Order
+from calflow.design.trend import USUAL_DRIFT, DriftPull, drift_pulls, orders
+from calflow.design.vias import reached, vias
+from calflow.design.worth import PlanInformation, Worth
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.problems import refuse
-from calflow.files.tables import column, to_frame, typed
+from calflow.files.tables import column, typed
 from calflow.measurements.series import Series
 from calflow.model import Model
 from calflow.observations.position import Position
-from calflow.robot.readings import READINGS, reading_columns, shown_readings
+from calflow.robot.readings import READINGS, VIAS, reading_columns, shown_readings
 
 USUAL_SIGMA = 5e-5  # m, of a laser tracker on a large robot
 TASK_POSES = 400  # poses of the task where nobody says which
-CURVE = 30  # numbers of poses of which the worth is told
 
 Aim = Literal["parameters", "tool", "worst"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedPose:
-    """A chosen pose, in measuring order: joints, the side each comes from, and where the tool will be."""
+    """A chosen pose, in measuring order: joints, the side each comes from, and where the tool will be.
+
+    via and travel are there where a cause that is suspected shows by the side that joints come from.
+    """
 
     pose: int = column("its number in measuring order")
     readings: Mapping[str, float] = column("reading of each joint", "as named", name=READINGS)
@@ -46,27 +51,17 @@ class PlannedPose:
         "side each joint comes from: -1, +1; 0 at the first pose, which is reached from anywhere",
         name="approach{joint}",
     )
+    via: Mapping[str, float] = column(
+        "reading of each joint to go to before: from there all come straight to the pose", "as named", name=VIAS
+    )
+    travel: Mapping[str, float] = column(
+        "way of each joint since it last turned back", "as named", name="travel{joint}_{deg|mm}"
+    )
     nominal_x_mm: float = column("where the nominal robot's marker will be, in the measuring frame", "mm")
     nominal_y_mm: float = column("the same along y", "mm")
     nominal_z_mm: float = column("the same along z", "mm")
     marker: str = column("its name")
     payload: str = column("the load; empty: none")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Observability:
-    """What a number of poses, the most telling first, is worth."""
-
-    n_poses: int = column("number of poses, besides those that were measured already and count")
-    indices: Mapping[str, float] = column(
-        "observability indices O1 to O5 of these poses, parameters scaled by their priors", name="O{1|2|3|4|5}"
-    )
-    expected_sd_mm: float = column(
-        "root mean square over the task (the workspace, where the study names none) of the predicted position's standard "
-        "deviation",
-        "mm",
-    )
-    worst_sd_mm: float = column("the largest of these standard deviations", "mm")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +91,8 @@ class Certificate:
 class Selection:
     """The poses chosen, in measuring order, what every number of them is worth, and how good the choice is.
 
-    readings (n, n_joints) are those of poses, with joints that follow others.
+    readings (n, n_joints) are those of poses, with joints that follow others, vias (n, n_joints) what they are reached from, None
+    where the order says. worth tells what the plan is worth with one thing more, drift what would pull it in each order.
     """
 
     poses: pd.DataFrame
@@ -104,6 +100,9 @@ class Selection:
     certificate: Certificate
     how_many: HowMany
     readings: np.ndarray
+    vias: np.ndarray | None
+    worth: tuple[Worth, ...]
+    drift: tuple[DriftPull, ...]
 
 
 def select(
@@ -122,6 +121,9 @@ def select(
     there: np.ndarray | None = None,
     tolerance: float | None = None,
     refine: bool = False,
+    order: Order = "short",
+    drift: float = USUAL_DRIFT,
+    both_sides: bool = False,
     rng: Draws = SAME,
     say: Say = nobody,
     advance: Advance = nobody,
@@ -144,6 +146,9 @@ def select(
         there: packed conditions (n_conditions, n) of what has been measured already, and counts.
         tolerance: standard deviation [m] of the tool over the task, for which the number of poses is looked for.
         refine: whether the poses chosen are moved between the candidates; not for the worst point.
+        order: in which they are measured: on short ways, or in blocks drawn at random.
+        drift: steady one [m] from the first pose to the last, of which is told what it would pull.
+        both_sides: whether each joint is to come from both sides equally often, from vias.
         rng: draws the candidates.
         say: is told how good the choice is.
         advance: is told the share of work done.
@@ -196,19 +201,28 @@ def select(
         gained = 100 * (1 - criterion.loss(np.linalg.inv(information(own, prior))) / found.loss)
         certificate = replace(certificate, refined_percent=gained)
         say(f"moved between the candidates they are better by {gained:.2g} %")
-    worth = _observability(own[greedy(own, prior, number, criterion)], prior, tool, there is not None)
+    known = information(own, prior)
+    further = whitened[next_best(whitened, known, found.chosen, tool)]
+    plan = PlanInformation(model, planned, poses, payload, marker, prior, tool, further)
+    curve = observability(own[greedy(own, prior, number, criterion)], prior, tool, there is not None)
     met, needed = (None, None) if tolerance is None else enough(whitened, prior, tool, tolerance, rng("number"))
+    expected = tool.loss(np.linalg.inv(known))
     how_many = HowMany(
         n_poses=number,
-        expected_sd_mm=float(worth["expected_sd_mm"].iloc[-1]),
-        next_ten_mm=1e3 * next_worth(whitened, information(own, prior), found.chosen, tool),
-        knee_poses=knee(worth["n_poses"].to_numpy(), worth["expected_sd_mm"].to_numpy()),
+        expected_sd_mm=1e3 * expected,
+        next_ten_mm=1e3 * (expected - tool.loss(np.linalg.inv(information(further, known)))),
+        knee_poses=knee(curve["n_poses"].to_numpy(), curve["expected_sd_mm"].to_numpy()),
         tolerance_mm=None if tolerance is None else 1e3 * tolerance,
         enough_poses=met,
         needed_poses=needed,
     )
-    ordered = poses[shortest_tour(poses)]
-    return Selection(_poses(model, ordered, payload, marker), worth, certificate, how_many, ordered)
+    every = orders(plan, rng("order"))
+    ordered = poses[every[order]]
+    reached_from = vias(model, ordered, payload, marker, cell, rng("vias")) if both_sides else None
+    return Selection(
+        planned_poses(model, ordered, payload, marker, reached_from), curve, certificate, how_many, ordered, reached_from,
+        plan.worth, tuple(drift_pulls(plan, every, order, drift)),
+    )  # fmt: skip
 
 
 def _certificate(found: Found, aim: Aim, whitened: np.ndarray) -> Certificate:
@@ -224,44 +238,24 @@ def _certificate(found: Found, aim: Aim, whitened: np.ndarray) -> Certificate:
     )
 
 
-def _observability(whitened: np.ndarray, prior: np.ndarray, tool: ToolError, added: bool) -> pd.DataFrame:
-    """Indices and the tool's expected standard deviation against the number of poses, (n_poses, n_axes, n_parameters) in order.
+def planned_poses(
+    model: Model, readings: np.ndarray, payload: str, marker: str, reached_from: np.ndarray | None = None
+) -> pd.DataFrame:
+    """Return what a robot programmer needs: joints in measuring order, the side each comes from, and where the tool will be.
 
-    Parameters are scaled by their priors, so an index compares what the data say with what was known before. The
-    standard deviation is the root mean square over the task's poses of the predicted position's, all three axes. Poses that
-    are added to others are told from the first.
-    """
-    n_parameters = whitened.shape[2]
-    singular = np.linalg.svd(whitened.reshape(-1, n_parameters), compute_uv=False)
-    rank = int((singular > NULL * singular[0]).sum())
-    first = 0 if added else min(len(whitened), -(-rank // whitened.shape[1]))
-    rows = []
-    for n in sorted({*range(first, len(whitened) + 1, max(1, (len(whitened) - first) // CURVE)), len(whitened)}):
-        part = whitened[:n]
-        variances = tool.variances(np.linalg.inv(information(part, prior)))
-        own = indices(part.reshape(-1, n_parameters), rank)
-        rows.append(
-            Observability(
-                n_poses=n,
-                indices={f"O{k}": value for k, value in enumerate(own, start=1)},
-                expected_sd_mm=1e3 * float(np.sqrt(tool.shares @ variances)),
-                worst_sd_mm=1e3 * float(np.sqrt(variances.max())),
-            )
-        )
-    return to_frame(rows, Observability)
-
-
-def _poses(model: Model, readings: np.ndarray, payload: str, marker: str) -> pd.DataFrame:
-    """What a robot programmer needs: joints in measuring order, the side each comes from, and where the tool will be.
-
-    The first pose comes from wherever the robot is, so its approach is 0.
+    reached_from (n, n_joints) are the vias. Without them the first pose comes from wherever the robot is, so its approach is 0.
     """
     robot = model.robot
     table: dict[str, object] = {"pose": np.arange(1, len(readings) + 1)}
-    table |= dict(zip(reading_columns(robot), np.round(shown_readings(robot, readings), 4).T, strict=True))
-    came = np.sign(np.diff(readings, axis=0, prepend=readings[:1])).astype(int)
+    names, shown = reading_columns(robot), np.round(shown_readings(robot, readings), 4)
+    table |= dict(zip(names, shown.T, strict=True))
+    came, travel = reached(readings, reached_from)
     for i in robot.driven:
-        table[f"approach{i + 1}"] = came[:, i]
+        table[f"approach{i + 1}"] = came[:, i].astype(int)
+    if reached_from is not None:
+        for stem, values in (("via", reached_from), ("travel", travel)):
+            columns = [f"{stem}{name.removeprefix('q')}" for name in names]
+            table |= dict(zip(columns, np.round(shown_readings(robot, values), 4).T, strict=True))
     position = 1e3 * model.position(model.nominal, pack(model, readings, payload, marker))
     table |= {f"nominal_{axis}_mm": np.round(position[:, i], 1) for i, axis in enumerate("xyz")}
     return typed(pd.DataFrame({**table, "marker": marker, "payload": payload}), PlannedPose)

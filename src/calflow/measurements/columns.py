@@ -64,6 +64,7 @@ def column_names(robot: Robot, reported: Reported = POSES) -> dict[str, str]:
         names |= {f"{stem}{i + 1}": "angle" if j.kind == "revolute" else "length" for i, j in enumerate(robot.joints)}
     names |= {"sigma": "length", **reported.needed, **reported.optional}
     names |= dict.fromkeys(("nominal_x", "nominal_y", "nominal_z"), "length")  # of select/poses.csv, filled in
+    names |= {f"via{i + 1}": names[f"q{i + 1}"] for i in range(n)}  # of the same
     names |= dict.fromkeys(("target_x", "target_y", "target_z"), "length")  # where compensated commands were to land
     names |= {"sigma_rotation": "angle"}
     names |= dict.fromkeys(WRENCH[:3], "force") | dict.fromkeys(WRENCH[3:], "moment")

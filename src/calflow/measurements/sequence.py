@@ -36,7 +36,13 @@ def ranged(table: pd.DataFrame, robot: Robot, tracker: tuple[float, float, float
 
 def approach_and_travel(table: pd.DataFrame, readings: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Return each row's approach directions and its travel since the joints last turned back, (n_rows, n_joints) each."""
-    q = table.sort_values("order", kind="stable")[readings].to_numpy()
+    came, far = sides_and_travel(table.sort_values("order", kind="stable")[readings].to_numpy())
+    back = np.argsort(np.argsort(table["order"].to_numpy(), kind="stable"), kind="stable")
+    return came[back], far[back]
+
+
+def sides_and_travel(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the side that each joint comes from and its travel since it last turned back, of readings (n, n_joints) in order."""
     step = np.diff(q, axis=0, prepend=q[:1])
     row = np.arange(len(q))[:, None]
     moved = np.maximum.accumulate(
@@ -46,6 +52,4 @@ def approach_and_travel(table: pd.DataFrame, readings: list[str]) -> tuple[np.nd
     turned = np.diff(came, axis=0, prepend=came[:1]) != 0
     way = np.cumsum(np.abs(step), axis=0)
     before = np.take_along_axis(way - np.abs(step), np.maximum.accumulate(np.where(turned, row, 0), axis=0), axis=0)
-    far = way - before
-    back = np.argsort(np.argsort(table["order"].to_numpy(), kind="stable"), kind="stable")
-    return came[back], far[back]
+    return came, way - before

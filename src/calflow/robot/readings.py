@@ -7,6 +7,7 @@ import numpy as np
 from calflow.robot.robot import Robot
 
 READINGS = "q{joint}_{deg|mm}"  # the columns of joint readings
+VIAS = "via{joint}_{deg|mm}"  # the same of a pose on the way
 
 
 def reading_columns(robot: Robot) -> list[str]:

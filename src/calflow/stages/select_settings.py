@@ -7,6 +7,8 @@ from pydantic import Field, field_validator, model_validator
 
 from calflow.design.isolability.visits import Record
 from calflow.design.selection import Aim
+from calflow.design.tour import Order
+from calflow.design.trend import USUAL_DRIFT
 from calflow.files.toml import Angle, FileModel, Length, Lengths3
 from calflow.stages.cell_settings import CellSettings
 from calflow.study import known_effects
@@ -108,6 +110,17 @@ class SelectSettings(Region):
         description="causes that are only suspected: the poses are to tell of them as of the study's effects",
     )
 
+    order: Order = Field(
+        default="short",
+        description="in which the poses are measured: on `short` ways, or `random`, in blocks of ten drawn from all poses, each on "
+        "short ways, so that what wanders looks like no joint",
+    )
+    drift: Length = Field(
+        default=USUAL_DRIFT,
+        gt=0,
+        description="steady drift of device or robot from the first pose to the last, e.g. `drift_um` (50 µm): what it would "
+        "pull in each order is said in `select/order.csv`",
+    )
     isolability: bool = Field(
         default=False,
         description="`true`: which causes of the catalogue the planned poses would show, and tell from which others, is said in "

@@ -7,11 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-import pandas as pd
 
-from calflow.measurements.columns import numbered
+from calflow.design.vias import reached
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.sequence import approach_and_travel
 from calflow.model import build
 from calflow.robot.robot import Robot
 
@@ -29,19 +27,22 @@ ROOM = 293.15  # K
 
 @dataclass(frozen=True, eq=False)
 class Visits:
-    """Poses in measuring order: readings (n, n_joints), the payload of each, the markers measured at each, what is recorded."""
+    """Poses in measuring order: readings (n, n_joints), the payload of each, the markers measured at each, what is recorded.
+
+    vias (n, n_joints) are what the poses are reached from, None where they follow each other.
+    """
 
     robot: Robot
     readings: np.ndarray
     payloads: tuple[str, ...]
     markers: tuple[str, ...]
     records: frozenset[Record] = frozenset()
+    vias: np.ndarray | None = None
 
     def measurements(self) -> Measurements:
         """Return the rows as a perfect device would report them of the nominal robot, which warms up, a pose a minute."""
         n, each = len(self.readings), len(self.markers)
-        table = pd.DataFrame(self.readings, columns=numbered("q", self.robot.n_joints)).assign(order=np.arange(n))
-        came, far = approach_and_travel(table, numbered("q", self.robot.n_joints))
+        came, far = reached(self.readings, self.vias)
         time = MINUTE * np.arange(n)
         every = {"approach": came, "travel": far, "time": time, "temperature": ROOM - WARMS * np.expm1(-time / HOUR)}
         q = np.repeat(self.readings, each, axis=0)
@@ -71,7 +72,6 @@ class Visits:
                 yield f"marker '{name}' measured at every pose too", replace(self, markers=(*self.markers, name))
         if len(more):
             payloads = (*self.payloads, *np.resize(np.array(self.payloads), len(more)).tolist())
-            yield (
-                f"{len(more)} further poses",
-                replace(self, readings=np.vstack([self.readings, more]), payloads=payloads),
-            )
+            longer = replace(self, readings=np.vstack([self.readings, more]), payloads=payloads)
+            vias = None if self.vias is None else np.vstack([self.vias, more])
+            yield f"{len(more)} further poses", replace(longer, vias=vias)

@@ -1,0 +1,159 @@
+"""Worth: by how much the tool's error over the task falls if a plan measures one thing more.
+
+All from Jacobians at the nominal robot. What an addition has to tell of itself (where a second station stands, where a second
+marker sits) is integrated out of the information that it brings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calflow.design.candidates import pack
+from calflow.design.planned import Planned
+from calflow.design.search.exchange import information
+from calflow.design.search.optimality import ToolError
+from calflow.files.tables import column
+from calflow.measurements.series import Series, Station
+from calflow.model import Model, build
+from calflow.observations.frames import Frames
+from calflow.observations.position import Position
+from calflow.robot.parts import Marker, Named
+
+ASIDE = 0.3  # m from the first marker to one that the robot file does not have yet
+SECOND = "second"
+NAMED = 3  # parameters that gain most
+LEAST = 1.0  # percent of its standard deviation that a parameter must gain to be named
+
+
+@dataclass(frozen=True, kw_only=True)
+class Worth:
+    """What a plan is worth with one thing more."""
+
+    addition: str = column("what is added, in words; empty: nothing, the plan as it is")
+    n_poses: int = column("number of poses")
+    n_points: int = column("number of points that are measured at them")
+    expected_sd_mm: float = column(
+        "root mean square over the task of the predicted position's standard deviation", "mm"
+    )
+    gain_mm: float = column("by how much that is less than the plan's", "mm")
+    gain_percent: float = column("the same, of the plan's", "%")
+    parameters: tuple[str, ...] = column("those whose standard deviations fall most, the most first")
+    falls_percent: tuple[float, ...] = column("by how much each of them falls", "%")
+
+
+@dataclass(frozen=True, eq=False)
+class PlanInformation:
+    """A plan and what it makes known: poses (n, n_joints), prior (n_parameters, n_parameters) the information before them.
+
+    Parameters are scaled by their priors' standard deviations; further are the whitened Jacobians of the poses that would be
+    measured next, the best first, (n_further, n_units, n_parameters).
+    """
+
+    model: Model
+    planned: Planned
+    readings: np.ndarray
+    payload: str
+    marker: str
+    prior: np.ndarray
+    tool: ToolError
+    further: np.ndarray
+
+    @cached_property
+    def own(self) -> np.ndarray:
+        """The poses' whitened Jacobians (n, n_units, n_parameters)."""
+        return self.seen(self.payload, self.marker)
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """What the poses leave of the parameters, (n_parameters, n_parameters)."""
+        return np.linalg.inv(information(self.own, self.prior))
+
+    def seen(self, payload: str, marker: str) -> np.ndarray:
+        """Return the same under another payload, or of another marker."""
+        return self._whitened(self.model, payload, marker)
+
+    def _whitened(self, model: Model, payload: str, marker: str) -> np.ndarray:
+        rows = pack(model, self.readings, payload, marker)
+        return self.planned.whitened(model, model.nominal, rows) * model.prior_sd
+
+    @property
+    def informations(self) -> Iterator[tuple[str, int, int, np.ndarray]]:
+        """Yield in words what may be added, how many poses and points there are then, and the information with it."""
+        n, robot = len(self.readings), self.model.robot
+        known = information(self.own, self.prior)
+        every_other = np.arange(n) % 2 == 1
+        for name in robot.payloads:
+            if name != self.payload:
+                mixed = np.where(every_other[:, None, None], self.seen(name, self.marker), self.own)
+                yield f"payload '{name}' at every other pose", n, n, information(mixed, self.prior)
+        others = [name for name in robot.markers if name != self.marker]
+        for name in others:
+            words = f"marker '{name}' measured at every pose too"
+            yield words, n, 2 * n, information(self.seen(self.payload, name), known)
+        if not others:
+            words = f"a second marker, {1e3 * ASIDE:.0f} mm beside the first, measured at every pose too"
+            yield words, n, 2 * n, known + self._second_marker()
+        if isinstance(self.planned.observation, Position):
+            yield "a second station that measures every pose too", n, 2 * n, known + self._second_station()
+        yield "every pose measured twice", n, 2 * n, information(self.own, known)
+        if more := len(self.further):
+            yield f"{more} further poses", n + more, n + more, information(self.further, known)
+
+    def _second_marker(self) -> np.ndarray:
+        """What a marker tells that the robot file does not have, at the flange's side that has the most lever."""
+        robot, effects = self.model.robot, [effect.id for effect in self.model.effects]
+        first = np.array(robot.markers[self.marker].point)
+        aside = np.where(np.arange(3) == np.argmin(np.abs(first[:2])), ASIDE, 0.0)
+        markers = Named({**robot.markers, SECOND: Marker(tuple(first + aside))})
+        model = build(replace(robot, markers=markers), effects, self.model.given, self.model.observations)
+        return self._shared(model, self._whitened(model, self.payload, SECOND))
+
+    def _second_station(self) -> np.ndarray:
+        """What a device tells that is as sure as the first in every direction, and stands nobody knows where."""
+        station = Station(SECOND)
+        second = Position(Series(station=station), Frames(station, ("",), ((0.0,) * 6,)))
+        model = replace(self.model, observations=(*self.model.observations, second))
+        rows = pack(model, self.readings, self.payload, self.marker)
+        reported = np.vstack([model.point(model.nominal, rows).T, np.ones(len(self.readings))])
+        jacobian = model.observed_jacobian(second, model.nominal, rows, reported)
+        return self._shared(model, jacobian * model.prior_sd / self.planned.sigma)
+
+    def _shared(self, model: Model, whitened: np.ndarray) -> np.ndarray:
+        """Return what a wider model's Jacobians (n, n_units, n_wider) tell of the plan's parameters, its own integrated out."""
+        names = [parameter.name for parameter in model.parameters]
+        shared = [names.index(parameter.name) for parameter in self.model.parameters]
+        own = np.setdiff1d(np.arange(len(names)), shared)
+        flat = whitened.reshape(-1, len(names))
+        mixed, alone = flat[:, own].T @ flat[:, shared], flat[:, own].T @ flat[:, own] + np.eye(len(own))
+        return np.asarray(flat[:, shared].T @ flat[:, shared] - mixed.T @ np.linalg.solve(alone, mixed))
+
+    @cached_property
+    def worth(self) -> tuple[Worth, ...]:
+        """The plan as it is, then with each addition, the one that gains most first."""
+        n = len(self.readings)
+        plain, *rest = (self._row(*one) for one in (("", n, n, information(self.own, self.prior)), *self.informations))
+        return (plain, *sorted(rest, key=lambda row: row.expected_sd_mm))
+
+    def _row(self, words: str, poses: int, points: int, known: np.ndarray) -> Worth:
+        before, after = self.covariance, np.linalg.inv(known)
+        had, left = self.tool.loss(before), self.tool.loss(after)
+        falls = 100 * (1 - np.sqrt(np.diag(after) / np.diag(before)))
+        most = [k for k in np.argsort(-falls, kind="stable")[:NAMED] if falls[k] >= LEAST]
+        return Worth(
+            addition=words, n_poses=poses, n_points=points, expected_sd_mm=1e3 * left, gain_mm=1e3 * (had - left),
+            gain_percent=100 * (1 - left / had), parameters=tuple(self.model.parameters[k].name for k in most),
+            falls_percent=tuple(round(float(falls[k]), 1) for k in most),
+        )  # fmt: skip
+
+
+def worth_words(worth: Sequence[Worth]) -> list[str]:
+    """Say the two additions to a plan, the plan itself first in worth, that gain most."""
+    return [
+        f"{row.addition}: the tool is certain to {row.expected_sd_mm:.3g} mm instead of {worth[0].expected_sd_mm:.3g} "
+        f"({row.gain_percent:.0f} % less)"
+        for row in worth[1:3]
+    ]
