@@ -242,7 +242,8 @@ def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> No
 def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small: Context) -> None:
     """Fails if page one gives the parameters' certainty for that of predictions."""
     material = Material.of(small.study, small.results, small.run_folder)
-    off = replace(material, known=replace(material.known, discrepancy=1e-4, elsewhere=0.0))
+    calibration = replace(material.calibration, known=replace(material.known, discrepancy=1e-4, elsewhere=0.0))
+    off = replace(material, calibration=calibration)
     assert off.prediction_sd == pytest.approx(np.hypot(material.model_sd, 0.1 * np.sqrt(3)))
     left = f"{off.distance[off.judged].mean():.3f} mm are left on average"
     assert f"certain to {off.prediction_sd:.3f} mm (1 sd, its own error included" in certainty(off)

@@ -7,7 +7,7 @@ from typing import Any
 
 from calflow.api.model import Model
 from calflow.files.results import Results
-from calflow.reporting.material import Material
+from calflow.reporting.material import Calibration, Material
 from calflow.study import Study, StudyFile, WorkflowFile
 
 NOWHERE = Path()
@@ -24,4 +24,4 @@ def material_of(
     workflow = WorkflowFile(name=NAME, stages=tuple(settings))
     study = Study(NOWHERE, file, model.robot, NOWHERE, workflow, NOWHERE)
     used = model.data.only(model.data.train | model.data.held_out)
-    return Material(study, used, model.known, results, NOWHERE)
+    return Material(study, results, NOWHERE, Calibration(used, model.known))

@@ -47,22 +47,46 @@ class ModelAccuracy:
 
 
 @dataclass(frozen=True)
-class Material:
-    """Study, measurements without the rows that are left out, the best model that was found, and all results."""
+class Calibration:
+    """Measurements without the rows that are left out, and the best model that was found."""
 
-    study: Study
     data: Measurements
     known: Identified
-    results: Results
-    run_folder: Path
 
     @staticmethod
-    def of(study: Study, results: Results, run_folder: Path) -> Material:
+    def of(study: Study, results: Results) -> Calibration:
         """Read the measurements and rebuild the fitted model."""
         data = corrected(study.measurements(), results.tables["identify/faults.csv"])
         known = replace(calibrated(study.robot, results, data.given), field=None)  # the pages tell of causes
-        used = data.only(data.train | data.held_out)
-        return Material(study, used.on(known.model.robot), known, results, run_folder)
+        return Calibration(data.only(data.train | data.held_out).on(known.model.robot), known)
+
+
+@dataclass(frozen=True)
+class Material:
+    """Study, all results, and the calibration where there is one: a section that asks for it needs results of identify."""
+
+    study: Study
+    results: Results
+    run_folder: Path
+    calibration: Calibration | None
+
+    @staticmethod
+    def of(study: Study, results: Results, run_folder: Path) -> Material:
+        """Read the measurements and rebuild the fitted model, if there is one."""
+        found = Calibration.of(study, results) if "identify/faults.csv" in results else None
+        return Material(study, results, run_folder, found)
+
+    @property
+    def data(self) -> Measurements:
+        """The measurements, without the rows that are left out."""
+        assert self.calibration is not None
+        return self.calibration.data
+
+    @property
+    def known(self) -> Identified:
+        """The best model that was found."""
+        assert self.calibration is not None
+        return self.calibration.known
 
     @property
     def tables(self) -> Tables:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -28,13 +28,13 @@ class PlannedStage:
     key: dict[str, str]
 
 
-def stages_of(study: Study) -> list[Stage]:
-    """Return the stages of a study, in order: its workflow's, and what it asks for besides.
+def stages_of(study: Study, ran: Collection[str] = ()) -> list[Stage]:
+    """Return the stages of a study, in order: its workflow's, and what it asks for besides; ran are those that have results.
 
     Raises:
         InputError: the workflow or the study names a stage that does not exist or lacks what it needs, or has wrong settings.
     """
-    known, names = STAGES, study.stages
+    known, names = based(study, ran), study.stages
     workflow, own = Origin.of(study.workflow_path), Origin.of(study.path)
     problems = []
     for name in names:
@@ -61,26 +61,39 @@ def stages_of(study: Study) -> list[Stage]:
     return [known[name] for name in names]
 
 
+def based(study: Study, ran: Collection[str] = ()) -> dict[str, Stage]:
+    """Return all stages, each on the base that it goes on from: one that has run, else one that the workflow has."""
+
+    def on(stage: Stage) -> Stage:
+        if not stage.bases:
+            return stage
+        told = (name for there in (ran, study.stages, stage.bases) for name in stage.bases if name in there)
+        return stage.on(STAGES[next(told)])
+
+    return {name: on(stage) for name, stage in STAGES.items()}
+
+
 def plan(study: Study, folder: Path, only: str | None = None, force: bool = False) -> list[PlannedStage]:
     """Return what a run would do, stage by stage; only names a single stage (with what it needs).
 
     Raises:
         InputError: there is no such stage, or the folder is not this study's.
     """
-    stages, known = stages_of(study), STAGES
+    if folder.exists() and not folder.is_dir():
+        raise refuse("is a file; expected a run folder, which may not exist yet", folder)
+    manifest = read_manifest(folder)
+    before = manifest.stages if manifest else {}
+    ran = [name for name, entry in before.items() if entry.status == "done"] if only else []
+    stages, known = stages_of(study, ran), based(study, ran)
     wanted = [stage.name for stage in stages]
     if only is not None:
         if only not in known:
             raise refuse(f"unknown stage '{only}'; there are {', '.join(known)}{nearest(only, known)}")
-        wanted = _with_needs(only)
+        wanted = _with_needs(only, known)
         early = [known[name] for name in wanted if known[name] not in stages and name != only]
         stages = list(dict.fromkeys((*early, *stages, known[only])))
-    if folder.exists() and not folder.is_dir():
-        raise refuse("is a file; expected a run folder, which may not exist yet", folder)
-    manifest = read_manifest(folder)
     if manifest:
         check_same_study(study, folder, manifest)
-    before = manifest.stages if manifest else {}
     common = common_key(study)
     steps: list[PlannedStage] = []
     for stage in stages:
@@ -106,8 +119,8 @@ def passed_over(folder: Path, only: str | None, steps: Sequence[PlannedStage]) -
     return [name for name in STAGES[only].uses if name in manifest.stages and name not in taken]
 
 
-def _with_needs(stage: str) -> list[str]:
+def _with_needs(stage: str, known: Mapping[str, Stage]) -> list[str]:
     names: list[str] = []
-    for need in STAGES[stage].needs:
-        names += _with_needs(need)
+    for need in known[stage].needs:
+        names += _with_needs(need, known)
     return list(dict.fromkeys([*names, stage]))

@@ -26,7 +26,7 @@ STAGE = Stage(
     "write the report",
     ReportSettings,
     run,
-    needs=("identify",),
+    bases=("identify", "select"),
     uses=("select", "diagnose", "residual_field", "sample"),
     titled=True,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +62,8 @@ class Stage:
     tables and documents say by path in the run folder what it may make: of which rows, or of which dataclass. problems finds
     what it would refuse of a study, its settings and (where there are any) the measurements; resumes names files of an
     earlier run that it goes on from where only its settings changed; reads names further files that its settings ask for;
-    titled says whether the study's title and acceptance stand in what it writes.
+    titled says whether the study's title and acceptance stand in what it writes. bases names stages of which one is enough
+    to go on from, the one that tells most first: see `on`.
     """
 
     name: str
@@ -78,3 +79,8 @@ class Stage:
     problems: Callable[[Study, Any, Measurements | None], list[Problem]] = no_problems
     reads: Callable[[Study, Any], tuple[Path, ...]] = no_files
     titled: bool = False
+    bases: tuple[str, ...] = ()
+
+    def on(self, base: Stage) -> Stage:
+        """Return the stage as it goes on from one of its bases: it needs that one, and is measured where that is."""
+        return replace(self, bases=(), needs=(*self.needs, base.name), measured=base.measured)

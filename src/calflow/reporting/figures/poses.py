@@ -1,4 +1,4 @@
-"""Figure of observability against the number of poses."""
+"""Figures of what a number of poses is worth."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from calflow.design.how_many import HowMany
 from calflow.design.selection import Certificate
-from calflow.reporting.style import ALONE, DARK, panels
+from calflow.reporting.style import ALONE, DARK, MIDDLE, figure, panels
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")
+CURVES = {"expected_sd_mm": "root mean square", "worst_sd_mm": "worst pose"}
 
 
 def observability(table: pd.DataFrame, certificate: Certificate) -> Figure:
@@ -24,11 +26,26 @@ def observability(table: pd.DataFrame, certificate: Certificate) -> Figure:
     left.set(xlabel="number of poses", ylabel="observability index\n[relative to all poses]", ylim=(0, None))
     if left.lines:  # with fewer poses than it takes there is no index
         left.legend(ncols=2)
-    curves = {"expected_sd_mm": "root mean square", "worst_sd_mm": "worst pose"}
-    for (name, label), (colour, line, marker) in zip(curves.items(), ALONE, strict=False):
+    for (name, label), (colour, line, marker) in zip(CURVES.items(), ALONE, strict=False):
         right.plot(poses, table[name], color=colour, linestyle=line, marker=marker, markersize=2.5, label=label)
     if certificate.criterion != "parameters":
         right.axhline(certificate.least_loss, color=DARK, linewidth=0.8, label="least possible")
     right.set(xlabel="number of poses", ylabel="expected sd of the\npredicted position [mm]", ylim=(0, None))
     right.legend()
+    return drawn
+
+
+def expected_error(table: pd.DataFrame, how_many: HowMany) -> Figure:
+    """Draw the tool's expected sd [mm] against the number of poses, with the knee and the tolerance that was asked for."""
+    drawn = figure(2.3, 3.4)
+    axes = drawn.add_subplot()
+    for (name, label), (colour, line, marker) in zip(CURVES.items(), ALONE, strict=False):
+        axes.plot(
+            table["n_poses"], table[name], color=colour, linestyle=line, marker=marker, markersize=2.5, label=label
+        )
+    axes.axvline(how_many.knee_poses, color=MIDDLE, linestyle=":", linewidth=0.9, label="knee")
+    if how_many.tolerance_mm is not None:
+        axes.axhline(how_many.tolerance_mm, color=DARK, linewidth=0.8, label="asked for")
+    axes.set(xlabel="number of poses", ylabel="expected sd of the tool [mm]", ylim=(0, None))
+    axes.legend()
     return drawn

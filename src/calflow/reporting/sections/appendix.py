@@ -21,8 +21,7 @@ PACKAGES = ("calflow", "casadi", "emcee", "numpy", "scipy", "pandas")
 
 def write(material: Material) -> list[Block]:
     """Tabulate what was asked, what was used and how it ended."""
-    study, results = material.study, material.results
-    noises = results.rows("identify/noise.csv", DeviceNoise)
+    study = material.study
     facts: list[tuple[str, str] | str] = [
         "asked",
         ("study", study.name),
@@ -37,9 +36,7 @@ def write(material: Material) -> list[Block]:
             for stage in study.stages
             if study.settings(stage)
         ),
-        "found by identify",
-        *identified(results.document("identify/summary.json", IdentifySummary), noises),
-        *(_placement(material)),
+        *_identified(material),
         *_diagnosed(material),
     ]
     return [
@@ -56,6 +53,14 @@ def _halves(facts: list[tuple[str, str] | str]) -> tuple[list[tuple[str, str] | 
     if isinstance(facts[middle - 1], str):
         middle -= 1
     return facts[:middle], facts[middle:]
+
+
+def _identified(material: Material) -> list[tuple[str, str] | str]:
+    results, path = material.results, "identify/summary.json"
+    if path not in results:
+        return []
+    noises = results.rows("identify/noise.csv", DeviceNoise)
+    return ["found by identify", *identified(results.document(path, IdentifySummary), noises), *_placement(material)]
 
 
 def _diagnosed(material: Material) -> list[tuple[str, str] | str]:
@@ -89,6 +94,4 @@ def _placement(material: Material) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-SECTION = Section(
-    90, "Appendix: the run", ("identify/summary.json", "identify/noise.csv", "identify/placement.csv"), write
-)
+SECTION = Section(90, "Appendix: the run", (), write)
