@@ -17,7 +17,8 @@ from calflow.files.regular import regular_file
 from calflow.files.toml import NONE, ONE, SEVERAL, FileModel, Origin, read_toml, validate
 from calflow.files.units import split_unit
 from calflow.measurements.acceptance import Acceptance
-from calflow.measurements.combined import combined
+from calflow.measurements.cells import layout_of_further
+from calflow.measurements.combined import combined, continued
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import data_folder, locate
 from calflow.measurements.series import Series
@@ -185,7 +186,8 @@ def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> N
 class Study:
     """A study with its robot and workflow, ready to run; settings holds each stage's table, study over workflow.
 
-    data is the folder in which measurements are looked for before the study's own; None where there is none.
+    further are files of rows measured since, of the first series. data is the folder in which measurements are looked for
+    before the study's own; None where there is none.
     """
 
     path: Path
@@ -194,6 +196,7 @@ class Study:
     robot_path: Path
     workflow: WorkflowFile
     workflow_path: Path
+    further: tuple[Path, ...] = ()
     data: Path | None = field(default_factory=data_folder)
 
     @property
@@ -224,7 +227,8 @@ class Study:
         """
         if not self.file.sources:
             raise refuse("has no measurements yet: expected a table [measurements] with file = …", self.path)
-        return tuple(together(*(partial(locate, source, self.path.parent, self.data) for source in self.file.sources)))
+        located = together(*(partial(locate, source, self.path.parent, self.data) for source in self.file.sources))
+        return (*located, *self.further)
 
     @property
     def measurement_path(self) -> Path:
@@ -258,10 +262,11 @@ class Study:
 
     @cached_property
     def _measured(self) -> Measurements:
-        paths = self.measurement_paths
+        paths, n = self.measurement_paths, len(self.file.sources)
         path = paths[0]
-        parts = together(*(partial(self._series, k, one) for k, one in enumerate(paths)))
-        measured = combined(parts)
+        of_series = [*enumerate(paths[:n]), *((0, one) for one in paths[n:])]
+        parts = together(*(partial(self._series, k, one) for k, one in of_series))
+        measured = combined((continued([parts[0], *parts[n:]]), *parts[1:n]))
         check_columns(self.file.effects, measured, path)
         self._check_names(measured)
         measured = measured.split(self.file.split.holdout, self.file.seed)
@@ -286,6 +291,7 @@ class Study:
         """Read one series."""
         kind, series = self.series(k)
         layout = replace(self.file.sources[k].layout, reports=kind.columns)
+        layout = layout_of_further(path, layout) if path in self.further else layout
         measured = Measurements.from_csv(path, self.robot, **vars(layout))
         return plausible(replace(measured, series=(series,)), path)
 

@@ -90,7 +90,11 @@ RIGHT = [
     ("study", STUDY + SEVERAL),
     ("robot", ROBOT + '\n[payloads.load]\nmass_kg = "unknown"\n'),
     ("robot", ROBOT + "\n[payloads.load]\nmass_g = 5\n"),
-    ("fleet", '[fleet]\nname = "p"\n[types.a]\nstudy = "s.toml"\ndata = "{robot}.csv"\n[robots.r1]\ntype = "a"\ndata = ["x.csv"]\n'),
+    (
+        "fleet",
+        '[fleet]\nname = "p"\n[types.a]\nstudy = "s.toml"\ndata = "{robot}.csv"\n'
+        '[robots.r1]\ntype = "a"\ndata = ["x.csv"]\n',
+    ),
     ("frames", "[frames.bench]\norigin_mm = [1, 2, 3]\n"),
 ]  # fmt: skip
 

@@ -11,6 +11,7 @@ from calflow.commands.export import export
 from calflow.commands.filter import filter_targets
 from calflow.commands.fleet import fleet
 from calflow.commands.new import new
+from calflow.commands.next import next_poses
 from calflow.commands.pack import pack
 from calflow.commands.plan import plan
 from calflow.commands.predict import predict
@@ -42,4 +43,5 @@ COMMANDS = (
     reproduce,
     pack,
     schema,
+    next_poses,
 )

@@ -34,6 +34,19 @@ def elsewhere(fit: Fit, pose: np.ndarray) -> float:
     return float(np.sqrt(more)) * fit.problem.scatter
 
 
+def left_out(fit: Fit, pose: np.ndarray) -> float:
+    """Return the root mean square error of poses that are left out in turn, all axes together, noise in it [m]; nan without any.
+
+    Args: as of `elsewhere`.
+    """
+    missed = [
+        np.linalg.inv(np.eye(len(residual)) - jacobian @ fit.covariance @ jacobian.T) @ residual
+        for residual, jacobian in _by_pose(fit, pose)
+    ]
+    squared = np.concatenate(missed or [np.full(1, np.nan)]) ** 2
+    return float(np.sqrt(3 * squared.mean())) * fit.problem.scatter
+
+
 def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield each pose's whitened residuals (n,), of lengths, and their Jacobian (n, n_parameters)."""
     for block in fit.problem.reweighted(fit.estimate, fit.loss).blocks:

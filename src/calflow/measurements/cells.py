@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,16 @@ from calflow.measurements.layout import Layout
 from calflow.measurements.plain_text import check_text
 
 EMPTY = "is empty: expected a header line and a row per measured point"
+
+
+def layout_of_further(path: Path, layout: Layout) -> Layout:
+    """Return the layout of a series' further file: the series' own, or calflow's names for one that has none of its columns.
+
+    Poses that calflow proposed, with what was measured filled in, are such a file.
+    """
+    if not layout.named or set(layout.named) & set(map(str, read_cells(path, layout))):
+        return layout
+    return replace(layout, columns={}, markers={})
 
 
 def read_cells(path: Path, layout: Layout) -> pd.DataFrame:

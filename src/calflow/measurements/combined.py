@@ -59,6 +59,14 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
     )  # fmt: skip
 
 
+def continued(parts: Sequence[Measurements]) -> Measurements:
+    """Return the rows of several files of one series as if they stood in one file."""
+    if len(parts) == 1:
+        return parts[0]
+    whole = combined(parts)
+    return replace(whole, table=whole.table.drop(columns="series"), series=parts[0].series)
+
+
 def _named_apart(tables: Sequence[pd.DataFrame], readings: list[str]) -> list[pd.DataFrame]:
     """Give poses of the same name but other readings names of their own, or those of the poses that they are."""
     found: list[pd.DataFrame] = []

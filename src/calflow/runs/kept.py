@@ -30,6 +30,18 @@ def write_results(folder: Path, results: Results, tables: Mapping[str, type]) ->
         write_whole(folder / name, f"{said}\n".encode())
 
 
+def not_of_a_run(folder: Path) -> None:
+    """Check that what a command keeps goes into a folder of its own.
+
+    Raises:
+        InputError: the folder is a run's own, or a stage's: their files would be written over.
+    """
+    if (folder / NAME).exists() or (folder.name in STAGES and (folder.parent / NAME).exists()):
+        raise refuse(
+            "holds what 'calflow run' made, which would be written over; give another folder with --out", folder
+        )
+
+
 def keep(
     folder: Path, results: Results, tables: Mapping[str, type], title: str, parts: Callable[[], Sequence[Part]]
 ) -> None:
@@ -41,10 +53,7 @@ def keep(
     from calflow.reporting.document import write
     from calflow.reporting.style import style
 
-    if (folder / NAME).exists() or (folder.name in STAGES and (folder.parent / NAME).exists()):
-        raise refuse(
-            "holds what 'calflow run' made, which would be written over; give another folder with --out", folder
-        )
+    not_of_a_run(folder)
     write_results(folder, results, tables)
     with style():
         write(title, parts(), folder)

@@ -14,6 +14,7 @@ from pydantic.fields import FieldInfo
 from calflow.deployment import comparison, drift_verdict, validation
 from calflow.deployment.command_table import Command
 from calflow.deployment.controller_figures import ControllerFigure
+from calflow.design.measuring.measuring_verdict import MeasuringVerdict, NextMeasurement
 from calflow.files.deviations import Deviation
 from calflow.files.tables import Column, columns
 from calflow.files.toml import FileModel
@@ -27,6 +28,8 @@ ANSWERS: Mapping[str, type] = {  # the tables that commands other than run write
     "calflow compensate": Command,
     "calflow export --to controller": ControllerFigure,
     "calflow reproduce --out, differences.csv": Deviation,
+    "calflow next --out FOLDER: poses.csv": NextMeasurement,
+    "calflow next --out FOLDER: verdict.json": MeasuringVerdict,
 }
 FOLDERS = {
     "validate": validation.TABLES,

@@ -48,7 +48,7 @@ def run(context: Context) -> Results:
     one_sided = by_sides(effects)
     model = build(robot, [effect for effect in effects if effect not in one_sided], (), (planned.observation,))
     task = task_of(study, settings, model, context.rng("task"))
-    there = measured_rows(study) if settings.add_to_measured else None
+    there = measured_rows(study.measurements()) if settings.add_to_measured else None
     stated = stated_poses(study.path.parent / settings.candidates_file, model) if settings.candidates_file else None
     chosen = select(
         model, settings.poses, aim=settings.aim, task=task, there=there, stated=stated,

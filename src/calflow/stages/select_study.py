@@ -72,11 +72,10 @@ def task_of(study: Study, settings: SelectSettings, model: Model, rng: np.random
     return Task.within(model, payloads, marker, region, task.number, rng)
 
 
-def measured_rows(study: Study) -> np.ndarray:
-    """Return the packed conditions of the poses that were measured and are fitted, a row a marker and payload of each."""
-    data = study.measurements()
+def measured_rows(data: Measurements) -> np.ndarray:
+    """Return the packed conditions of the poses that are fitted, a row a marker and payload of each, without optional ones."""
     own = data.table.loc[data.train].drop_duplicates(["pose", "marker", "payload"]).index
-    fixed = study.robot.n_joints + len(study.robot.payloads) + len(study.robot.markers)
+    fixed = data.robot.n_joints + len(data.robot.payloads) + len(data.robot.markers)
     return np.asarray(data.rows[:fixed, data.table.index.get_indexer(own)])
 
 

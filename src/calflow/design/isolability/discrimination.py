@@ -147,15 +147,26 @@ class Question:
     plan: Plan | None = None
 
 
-def questions(found: Diagnosis, data: Measurements, rng: Draws) -> list[Question]:
-    """Return how to tell each finding from its rivals by poses of which as many are fitted as of the data."""
-    share = data.train.sum() / (data.train | data.held_out).sum()
+def questions(found: Diagnosis, data: Measurements, rng: Draws, among: Choices | None = None) -> list[Question]:
+    """Return how to tell each finding from its rivals by poses of which as many are fitted as of the data.
+
+    They are chosen among some, or of such as are drawn where it was measured.
+    """
     final = found.extended.fitted
-    return [question(one, final, share, rng(f"poses{k}")) for k, one in enumerate(found.verdicts)]
+    return [question(one, final, fitted_share(data), rng(f"poses{k}"), among) for k, one in enumerate(found.verdicts)]
 
 
-def question(verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Generator) -> Question:
+def fitted_share(data: Measurements) -> float:
+    """Return how many of the rows that count are fitted."""
+    return float(data.train.sum() / (data.train | data.held_out).sum())
+
+
+def question(
+    verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Generator, among: Choices | None = None
+) -> Question:
     """Return how to tell a finding from each of its rivals; share is how many of the further poses will be fitted.
+
+    They are chosen among some, or drawn where it was measured.
 
     What cannot be asked is said in the separations: it is no reason to end a diagnosis.
     """
@@ -169,7 +180,9 @@ def question(verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Gene
     if not asked:
         return Question(cause, untested)
     try:
-        return _asked(verdict.finding, asked, untested, fitted, share, rng)
+        planned = planned_like(fitted, share)
+        choices = among or _choices(fitted, planned.observation, rng)
+        return _asked(verdict.finding, asked, untested, fitted, planned, choices)
     except Exception as error:  # whatever it is: the causes were found, and only advice is lost
         wider = isinstance(error, InputError)
         reason = error.problems[0].message if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
@@ -187,17 +200,11 @@ def _asked(
     rivals: Sequence[Rival],
     untested: tuple[Separation, ...],
     fitted: Fitted,
-    share: float,
-    rng: np.random.Generator,
+    planned: Planned,
+    choices: Choices,
 ) -> Question:
-    """Look for poses that tell a finding from some rivals.
-
-    Raises:
-        InputError: hardly any pose is there.
-    """
+    """Look for poses that tell a finding from some rivals."""
     explanations = [Explanation(finding.own, 0.0), *(Explanation(r.score, r.bic) for r in rivals if r.score)]
-    planned = _planned(fitted, share)
-    choices = _choices(fitted, planned.observation, rng)
     criteria = TCriterion.between(fitted, explanations, choices, planned)
     before = {pair: closest(criteria, pair) for pair in combinations(range(len(explanations)), 2)}
     alone = {pair: propose(criteria, [pair], POSES)[1][pair] for pair in before}
@@ -305,8 +312,8 @@ def _joints(places: Sequence[Place]) -> tuple[int, ...]:
     return tuple(joint for _, joint in places)
 
 
-def _planned(fitted: Fitted, share: float) -> Planned:
-    """Further poses are measured as those there are: from outside, if any series is."""
+def planned_like(fitted: Fitted, share: float) -> Planned:
+    """Return how further poses are measured, as those there are: from outside, if any series is."""
     observed = fitted.model.observations
     k = next((k for k, one in enumerate(observed) if one.from_outside), 0)
     return Planned.like(observed[k], fitted.noise, k, share)
@@ -329,7 +336,7 @@ def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator)
     for payload in possible:
         drawn, _ = candidates(model, number, payload, str(data.table["marker"].iloc[0]), region, rng, observation)
         came = rng.choice([-1.0, 1.0], drawn.shape)
-        table = _rows_like(data, drawn, came, str(payload), rng)
+        table = rows_like(data, drawn, came, (str(payload),) * len(drawn), rng)
         readings.append(drawn)
         approach.append(came)
         payloads += [str(payload)] * len(drawn)
@@ -337,14 +344,17 @@ def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator)
     return Choices(np.vstack(readings), np.vstack(approach), tuple(payloads), np.hstack(packed))
 
 
-def _rows_like(
-    data: Measurements, readings: np.ndarray, came: np.ndarray, payload: str, rng: np.random.Generator
+def rows_like(
+    data: Measurements, readings: np.ndarray, came: np.ndarray, payloads: Sequence[str], rng: np.random.Generator
 ) -> Measurements:
-    """Rows of these readings whose other conditions are drawn from those of the data, after the last of them in time."""
+    """Return rows of readings (n, n_joints), reached from these sides (n, n_joints), each under its payload.
+
+    Other conditions are drawn from those of the data, after the last of them in time.
+    """
     robot = data.robot
     drawn = data.table.iloc[rng.integers(len(data), size=len(readings))].reset_index(drop=True)
     drawn[condition_columns("reading", robot)] = readings
-    drawn["payload"] = payload
+    drawn["payload"] = list(payloads)
     drawn["marker"] = data.table["marker"].iloc[0]
     if "approach" in data.given:
         drawn[condition_columns("approach", robot)] = came
