@@ -9,11 +9,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: a core a wor
 import contextlib
 import hashlib
 import io
+import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -184,6 +187,15 @@ class Folder:
         table.to_csv(self / run / name, index=False)
         new = hashlib.sha256((self / run / name).read_bytes()).hexdigest()
         self.edit(f"{run}/manifest.json", (old, new))
+        self.vouch(lambda manifest: None, run)
+
+    def vouch(self, change: Callable[[dict[str, Any]], object], run: str = "runs") -> None:
+        """Change a run's manifest as a program would that knows how: as an earlier version's, it states no sum of itself."""
+        path = self / run / "manifest.json"
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        manifest.pop("sha256", None)
+        change(manifest)
+        path.write_text(json.dumps(manifest), encoding="utf-8")
 
     def results(self, run: str = "runs") -> dict[str, bytes]:
         """The bytes of every table of a run."""

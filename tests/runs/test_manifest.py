@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +15,6 @@ from calflow.runs.manifest import read_manifest
 COMMANDS = {"run": [], "plan": [], "status": ["runs"], "predict": ["runs", "measurements.csv"], "report": []}
 
 
-def edited(folder, change):
-    """Change the manifest as a program would."""
-    path = folder / "runs" / "manifest.json"
-    manifest = json.loads(path.read_text(encoding="utf-8"))
-    change(manifest)
-    path.write_text(json.dumps(manifest), encoding="utf-8")
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize(
     "name", ["../study.toml", "identify/../../study.toml", "{}/study.toml", "C:study.toml", "..\\study.toml"]
@@ -32,7 +23,7 @@ def test_outputs_outside_the_folder_are_refused_by_name(finished, command, name)
     """Fails if a manifest makes a run delete or read what is not its own."""
     name = name.format(finished.path)
     before = (finished / "study.toml").read_bytes()
-    edited(finished, lambda manifest: manifest["stages"]["identify"]["outputs"].update({name: "0"}))
+    finished.vouch(lambda manifest: manifest["stages"]["identify"]["outputs"].update({name: "0"}))
     (told,) = finished.refused(command, *(finished / part for part in COMMANDS[command]))
     assert told.startswith("runs/manifest.json: names ")
     assert "study.toml" in told
@@ -94,23 +85,45 @@ WRONG = {
 @pytest.mark.parametrize("change", WRONG.values(), ids=WRONG)
 def test_values_of_other_types_are_refused(finished, command, change):
     """Fails if a manifest that no run wrote ends in a traceback, or passes for one."""
-    edited(finished, change)
+    finished.vouch(change)
     (told,) = finished.refused(command, *(finished / part for part in COMMANDS[command]))
     assert told.startswith("runs/manifest.json: is not what a run writes (")
     assert told.endswith("delete it to run everything anew")
 
 
-def test_turned_bits_are_refused_or_seen(finished):
-    """Fails if a manifest with a turned bit raises anything but a refusal."""
+def test_turned_bits_are_refused(finished):
+    """Fails if a manifest with a turned bit passes, unless it says the same, or raises anything but a refusal."""
     path = finished / "runs" / "manifest.json"
-    whole = path.read_bytes()
+    whole, manifest = path.read_bytes(), read_manifest(finished / "runs")
     rng = np.random.default_rng(1)
     for _ in range(300):
         content = bytearray(whole)
         content[rng.integers(len(content))] ^= 1 << int(rng.integers(8))
         path.write_bytes(content)
         with contextlib.suppress(InputError):
-            assert read_manifest(finished / "runs")
+            assert read_manifest(finished / "runs") == manifest
+
+
+def test_an_earlier_version_s_manifest_is_read(finished):
+    """Fails if results that state no sum of themselves are lost."""
+    manifest = read_manifest(finished / "runs")
+    finished.vouch(lambda _: None)
+    assert read_manifest(finished / "runs") == manifest
+
+
+@pytest.mark.parametrize("name", ["study.toml", "robot.toml", "workflow.toml"])
+def test_changed_copies_of_the_inputs_are_told(finished, name):
+    """Fails if a run is used with another separator, seed or robot than its results are of, or a lost copy is a traceback."""
+    copy = finished / "runs" / "inputs" / name
+    before = copy.read_bytes()
+    copy.write_bytes(before + b"#\n")
+    (told,) = finished.refused("predict", finished / "runs", finished / "measurements.csv")
+    assert told == f"runs/inputs/{name}: is not what the run read; run the study again"
+    copy.unlink()
+    (told,) = finished.refused("predict", finished / "runs", finished / "measurements.csv")
+    assert told == f"runs/inputs/{name}: is missing; run the study again"
+    assert finished.calflow("run").code == 0
+    assert copy.read_bytes() == before
 
 
 def test_a_manifest_that_is_no_file_is_refused(finished):

@@ -364,6 +364,18 @@ def interrupted(_interrupted, tmp_path, monkeypatch):
     return Folder(tmp_path / "interrupted")
 
 
+def test_what_an_interrupted_stage_had_written_does_not_count(finished, interrupted):
+    """Fails if tables that a stage wrote before it was killed are taken for what it makes when it runs again."""
+    work = interrupted / "runs" / ".partial" / "sample"
+    (work / "sample" / "old.csv").write_text("a,b\n1,2\n", encoding="utf-8")
+    (work / "figures").mkdir()
+    (work / "figures" / "old.svg").write_text("<svg/>", encoding="utf-8")
+    answer = interrupted.calflow("run")
+    assert "resuming after" in answer.out
+    assert interrupted.results() == finished.results()
+    assert whole(interrupted)
+
+
 def test_an_interrupted_run_says_how_to_go_on(small, finished):
     """Fails if Ctrl-C is a failure, loses the chain, or a stage run in between does."""
     interrupt_after(9)

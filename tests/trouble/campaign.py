@@ -29,7 +29,7 @@ from trouble import tables, toml, urdf
 from trouble.mutations import BYTES, IN_TOML, IN_URDF, Mutation, in_table
 from trouble.studies import write_studies
 
-PATIENCE = 20.0  # s, after which a command hangs
+PATIENCE = 20.0  # s of the processor, after which a command hangs
 LONGEST_LINE, MOST_LINES = 1500, 100  # of what a user reads
 ALONE = 0.6  # share of the cases with a single mutation
 STRUCTURED = 0.7  # share of mistakes of people, the rest are of bytes
@@ -170,7 +170,7 @@ def _unreadable(answer: Answer) -> str:
 
 @contextmanager
 def patience(seconds: float = PATIENCE) -> Iterator[None]:
-    """Stop what takes too long.
+    """Stop what takes too long: of the processor, so that a busy machine is no hang, or ten times as long waiting.
 
     Raises:
         Hangs: it does.
@@ -179,13 +179,16 @@ def patience(seconds: float = PATIENCE) -> Iterator[None]:
     def stop(*_: object) -> None:
         raise Hangs
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)  # again, should something swallow the first
+    timers = {signal.SIGPROF: (signal.ITIMER_PROF, seconds), signal.SIGALRM: (signal.ITIMER_REAL, 10 * seconds)}
+    before = {number: signal.signal(number, stop) for number in timers}
+    for timer, after in timers.values():
+        signal.setitimer(timer, after, 1.0)  # again, should something swallow the first
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        for number, (timer, _) in timers.items():
+            signal.setitimer(timer, 0)
+            signal.signal(number, before[number])
 
 
 def _held(study: Study) -> Any:

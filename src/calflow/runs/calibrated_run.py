@@ -9,10 +9,11 @@ from calflow.deployment.needed_conditions import NeededCondition
 from calflow.estimation.calibrated import Identified, calibrated
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.faults.base import FaultyRow
-from calflow.files.problems import refuse
+from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.results import Results
 from calflow.files.tables import lacking
 from calflow.files.toml import read_toml
+from calflow.measurements.reading import sha256
 from calflow.measurements.source import MeasurementSource
 from calflow.robot.robot import Robot
 from calflow.runs.cache_key import after
@@ -48,6 +49,7 @@ class CalibratedRun:
         manifest = read_manifest(folder)
         if manifest is None:
             raise refuse("holds no run: expected a folder that 'calflow run' has filled", folder)
+        _check_inputs(folder, manifest)
         robot = Robot.from_toml(folder / "inputs" / "robot.toml")
         reason = outdated(manifest, folder, "identify", robot)
         if reason:
@@ -117,6 +119,21 @@ class CalibratedRun:
             else (f"without the residual field that the study asks for: {field}; run the study again",)
         )
         return (*self.columns_mended, *said)
+
+
+def _check_inputs(folder: Path, manifest: Manifest) -> None:
+    """Check that the copies of the files that were asked are those that the results are of.
+
+    Raises:
+        InputError: one was changed, or is not there.
+    """
+    known = set(manifest.inputs.values())
+    copies = [folder / "inputs" / f"{name}.toml" for name in ("study", "robot", "workflow")]
+    copies += [path for path in sorted((folder / "inputs").iterdir()) if path not in copies and path.is_file()]
+    wrong = {path: "is missing" for path in copies if not path.is_file()}
+    wrong |= {path: "is not what the run read" for path in copies if path not in wrong and sha256(path) not in known}
+    if wrong:
+        raise InputError(Problem(f"{said}; run the study again", path) for path, said in wrong.items())
 
 
 def _without_field(manifest: Manifest, folder: Path, robot: Robot, diagnosed: bool) -> str | None:

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import time
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -127,6 +128,7 @@ def _work_folder(folder: Path, step: PlannedStage, before: StageEntry | None) ->
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir(parents=True)
         write_whole(work / KEY, json.dumps(key).encode())
+    _clear(work, {KEY, *step.stage.resumes})
     if before and not forced and all(before.key.get(name) == value for name, value in key.items()):
         for name in step.stage.resumes:
             here, digest = inside(folder, name), (before.outputs or {}).get(name)
@@ -134,6 +136,16 @@ def _work_folder(folder: Path, step: PlannedStage, before: StageEntry | None) ->
                 (work / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(here, work / name)
     return work
+
+
+def _clear(work: Path, kept: set[str]) -> None:
+    """Remove what an interrupted stage left but for these files: what it goes on from, and nothing that it had begun to write."""
+    for path in sorted(work.rglob("*"), reverse=True):
+        if path.is_dir():
+            with suppress(OSError):  # it holds something that is kept
+                path.rmdir()
+        elif path.relative_to(work).as_posix() not in kept:
+            path.unlink()
 
 
 def _holds(path: Path, key: dict[str, str]) -> bool:
