@@ -20,6 +20,7 @@ FLOORS = (  # an import points to a floor further up this list, or stays within 
     ("faults", "diagnosis", "sampling", "population"),
     ("design",),
     ("deployment",),
+    ("study_file",),
     ("study", "templates"),
     ("simulation",),
     ("reporting",),

@@ -21,7 +21,8 @@ from calflow.files.units import LARGEST, spellings
 from calflow.model import Model, build
 from calflow.robot.readings import reading_columns, shown_readings
 from calflow.robot.robot import Robot
-from calflow.study import check_effects, known_effects
+from calflow.study import check_effects
+from calflow.study_file import known_effects
 
 
 class Region(FileModel):

@@ -22,7 +22,7 @@ from calflow.robot.formats.robot_toml import RobotFile
 from calflow.robot.formats.urdf_toml import UrdfRobotFile
 from calflow.simulation import Truth
 from calflow.stages import STAGES
-from calflow.study import StudyFile, WorkflowFile
+from calflow.study_file import StudyFile, WorkflowFile
 
 Draft = Literal["4", "2020-12"]
 

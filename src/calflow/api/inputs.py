@@ -10,7 +10,7 @@ from calflow.effects.needs import unmet
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
-from calflow.study import known_effects
+from calflow.study_file import known_effects
 
 
 def effects_of(effects: Sequence[str], robot: Robot, data: Measurements) -> tuple[str, ...]:

@@ -8,7 +8,8 @@ from typing import Any
 from calflow.api.model import Model
 from calflow.files.results import Results
 from calflow.reporting.material import Calibration, Material
-from calflow.study import Study, StudyFile, WorkflowFile
+from calflow.study import Study
+from calflow.study_file import StudyFile, WorkflowFile
 
 NOWHERE = Path()
 NAME = "python"

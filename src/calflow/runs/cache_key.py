@@ -14,7 +14,8 @@ from calflow.files.plugins import packages
 from calflow.measurements.reading import sha256
 from calflow.robot.robot import Robot
 from calflow.stages.stage import Stage
-from calflow.study import Study, StudyFile
+from calflow.study import Study
+from calflow.study_file import StudyFile
 
 NUMERICAL = ("arviz-stats", "casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "scipy", "typst")
 SAID = ("title", "acceptance")  # of a study: what the report alone says

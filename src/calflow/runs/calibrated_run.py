@@ -21,7 +21,8 @@ from calflow.runs.folder import read_results, run_folder
 from calflow.runs.manifest import Manifest, read_manifest
 from calflow.runs.reasons import outdated
 from calflow.stages import STAGES
-from calflow.study import FIELD, StudyFile, WorkflowFile
+from calflow.study import FIELD
+from calflow.study_file import StudyFile, WorkflowFile
 
 
 @dataclass(frozen=True)

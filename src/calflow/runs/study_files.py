@@ -15,7 +15,8 @@ from calflow.runs.cache_key import file_hashes
 from calflow.runs.identity import beside
 from calflow.runs.manifest import KeptFile, Manifest
 from calflow.stages import STAGES
-from calflow.study import Study, WorkflowFile, load_study
+from calflow.study import Study, load_study
+from calflow.study_file import WorkflowFile
 
 INPUTS = "inputs"  # of a run folder: the files that were asked
 LAID_OUT = f"{INPUTS}/files"  # in it, of a packed run: all files of the study

@@ -39,7 +39,8 @@ from calflow.files.tables import to_frame
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.stages.stage import Context, Stage
-from calflow.study import Study, known_effects
+from calflow.study import Study
+from calflow.study_file import known_effects
 
 
 class DiagnoseSettings(FileModel):

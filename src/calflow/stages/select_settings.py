@@ -11,7 +11,7 @@ from calflow.design.tour import Order
 from calflow.design.trend import USUAL_DRIFT
 from calflow.files.toml import Angle, FileModel, Length, Lengths3
 from calflow.stages.cell_settings import CellSettings
-from calflow.study import known_effects
+from calflow.study_file import known_effects
 
 
 class Region(FileModel):
