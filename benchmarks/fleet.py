@@ -3,9 +3,9 @@
 python benchmarks/fleet.py --cases 200 --failing 10 --kills 20 [--workflow diagnose] [--seed 1] [--processes 2] [--out FOLDER]
 
 HH800 robots are drawn by the hidden simulator, each about the mean of its type as worn as that is about what the maker states, and
-measured in 60 poses. First each robot's study is run one after the other in one process: the sum of the parts. Then the fleet:
-sound; with some robots whose files are spoilt or gone; and that once more, killed at random, with all its processes or only the
-one that was called, and called again until it is done.
+measured in 60 poses. The sum of the parts is each robot's study run one after the other in one process, before the fleet and after
+it, the mean of both. The fleet is run sound; with some robots whose files are spoilt or gone; and that once more, killed at
+random, with all its processes or only the one that was called, and called again until it is done.
 
 The processor's seconds are those of all processes of a fleet: Python and Snakemake starting, reading, and reporting included.
 They do not depend on what else the machine does, as the time by the clock does.
@@ -67,9 +67,9 @@ import sys, time
 from pathlib import Path
 from calflow.runs.run import run
 from calflow.study import load_study
-for name in sys.argv[2:]:
+for name in sys.argv[3:]:
     began, clock = time.process_time(), time.monotonic()
-    run(load_study(Path(sys.argv[1], "studies", f"{name}.toml")), Path(sys.argv[1], "parts", name))
+    run(load_study(Path(sys.argv[1], "parts", "studies", f"{name}.toml")), Path(sys.argv[1], sys.argv[2], name))
     print(time.process_time() - began, time.monotonic() - clock, flush=True)
 """
 
@@ -99,8 +99,9 @@ def main() -> None:
     rng = np.random.default_rng(asked.seed)
     robots = built(plant, asked.cases, asked.workflow, rng)
 
+    before = parts(plant, robots, "before")
     whole = fleet(plant, "sound", asked.processes)
-    processor, clock = parts(plant, robots)
+    processor, clock = np.mean([before, parts(plant, robots, "after")], axis=0)
     found = pd.read_csv(plant / "sound" / "fleet.csv")
     print(f"{asked.cases} robots, {asked.workflow}, seed {asked.seed}; load of the machine {os.getloadavg()[0]:.1f}")
     print(f"calibrated: {(found['status'] == 'calibrated').sum()}; after, mean [mm]: {found['after_mean_mm'].median():.4f} "
@@ -112,11 +113,10 @@ def main() -> None:
 
     spoilt = spoil(plant, [str(name) for name in rng.choice(robots, asked.failing, replace=False)])
     failing = fleet(plant, "failing", asked.processes)
-    rows, sound = (pd.read_csv(plant / name / "fleet.csv").set_index("robot") for name in ("failing", "sound"))
-    named = rows.index[rows["status"] == "failed"]
-    others = [name for name in robots if name not in spoilt]
-    same = rows.loc[others].astype(str).equals(sound.loc[others].astype(str))
-    print(f"made to fail: {len(spoilt)}; named: {len(set(named) & set(spoilt))}; others named: {len(set(named) - set(spoilt))}; "
+    rows = pd.read_csv(plant / "failing" / "fleet.csv").set_index("robot")
+    named = set(rows.index[rows["status"] == "failed"])
+    same = lines(plant / "failing", spoilt) == lines(plant / "sound", spoilt)
+    print(f"made to fail: {len(spoilt)}; named: {len(named & set(spoilt))}; others named: {len(named - set(spoilt))}; "
           f"the others as before: {same}; exit code {failing.code}")  # fmt: skip
     for name, kind in spoilt.items():
         print(f"  {name} ({kind}): {rows.loc[name, 'failed_stage']} {str(rows.loc[name, 'reason'])[:160]}")
@@ -172,6 +172,12 @@ def spoil(plant: Path, robots: list[str]) -> dict[str, str]:
     return {name: KINDS[k % len(KINDS)] for k, name in enumerate(robots)}
 
 
+def lines(folder: Path, without: dict[str, str]) -> list[str]:
+    """The lines of a fleet's table, without those of some robots."""
+    text = (folder / "fleet.csv").read_text(encoding="utf-8").splitlines()
+    return [line for line in text if line.partition(",")[0] not in without]
+
+
 def called(plant: Path, out: str, processes: int) -> list[str]:
     """The command that runs the fleet."""
     return [
@@ -224,12 +230,14 @@ def seconds() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def parts(plant: Path, robots: list[str]) -> tuple[float, float]:
+def parts(plant: Path, robots: list[str], out: str) -> tuple[float, float]:
     """What the robots take one after the other in one process [s]: of the processor, and by the clock."""
+    plan = [sys.executable, "-m", "calflow", "fleet", "plan", str(plant / "fleet.toml"), "--out", str(plant / "parts")]
+    subprocess.run(plan, stdout=subprocess.DEVNULL, check=True)  # writes their studies
     done = subprocess.run(
-        [sys.executable, "-c", PARTS, str(plant / "sound"), *robots], capture_output=True, text=True, check=True
+        [sys.executable, "-c", PARTS, str(plant), out, *robots], capture_output=True, text=True, check=True
     )
-    took = np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
+    took = np.array([line.split()[-2:] for line in done.stdout.splitlines()], dtype=float)
     processor, clock = took.sum(axis=0)
     return float(processor), float(clock)
 

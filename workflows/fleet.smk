@@ -16,17 +16,24 @@ from calflow.fleet.jobs import jobs, made_by
 FLEET = load_fleet(config["fleet"])
 FOLDER = FleetFolder(Path(config.get("out", Path("runs") / FLEET.name)))
 JOBS = jobs(FLEET, int(config.get("batch", 10)))
+OUTCOMES = [outcome for job in JOBS for outcome in job.outputs(FOLDER)]
 PYTHON = sys.executable
+
+
+localrules:
+    all,
+    report,
 
 
 rule all:
     input:
         FOLDER.results,
+        OUTCOMES,  # also where a report of fewer robots is there
 
 
 rule report:
     input:
-        [outcome for job in JOBS for outcome in job.outputs(FOLDER)],
+        OUTCOMES,
     output:
         FOLDER.results,
     params:

@@ -13,6 +13,7 @@ from multiprocessing import active_children
 
 import pandas as pd
 import pytest
+from filelock import FileLock
 
 from calflow.files.tables import from_frame
 from calflow.fleet import engine
@@ -109,6 +110,7 @@ def test_what_was_killed_goes_on_and_what_failed_is_tried_again(ran, plant):
     os.killpg(apart.pid, signal.SIGKILL)
     apart.wait()
     assert not (plant.out / "fleet.csv").exists()
+    assert plant.fleet("report").code == 0  # of what there is, which is no reason not to go on
     mended(plant, "B-2")
     answer = plant.fleet("run", "--cores", 1, "--batch", 3)
     assert answer.code == 0
@@ -145,6 +147,17 @@ def test_a_robot_whose_process_is_killed_is_named(plant):
     assert outcome.status == "failed"
     assert outcome.reason.startswith("its process was ended by SIGKILL")
     assert attempt(load_fleet(plant.file).robot("A-1"), folder).status == "calibrated"
+
+
+def test_a_job_waits_for_one_that_outlived_its_command(plant):
+    """Fails if a robot is said to have failed because the job of a command that was killed is still at work on it."""
+    folder = FleetFolder(plant.out)
+    folder.run("A-1").mkdir(parents=True)
+    held = FileLock(folder.run("A-1") / ".lock", thread_local=False)
+    held.acquire()
+    threading.Timer(0.5, held.release).start()
+    assert attempt(load_fleet(plant.file).robot("A-1"), folder).status == "calibrated"
+    assert not held.is_locked
 
 
 @pytest.mark.parametrize(("module", "library"), [("snakemake", "Snakemake"), ("tomli_w", "tomli-w")])

@@ -54,7 +54,7 @@ def run(
     from calflow.fleet.engine import Asked, check_engine, command, running
     from calflow.fleet.fleet_lines import fleet_lines, why
     from calflow.fleet.jobs import size_for
-    from calflow.fleet.standing import arriving, forget_failures, outcomes
+    from calflow.fleet.standing import arriving, forget_stale, outcomes
     from calflow.fleet.summary import write_summary
     from calflow.runs.lock import locked
 
@@ -64,7 +64,7 @@ def run(
     folder.path.mkdir(parents=True, exist_ok=True)
     log = folder.path / "snakemake.log"
     with resumable(), locked(folder.path):
-        forget_failures(loaded, folder)
+        forget_stale(loaded, folder)
         called = command(loaded, folder, Asked(cores, batch or size_for(len(loaded.robots), cores), profile, options))
         with running(called, log) as process:
             for one in arriving(loaded, folder, lambda: process.poll() is not None):

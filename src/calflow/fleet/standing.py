@@ -39,11 +39,11 @@ def outcomes(fleet: Fleet, folder: FleetFolder) -> list[Outcome]:
     return [read_outcome(folder.outcome(robot.name)) or _unknown(robot, folder) for robot in fleet.robots]
 
 
-def forget_failures(fleet: Fleet, folder: FleetFolder) -> None:
-    """Delete the outcomes of robots that failed, so that they are tried anew."""
+def forget_stale(fleet: Fleet, folder: FleetFolder) -> None:
+    """Delete the outcomes of robots that failed, and of those whose run is not there any more, so that they are tried anew."""
     for one in outcomes(fleet, folder):
-        if one.status == "failed":
-            folder.outcome(one.robot).unlink()
+        if one.status == "failed" or not (folder.run(one.robot) / NAME).is_file():
+            folder.outcome(one.robot).unlink(missing_ok=True)
 
 
 def arriving(fleet: Fleet, folder: FleetFolder, ended: Callable[[], bool]) -> Iterator[Outcome]:

@@ -1,0 +1,53 @@
+"""Jobs: all robots, evenly on all cores; and the order in which outcomes need a look."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from calflow.fleet.fleet_lines import fleet_lines
+from calflow.fleet.jobs import MOST, jobs, size_for
+from calflow.fleet.outcome import Outcome, read_outcome, worst_first, write_outcome
+
+
+@pytest.mark.parametrize("robots", [1, 2, 3, 20, 99, 200, 201, 300, 1000])
+@pytest.mark.parametrize("cores", [1, 2, 8, 64])
+def test_every_robot_is_in_one_job_and_every_core_has_as_many(robots, cores):
+    """Fails if a robot is left out or done twice, or a core idles while another has a job more than a round."""
+    size = size_for(robots, cores)
+    made = jobs(SimpleNamespace(robots=tuple(range(robots))), size)
+    assert sorted(robot for job in made for robot in job.robots) == list(range(robots))
+    sizes = [len(job.robots) for job in made]
+    assert max(sizes) <= MOST
+    assert max(sizes) - min(sizes) <= 1
+    rounds = -(-len(made) // cores)
+    assert rounds * max(sizes) <= -(-robots // cores) + rounds
+
+
+def outcome(robot: str, status: str = "calibrated", after: float | None = None, usable: bool | None = None) -> Outcome:
+    """What came of a robot."""
+    return Outcome(
+        robot=robot, type="t", status=status, before_mean_mm=after and 10 * after, after_mean_mm=after, usable=usable
+    )
+
+
+def test_the_worst_robots_stand_first():
+    """Fails if a robot that failed, or whose model is not to be used, stands below one that is well."""
+    found = [outcome("a", after=0.1, usable=True), outcome("b", after=0.3, usable=True), outcome("c", after=0.2, usable=False),
+             outcome("d", "failed"), outcome("e", "not run")]  # fmt: skip
+    assert [one.robot for one in worst_first(found)] == ["d", "e", "c", "b", "a"]
+    assert fleet_lines(found) == [
+        "3 of 5 robots calibrated; 1 failed (d); 1 not run (e); 1 with a model that is not to be used (c).",
+        "Half of them have a mean position error of 0.200 mm or less (before: 2.00 mm); the worst one, b, is left with 0.300 mm.",
+    ]
+
+
+def test_an_outcome_reads_back_as_it_was(tmp_path):
+    """Fails if what came of a robot is lost on the way to the report."""
+    told = Outcome(
+        robot="a", type="t", status="calibrated", usable=False, after_mean_mm=0.1, causes=("play, 1 ± 1 µrad", "x")
+    )
+    write_outcome(tmp_path / "a.json", told)
+    assert read_outcome(tmp_path / "a.json") == told
+    assert read_outcome(tmp_path / "b.json") is None
