@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from calflow.deployment.commands import Compensation
     from calflow.deployment.comparison import Comparison
     from calflow.deployment.drift_verdict import Drift
+    from calflow.deployment.history import History
     from calflow.deployment.prediction import Prediction
     from calflow.deployment.validation import Validation
     from calflow.files.problems import InputError
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from calflow.runs.drift import drift
     from calflow.runs.export import export_run
     from calflow.runs.filter import filter_program
+    from calflow.runs.history import history
     from calflow.runs.pack import pack
     from calflow.runs.predict import predict
     from calflow.runs.reproduce import Reproduction, reproduce
@@ -46,10 +48,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Base", "Comparison", "Compensation", "Coupling", "Diagnosis", "Drift", "Expected", "Fit", "FourBar", "Frame",
-    "InputError", "Joint", "Marker", "Measurements", "Model", "Payload", "Posterior", "Prediction", "Reproduction",
-    "Robot", "Run", "Study", "Validation", "choose_check_poses", "compare", "compensate", "dh", "diagnose", "drift",
-    "export_run", "filter_program", "identify", "load_study", "modified_dh", "pack", "predict", "report", "reproduce",
-    "run", "sample", "simulate", "validate",
+    "History", "InputError", "Joint", "Marker", "Measurements", "Model", "Payload", "Posterior", "Prediction",
+    "Reproduction", "Robot", "Run", "Study", "Validation", "choose_check_poses", "compare", "compensate", "dh",
+    "diagnose", "drift", "export_run", "filter_program", "history", "identify", "load_study", "modified_dh", "pack",
+    "predict", "report", "reproduce", "run", "sample", "simulate", "validate",
 ]  # fmt: skip
 
 _HOMES = {
@@ -61,6 +63,7 @@ _HOMES = {
     "deployment.commands": ("Compensation",),
     "deployment.comparison": ("Comparison",),
     "deployment.drift_verdict": ("Drift",),
+    "deployment.history": ("History",),
     "deployment.prediction": ("Prediction",),
     "deployment.validation": ("Validation",),
     "files.problems": ("InputError",),
@@ -74,6 +77,7 @@ _HOMES = {
     "runs.filter": ("filter_program",),
     "runs.compare": ("compare",),
     "runs.drift": ("drift",),
+    "runs.history": ("history",),
     "runs.pack": ("pack",),
     "runs.predict": ("predict",),
     "runs.reproduce": ("Reproduction", "reproduce"),

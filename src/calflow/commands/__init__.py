@@ -10,6 +10,7 @@ from calflow.commands.drift import drift
 from calflow.commands.export import export
 from calflow.commands.filter import filter_targets
 from calflow.commands.fleet import fleet
+from calflow.commands.history import history
 from calflow.commands.new import new
 from calflow.commands.next import next_poses
 from calflow.commands.pack import pack
@@ -39,6 +40,7 @@ COMMANDS = (
     check_poses,
     drift,
     compare,
+    history,
     fleet,
     reproduce,
     pack,

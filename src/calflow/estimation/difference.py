@@ -29,20 +29,12 @@ class Difference:
 
     @staticmethod
     def of(first: Identified, second: Identified) -> Difference:
-        """Compare parameters of the same name that refer to the same figure and are off their bounds in both.
+        """Compare the parameters that are `comparable`.
 
         Estimates from independent measurements that were drawn to priors of the same precision P differ by chance with
-        covariance C1 + C2 - C1 P C2 - C2 P C1: where only the prior knows, both say the same, and nothing of it. What base and
-        tool are off counts from where each calibration placed them: they are compared where that is the same place.
+        covariance C1 + C2 - C1 P C2 - C2 P C1: where only the prior knows, both say the same, and nothing of it.
         """
-        elsewhere = _elsewhere(first, second)
-        known = {parameter.name: k for k, parameter in enumerate(second.model.parameters)}
-        pairs = [
-            (k, known[one.name]) for k, one in enumerate(first.model.parameters)
-            if one.name in known and one.part not in elsewhere and one.figure == second.model.parameters[known[one.name]].figure
-            and _prior(one) == _prior(second.model.parameters[known[one.name]])
-            and not first.at_bound[k] and not second.at_bound[known[one.name]]
-        ]  # fmt: skip
+        pairs = comparable(first, second)
         i, j = (np.array(own, dtype=int) for own in (zip(*pairs, strict=True) if pairs else ((), ())))
         sd = first.model.prior_sd[i]
         c1, c2 = first.covariance[np.ix_(i, i)], second.covariance[np.ix_(j, j)]
@@ -69,6 +61,21 @@ class Difference:
 
 def _prior(parameter: Parameter) -> tuple[float, float]:
     return parameter.prior_mean, parameter.prior_sd
+
+
+def comparable(first: Identified, second: Identified) -> list[tuple[int, int]]:
+    """Return the indices in each of parameters of one name, figure and prior that are off their bounds in both.
+
+    What base and tool are off counts from where each calibration placed them: they are compared where that is the same place.
+    """
+    elsewhere = _elsewhere(first, second)
+    known = {parameter.name: k for k, parameter in enumerate(second.model.parameters)}
+    return [
+        (k, known[one.name]) for k, one in enumerate(first.model.parameters)
+        if one.name in known and one.part not in elsewhere and one.figure == second.model.parameters[known[one.name]].figure
+        and _prior(one) == _prior(second.model.parameters[known[one.name]])
+        and not first.at_bound[k] and not second.at_bound[known[one.name]]
+    ]  # fmt: skip
 
 
 def _elsewhere(first: Identified, second: Identified) -> set[str]:

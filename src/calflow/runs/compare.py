@@ -48,8 +48,8 @@ def compare(*studies_or_runs: str | Path, out: str | Path | None = None) -> Comp
     if len(studies_or_runs) < 2:
         raise refuse("expected two runs or more to compare", key="runs")
     runs = [CalibratedRun.of(one) for one in studies_or_runs]
-    names = _names(runs)
-    measured = [_measured(run) for run in runs]
+    names = run_names(runs)
+    measured = [measured_files(run) for run in runs]
     same = {(a, b) for a, b in combinations(range(len(runs)), 2) if measured[a].keys() & measured[b].keys()}
     parameters, pairs = [], []
     for a, b in combinations(range(len(runs)), 2):
@@ -69,8 +69,8 @@ def compare(*studies_or_runs: str | Path, out: str | Path | None = None) -> Comp
     return found
 
 
-def _names(runs: Sequence[CalibratedRun]) -> list[str]:
-    """The runs' folders, or with as many folders above as tell them apart."""
+def run_names(runs: Sequence[CalibratedRun]) -> list[str]:
+    """Return the runs' folders, or with as many folders above as tell them apart."""
     parts = [run.folder.resolve().parts for run in runs]
     for depth in range(1, max(map(len, parts)) + 1):
         names = ["/".join(one[-depth:]) for one in parts]
@@ -79,8 +79,8 @@ def _names(runs: Sequence[CalibratedRun]) -> list[str]:
     raise refuse("the same run is named twice", runs[0].folder)
 
 
-def _measured(run: CalibratedRun) -> dict[str, str]:
-    """The name of each measurement file, by its SHA-256."""
+def measured_files(run: CalibratedRun) -> dict[str, str]:
+    """Return the name of each measurement file, by its SHA-256."""
     return {digest: Path(path).name for path, digest in run.manifest.inputs.items() if is_measured(path)}
 
 
@@ -107,13 +107,13 @@ def _compared(
     )
     robots = (first.robot.name, second.robot.name)
     pair = RunPair(
-        first=names[0], second=names[1], robots=robots, robot=_robot(first, second), shared=len(rows), **told
+        first=names[0], second=names[1], robots=robots, robot=same_robot(first, second), shared=len(rows), **told
     )
     return rows, pair
 
 
-def _robot(first: CalibratedRun, second: CalibratedRun) -> Literal["the same", "another file", "another one"]:
-    """Whether two runs are of one robot, as far as their robot files say."""
+def same_robot(first: CalibratedRun, second: CalibratedRun) -> Literal["the same", "another file", "another one"]:
+    """Return whether two runs are of one robot, as far as their robot files say."""
     if robot_digest(first.robot) == robot_digest(second.robot):
         return "the same"
     kinds = [(run.robot.name, [joint.kind for joint in run.robot.joints]) for run in (first, second)]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pydantic.fields import FieldInfo
 
-from calflow.deployment import comparison, drift_verdict, validation
+from calflow.deployment import comparison, drift_verdict, history, validation
 from calflow.deployment.command_table import Command
 from calflow.deployment.controller_figures import ControllerFigure
 from calflow.design.measuring.measuring_verdict import MeasuringVerdict, NextMeasurement
@@ -35,6 +35,7 @@ FOLDERS = {
     "validate": validation.TABLES,
     "drift": drift_verdict.TABLES,
     "compare": comparison.TABLES,
+    "history": history.TABLES,
 }  # what they keep in one
 MARKS = "<!-- {}: written from the code -->", "<!-- end of {} -->"
 

@@ -1,0 +1,222 @@
+"""A history of one robot: what its calibrations in order say of each parameter, and which of them moved between which."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from calflow.deployment.changes import Change, Level, changes, levels
+from calflow.estimation.alone import Alone
+from calflow.estimation.calibrated import Identified
+from calflow.estimation.difference import Difference, comparable
+from calflow.files.results import Results
+from calflow.files.tables import column, to_frame
+from calflow.robot.parameter import Parameter
+
+FALSE_ALARM = 0.01
+UNIT = "as `unit` says"
+Verdict = Literal["in place", "moved", "cannot be told"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunInOrder:
+    """A run of the history, and whether its robot differs from that of the run before."""
+
+    run: str = column("the run")
+    date: str = column("when it was measured, as its study says; empty: it does not say")
+    chi2: float | None = column("of all differences from the run before, covariances counted; empty: it is the first")
+    freedom: int | None = column("directions in which the measurements of both tell of them; empty: as before")
+    p: float | None = column("chance of so much where nothing moved; empty: as before")
+    moved: bool = column("whether anything moved since the run before, all runs counted")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterInRun:
+    """What the measurements of a run say of a parameter by themselves, without its prior."""
+
+    run: str = column("the run")
+    parameter: str = column("its name")
+    unit: str = column("of the figures in this row (SI)")
+    value: float = column("figure and error together, whatever the other parameters are", UNIT, sd="sd")
+    sd: float = column("its standard deviation", UNIT)
+    told: bool = column(
+        "whether the measurements of every run know it better than the prior; else no change of it is told"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovedParameter:
+    """A parameter that moved between runs by more than chance, all parameters and runs counted."""
+
+    parameter: str = column("its name")
+    effect: str = column("id of its effect")
+    joint: int | None = column("number of its joint or link; empty: none")
+    unit: str = column("of the figures in this row (SI)")
+    after: str = column("the last run before it moved, most likely")
+    before: str = column("the first run after")
+    surely_after: str = column("a run before it moved, surely")
+    surely_before: str = column("a run after, surely; between the two it may have moved little by little")
+    shift: float = column("from all runs since the change before to all until the next one", UNIT, sd="sd")
+    sd: float = column("its standard deviation", UNIT)
+    in_sd: float = column("the shift in standard deviations")
+    p: float = column("chance that any parameter looks so between any runs where nothing moved")
+    meaning: str = column("what it is, in words")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PresentFigure:
+    """What a parameter is now, by all runs since it last moved."""
+
+    parameter: str = column("its name")
+    unit: str = column("of the figures in this row (SI)")
+    value: float = column("figure and error together", UNIT, sd="sd")
+    sd: float = column("its standard deviation", UNIT)
+    since: str = column("the first run that counts")
+    runs: int = column("how many count")
+    recalibrate: bool = column("whether it moved: what was calibrated before does not hold any more")
+    told: bool = column("whether the measurements of every run know it better than the prior")
+
+
+TABLES: Mapping[str, type] = {
+    "runs.csv": RunInOrder, "parameters.csv": ParameterInRun, "moved.csv": MovedParameter, "present.csv": PresentFigure,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class History:
+    """Calibrations of one robot in order; notes say what was left out."""
+
+    runs: tuple[RunInOrder, ...]
+    parameters: tuple[ParameterInRun, ...]
+    moved: tuple[MovedParameter, ...]
+    present: tuple[PresentFigure, ...]
+    false_alarm: float
+    notes: tuple[str, ...]
+
+    @property
+    def status(self) -> Verdict:
+        """Whether anything moved, and whether it can be told what."""
+        if self.moved:
+            return "moved"
+        return "cannot be told" if self.nameless else "in place"
+
+    @property
+    def nameless(self) -> tuple[RunInOrder, ...]:
+        """Runs before which something moved, while no parameter can be told to have done so there."""
+        names = [one.run for one in self.runs]
+        spans = [(names.index(one.surely_after), names.index(one.surely_before)) for one in self.moved]
+        return tuple(one for k, one in enumerate(self.runs) if one.moved and not any(a < k <= b for a, b in spans))
+
+    @property
+    def results(self) -> Results:
+        """Its tables by their file's name."""
+        own = (self.runs, self.parameters, self.moved, self.present)
+        return Results({name: to_frame(rows, kind) for (name, kind), rows in zip(TABLES.items(), own, strict=True)})
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """What moved as a DataFrame."""
+        return self.results.tables["moved.csv"]
+
+
+def history(
+    names: Sequence[str], dates: Sequence[datetime.date | None], runs: Sequence[Identified], false_alarm: float,
+    rng: np.random.Generator,
+) -> History:  # fmt: skip
+    """Tell which parameters of a robot moved between independent calibrations of it, in order.
+
+    Half of false_alarm is for single parameters (see `changes`), half for whether anything moved from one run to the next
+    (chi² of all differences, Bonferroni over runs), which also sees what no single parameter can be held for.
+    """
+    rows = _shared(runs)
+    parameters = [runs[0].model.parameters[k] for k in rows[0]]
+    alone = [_alone(run, own) for run, own in zip(runs, rows, strict=True)]
+    found = changes(alone, false_alarm / 2, rng)
+    level = levels(alone, found)
+    told = np.all([one.told for one in alone], axis=0)
+    return History(
+        _in_order(names, dates, runs, false_alarm / 2),
+        tuple(
+            ParameterInRun(run=name, parameter=one.name, unit=one.unit, value=one.figure + float(own.value[j]), sd=float(own.sd[j]),
+                           told=bool(told[j]))
+            for name, own in zip(names, alone, strict=True) for j, one in enumerate(parameters)
+        ),
+        tuple(_moved(one, found, level, parameters, names) for one in found),
+        tuple(_present(one, level, parameters, names, bool(told[one.parameter])) for one in level if one.last == len(runs) - 1),
+        false_alarm,
+        tuple(_notes(runs, parameters)),
+    )  # fmt: skip
+
+
+def _shared(runs: Sequence[Identified]) -> list[np.ndarray]:
+    """The indices in each run of the robot's parameters that all runs have alike."""
+    first = runs[0]
+    device = {int(k) for one in first.model.observations for k in first.model.columns(one)}
+    pairs = [dict(comparable(first, run)) for run in runs]
+    shared = [k for k in pairs[0] if k not in device and all(k in own for own in pairs)]
+    return [np.array([own[k] for k in shared], dtype=int) for own in pairs]
+
+
+def _alone(run: Identified, rows: np.ndarray) -> Alone:
+    parameters = [run.model.parameters[k] for k in rows]
+    mean, sd = (np.array([getattr(one, name) for one in parameters]) for name in ("prior_mean", "prior_sd"))
+    return Alone.of(run.estimate[rows], run.covariance[np.ix_(rows, rows)], mean, sd)
+
+
+def _in_order(
+    names: Sequence[str], dates: Sequence[datetime.date | None], runs: Sequence[Identified], false_alarm: float
+) -> tuple[RunInOrder, ...]:
+    tests: list[tuple[float, int, float] | None] = [None]
+    tests += [Difference.of(*pair).joint for pair in pairwise(runs)]
+    limit = false_alarm / (len(runs) - 1)
+    return tuple(
+        RunInOrder(
+            run=name, date="" if date is None else date.isoformat(), chi2=test and test[0], freedom=test and test[1],
+            p=test and test[2], moved=test is not None and test[2] <= limit,
+        )
+        for name, date, test in zip(names, dates, tests, strict=True)
+    )  # fmt: skip
+
+
+def _moved(
+    one: Change, found: Sequence[Change], level: Sequence[Level], parameters: Sequence[Parameter], names: Sequence[str]
+) -> MovedParameter:
+    own = [each for each in level if each.parameter == one.parameter]
+    k = [each.after for each in found if each.parameter == one.parameter].index(one.after)
+    before, after = own[k], own[k + 1]
+    parameter = parameters[one.parameter]
+    shift, sd = after.value - before.value, float(np.hypot(before.sd, after.sd))
+    return MovedParameter(
+        parameter=parameter.name, effect=parameter.effect, joint=parameter.joint or None, unit=parameter.unit,
+        after=names[one.after], before=names[one.after + 1], surely_after=names[one.first], surely_before=names[one.last],
+        shift=shift, sd=sd, in_sd=shift / sd, p=one.p, meaning=parameter.meaning,
+    )  # fmt: skip
+
+
+def _present(
+    one: Level, level: Sequence[Level], parameters: Sequence[Parameter], names: Sequence[str], told: bool
+) -> PresentFigure:
+    parameter = parameters[one.parameter]
+    return PresentFigure(
+        parameter=parameter.name, unit=parameter.unit, value=parameter.figure + one.value, sd=one.sd, since=names[one.first],
+        runs=one.last - one.first + 1, recalibrate=one.first > 0, told=told,
+    )  # fmt: skip
+
+
+def _notes(runs: Sequence[Identified], parameters: Sequence[Parameter]) -> list[str]:
+    """Say which parameters are of some runs alone, or cannot be compared."""
+    shared = {one.name for one in parameters}
+    known = dict.fromkeys(one.name for run in runs for one in run.model.parameters)
+    left = [name for name in known if name not in shared]
+    if not left:
+        return []
+    return [
+        f"not compared: {', '.join(left[:12])}{f' and {len(left) - 12} more' if len(left) > 12 else ''}; they are not of all "
+        "runs, of the measuring device, at a bound, or count from where each run placed base or tool"
+    ]

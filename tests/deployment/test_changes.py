@@ -1,0 +1,90 @@
+"""Changes over time: what is promised of false alarms holds with correlated estimates, whatever else moves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from calflow.deployment.changes import changes, levels
+from calflow.estimation.alone import Alone
+
+N, RUNS, ALARM, CASES = 6, 5, 0.1, 60
+PRIOR = np.array([1e-3, 5e-4, 1e-3, 2e-3, 1e-3, 1e-3])
+
+
+def calibrated(rng, truth, loose=1.0):
+    """A calibration by linear least squares of 40 readings with a prior; the third and fourth parameters are near each other.
+
+    loose scales what tells these two apart: 0 leaves their difference undetermined.
+    """
+    design = rng.standard_normal((40, N)) / PRIOR
+    design[:, 3] = (design[:, 2] * PRIOR[2] + 0.3 * loose * rng.standard_normal(40)) / PRIOR[3]
+    sigma = 0.5
+    read = design @ truth + sigma * rng.standard_normal(40)
+    information = design.T @ design / sigma**2
+    covariance = np.linalg.inv(information + np.diag(PRIOR**-2.0))
+    return Alone.of(covariance @ (design.T @ read) / sigma**2, covariance, np.zeros(N), PRIOR)
+
+
+def histories(seed, truths, **how):
+    """Independent histories with their generators; truths has a row a run."""
+    for case in range(CASES):
+        rng = np.random.default_rng([seed, case])
+        robot = PRIOR * rng.standard_normal(N)
+        yield [calibrated(rng, robot + truth, **how) for truth in truths], rng
+
+
+def test_the_prior_is_taken_out():
+    """Fails if what the measurements say is still drawn to the prior, or their covariance is not that of least squares."""
+    rng = np.random.default_rng(1)
+    design, truth = rng.standard_normal((30, N)), rng.standard_normal(N)
+    information = design.T @ design
+    covariance = np.linalg.inv(information + np.diag(PRIOR**-2.0))
+    mean = 0.1 * PRIOR
+    alone = Alone.of(covariance @ (design.T @ (design @ truth) + mean / PRIOR**2), covariance, mean, PRIOR)
+    np.testing.assert_allclose(alone.value, truth, rtol=1e-4)
+    np.testing.assert_allclose(alone.covariance, np.linalg.inv(information), rtol=1e-4, atol=1e-7)
+
+
+def test_nothing_that_stayed_is_said_to_have_moved():
+    """Fails if more histories than promised have a false alarm, counted over all parameters and runs, also where others moved."""
+    still = np.zeros((RUNS, N))
+    moved = still.copy()
+    moved[2:, 2] = 8e-4  # beside the fourth, with which it is correlated by 0.95
+    alarms = [bool(changes(runs, ALARM, rng)) for runs, rng in histories(1, still)]
+    others = [any(one.parameter != 2 for one in changes(runs, ALARM, rng)) for runs, rng in histories(2, moved)]
+    most = binom.ppf(0.999, CASES, ALARM)
+    assert sum(alarms) <= most
+    assert sum(others) <= most
+
+
+def test_two_steps_are_found_where_they_are():
+    """Fails if a step that is large against what is known is missed, put at another run, or has another size."""
+    truths = np.zeros((RUNS, N))
+    truths[1:, 0], truths[3:, 0] = 1e-3, -1e-3
+    for runs, rng in list(histories(3, truths))[:10]:
+        found = [one for one in changes(runs, 0.01, rng) if one.parameter == 0]
+        assert [one.after for one in found] == [0, 2]
+        assert all(one.p < 0.001 for one in found)
+        first, second, third = (one for one in levels(runs, found) if one.parameter == 0)
+        assert second.value - first.value == pytest.approx(1e-3, abs=5 * np.hypot(first.sd, second.sd))
+        assert third.value - second.value == pytest.approx(-2e-3, abs=5 * np.hypot(third.sd, second.sd))
+
+
+def test_a_slow_drift_is_found_though_no_two_neighbours_differ():
+    """Fails if only steps between neighbouring runs are looked at."""
+    truths = np.outer(np.arange(RUNS), [0, 0, 0, 0, 0, 2.2e-4])
+    found = [[one for one in changes(runs, 0.01, rng) if one.parameter == 5] for runs, rng in histories(4, truths)]
+    assert np.mean([bool(own) for own in found]) > 0.8
+    assert np.mean([any(one.last - one.first > 1 for one in own) for own in found]) > 0.5
+
+
+def test_a_move_along_what_is_not_determined_names_nobody():
+    """Fails if one of two parameters of which only the sum is measured is said to have moved."""
+    truths = np.zeros((RUNS, N))
+    truths[2:, 2] = 3e-3
+    for runs, rng in list(histories(5, truths, loose=0.0))[:20]:
+        assert not {one.parameter for one in changes(runs, ALARM, rng)} & {2, 3}
+        assert not runs[0].told[[2, 3]].any()
+        assert runs[0].told[[0, 1, 4, 5]].all()
