@@ -22,6 +22,7 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.alternative import AlternativeParameter
 from calflow.estimation.calibrated import calibrated, effect_table, identified, with_maps_held
 from calflow.estimation.fit_summary import FitSummary
+from calflow.estimation.occam_window import CauseInReach
 from calflow.files.documents import to_document
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
@@ -29,6 +30,7 @@ from calflow.model import Model, build
 from calflow.reporting.material import latest
 from calflow.robot.robot import Robot
 from calflow.sampling.chain_summary import ChainSummary
+from calflow.sampling.model_tables import CauseProbability, ModelRow
 from calflow.stages.identify import STAGE as IDENTIFY
 from calflow.stages.stage import Context
 from calflow.study import load_study
@@ -213,6 +215,7 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
         "parameters": parameters,
         "covariance": covariances,
         "effects": effect_table(model.effects),
+        "models_in_reach": to_frame((), CauseInReach),
         "noise": tables["identify/noise.csv"],
         "residuals": residuals,
         "curves": _curves(told, data.table["pose"], data.table["split"]),
@@ -345,10 +348,27 @@ def with_sample(given: Context, steps: int = 40) -> Context:
         sd_over_laplace_most=1.01, missing_steps=0,
     )  # fmt: skip
     own = Results(
-        {"sample/posterior.csv": posterior, "sample/predictive.csv": predictive},
+        {"sample/posterior.csv": posterior, "sample/predictive.csv": predictive, **_weighed()},
         {"sample/summary.json": to_document(summary)},
     )
     return replace(given, results=given.results | own)
+
+
+def _weighed() -> dict[str, pd.DataFrame]:
+    """Two models in reach, and their causes, as sample weighs them."""
+    models = [
+        ModelRow(model=1, change="found", causes=("joint-backlash",), joints=(1,), parts=("joint1",), details=("",),
+                 log_evidence=0.0, error=0.03, log_prior=-3.0, probability=0.7, by_tests=0.9),
+        ModelRow(model=2, change="instead", causes=("joint-eccentricity",), joints=(3,), parts=("joint3",), details=("order 2",),
+                 log_evidence=-0.8, error=0.04, log_prior=-3.0, probability=0.3, by_tests=0.1),
+    ]  # fmt: skip
+    causes = [
+        CauseProbability(cause=one.causes[0], joint=one.joints[0], part=one.parts[0], probability=one.probability,
+                         by_tests=one.by_tests, found=one.model == 1)
+        for one in models
+    ]  # fmt: skip
+    return {"sample/models.csv": to_frame(models, ModelRow),
+            "sample/cause_probabilities.csv": to_frame(causes, CauseProbability)}  # fmt: skip
 
 
 def changed(given: Context, path: str, **columns: object) -> Context:

@@ -9,6 +9,7 @@ import numpy as np
 
 from calflow.estimation.alternative import Alternative
 from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.sampling.models import WeighedModels
 from calflow.sampling.posterior_tables import predictive_table
 from diagnosis.found import cause, hidden, start
 from estimation.data import SIGMA
@@ -19,7 +20,7 @@ ECCENTRIC = cause("joint-eccentricity", "joint2", order=1)
 def interval(known, data):
     """The mean upper end of the intervals, of a chain that stays at the estimate."""
     values = np.tile([*known.estimate, 0.0], (2, 10, 8, 1))
-    sampled = SimpleNamespace(values=values, known=known, data=data)
+    sampled = SimpleNamespace(values=values, known=known, data=data, models=WeighedModels())
     return predictive_table(sampled, np.random.default_rng(1))["high_mm"].mean()
 
 

@@ -16,6 +16,7 @@ from calflow.api.model import Model
 from calflow.estimation.progress import Say, draws, nobody
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.chain_summary import ChainSummary
+from calflow.sampling.model_tables import cause_table, models_table
 from calflow.sampling.posterior_tables import chain_summary, posterior_table, predictive_table
 from calflow.sampling.sample import ChainLength, Sampled
 from calflow.sampling.sample import sample as sampled
@@ -40,6 +41,16 @@ class Posterior:
     def predictive(self) -> pd.DataFrame:
         """Each row's error, and the interval in which it should be (see `sample/predictive.csv`)."""
         return predictive_table(self.sampled, draws(self.seed)("predictive"))
+
+    @cached_property
+    def models(self) -> pd.DataFrame:
+        """The models that may be right, and how probable each is (see `sample/models.csv`); none where nothing was found."""
+        return models_table(self.sampled.models)
+
+    @cached_property
+    def causes(self) -> pd.DataFrame:
+        """How probable each cause of these models is (see `sample/cause_probabilities.csv`)."""
+        return cause_table(self.sampled.models)
 
     @cached_property
     def summary(self) -> ChainSummary:

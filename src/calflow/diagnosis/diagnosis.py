@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from calflow.diagnosis.findings.alternatives import fitted_alternatives
 from calflow.diagnosis.findings.misfit import misfit
+from calflow.diagnosis.findings.reach import models_in_reach
 from calflow.diagnosis.findings.remainder import remainder
 from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.diagnosis.findings.verdict import verdict
@@ -79,4 +80,5 @@ def diagnose(
     verdicts = tuple(verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings)
     return Diagnosis(start, extended, verdicts, tuple(left), grown, wanted.lacking, wanted.superseded,
                      acceptance.false_alarm, misfit(extended.fitted, rng("misfit")), capped=len(verdicts) >= causes,
-                     alternatives=fitted_alternatives(verdicts, extended.fitted))  # fmt: skip
+                     alternatives=fitted_alternatives(verdicts, extended.fitted),
+                     in_reach=models_in_reach(extended.fitted, extended.findings, every, len(extended.first.places)))  # fmt: skip

@@ -19,6 +19,7 @@ from calflow.estimation.field_tables import read_field
 from calflow.estimation.fit_summary import FitSummary
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import Noise, Source
+from calflow.estimation.occam_window import CauseInReach, ModelInReach
 from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.repeats import stated_noise
 from calflow.estimation.residual_field import ResidualField
@@ -108,6 +109,8 @@ class Identified:
 
     alternatives are other models that explain the data about as well; field is a correction beside the model that is not physical.
     intraclass is the correlation of what the markers of a standstill err.
+    alternatives are other models that explain the data about as well, in_reach all that may be right as well, this one first (none
+    where nothing was found); field is a correction beside the model that is not physical.
     """
 
     model: Model
@@ -122,6 +125,7 @@ class Identified:
     alternatives: tuple[Alternative, ...] = ()
     field: ResidualField | None = None
     intraclass: float = 0.0
+    in_reach: tuple[ModelInReach, ...] = ()
 
     @property
     def noise_known(self) -> bool:
@@ -170,7 +174,9 @@ def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> Identi
     effects = read_effects(results.rows("diagnose/effects.csv", ModelEffect), robot)
     model = Model(robot, effects, given, observed)
     others = results.rows("diagnose/alternatives.csv", AlternativeParameter)
-    return replace(_read("diagnose", model, results), alternatives=_alternatives(others, model), field=field)
+    reached = _in_reach(results.rows("diagnose/models_in_reach.csv", CauseInReach), robot)
+    known = _read("diagnose", model, results)
+    return replace(known, alternatives=_alternatives(others, model), field=field, in_reach=reached)
 
 
 def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[Alternative, ...]:
@@ -183,6 +189,17 @@ def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[A
         effects = (*(effect for effect in model.effects if effect != gone), *read_effects(rival, model.robot))
         estimate = np.array([row.estimate for row in own])
         found.append(Alternative(replace(model, effects=effects), estimate, first.probability))
+    return tuple(found)
+
+
+def _in_reach(rows: Sequence[CauseInReach], robot: Robot) -> tuple[ModelInReach, ...]:
+    found = []
+    for _, group in groupby(rows, key=lambda row: row.model):
+        own = list(group)
+        named = [ModelEffect(effect=row.effect, part=row.part, variant=row.variant) for row in own if row.effect]
+        causes = tuple(cause for cause in read_effects(named, robot) if isinstance(cause, Cause))
+        first = own[0]
+        found.append(ModelInReach(causes, first.change, first.log_prior, first.log_weight, first.independent))
     return tuple(found)
 
 
@@ -211,6 +228,7 @@ def with_maps_held(known: Identified) -> tuple[Identified, tuple[Cause, ...]]:
         estimate=known.estimate[kept],
         covariance=whole[np.ix_(kept, kept)] - given,
         at_bound=known.at_bound[kept],
+        alternatives=tuple(one for one in known.alternatives if not set(held) <= set(one.model.effects)),
     )
     return lean, tuple(held)
 

@@ -9,6 +9,7 @@ from functools import cached_property
 import casadi as ca
 import emcee
 import numpy as np
+from scipy.special import gammaln
 
 from calflow.compiled import compiled
 from calflow.estimation.calibrated import Identified
@@ -65,13 +66,15 @@ class Posterior:
     """Log posterior of the parameters and the log of the noise level, as a function of coordinates that make it round.
 
     Parameters and coordinates have n_parameters + 1 entries, the last for the log of the noise relative to the problem's weights.
+    evaluations is of how many parameter sets it will be asked: many pay for compiling.
     """
 
     problem: LeastSquares
     coordinates: Coordinates
+    evaluations: int = EXPECTED_EVALUATIONS
 
     @staticmethod
-    def about(problem: LeastSquares, laplace: Laplace) -> Posterior:
+    def about(problem: LeastSquares, laplace: Laplace, evaluations: int = EXPECTED_EVALUATIONS) -> Posterior:
         """Take the coordinates in which Laplace's normal, cut at the bounds, is a standard normal."""
         n = len(laplace.estimate)
         middle = 0.5 * np.log(laplace.variance)
@@ -79,12 +82,12 @@ class Posterior:
         covariance[:n, :n], covariance[n, n] = laplace.covariance, 1 / (2 * problem.size)
         bounds = np.vstack([problem.model.bounds, (-np.inf, np.inf)])
         estimate, mean = np.append(laplace.estimate, middle), np.append(laplace.mean, middle)
-        return Posterior(problem, Coordinates.about(estimate, mean, covariance, bounds))
+        return Posterior(problem, Coordinates.about(estimate, mean, covariance, bounds), evaluations)
 
     @cached_property
     def squares(self) -> Callable[[np.ndarray], np.ndarray]:
         """The function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,)."""
-        return _sum_of_squares(self.problem)
+        return _sum_of_squares(self.problem, self.evaluations)
 
     @property
     def n_dimensions(self) -> int:
@@ -155,19 +158,26 @@ def moves(independent: float) -> list[tuple[emcee.moves.Move, float]]:
 
 def propose_student(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
     """Propose, as emcee asks for it, draws (n_walkers, n_dimensions) of a multivariate Student t with unit scale."""
-    mixing = rng.chisquare(DEGREES, size=(len(u), 1)) / DEGREES
-    proposed = rng.standard_normal(u.shape) / np.sqrt(mixing)
-    return proposed, _log_student(u) - _log_student(proposed)
+    proposed = drawn_student(u.shape, rng)
+    return proposed, log_student(u) - log_student(proposed)
 
 
-def _log_student(u: np.ndarray) -> np.ndarray:
-    """Logarithm of that density, up to a constant, (n_walkers,)."""
-    return np.asarray(-0.5 * (DEGREES + u.shape[1]) * np.log1p((u**2).sum(axis=1) / DEGREES))
+def drawn_student(shape: tuple[int, int], rng: np.random.RandomState | np.random.Generator) -> np.ndarray:
+    """Return draws (n, n_dimensions) of that density."""
+    mixing = rng.chisquare(DEGREES, size=(shape[0], 1)) / DEGREES
+    return np.asarray(rng.standard_normal(shape) / np.sqrt(mixing))
 
 
-def _sum_of_squares(problem: LeastSquares) -> Callable[[np.ndarray], np.ndarray]:
+def log_student(u: np.ndarray) -> np.ndarray:
+    """Return its logarithm (n,) at u (n, n_dimensions)."""
+    n = u.shape[1]
+    constant = gammaln((DEGREES + n) / 2) - gammaln(DEGREES / 2) - 0.5 * n * np.log(DEGREES * np.pi)
+    return np.asarray(constant - 0.5 * (DEGREES + n) * np.log1p((u**2).sum(axis=1) / DEGREES))
+
+
+def _sum_of_squares(problem: LeastSquares, evaluations: int) -> Callable[[np.ndarray], np.ndarray]:
     """Return the function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,)."""
-    blocks = [_squares_of(block) for block in problem.blocks]
+    blocks = [_squares_of(block, evaluations) for block in problem.blocks]
 
     def squares(values: np.ndarray) -> np.ndarray:
         return np.sum([block(values) for block in blocks], axis=0)
@@ -175,12 +185,12 @@ def _sum_of_squares(problem: LeastSquares) -> Callable[[np.ndarray], np.ndarray]
     return squares
 
 
-def _squares_of(block: SeriesBlock) -> Callable[[np.ndarray], np.ndarray]:
+def _squares_of(block: SeriesBlock, evaluations: int) -> Callable[[np.ndarray], np.ndarray]:
     n_rows = len(block.rows)
     if block.sharing is not None:
         return _independent_squares_of(block, block.sharing)
     inputs, residual = block.expression()
-    row = compiled(ca.Function("squares", inputs, [ca.sumsqr(residual)]), EXPECTED_EVALUATIONS * n_rows)
+    row = compiled(ca.Function("squares", inputs, [ca.sumsqr(residual)]), evaluations * n_rows)
     data = [np.asfortranarray(part) for part in block.data]
     over_rows = row.map("rows", "serial", n_rows, [0], [])
     mapped: dict[int, ca.Function] = {}

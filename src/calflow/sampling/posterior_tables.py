@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from calflow.estimation.accuracy import distances, errors
+from calflow.estimation.accuracy import distances
 from calflow.estimation.parameters import UNIT
 from calflow.files.tables import column, typed
 from calflow.sampling.chain_summary import ChainSummary, Cut
+from calflow.sampling.mixture import mixture
 from calflow.sampling.sample import ENOUGH_TAU, ChainLength, Sampled
 from calflow.sampling.sensitivity import sensitivity
 
@@ -49,12 +50,26 @@ class PredictedError:
     repeat: str = column("as in the measurements")
     marker: str = column("as in the measurements")
     split: str = column("train, holdout")
-    error_mm: float = column("distance from the posterior's mean prediction to the measured position", "mm")
+    error_mm: float = column("distance from the mean prediction of all draws and models to the measured position", "mm")
     expected_mm: float = column("median of what was expected", "mm")
     low_mm: float = column("lower end of its 95 % interval", "mm")
     high_mm: float = column("upper end of it", "mm")
     covered: bool = column("whether the error lies inside")
     heldout_coverage: float = column("share of the held-out rows whose error lies inside; empty: none held out")
+    dx_mm: float = column(
+        "mean prediction minus measured position, along the measuring frame's x; empty: not measured", "mm"
+    )
+    dy_mm: float = column("the same along y", "mm")
+    dz_mm: float = column("the same along z", "mm")
+    covariance_xx_mm2: float = column(
+        "variance of the prediction along x: of parameters, and of which model is right", "mm2"
+    )
+    covariance_xy_mm2: float = column("covariance of x and y", "mm2")
+    covariance_xz_mm2: float = column("covariance of x and z", "mm2")
+    covariance_yy_mm2: float = column("variance along y", "mm2")
+    covariance_yz_mm2: float = column("covariance of y and z", "mm2")
+    covariance_zz_mm2: float = column("variance along z", "mm2")
+    choice_share: float = column("share of these variances because another model than the one found may be right")
 
 
 def posterior_table(sampled: Sampled) -> pd.DataFrame:
@@ -100,31 +115,25 @@ def posterior_table(sampled: Sampled) -> pd.DataFrame:
 def predictive_table(sampled: Sampled, rng: np.random.Generator) -> pd.DataFrame:
     """Return each row's error and the interval in which posterior and noise say it should be, without rows left out.
 
-    A draw is of another model as often as that is the right one: its predictions are shifted as the other's are.
+    Draws are of all models that may be right, each as often as it is probable.
     """
-    values, known = sampled.values, sampled.known
+    known = sampled.known
     data = sampled.data.only(sampled.data.train | sampled.data.held_out)
-    flat = values.reshape(-1, values.shape[-1])
-    draws = flat[rng.choice(len(flat), size=min(DRAWS, len(flat)), replace=False)]
     sigma = np.hypot(known.noise(data).total, np.where(data.held_out, known.elsewhere, 0.0))
-    centre = errors(known.model, flat[:, :-1].mean(axis=0), data)
+    drawn = mixture(sampled, data, DRAWS, rng)
+    centre, covariance = drawn.mean, drawn.covariance
     error = 1e3 * distances(centre)
-    expected = np.empty((len(draws), len(data)))
-    here = errors(known.model, known.estimate, data)
-    others = [
-        errors(replace(one.model, given=known.model.given), one.estimate, data) - here for one in known.alternatives
-    ]
-    likely = [one.probability for one in known.alternatives]
-    shifts = np.array(others).reshape(-1, *here.shape)
-    chosen = rng.random((len(draws), len(shifts))) < likely  # rivals of different causes do not exclude each other
-    for k, draw in enumerate(draws):
-        noise = (np.exp(draw[-1]) * sigma)[:, None] * rng.standard_normal(centre.shape)
-        drawn = errors(known.model, draw[:-1], data) + shifts[chosen[k]].sum(axis=0)
-        expected[k] = 1e3 * distances(drawn + noise - centre)
+    expected = np.empty((len(drawn.level), len(data)))
+    for k, level in enumerate(drawn.level):
+        noise = (level * sigma)[:, None] * rng.standard_normal(centre.shape)
+        expected[k] = 1e3 * distances(drawn.errors[k] + noise - centre)
     low, middle, high = np.quantile(expected, [0.025, 0.5, 0.975], axis=0)
     table = data.table[["pose", "repeat", "marker", "split"]].assign(
-        error_mm=error, expected_mm=middle, low_mm=low, high_mm=high, covered=(error >= low) & (error <= high)
-    )
+        error_mm=error, expected_mm=middle, low_mm=low, high_mm=high, covered=(error >= low) & (error <= high),
+        **{f"d{axis}_mm": 1e3 * centre[:, i] for i, axis in enumerate("xyz")},
+        **{f"covariance_{'xyz'[i]}{'xyz'[j]}_mm2": 1e6 * covariance[:, i, j] for i in range(3) for j in range(i, 3)},
+        choice_share=drawn.of_choice,
+    )  # fmt: skip
     heldout = table[table["split"] == "holdout"]
     coverage = heldout["covered"].mean() if len(heldout) else np.nan
     return typed(table.assign(heldout_coverage=coverage), PredictedError)

@@ -14,9 +14,11 @@ from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.backend import KEPT, BlockBackend, joined, joined_kept, open_ensembles
+from calflow.sampling.models import WeighedModels, weighed_models
 from calflow.sampling.posterior import Laplace, Posterior, moves, posterior_of
 
 ENOUGH_TAU = 50  # autocorrelation times that a chain must be long
+CHAIN = 0.7  # share of the work where models are weighed after it
 LOW_ACCEPTANCE = 0.1  # below this the independent proposal only wastes evaluations
 
 
@@ -43,7 +45,7 @@ class Sampled:
     known is the model without what was held, data the rows (all of them), chain (n_ensembles, n_steps, n_walkers, n_dimensions)
     the walkers after the burn-in in scaled coordinates, log_prior and log_likelihood (n_ensembles, n_steps, n_walkers) theirs, up
     to a constant; steps, discard and tau [steps] are those made, left out at the start, and until a walker forgets; accepted is
-    the share of independent proposals that are, None where there are none.
+    the share of independent proposals that are, None where there are none. models are those that may be right as well.
     """
 
     known: Identified
@@ -58,6 +60,7 @@ class Sampled:
     tau: float
     accepted: float | None
     length: ChainLength
+    models: WeighedModels
 
     @cached_property
     def values(self) -> np.ndarray:
@@ -106,12 +109,16 @@ def sample(
     path.parent.mkdir(parents=True, exist_ok=True)
     backends = open_ensembles(path, length.ensembles, (walkers, n), independent, say)
     seeds = [int(rng(f"moves{i}").integers(2**31)) for i in range(len(backends))]
-    steps, tau = _lengthen(posterior, backends, starts, seeds, independent, length, advance)
+    share = CHAIN if known.in_reach else 1.0
+    steps, tau = _lengthen(posterior, backends, starts, seeds, independent, length, lambda done: advance(share * done))
     discard = min(steps // 4, int(min(5 * tau, steps)))
     chain, kept = joined(backends, discard, steps), joined_kept(backends, discard, steps)
-    share = accepted if independent else None
+    models = weighed_models(known, posterior.problem, rng("models"), lambda done: advance(share + (1 - share) * done))
     prior, likelihood = kept["log_prior"], kept["log_likelihood"]
-    return Sampled(known, data, posterior, laplace, chain, prior, likelihood, steps, discard, tau, share, length)
+    return Sampled(
+        known, data, posterior, laplace, chain, prior, likelihood, steps, discard, tau, accepted if independent else None,
+        length, models,
+    )  # fmt: skip
 
 
 def too_few_walkers(walkers: int | None, n_dimensions: int) -> str:

@@ -29,6 +29,7 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.alternative import AlternativeParameter
 from calflow.estimation.calibrated import DeviceNoise, Identified, ModelEffect, effect_table, identified
 from calflow.estimation.judgement import JudgedResidual, Studentised, judged_table
+from calflow.estimation.occam_window import CauseInReach, in_reach_table
 from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
 from calflow.estimation.progress import Draws, Say
 from calflow.faults import FaultyRow, as_table, corrected, examined
@@ -92,6 +93,7 @@ def results(
         "diagnose/covariance.csv": covariance_table(final.model.parameters, final.fit.covariance),
         "diagnose/effects.csv": effect_table(final.model.effects),
         "diagnose/alternatives.csv": alternatives_table(found.alternatives, found.causes, final),
+        "diagnose/models_in_reach.csv": in_reach_table(found.in_reach),
         "diagnose/noise.csv": extended_noise(found, known, data),
         "diagnose/faults.csv": own,
         "diagnose/residuals.csv": judged_table(final.fit, data, studentised, odd),
@@ -132,6 +134,7 @@ STAGE = Stage(
         "diagnose/covariance.csv": Covariances,
         "diagnose/effects.csv": ModelEffect,
         "diagnose/alternatives.csv": AlternativeParameter,
+        "diagnose/models_in_reach.csv": CauseInReach,
         "diagnose/noise.csv": DeviceNoise,
         "diagnose/faults.csv": FaultyRow,
         "diagnose/residuals.csv": JudgedResidual,

@@ -13,6 +13,7 @@ from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.sampling.chain_summary import ChainSummary
+from calflow.sampling.model_tables import CauseProbability, ModelRow, cause_table, models_table
 from calflow.sampling.posterior_tables import (
     PosteriorRow,
     PredictedError,
@@ -48,7 +49,12 @@ def run(context: Context) -> Results:
     sampled = sample(known, data, path, length, rng=context.rng, say=context.say, advance=context.advance)
     table = posterior_table(sampled)
     predictive = predictive_table(sampled, context.rng("predictive"))
-    tables = {"sample/posterior.csv": table, "sample/predictive.csv": predictive}
+    tables = {
+        "sample/posterior.csv": table,
+        "sample/predictive.csv": predictive,
+        "sample/models.csv": models_table(sampled.models),
+        "sample/cause_probabilities.csv": cause_table(sampled.models),
+    }
     return Results(tables, {"sample/summary.json": to_document(chain_summary(sampled, table))})
 
 
@@ -66,7 +72,12 @@ STAGE = Stage(
     needs=("identify",),
     uses=("diagnose",),
     resumes=("sample/chain.h5",),
-    tables={"sample/posterior.csv": PosteriorRow, "sample/predictive.csv": PredictedError},
+    tables={
+        "sample/posterior.csv": PosteriorRow,
+        "sample/predictive.csv": PredictedError,
+        "sample/models.csv": ModelRow,
+        "sample/cause_probabilities.csv": CauseProbability,
+    },
     documents={"sample/summary.json": ChainSummary},
     problems=problems,
 )

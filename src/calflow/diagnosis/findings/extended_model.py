@@ -26,6 +26,7 @@ def extended_model(found: Diagnosis, known: Identified, data: Measurements) -> I
         series_noise(_noise(found, known, data), _growth(found)), final.noise.discrepancy,
         final.noise.rotation_discrepancy, final.loss, final.elsewhere, tuple(one.alternative for one in found.alternatives),
         intraclass=final.intraclass,
+        in_reach=found.in_reach,
     )  # fmt: skip
 
 
@@ -63,7 +64,7 @@ def summary(found: Diagnosis, known: Identified) -> DiagnosisSummary:
         solver=Solver(status=final.fit.status, iterations=final.fit.iterations),
         converged=final.fit.converged,
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
-        causes_tested=len({score.cause.place for score in found.extended.first.scores}),
+        causes_tested=len(found.extended.first.places),
         tests=found.extended.first.family.places,
         worst=found.misfit.region if found.misfit else None,
         capped=found.capped,

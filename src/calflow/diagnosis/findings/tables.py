@@ -25,6 +25,7 @@ from calflow.diagnosis.search.noise_growth import RANGE, Growth
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import distances, errors
+from calflow.estimation.occam_window import ModelInReach
 from calflow.estimation.parameters import UNIT
 from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
@@ -114,7 +115,8 @@ class Diagnosis:
 
     growth is the noise's with range where there is one; lacking and superseded say by id why an effect was not tested;
     false_alarm is what causes were allowed; misfit is the extended model's lack of fit where that is significant; capped
-    says that as many causes were found as were allowed; alternatives are the rivals' models that are about as probable.
+    says that as many causes were found as were allowed; alternatives are the rivals' models that are about as probable, in_reach
+    the models one step from what was found that may be right as well.
     """
 
     start: Fitted
@@ -128,6 +130,7 @@ class Diagnosis:
     misfit: Misfit | None = None
     capped: bool = False
     alternatives: tuple[FittedAlternative, ...] = ()
+    in_reach: tuple[ModelInReach, ...] = ()
 
     @property
     def causes(self) -> list[Cause]:

@@ -49,6 +49,11 @@ class Screened(Generic[H]):
     family: Family
     hidden: tuple[H, ...]
 
+    @property
+    def places(self) -> set[tuple[str, str]]:
+        """The places that were tested."""
+        return {score.cause.place for score in self.scores}
+
 
 @dataclass(frozen=True)
 class Linearisation(Generic[H]):
@@ -73,12 +78,17 @@ class Linearisation(Generic[H]):
 
     def screened(self, rng: np.random.Generator, known: Family | None = None) -> Screened[H]:
         """Test what the model does not have yet; known is what the number of tests costs, if that is known."""
-        others = _besides(self.regressors.candidates, self.causes)
-        screening = Screening(replace(self.regressors, candidates=others))
+        screening = self.beside
         shown = {score.cause.place for score in screening.scores}
-        every = {candidate.cause.place: candidate.cause for candidate in others}
+        every = {candidate.cause.place: candidate.cause for candidate in screening.regressors.candidates}
         hidden = tuple(cause for place, cause in every.items() if place not in shown)
         return Screened(tuple(screening.scores), known or screening.family(rng), hidden)
+
+    @property
+    def beside(self) -> Screening[H]:
+        """The test of all candidates that the model does not have, beside its own causes."""
+        others = _besides(self.regressors.candidates, self.causes)
+        return Screening(replace(self.regressors, candidates=others))
 
     def apart(self, gone: Sequence[H]) -> Screening[H]:
         """Test all candidates in the place of some causes, the others staying in the model; linear, without a refit."""

@@ -1,0 +1,84 @@
+"""The section on which causes act: all models in reach of what was found, each as probable as its evidence makes it."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from calflow.files.results import Results
+from calflow.reporting.blocks import Block, Bullets, Paragraph, Plot, Table
+from calflow.reporting.figures.model_choice import cause_probabilities
+from calflow.reporting.findings import place_name
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
+from calflow.reporting.words import number, percent
+from calflow.sampling.model_tables import CauseProbability, ModelRow
+
+SHOWN, LEAST = 12, 0.005  # causes and models that are told: those that are likeliest, down to this probability
+FAR = 0.1  # by how much a probability differs from that of diagnose for it to be said
+INTRODUCTION = (
+    "What was found is one model; others are a step away: without one of its causes, with another in its place, or with one more. "
+    "Each is fitted to the same rows, and its probability is that of these rows under it, all its parameters integrated out, times "
+    "what was assumed before: that of the whole catalogue one cause is to be expected. All holds if one of these models is right."
+)
+SHARED = (
+    "Errors of rows near each other, or of the markers of one pose, are not independent here. Probabilities that take them for it "
+    "would be too sure, so these are the ones of the tests of diagnose, which count it."
+)
+CAUSES = (
+    "How probable it is that each cause acts, in whatever form and beside whatever else. Filled: all parameters integrated "
+    "out; open: by the linear tests of diagnose, for the same models."
+)
+
+
+def write(material: Material) -> list[Block]:
+    """Draw how probable each cause is, and list the likeliest models."""
+    models = material.results.rows("sample/models.csv", ModelRow)
+    causes = material.results.rows("sample/cause_probabilities.csv", CauseProbability)
+    shown = [row for row in causes if row.found or max(row.probability, row.by_tests) >= LEAST][:SHOWN]
+    names = [place_name(row.cause, row.joint or 0, row.part) for row in shown]
+    table = pd.DataFrame({"cause": names, "probability": [row.probability for row in shown],
+                          "by_tests": [row.by_tests for row in shown]})  # fmt: skip
+    drawn = cause_probabilities(names, table["probability"].to_numpy(), table["by_tests"].to_numpy())
+    return [
+        Paragraph(INTRODUCTION, keep=True),
+        *([Paragraph(SHARED)] if pd.isna(models[0].log_evidence) else []),
+        Plot("cause_probabilities", drawn, CAUSES, table),
+        *_differing(shown),
+        Table(("model", "log evidence", "probability"), [_row(row) for row in models if row.probability >= LEAST][:SHOWN],
+              "lrr", wide=0),
+    ]  # fmt: skip
+
+
+def _differing(causes: list[CauseProbability]) -> list[Block]:
+    """Say where the tests of diagnose made a cause much more or less probable."""
+    said = [
+        f"{place_name(row.cause, row.joint or 0, row.part)}: {percent(row.probability)}, where the linear tests say "
+        f"{percent(row.by_tests)}. They go by one linearisation and count parameters; this one integrates over all sizes that "
+        "bounds and priors allow."
+        for row in causes
+        if abs(row.probability - row.by_tests) > FAR
+    ]
+    return [Bullets(said)] if said else []
+
+
+def _row(row: ModelRow) -> tuple[str, str, str]:
+    named = [
+        place_name(cause, joint, part) + (f" ({detail})" if detail else "")
+        for cause, joint, part, detail in zip(row.causes, row.joints, row.parts, row.details, strict=True)
+    ]
+    words = {"found": " (as found)"}.get(row.change, "")
+    told = "–" if pd.isna(row.log_evidence) else number(row.log_evidence, ".1f")
+    return ", ".join(named or ["none of them"]) + words, told, f"{row.probability:.3f}"
+
+
+def _any(results: Results) -> bool:
+    return len(results.tables["sample/models.csv"]) > 0
+
+
+SECTION = Section(
+    77,
+    "Which causes: all models in reach",
+    ("sample/models.csv", "sample/cause_probabilities.csv"),
+    write,
+    worth_telling=_any,
+)
