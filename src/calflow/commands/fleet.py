@@ -72,7 +72,7 @@ def run(
         found = outcomes(loaded, folder)
         if process.returncode:
             click.echo(f"Snakemake ended with {process.returncode}: what it said is in {log}", err=True)
-            write_summary(folder, loaded.title, found)
+            write_summary(loaded, folder, found)
     for line in fleet_lines(found):
         click.echo(line)
     _tell_failed(found)
@@ -103,7 +103,7 @@ def report(fleet_file: Path, out: Path | None) -> None:
     from calflow.fleet.summary import write_summary
 
     loaded, folder = _opened(fleet_file, out)
-    write_summary(folder, loaded.title, outcomes(loaded, folder))
+    write_summary(loaded, folder, outcomes(loaded, folder))
     click.echo(f"report: {folder.path / 'report.pdf'}")
 
 

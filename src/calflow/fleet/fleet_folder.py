@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-TABLE, REPORT, PAGE = "fleet.csv", "report.pdf", "report.html"
+TABLE, TYPES, UNLIKE, CAUSES = "fleet.csv", "type_parameters.csv", "unlike.csv", "common_causes.csv"
+REPORT, PAGE = "report.pdf", "report.html"
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,11 @@ class FleetFolder:
         """What a robot's run told, line by line."""
         return self.path / "logs" / f"{robot}.log"
 
+    def type_robot(self, type_: str) -> Path:
+        """The type's robot file with what its calibrated robots let expect of a further one."""
+        return self.path / "types" / f"{type_}.toml"
+
     @property
     def results(self) -> tuple[Path, ...]:
-        """The table and the reports of the whole fleet."""
-        return tuple(self.path / name for name in (TABLE, REPORT, PAGE))
+        """The tables and the reports of the whole fleet."""
+        return tuple(self.path / name for name in (TABLE, TYPES, UNLIKE, CAUSES, REPORT, PAGE))

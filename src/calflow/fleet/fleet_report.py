@@ -7,22 +7,29 @@ from collections.abc import Sequence
 from calflow.files.tables import to_frame
 from calflow.fleet.fleet_lines import error, fleet_lines, why
 from calflow.fleet.outcome import Outcome, worst_first
+from calflow.fleet.type_blocks import type_blocks
+from calflow.fleet.types import TypeFindings, type_lines
 from calflow.reporting.blocks import Block, Gap, Heading, Paragraph, Part, Plot, RestOfPage, Table
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, plain_decades
 from calflow.reporting.words import first_up, listed, plural, ratio
 
 MOST_TOLD = 18  # robots on the first page
+MOST_ON_TYPES = 3  # sentences on the first page
 LONGEST = 150  # letters of a verdict on the first page
 BAND = 0.6  # of the room between types that a type's robots take
 
 
-def fleet_report(title: str, found: Sequence[Outcome]) -> list[Part]:
-    """Return the parts of a fleet's report: the page, and the table of all robots."""
+def fleet_report(title: str, found: Sequence[Outcome], types: Sequence[TypeFindings]) -> list[Part]:
+    """Return the parts of a fleet's report: the page, the table of all robots, and what those of a type tell together."""
     worst = worst_first(found)
-    return [("", _page(title, worst)), ("All robots", [_explained(), _table(worst)])]
+    parts: list[Part] = [
+        ("", _page(title, worst, type_lines(types, MOST_ON_TYPES))),
+        ("All robots", [_explained(), _table(worst)]),
+    ]
+    return [*parts, ("Types", list(type_blocks(types)))] if types else parts
 
 
-def _page(title: str, worst: Sequence[Outcome]) -> list[Block]:
+def _page(title: str, worst: Sequence[Outcome], on_types: Sequence[str]) -> list[Block]:
     types = list(dict.fromkeys(sorted(one.type for one in worst)))
     told = worst[:MOST_TOLD]
     head = (
@@ -38,7 +45,7 @@ def _page(title: str, worst: Sequence[Outcome]) -> list[Block]:
         Paragraph(f"{plural(len(worst), 'robot')} of {plural(len(types), 'type')}: {listed(types)}", 10),
         Gap(14),
         Paragraph(first, 13, bold=True),
-        *(Paragraph(line, 11) for line in more),
+        *(Paragraph(line, 11) for line in (*more, *on_types)),
         Gap(8),
         *([_drawn(worst, types)] if any(one.after_mean_mm is not None for one in worst) else []),
         RestOfPage([

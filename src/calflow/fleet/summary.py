@@ -1,4 +1,4 @@
-"""What a fleet has as a whole: fleet.csv, one page as a PDF, and a page with a table of all robots for a browser."""
+"""What a fleet has as a whole: its tables, one page as a PDF, and a page with a table of all robots for a browser."""
 
 from __future__ import annotations
 
@@ -6,22 +6,37 @@ from collections.abc import Sequence
 
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
-from calflow.fleet.fleet_folder import TABLE, FleetFolder
+from calflow.files.writing import write_whole
+from calflow.fleet.collected import collected
+from calflow.fleet.fleet import Fleet
+from calflow.fleet.fleet_folder import CAUSES, TABLE, TYPES, UNLIKE, FleetFolder
 from calflow.fleet.outcome import Outcome, worst_first
+from calflow.fleet.types import CommonCauseRow, TypeParameter, UnlikeRow, by_type
 from calflow.runs.kept import write_results
 
-TABLES = {TABLE: Outcome}
+TABLES = {TABLE: Outcome, TYPES: TypeParameter, UNLIKE: UnlikeRow, CAUSES: CommonCauseRow}
 
 
-def write_summary(folder: FleetFolder, title: str, found: Sequence[Outcome]) -> None:
-    """Write the table and the reports of a fleet from what came of its robots."""
+def write_summary(fleet: Fleet, folder: FleetFolder, found: Sequence[Outcome]) -> None:
+    """Write the tables and the reports of a fleet from what came of its robots, and of each type a robot file that knows it."""
     from calflow.fleet.fleet_report import fleet_report
     from calflow.reporting import document
     from calflow.reporting.html import writing
     from calflow.reporting.style import style
 
-    write_results(folder.path, Results({TABLE: to_frame(worst_first(found), Outcome)}), TABLES)
+    types = by_type(collected(fleet, folder))
+    tables = {
+        TABLE: to_frame(worst_first(found), Outcome),
+        TYPES: to_frame([row for one in types for row in one.parameters()], TypeParameter),
+        UNLIKE: to_frame([row for one in types for row in one.odd_ones()], UnlikeRow),
+        CAUSES: to_frame([row for one in types for row in one.common()], CommonCauseRow),
+    }
+    write_results(folder.path, Results(tables), TABLES)
+    for one in types:
+        expecting = one.expecting(next(type_.study.robot for type_ in fleet.types if type_.name == one.type))
+        if expecting:
+            write_whole(folder.type_robot(one.type), expecting.toml_text().encode())
     with style():
-        page, *tables = fleet_report(title, found)
-        document.write(title, [page], folder.path)
-        writing.write(title, [page, *tables], folder.path)
+        page, *more = fleet_report(fleet.title, found, types)
+        document.write(fleet.title, [page], folder.path)
+        writing.write(fleet.title, [page, *more], folder.path)

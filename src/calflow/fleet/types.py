@@ -1,0 +1,166 @@
+"""What a fleet knows that a robot does not: each type's prior, robots unlike their type, and causes that its robots share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from calflow.estimation.parameters import UNIT
+from calflow.files.tables import column
+from calflow.fleet.collected import Collected
+from calflow.population.common_causes import CommonCause, Whose, common_causes
+from calflow.population.told import Told, shared_parameters
+from calflow.population.type_prior import FEWEST, TypePrior
+from calflow.population.unlike import Unlike, unlike
+from calflow.reporting.findings import amount, cause_name
+from calflow.reporting.words import listed, plural
+from calflow.robot.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class TypeParameter:
+    """A parameter of a type of robots, by partial pooling over those that are calibrated."""
+
+    type: str = column("the type's name")
+    effect: str = column("id of the parameter's effect")
+    part: str = column("the part of the robot that it belongs to")
+    symbol: str = column("what it is of that part")
+    unit: str = column("of the figures in this row (SI)")
+    mean: float = column("the type's mean, from the maker's figure", UNIT)
+    mean_sd: float = column("standard deviation of that mean", UNIT)
+    spread: float = column("standard deviation of the robots' own values about it", UNIT)
+    expected_sd: float = column("standard deviation with which a further robot's value is expected at the mean", UNIT)
+    robots: int = column("robots of which the measurements tell of it at least as much as the type does")
+    study_sd: float = column(
+        "what the study's effect takes it to be without a fleet: its prior's standard deviation", UNIT
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnlikeRow:
+    """A parameter of a robot that is unlike its type's."""
+
+    robot: str = column("its name")
+    type: str = column("its type")
+    parameter: str = column("the parameter's name")
+    unit: str = column("of the figures in this row (SI)")
+    shift: float = column("how far it is from the type's mean", UNIT)
+    sd: float = column("standard deviation of that", UNIT)
+    spreads: float = column("the shift in the type's spreads")
+    p: float = column("chance that any parameter of any robot of a type looks like this")
+    instead: tuple[str, ...] = column("parameters whose shift would explain the robot about as well", default=())
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommonCauseRow:
+    """A cause that diagnose found in robots of a type."""
+
+    type: str = column("the type's name")
+    cause: str = column("id of the effect")
+    joint: int | None = column("number of its joint or link; empty: none", default=None)
+    detail: str = column("the variant that most of these robots show; empty: they differ")
+    whose: Whose = column(
+        "the `type`'s: surely more than half of its robots have it; each `robot`'s own: surely fewer; or not to tell"
+    )
+    robots: tuple[str, ...] = column("those that show it", separator="; ")
+    of: int = column("robots of the type that were looked at")
+    low: float = column("lower end of the 95 % interval of the share of the type's robots that show it")
+    high: float = column("upper end of it")
+    size: float = column("the middle one of their sizes", UNIT)
+    spread: float = column("standard deviation of the true sizes", UNIT)
+    unit: str = column("of the size (SI)")
+
+
+@dataclass(frozen=True, eq=False)
+class TypeFindings:
+    """What the robots of one type tell together; prior is None where they are too few."""
+
+    type: str
+    robots: int
+    prior: TypePrior | None
+    unlike: tuple[Unlike, ...]
+    causes: tuple[CommonCause, ...]
+
+    @staticmethod
+    def of(type_: str, robots: Sequence[Collected]) -> TypeFindings:
+        """Pool the robots of a type."""
+        causes = tuple(common_causes({one.robot: one.causes for one in robots}))
+        if len(robots) < FEWEST:
+            return TypeFindings(type_, len(robots), None, (), causes)
+        parameters = shared_parameters([one.known for one in robots])
+        prior, odd = unlike(parameters, [Told.of(one.robot, one.known, parameters) for one in robots])
+        return TypeFindings(type_, len(robots), prior, tuple(odd), causes)
+
+    def expecting(self, robot: Robot) -> Robot | None:
+        """Return the type's robot with what is expected of a further one; None where the robots are too few."""
+        return replace(robot, expected=self.prior.expected()) if self.prior else None
+
+    def parameters(self) -> Iterator[TypeParameter]:
+        """Yield the rows of the type's parameters."""
+        prior = self.prior
+        if prior is None:
+            return
+        for k, one in enumerate(prior.parameters):
+            yield TypeParameter(
+                type=self.type, effect=one.effect, part=one.part, symbol=one.symbol, unit=one.unit,
+                mean=float(prior.mean[k]) * one.prior_sd, mean_sd=float(prior.covariance[k, k]) ** 0.5 * one.prior_sd,
+                spread=float(prior.spread[k]) * one.prior_sd, expected_sd=float(prior.sd[k]) * one.prior_sd,
+                robots=int(prior.determined[k]), study_sd=one.prior_sd,
+            )  # fmt: skip
+
+    def odd_ones(self) -> Iterator[UnlikeRow]:
+        """Yield the rows of robots unlike the type."""
+        for one in self.unlike:
+            scale = one.parameter.prior_sd
+            yield UnlikeRow(
+                robot=one.robot, type=self.type, parameter=one.parameter.name, unit=one.parameter.unit,
+                shift=one.shift * scale, sd=one.sd * scale, spreads=one.spreads, p=one.p,
+                instead=tuple(other.name for other in one.instead),
+            )  # fmt: skip
+
+    def common(self) -> Iterator[CommonCauseRow]:
+        """Yield the rows of causes."""
+        for one in self.causes:
+            yield CommonCauseRow(
+                type=self.type, cause=one.cause, joint=one.joint or None, detail=one.detail, whose=one.whose,
+                robots=one.robots, of=one.of, low=one.low, high=one.high, size=one.size, spread=one.spread, unit=one.unit,
+            )  # fmt: skip
+
+
+def by_type(robots: Iterable[Collected]) -> list[TypeFindings]:
+    """Return what the robots of each type tell together, type by type."""
+    types: dict[str, list[Collected]] = {}
+    for one in robots:
+        types.setdefault(one.type, []).append(one)
+    return [TypeFindings.of(name, types[name]) for name in sorted(types)]
+
+
+def type_lines(found: Sequence[TypeFindings], most: int) -> list[str]:
+    """Say what the types' robots tell together, so many sentences at most, what needs a look first."""
+    lines = [line for kind in (_odd_line, _common_line) for one in found for line in kind(one)]
+    left = len(lines) - most
+    return (
+        lines if left <= 0 else [*lines[: most - 1], f"{left + 1} further statements on the types are in report.html."]
+    )
+
+
+def _odd_line(found: TypeFindings) -> Iterator[str]:
+    """Name the robots that are unlike their type."""
+    robots: Mapping[str, Unlike] = {one.robot: one for one in reversed(found.unlike)}
+    if robots:
+        said = [
+            f"{name} ({one.parameter.name}, {abs(one.spreads):.0f} spreads{' or another' if one.instead else ''})"
+            for name, one in robots.items()
+        ]
+        yield f"Unlike the other {found.robots - len(robots)} of type {found.type}: {listed(said, 4)}."
+
+
+def _common_line(found: TypeFindings) -> Iterator[str]:
+    """Say which causes are the type's."""
+    for one in found.causes:
+        if one.whose == "type":
+            name = cause_name(one.cause, one.joint)
+            detail = f" ({one.detail})" if one.detail else ""
+            size = amount(one.cause, one.size, one.spread, one.unit)
+            yield (f"{len(one.robots)} of {plural(one.of, 'robot')} of type {found.type} show {name}{detail}, {size}: it is the "
+                   "type's.")  # fmt: skip
