@@ -122,7 +122,7 @@ def main() -> None:
         print(f"  {name} ({kind}): {rows.loc[name, 'failed_stage']} {str(rows.loc[name, 'reason'])[:160]}")
 
     for kill in range(asked.kills):
-        after, alone = rng.uniform(0.1, 0.9) * failing.clock, bool(kill % 2)
+        after, alone = rng.uniform(0.2, 1.8) * failing.clock / (asked.kills + 1), bool(kill % 2)
         left = killed(plant, "killed", asked.processes, after, alone)
         done = len(list((plant / "killed" / "outcomes").glob("*.json")))
         print(

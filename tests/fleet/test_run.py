@@ -59,6 +59,7 @@ def test_a_robot_of_a_fleet_is_what_it_is_alone(ran):
             plant.out / f"robots/A-1/identify/{name}.csv"
         ).read_bytes()
     assert in_process("status", plant.out / "robots" / "A-1").code == 0
+    assert in_process("pack", plant.out / "robots" / "A-1", "--out", plant / "A-1.zip").code == 0
     assert load_study(plant.out / "robots" / "A-1" / "inputs" / "study.toml").name == "A-1"
 
 

@@ -14,6 +14,7 @@ from calflow.fleet.fleet import FleetRobot
 from calflow.fleet.fleet_folder import FleetFolder
 from calflow.fleet.judged import judged
 from calflow.fleet.outcome import Outcome
+from calflow.fleet.reason import reason
 from calflow.fleet.robot_study import write_study
 from calflow.runs.lock import wait_until_free
 from calflow.runs.run import run
@@ -90,8 +91,7 @@ def _told(robot: str, type_: str, folder: FleetFolder, sending: Connection) -> N
 
 
 def _failed(robot: str, type_: str, stage: str, error: Exception) -> Outcome:
-    said = [str(problem) for problem in error.problems] if isinstance(error, InputError) else [repr(error)]
-    return Outcome(robot=robot, type=type_, status="failed", failed_stage=stage, reason="; ".join(said))
+    return Outcome(robot=robot, type=type_, status="failed", failed_stage=stage, reason=reason(error))
 
 
 def _ended(code: int | None) -> str:

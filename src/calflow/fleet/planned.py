@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from calflow.files.problems import InputError
 from calflow.fleet.fleet import Fleet, FleetRobot
 from calflow.fleet.fleet_folder import FleetFolder
+from calflow.fleet.reason import reason
 from calflow.fleet.robot_study import write_study
 from calflow.runs.planning import plan
 from calflow.study import load_study
@@ -25,7 +26,7 @@ def _said(robot: FleetRobot, folder: FleetFolder) -> str:
     try:
         steps = plan(load_study(folder.study(robot.name)), folder.run(robot.name))
     except InputError as error:
-        return f"would fail: {'; '.join(map(str, error.problems))}"
+        return f"would fail: {reason(error)}"
     again = [step for step in steps if not step.reuse]
     if not again:
         return f"reuse  {steps[0].reason}"

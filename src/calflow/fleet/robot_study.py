@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from calflow.files.problems import refuse
 from calflow.files.toml import parse_toml
 from calflow.files.writing import write_whole
 from calflow.fleet.fleet import FleetRobot
+from calflow.runs.identity import beside
 
 FOUND_BY = {"file", "url", "sha256"}  # keys that say which file the measurements are in
 
@@ -25,21 +25,21 @@ def write_study(robot: FleetRobot, path: Path) -> None:
         import tomli_w
     except ModuleNotFoundError:
         raise lacking("tomli-w") from None
-    write_whole(path, tomli_w.dumps(study_of(robot)).encode())
+    write_whole(path, tomli_w.dumps(study_of(robot, path.parent)).encode())
 
 
-def study_of(robot: FleetRobot) -> dict[str, Any]:
-    """Return a robot's study as a file anywhere has it."""
+def study_of(robot: FleetRobot, folder: Path) -> dict[str, Any]:
+    """Return a robot's study as a file in a folder has it: paths are seen from there, so that all can be moved and packed."""
     study = robot.type.study
     raw, _ = parse_toml(study.path)
     title = {"title": f"{study.file.title}, {robot.name}"} if study.file.title else {}
-    own = {"workflow": os.path.abspath(study.workflow_path)} if study.file.workflow.endswith(".toml") else {}
-    files = [os.path.abspath(path) for path in robot.data]
+    own = {"workflow": beside(folder, study.workflow_path)} if study.file.workflow.endswith(".toml") else {}
+    files = [beside(folder, path) for path in robot.data]
     measured = raw.get("measurements", {})
     several = isinstance(measured, list)
     sources = [_with_file(one, file) for one, file in zip(measured if several else [measured], files, strict=True)]
     return {
-        **raw, "name": robot.name, **title, "robot": os.path.abspath(study.robot_path), **own,
+        **raw, "name": robot.name, **title, "robot": beside(folder, study.robot_path), **own,
         "measurements": sources if several else sources[0],
     }  # fmt: skip
 
