@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import shutil
 import zipfile
 
@@ -26,11 +25,13 @@ def test_a_moved_run_comes_out_the_same(finished):
 
 def test_inputs_that_changed_or_are_gone_are_all_named(finished):
     """Fails if a run is repeated with other inputs, or only the first that is wrong is told."""
-    manifest = json.loads((finished / "runs" / "manifest.json").read_text(encoding="utf-8"))
-    for one in manifest["files"].values():  # where it was made is no more
-        one["path"] = one["path"].replace(manifest["folder"].removesuffix("/runs"), "/gone")
-    manifest |= {"folder": "/gone/runs", "study_file": "/gone/study.toml"}
-    (finished / "runs" / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+
+    def made_elsewhere(manifest):
+        for one in manifest["files"].values():
+            one["path"] = one["path"].replace(manifest["folder"].removesuffix("/runs"), "/gone")
+        manifest |= {"folder": "/gone/runs", "study_file": "/gone/study.toml"}
+
+    finished.vouch(made_elsewhere)
     finished.edit("measurements.csv", ("1", "2"))
     (finished / "runs" / "inputs" / "robot.toml").unlink()
     (finished / "robot.toml").unlink()
@@ -77,9 +78,7 @@ def test_results_that_were_changed_are_not_compared(finished):
 
 def test_a_run_that_does_not_say_what_it_was_made_of_is_refused(finished):
     """Fails if a run of an earlier version ends in a traceback."""
-    manifest = json.loads((finished / "runs" / "manifest.json").read_text(encoding="utf-8"))
-    del manifest["files"]
-    (finished / "runs" / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    finished.vouch(lambda manifest: manifest.pop("files"))
     for command in ("reproduce", "pack"):
         (told,) = finished.refused(command, finished / "runs")
         assert told.startswith("runs: an earlier version of calflow made this run")
