@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 
@@ -51,6 +52,10 @@ def main() -> None:
 
 def program() -> None:
     """Run the command line as the program, which ends with it; the matrices of an arm are too small to be shared among threads."""
+    if isinstance(
+        sys.stdout, io.TextIOWrapper
+    ):  # a sign that a terminal or a log cannot hold ends no run, it is spelled out
+        sys.stdout.reconfigure(errors="backslashreplace")
     os.environ.setdefault(THREADS, "1")  # before numpy is there; they would wait for each other most of the time
     try:
         main()

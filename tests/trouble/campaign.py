@@ -152,10 +152,10 @@ def _asked(study: str, folder: Path, file: str) -> tuple[Answer, str]:
             return Answer(-1, "", ""), "hangs"
         except BaseException:
             return Answer(-1, "", ""), f"traceback: {traceback.format_exc(limit=-3)}"
-    return answer, _unreadable(answer) or "; ".join(f"warning: {one.message}" for one in warned)
+    return answer, unreadable(answer) or "; ".join(f"warning: {one.message}" for one in warned)
 
 
-def _unreadable(answer: Answer) -> str:
+def unreadable(answer: Answer) -> str:
     """Say why an answer is none for a user; empty where it is one."""
     lines = answer.err.splitlines()
     if answer.code not in (0, 2):
