@@ -31,7 +31,7 @@ import pandas as pd
 from blind_cases import UNITS, Unit
 
 import calflow as cf
-from calflow.design.isolability.isolability import Place, chances, screened
+from calflow.design.isolability.isolability import DRAWS, Place, chances, screened
 from calflow.design.isolability.visits import RECORDS, ROOM, Visits
 from calflow.design.planned import Planned
 from calflow.design.selection import select
@@ -51,9 +51,10 @@ from hidden.simulator import Robot, Rows, read, worn
 EFFECTS = ("geometry", "joint-compliance")
 SIGMA = 4e-5  # m, per axis, of the device
 COLD = 20.0  # degC: the room, where the simulator's robot has grown by nothing
-CASES = 5  # of a plan
+CASES = 10  # of a plan
+ROUGH = 100  # measurements drawn of a cause whose size is looked for
 SIZES = (0.02, 30.0)  # usual sizes: least and largest
-HALVINGS = 9  # of the sizes' range, in search of the one with a chance
+HALVINGS = 8  # of the sizes' range, in search of the one with a chance
 LARGEST = 2e-3  # m, rms per axis: what moves the tool further is no cause that one has to look for
 LEAST = 0.3  # chance that is asked for
 SURE = (0.8, 1.0)  # chances that half the cases ask for: those that a reader takes for a yes
@@ -92,7 +93,7 @@ class Plan:
     @cached_property
     def screening(self) -> Screening[Cause]:
         """The tests of all causes, as the plan states them."""
-        return screened(EFFECTS, PLANNED, self.visits, self.rng("plan"))[0]
+        return screened(EFFECTS, PLANNED, self.visits.measurements().split(0.0), self.rng("plan"))[0]
 
     @cached_property
     def family(self) -> Family:
@@ -119,9 +120,11 @@ class Plan:
         """A generator of a purpose's own."""
         return draws(self.seed)(purpose)
 
-    def stated(self, place: Place, size: float, purpose: str) -> dict[Place | None, float]:
+    def stated(self, place: Place, size: float, purpose: str, drawn: int = DRAWS) -> dict[Place | None, float]:
         """The chance that a cause is seen (None), and that it is told from each rival."""
-        seen, told = chances(self.screening, self.family, ALARM, self.rng(purpose), size=size, places=[place])
+        seen, told = chances(
+            self.screening, self.family, ALARM, self.rng(purpose), size=size, draws=drawn, places=[place]
+        )
         return {None: seen[place]} | {rival: chance for (_, rival), chance in told.items()}
 
     def measurements(self, points: np.ndarray) -> Measurements:
@@ -184,14 +187,16 @@ def sized(plan: Plan, place: Place, rng: np.random.Generator) -> float | None:
     """Find the size at which seeing the cause, or telling it from one rival, has a chance between LEAST and 1; None: no size."""
     wanted = rng.uniform(*((LEAST, 1.0) if rng.random() < 0.5 else SURE))
     low, high = np.log(SIZES)
-    last = plan.stated(place, SIZES[1], "sizes")
+    last = plan.stated(place, SIZES[1], "sizes", ROUGH)
     tellable = [rival for rival, chance in last.items() if rival is not None and chance > LEAST]
     of = tellable[int(rng.integers(len(tellable)))] if tellable and rng.random() < 0.5 else None
     if last[of] < LEAST:
         return None
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        low, high = (low, middle) if plan.stated(place, float(np.exp(middle)), "sizes")[of] > wanted else (middle, high)
+        low, high = (
+            (low, middle) if plan.stated(place, float(np.exp(middle)), "sizes", ROUGH)[of] > wanted else (middle, high)
+        )
     return float(np.exp(high))
 
 

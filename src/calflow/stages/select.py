@@ -87,8 +87,9 @@ def _isolability(context: Context, model: Model, planned: Planned, chosen: Selec
     def told(of: Visits) -> Isolability:
         rng = context.rng("isolability")  # the same noise each time: what differs is the plan
         return isolability(
-            study.file.effects, planned, of, rng, size=settings.isolability_size, false_alarm=false_alarm
-        )
+            study.file.effects, planned, of, rng, size=settings.isolability_size, false_alarm=false_alarm,
+            holdout=study.file.split.holdout, seed=study.file.seed,
+        )  # fmt: skip
 
     now = told(visits)
     table = isolability_table(

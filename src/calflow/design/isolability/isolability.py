@@ -1,8 +1,9 @@
 """Isolability: which causes a plan of poses would show, and from which others it would tell each, before anything is measured.
 
-Of every cause at a stated size many measurements are drawn, as the linearised model and the noise say, and each is tested
-and weighed as diagnose does it: the share of them in which the cause passes is the chance that it is seen, the share in which
-besides a rival's BIC is more than that of a near rival above its own is the chance that it is told from that.
+Of every cause at a stated size many measurements are drawn, as the linearised model and the noise say, and all causes are
+tested and weighed as diagnose does it: the best that passes is the finding, and whatever is near it is in the finding's set. The
+share of them in which the cause is in that set is the chance that it is seen, the share in which besides a rival is not is the
+chance that it is told from that.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.probing import probed
+from calflow.measurements.measurements import Measurements
 from calflow.model import Model, stated
 
 DRAWS = 400  # measurements drawn of each cause: a chance of 0.9 is known to 0.015
@@ -55,6 +57,8 @@ def isolability(
     *,
     size: float = 1.0,
     false_alarm: float = FALSE_ALARM,
+    holdout: float = 0.0,
+    seed: int = 1,
     draws: int = DRAWS,
 ) -> Isolability:
     """Return what a plan can tell of causes besides effects that are fitted.
@@ -66,9 +70,11 @@ def isolability(
         rng: draws causes and noise.
         size: of each cause, in its usual size: the root mean square of its parameters, in their priors' standard deviations.
         false_alarm: chance that diagnose finds anything where nothing is hidden.
+        holdout: share of the poses that the study holds out, by its seed: diagnose sees the others.
+        seed: of the study.
         draws: measurements of each cause.
     """
-    screening, catalogue = screened(effects, planned, visits, rng)
+    screening, catalogue = screened(effects, planned, visits.measurements().split(holdout, seed), rng)
     seen, told = chances(screening, screening.family(rng), SHARES["causes"] * false_alarm, rng, size=size, draws=draws)
     causes = {candidate.cause.place: candidate.cause for candidate in screening.regressors.candidates}
     untold = {place: _untold(cause, catalogue, causes) for place, cause in causes.items()}
@@ -76,13 +82,13 @@ def isolability(
 
 
 def screened(
-    effects: Sequence[str], planned: Planned, visits: Visits, rng: np.random.Generator
+    effects: Sequence[str], planned: Planned, data: Measurements, rng: np.random.Generator
 ) -> tuple[Screening[Cause], Catalogue]:
     """Return the tests of all causes that a plan's measurements will allow, and the catalogue that they are of."""
-    data = visits.measurements()
-    catalogue = Catalogue.of(data, effects)
-    model = stated(visits.robot, effects, data, (planned.observation,))
-    return Screening(_regressors(model, planned, data.rows, catalogue.effects, rng)), catalogue
+    train = data.only(data.train)
+    catalogue = Catalogue.of(train, effects)
+    model = stated(data.robot, effects, train, (planned.observation,))
+    return Screening(_regressors(model, planned, train.rows, catalogue.effects, rng)), catalogue
 
 
 def chances(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from calflow.design.how_many import HowMany
 from calflow.design.isolability.told_apart import isolability_gaps, isolability_summary
 from calflow.design.worth import Worth
@@ -11,7 +13,7 @@ from calflow.reporting.figures.poses import expected_error
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.sections.told_apart import TABLE as ISOLABILITY
-from calflow.reporting.words import first_up, listed, mm, plural
+from calflow.reporting.words import first_up, listed, mm, percent, plural
 
 NEEDS = ("select/poses.csv", "select/observability.csv", "select/how_many.json", "select/worth.csv")
 GAPS = 5  # that are told on the first page
@@ -45,7 +47,7 @@ def write(material: Material) -> list[Block]:
         Gap(16),
         Columns(
             [[Plot("expected_error", expected_error(curve, how_many), WORTH, curve)],
-             [Heading("How many poses?"), Bullets(number_words(how_many), 10.5)]],
+             [Heading("How many poses?"), Bullets([*number_words(how_many), *_held_out(material, how_many)], 10.5)]],
             [1, 1],
         ),
         RestOfPage([block for title, lines in lists for block in (Heading(title), Bullets(lines, None))]),
@@ -76,6 +78,20 @@ def number_words(how_many: HowMany) -> list[Item]:
         *said,
         (f"{asked}", f"are met with {how_many.enough_poses} poses; no choice of fewer than {how_many.needed_poses} meets them."),
     ]  # fmt: skip
+
+
+def _held_out(material: Material, how_many: HowMany) -> list[Item]:
+    """Say that poses which are held out do not count."""
+    share = material.study.file.split.holdout
+    if not share:
+        return []
+    more = math.ceil(how_many.n_poses / (1 - share))
+    return [
+        (
+            "Held out:",
+            f"these are poses that are fitted. The study holds out {percent(share)}: for that measure {more}.",
+        )
+    ]
 
 
 def _planned(material: Material) -> str:
