@@ -27,6 +27,7 @@ ASIDE = 0.3  # m from the first marker to one that the robot file does not have 
 SECOND = "second"
 NAMED = 3  # parameters that gain most
 LEAST = 1.0  # percent of its standard deviation that a parameter must gain to be named
+SMALLEST = 0.01  # of the tool's error: what a parameter that is named must at least make of it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +42,9 @@ class Worth:
     )
     gain_mm: float = column("by how much that is less than the plan's", "mm")
     gain_percent: float = column("the same, of the plan's", "%")
-    parameters: tuple[str, ...] = column("those whose standard deviations fall most, the most first")
+    parameters: tuple[str, ...] = column(
+        "of those that move the tool over the task, the ones whose standard deviations fall most, the most first"
+    )
     falls_percent: tuple[float, ...] = column("by how much each of them falls", "%")
 
 
@@ -142,7 +145,9 @@ class PlanInformation:
         before, after = self.covariance, np.linalg.inv(known)
         had, left = self.tool.loss(before), self.tool.loss(after)
         falls = 100 * (1 - np.sqrt(np.diag(after) / np.diag(before)))
-        most = [k for k in np.argsort(-falls, kind="stable")[:NAMED] if falls[k] >= LEAST]
+        at_tool = np.sqrt(np.diag(before)) * np.linalg.norm(self.tool.root, axis=1)
+        counts = (falls >= LEAST) & (at_tool >= SMALLEST * had)
+        most = [k for k in np.argsort(-falls, kind="stable") if counts[k]][:NAMED]
         return Worth(
             addition=words, n_poses=poses, n_points=points, expected_sd_mm=1e3 * left, gain_mm=1e3 * (had - left),
             gain_percent=100 * (1 - left / had), parameters=tuple(self.model.parameters[k].name for k in most),
