@@ -15,11 +15,11 @@ from conftest import in_process
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = (  # in the order in which a newcomer reads them
-    *("tutorial", "robots", "select", "identify", "diagnose", "sample"),
+    *("tutorial", "robots", "select", "next", "identify", "diagnose", "sample"),
     *("compensate", "programs", "export", "validate", "drift", "compare", "reproduce", "residual_field"),
 )
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-VERDICTS = {"validate": (0, 3, 4), "drift": (0, 3, 4)}  # exit codes that are answers
+VERDICTS = {"validate": (0, 3, 4), "drift": (0, 3, 4), "next": (0, 4)}  # exit codes that are answers
 DATA = os.environ.get("CALFLOW_DATA")
 
 
@@ -53,7 +53,7 @@ def follow(page: str) -> dict[str, str]:
             said |= {line: run(line) for line in block.splitlines()}
         elif kind == "python":
             exec(compile(block, page, "exec"), {})
-        else:
+        elif kind != "text":  # what a command answered
             write(block, text[: found.start()])
     return said
 
@@ -99,8 +99,15 @@ def poses_could_be_little_better(folder: Path) -> None:
 
 
 def tasks_write_what_they_say(folder: Path) -> None:
-    """Validate, drift and compare leave the files that their pages name."""
-    for name in ("accepted/report.pdf", "check/moved.csv", "check/recalibration.csv", "check/next_poses.csv"):
+    """Next, validate, drift and compare leave the files that their pages name."""
+    for name in (
+        "first/poses.csv",
+        "next/verdict.json",
+        "accepted/report.pdf",
+        "check/moved.csv",
+        "check/recalibration.csv",
+        "check/next_poses.csv",
+    ):
         assert (folder / name).is_file(), name
     assert (folder / "compared/report.pdf").is_file()
     assert (folder / "my-robot.zip").is_file()

@@ -9,42 +9,69 @@ come from one Jacobian, without a refit (Allen's PRESS 1974): with H a pose's sh
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from calflow.estimation.fit import Fit
 
 
-def elsewhere(fit: Fit, pose: np.ndarray) -> float:
-    """Return by how much more a fitted model errs at poses left out than noise and parameters say, sd per axis [m]; at least 0.
+@dataclass(frozen=True)
+class LeftOut:
+    """Errors of poses left out in turn, over the noise: the sum of their squares, what was to be expected, and their number.
+
+    share is the median of what is expected of one, scatter the noise per axis [m], freedom the degrees of freedom left to the fit.
+    """
+
+    found: float
+    expected: float
+    number: int
+    share: float
+    scatter: float
+    freedom: float
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the errors of positions, noise in it [m]; nan without any."""
+        return float(np.sqrt(3 * self.found / self.number)) * self.scatter if self.number else float("nan")
+
+    def excess(self, level: np.ndarray | float = 1.0) -> np.ndarray:
+        """Return by how much more than expected the model errs, sd per axis [m], were squares by a level larger; at least 0."""
+        if not self.number:
+            return np.zeros(np.shape(level))
+        more = np.maximum(level * np.float64(self.found / self.expected) - 1.0, 0.0) * self.share
+        return np.asarray(np.sqrt(more)) * self.scatter
+
+    def drawn(self, number: int, rng: np.random.Generator) -> np.ndarray:
+        """Draw so many values of the excess as the errors, by their degrees of freedom, allow (number,) [m]."""
+        return self.excess(self.freedom / rng.chisquare(self.freedom, number))
+
+
+def left_out(fit: Fit, pose: np.ndarray) -> LeftOut:
+    """Return the errors of poses left out in turn of a fitted model.
 
     Args:
         fit: the model as it was fitted; orientations are left out of account.
         pose: the number of each row's pose, (n_rows,): rows of one pose are left out together.
     """
-    found, expected, shares = 0.0, 0.0, list[float]()
+    found, expected, number, shares = 0.0, 0.0, 0, list[float]()
     for residual, jacobian in _by_pose(fit, pose):
         covered = np.linalg.inv(np.eye(len(residual)) - jacobian @ fit.covariance @ jacobian.T)
         missed = covered @ residual
-        found, expected = found + missed @ missed, expected + np.trace(covered)
+        found, expected = found + float(missed @ missed), expected + float(np.trace(covered))
+        number += len(residual)
         shares.append(np.trace(covered) / len(residual))
-    if not shares:
-        return 0.0
-    more = max(found / expected - 1.0, 0.0) * float(np.median(shares))
-    return float(np.sqrt(more)) * fit.problem.scatter
+    share = float(np.median(shares)) if shares else 0.0
+    freedom = max(1.0, number - fit.effective_parameters)
+    return LeftOut(found, expected, number, share, fit.problem.scatter, freedom)
 
 
-def left_out(fit: Fit, pose: np.ndarray) -> float:
-    """Return the root mean square error of poses that are left out in turn, all axes together, noise in it [m]; nan without any.
+def elsewhere(fit: Fit, pose: np.ndarray) -> float:
+    """Return by how much more a fitted model errs at poses left out than noise and parameters say, sd per axis [m]; at least 0.
 
-    Args: as of `elsewhere`.
+    Args: as of `left_out`.
     """
-    missed = [
-        np.linalg.inv(np.eye(len(residual)) - jacobian @ fit.covariance @ jacobian.T) @ residual
-        for residual, jacobian in _by_pose(fit, pose)
-    ]
-    squared = np.concatenate(missed or [np.full(1, np.nan)]) ** 2
-    return float(np.sqrt(3 * squared.mean())) * fit.problem.scatter
+    return float(left_out(fit, pose).excess())
 
 
 def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

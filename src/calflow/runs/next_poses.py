@@ -216,7 +216,7 @@ class _Asked:
             probability_at_best=None if tolerance is None else error.within_at_best(tolerance),
             error_mm=_mm(error.quantile(0.5)), error_most_mm=_mm(error.quantile(self.confidence)),
             heldout_rms_mm=None if outside is None else _mm(float(np.sqrt(np.mean(outside**2)))),
-            leftout_rms_mm=_mm(left_out(fitted.fit, fitted.poses)), elsewhere_mm=_mm(fitted.elsewhere),
+            leftout_rms_mm=_mm(left_out(fitted.fit, fitted.poses).rms), elsewhere_mm=_mm(fitted.elsewhere),
             noise_mm=_mm(float(np.sqrt(np.mean(fitted.noise.sigma**2)))), noise_known=fitted.noise.known,
             found=tuple(told["statement"]), suspected=_suspects(found, lacks), untested=tuple(sorted(catalogue.lacking)),
             notes=data.notes,

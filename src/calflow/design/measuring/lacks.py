@@ -58,6 +58,11 @@ class Lack:
     size: float
     log_weight: float
 
+    @property
+    def alone(self) -> float:
+        """Size of an error of each row for itself, over the noise."""
+        return self.size if self.form.kind == "pose" else 0.0
+
 
 @dataclass(frozen=True, eq=False)
 class Lacks:
@@ -70,8 +75,8 @@ class Lacks:
 
     @staticmethod
     def of(fitted: Fitted, catalogue: Catalogue) -> Lacks:
-        """Weigh all that a fitted model may lack, against the device's noise alone: what a lack of fit is of is the question."""
-        bare = replace(fitted, noise=replace(fitted.noise, discrepancy=0.0), background=None)
+        """Weigh all that a fitted model may lack beside the noise and a discrepancy that is significant."""
+        bare = replace(fitted, background=None)
         kinds = [(inputs, effects) for inputs, effects in functions(bare)]
         smooth = [effect for _, effects in kinds for effect in effects]
         effects = (*catalogue.effects, *smooth)
@@ -89,20 +94,17 @@ class Lacks:
         return np.asarray(np.exp(logs - logsumexp(logs)))
 
     @cached_property
-    def information(self) -> np.ndarray:
-        """What the data and the priors tell of the model's free parameters, (n_free, n_free)."""
-        return np.asarray(self.regressors.products.fitted + np.diag(self.regressors.precision))
-
-    @cached_property
     def covariance(self) -> np.ndarray:
         """Covariance of the free parameters where the model lacks nothing, (n_free, n_free)."""
-        return np.linalg.inv(self.information)
+        return self.parameters(0.0)[1]
 
-    @cached_property
-    def settled(self) -> np.ndarray:
-        """Where the linearised model's optimum is, from the estimate, (n_free,)."""
-        r = self.regressors
-        return -self.covariance @ (r.products.fitted_left + r.pull)
+    def parameters(self, alone: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean (n_free,), from the estimate, and covariance (n_free, n_free) of the free parameters.
+
+        alone is an error of each row for itself, over the noise.
+        """
+        covariance = np.linalg.inv(_information(self.regressors, 1 + alone**2))
+        return -covariance @ _gradient(self.regressors, 1 + alone**2), covariance
 
     @cached_property
     def screening(self) -> Screening[Cause]:
@@ -181,9 +183,18 @@ def _likelihoods(seen: Screening[Cause], form: Form, sizes: np.ndarray) -> np.nd
 def _alone(seen: Screening[Cause], size: float) -> float:
     """Return the same of an error of each row for itself, which is as if the noise were larger."""
     r, level = seen.regressors, 1 + size**2
-    information = r.products.fitted / level + np.diag(r.precision)
-    gradient = r.products.fitted_left / level + r.pull
+    information, gradient = _information(r, level), _gradient(r, level)
     chi2 = float(r.residual @ r.residual / level + r.prior_rss - gradient @ np.linalg.solve(information, gradient))
-    whole = r.products.fitted + np.diag(r.precision)
-    spent = len(r.residual) * np.log(level) + np.linalg.slogdet(information)[1] - np.linalg.slogdet(whole)[1]
+    spent = len(r.residual) * np.log(level) + np.linalg.slogdet(information)[1]
+    spent -= np.linalg.slogdet(_information(r, 1.0))[1]
     return float(seen.chi2 - chi2 - spent) / 2
+
+
+def _information(r: Regressors[Cause], level: float) -> np.ndarray:
+    """What the data, whose noise's variance is so many times larger, and the priors tell of the free parameters."""
+    return np.asarray(r.products.fitted / level + np.diag(r.precision))
+
+
+def _gradient(r: Regressors[Cause], level: float) -> np.ndarray:
+    """The slope of half of chi² by the free parameters at the estimate."""
+    return np.asarray(r.products.fitted_left / level + r.pull)

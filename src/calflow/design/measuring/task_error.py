@@ -1,8 +1,9 @@
 """The task error: how far the calibrated tool is off where it will work, as a posterior that counts all that may be wrong.
 
-A draw is one robot that the data leave possible: its parameters, one of the things that the model may lack (see `lacks`), or one
-of the diagnosis' rivals in a cause's place. Its error is the distance of its tool from the model's, noise of no device in it. So
-the share of draws within a tolerance is the probability of being within it, at whatever moment it is asked (Berger 1985, 7.7).
+A draw is one robot that the data leave possible: its parameters, one of the things that the model may lack (see `lacks`), one of
+the diagnosis' rivals in a cause's place, and what poses left out in turn show beyond all that (see `elsewhere`). Its error is the
+distance of its tool from the model's, noise of no device in it. So the share of draws within a tolerance is the probability of
+being within it, at whatever moment it is asked (Berger 1985, 7.7).
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ from typing import Literal
 import numpy as np
 
 from calflow.design.isolability.discrimination import rows_like
-from calflow.design.measuring.lacks import Form, Lack, Lacks
+from calflow.design.measuring.lacks import Form, Lacks
 from calflow.design.planned import Planned
 from calflow.design.task import Task
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import Effect
 from calflow.estimation.alternative import Alternative
+from calflow.estimation.elsewhere import left_out
 from calflow.estimation.probing import probed
 from calflow.measurements.series import Series
 from calflow.model import Model
@@ -106,38 +108,45 @@ def task_error(
 ) -> TaskError:
     """Draw robots that the data leave possible, and measure how far the calibrated tool is off over the task."""
     fitted, free = lacks.fitted, np.flatnonzero(~lacks.fitted.fit.at_bound)
-    root = np.linalg.cholesky(lacks.covariance)
-    level = _levels(fitted, rng)
-    known = (lacks.settled[:, None] + root @ (level * rng.standard_normal((len(free), DRAWS)))).T
+    lack = rng.choice(len(lacks.every), DRAWS, p=lacks.weights)
+    drawn = [(lacks.every[k], np.flatnonzero(lack == k)) for k in np.unique(lack)]
+    known, level = np.empty((DRAWS, len(free))), _levels(fitted, rng)
+    for alone in {one.alone for one, _ in drawn}:
+        own = np.concatenate([draws for one, draws in drawn if one.alone == alone])
+        mean, covariance = lacks.parameters(alone)
+        known[own] = mean + level[own, None] * (_normal(len(own), covariance, rng))
     error = np.einsum("nap,kp->kna", site.slopes[:, :, free], known, optimize=True)
-    lacking = np.zeros_like(error)
-    if not fitted.noise.known:  # noise and errors of the robot's own, pose by pose, cannot be told apart
-        lacking += fitted.problem.scatter * rng.standard_normal(error.shape)
+    elsewhere = left_out(fitted.fit, fitted.poses).drawn(DRAWS, rng)
+    lacking = np.hypot(_apart_at_each_pose(fitted), elsewhere)[:, None, None] * rng.standard_normal(error.shape)
     of_choice = [one.probability for one in alternatives]
     chosen = rng.choice(len(of_choice) + 1, DRAWS, p=[*of_choice, 1 - sum(of_choice)])
-    for k, one in enumerate(alternatives):
-        lacking[chosen == k] += _apart(fitted, one, site.rows)
-    lack = rng.choice(len(lacks.every), DRAWS, p=lacks.weights)
-    drawn = [lacks.every[k] for k in np.unique(lack)]
-    forms = list({id(one.form): one.form for one in drawn}.values())
+    for k, other in enumerate(alternatives):
+        lacking[chosen == k] += _apart(fitted, other, site.rows)
+    forms = list({id(one.form): one.form for one, _ in drawn}.values())
     slopes = dict(zip(map(id, forms), site.left(lacks, forms), strict=True))
-    for k, one in zip(np.unique(lack), drawn, strict=True):
-        here = np.flatnonzero(lack == k)
-        lacking[here] += _drawn(lacks, one, slopes[id(one.form)], lacking[here].shape, rng)
+    for one, draws in drawn:
+        shape = lacking[draws].shape
+        if one.alone:
+            lacking[draws] += one.alone * fitted.problem.scatter * rng.standard_normal(shape)
+        elif len(one.form.columns):
+            mean, covariance = lacks.amplitude(one)
+            amplitude = mean + _normal(len(draws), covariance, rng)
+            lacking[draws] += np.einsum("nab,kb->kna", slopes[id(one.form)], amplitude, optimize=True)
     measured = _MEASURES[measure]
     return TaskError(
         measure, measured(error + lacking), measured(lacking), tuple(lacks.every[k].form.name for k in lack)
     )
 
 
-def _drawn(lacks: Lacks, lack: Lack, slope: np.ndarray, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
-    """Draw what a lack does over the task, (n_draws, n_points, 3) [m]."""
-    if not lack.form.effects:
-        return np.asarray(lack.size * lacks.fitted.problem.scatter * rng.standard_normal(shape))
-    mean, covariance = lacks.amplitude(lack)
+def _normal(number: int, covariance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Draw so many normal vectors (number, n) about zero."""
     value, turned = np.linalg.eigh(covariance)
-    drawn = mean + (rng.standard_normal((shape[0], len(mean))) * np.sqrt(np.maximum(value, 0.0))) @ turned.T
-    return np.einsum("nab,kb->kna", slope, drawn, optimize=True)
+    return np.asarray(rng.standard_normal((number, len(value))) * np.sqrt(np.maximum(value, 0.0)) @ turned.T)
+
+
+def _apart_at_each_pose(fitted: Fitted) -> float:
+    """By how much the robot errs at each pose for itself, per axis [m]: what is significant, or cannot be told from the noise."""
+    return fitted.noise.discrepancy if fitted.noise.known else fitted.problem.scatter
 
 
 def _levels(fitted: Fitted, rng: np.random.Generator) -> np.ndarray:

@@ -1,0 +1,74 @@
+"""What a model may lack, weighed in closed form: against the likelihood of all data at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from calflow.design.measuring.lacks import Lacks
+from calflow.diagnosis.diagnosis import diagnose
+from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.estimation.identification import identify
+from calflow.study import load_study
+
+
+@pytest.fixture
+def lacks(small):
+    """Of the small robot, whose fit lacks nothing."""
+    data = load_study(small.path).measurements()
+    found = identify(data, ("geometry", "joint-compliance"), starts=1)
+    fitted = diagnose(found.known, found.data).extended.fitted
+    return Lacks.of(fitted, Catalogue.of(fitted.data, ("geometry", "joint-compliance")))
+
+
+def log_likelihood(lacks, lack):
+    """Of the data where each parameter is about its nominal value and a lack about nothing, by their dense covariance."""
+    r = lacks.regressors
+    start = r.pull / r.precision  # estimate minus nominal
+    seen = r.residual - r.jacobian @ start
+    covariance = (1 + lack.alone**2) * np.eye(len(seen)) + (r.jacobian / r.precision) @ r.jacobian.T
+    if len(lack.form.columns):
+        waves = r.matrix[:, lack.form.columns] * (lack.form.sd * lack.size)
+        covariance += waves @ waves.T
+    return multivariate_normal(np.zeros(len(seen)), covariance).logpdf(seen)
+
+
+def test_likelihoods_are_those_of_all_data_at_once(lacks):
+    """Fails if the likelihood of a lack over nothing, of any kind and size, is not that of a dense normal distribution."""
+    nothing = next(one for one in lacks.every if one.form.kind == "nothing")
+    plain = log_likelihood(lacks, nothing)
+    for kind in ("cause", "background", "pose"):
+        own = [one for one in lacks.every if one.form.kind == kind]
+        for first, second in ((own[0], own[5]), (own[-6], own[-1])):  # sizes of one form: their priors are the same
+            apart = log_likelihood(lacks, first) - log_likelihood(lacks, second)
+            assert first.log_weight - second.log_weight == pytest.approx(apart, abs=1e-4)
+    pose = next(one for one in lacks.every if one.form.kind == "pose")
+    sizes = sum(one.form.kind == "pose" for one in lacks.every)
+    assert pose.log_weight + np.log(sizes) == pytest.approx(log_likelihood(lacks, pose) - plain, abs=1e-4)
+
+
+def test_amplitudes_are_those_of_a_joint_fit(lacks):
+    """Fails if mean or covariance of what may be lacking are not those of parameters and amplitudes estimated together."""
+    r = lacks.regressors
+    lack = max((one for one in lacks.every if one.form.kind == "background"), key=lambda one: one.log_weight)
+    both = np.hstack([r.jacobian, r.matrix[:, lack.form.columns]])
+    precision = np.diag(np.concatenate([r.precision, (lack.form.sd * lack.size) ** -2.0]))
+    scale = np.diag(precision) ** -0.5
+    whole = np.linalg.inv(np.outer(scale, scale) * (both.T @ both + precision)) * np.outer(scale, scale)
+    pull = np.concatenate([r.pull, np.zeros(len(lack.form.columns))])
+    mean = -whole @ (both.T @ r.residual + pull)
+    own = slice(r.jacobian.shape[1], None)
+    found, covariance = lacks.amplitude(lack)
+    np.testing.assert_allclose(found, mean[own], atol=1e-6 * np.abs(lack.form.sd * lack.size).max())
+    np.testing.assert_allclose(covariance, whole[own, own], atol=1e-6 * np.diag(whole)[own].max())
+    response = lacks.response(lack.form.columns) @ found + lacks.parameters(0.0)[0]
+    np.testing.assert_allclose(response, mean[: own.start], atol=1e-4 * np.sqrt(np.diag(whole)[: own.start].max()))
+
+
+def test_all_are_weighed_once_and_nothing_is_likeliest(lacks):
+    """Fails if weights do not add up, or a fit that lacks nothing is believed to lack something rather than not."""
+    assert lacks.weights.sum() == pytest.approx(1.0)
+    kinds = [lacks.probability(kind) for kind in ("nothing", "cause", "background", "pose")]
+    assert sum(kinds) == pytest.approx(1.0)
+    assert kinds[0] == max(kinds)
