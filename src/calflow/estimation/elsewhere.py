@@ -12,8 +12,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from calflow.estimation.fit import Fit
+
+BY_CHANCE = 0.05  # chance of errors as large where nothing is lacking, above which they show no excess
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,12 @@ class LeftOut:
         return np.asarray(np.sqrt(more)) * self.scatter
 
     def drawn(self, number: int, rng: np.random.Generator) -> np.ndarray:
-        """Draw so many values of the excess as the errors, by their degrees of freedom, allow (number,) [m]."""
+        """Draw so many values of the excess as the errors, by their degrees of freedom, allow (number,) [m].
+
+        Errors that are no larger than chance makes them now and then show none: what may be there besides is not in them.
+        """
+        if not self.number or chi2.sf(self.freedom * self.found / self.expected, self.freedom) > BY_CHANCE:
+            return np.zeros(number)
         return self.excess(self.freedom / rng.chisquare(self.freedom, number))
 
 

@@ -28,10 +28,9 @@ ANSWERS: Mapping[str, type] = {  # the tables that commands other than run write
     "calflow compensate": Command,
     "calflow export --to controller": ControllerFigure,
     "calflow reproduce --out, differences.csv": Deviation,
-    "calflow next --out FOLDER: poses.csv": NextMeasurement,
-    "calflow next --out FOLDER: verdict.json": MeasuringVerdict,
 }
-FOLDERS = {
+FOLDERS: Mapping[str, Mapping[str, type]] = {
+    "next": {"poses.csv": NextMeasurement, "verdict.json": MeasuringVerdict},
     "validate": validation.TABLES,
     "drift": drift_verdict.TABLES,
     "compare": comparison.TABLES,
