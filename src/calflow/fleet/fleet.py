@@ -4,32 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from calflow.files.problems import InputError, Problem, nearest, together
 from calflow.files.toml import Origin, read_toml
-from calflow.fleet.fleet_file import FleetFile, TypeTable, check_name
+from calflow.fleet.fleet_file import FleetFile, check_name
 from calflow.fleet.pattern import filled, robots_of
-from calflow.robot.robot import Robot
-from calflow.runs.planning import stages_of
-from calflow.study import Study, check_effects, load_study
-
-NEEDED = "identify"  # the stage without which nothing is known of a robot
-
-
-@dataclass(frozen=True)
-class RobotType:
-    """A type of robots: the study whose settings they share, with the type's robot file."""
-
-    name: str
-    study: Study
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """All files that say what is asked of robots of this type."""
-        return (self.study.path, *self.study.robot_paths, self.study.workflow_path)
+from calflow.fleet.robot_type import RobotType, robot_type
 
 
 @dataclass(frozen=True)
@@ -75,7 +58,7 @@ def load_fleet(path: str | Path) -> Fleet:
     file = read_toml(path, FleetFile)
     origin = Origin.of(path)
     found = together(
-        *(partial(_type, name, table, origin) for name, table in file.types.items()),
+        *(partial(robot_type, name, table, origin) for name, table in file.types.items()),
         partial(_check_robots, file, origin),
     )
     types: dict[str, RobotType] = {one.name: one for one in found[:-1]}
@@ -87,42 +70,6 @@ def load_fleet(path: str | Path) -> Fleet:
             [origin.problem("has no robots: no file is where 'data' says, and no [robots.NAME] is there", "types")]
         )
     return Fleet(path, file, tuple(types.values()), tuple(sorted(robots, key=lambda robot: robot.name)))
-
-
-def _type(name: str, table: TypeTable, origin: Origin) -> RobotType:
-    """Load a type's study and hold it against what every robot's study must be."""
-    folder = origin.path.parent
-    keys = {"study": folder / table.study} | ({"robot": folder / table.robot} if table.robot else {})
-    absent = [
-        origin.problem(f"there is no file {at}", "types", name, key) for key, at in keys.items() if not at.exists()
-    ]
-    if absent:
-        raise InputError(absent)
-    study = load_study(keys["study"])
-    if "robot" in keys:
-        study = replace(study, robot=Robot.from_toml(keys["robot"]), robot_path=keys["robot"])
-        check_effects(study.file.effects, study.robot, study.robot_path)
-    stages = stages_of(study)
-    wrong = []
-    if NEEDED not in study.stages:
-        wrong.append(
-            f"its workflow '{study.workflow.name}' lacks the stage {NEEDED}, without which nothing is known of a robot"
-        )
-    if study.file.confirm:
-        wrong.append("it has 'confirm', which names a series of one robot and not of all")
-    wrong += [
-        f"its stage {stage.name} reads files of its own ({file.name}), which a study of many robots cannot have"
-        for stage in stages
-        for file in stage.reads(study, study.validated_settings(stage.name, stage.settings))
-    ]
-    if wrong:
-        raise InputError(
-            [
-                origin.problem(f"{study.path} is no study for many robots: {said}", "types", name, "study")
-                for said in wrong
-            ]
-        )
-    return RobotType(name, study)
 
 
 def _check_robots(file: FleetFile, origin: Origin) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from calflow.files.documents import from_document, to_document
+from calflow.files.problems import refuse
 from calflow.files.tables import column
 from calflow.files.writing import write_whole
 
@@ -61,3 +62,5 @@ def read_outcome(path: Path) -> Outcome | None:
         return from_document(json.loads(path.read_text(encoding="utf-8")), Outcome)
     except FileNotFoundError:
         return None
+    except ValueError as error:
+        raise refuse(f"cannot be read ({error}); delete it and run the fleet again", path) from None

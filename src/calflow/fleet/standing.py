@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from calflow.files.problems import refuse
+from calflow.files.problems import InputError, refuse
 from calflow.fleet.fleet import Fleet, FleetRobot
 from calflow.fleet.fleet_folder import FleetFolder
 from calflow.fleet.outcome import Outcome, read_outcome
@@ -40,10 +40,18 @@ def outcomes(fleet: Fleet, folder: FleetFolder) -> list[Outcome]:
 
 
 def forget_stale(fleet: Fleet, folder: FleetFolder) -> None:
-    """Delete the outcomes of robots that failed, and of those whose run is not there any more, so that they are tried anew."""
-    for one in outcomes(fleet, folder):
-        if one.status == "failed" or not (folder.run(one.robot) / NAME).is_file():
-            folder.outcome(one.robot).unlink(missing_ok=True)
+    """Delete the outcomes that are no reason not to try a robot anew: it failed, its run is gone, another version wrote them."""
+    for robot in fleet.robots:
+        if not _holds(robot, folder):
+            folder.outcome(robot.name).unlink(missing_ok=True)
+
+
+def _holds(robot: FleetRobot, folder: FleetFolder) -> bool:
+    try:
+        found = read_outcome(folder.outcome(robot.name))
+    except InputError:
+        return False
+    return found is not None and found.status == "calibrated" and (folder.run(robot.name) / NAME).is_file()
 
 
 def arriving(fleet: Fleet, folder: FleetFolder, ended: Callable[[], bool]) -> Iterator[Outcome]:
