@@ -41,6 +41,16 @@ def compiled(function: ca.Function, evaluations: int) -> ca.Function:
         return function
 
 
+def hindrance() -> str:
+    """Return what keeps functions from being compiled, by compiling a small one; empty where nothing does."""
+    x = ca.SX.sym("x")
+    try:
+        made = _compiled(ca.Function("trial", [x], [x * x]), WORTH_EVALUATIONS)
+    except NotCompiled as reason:
+        return str(reason)
+    return "" if made else "machine code that was just made cannot be loaded"
+
+
 def cache_folder() -> Path:
     """Where machine code is kept between runs: under XDG_CACHE_HOME, or ~/.cache.
 

@@ -6,6 +6,7 @@ from calflow.commands.check import check
 from calflow.commands.check_poses import check_poses
 from calflow.commands.compare import compare
 from calflow.commands.compensate import compensate
+from calflow.commands.doctor import doctor
 from calflow.commands.drift import drift
 from calflow.commands.export import export
 from calflow.commands.filter import filter_targets
@@ -45,5 +46,6 @@ COMMANDS = (
     reproduce,
     pack,
     schema,
+    doctor,
     next_poses,
 )

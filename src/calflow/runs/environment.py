@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import platform
-import re
 from functools import lru_cache
 from importlib import metadata
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 
 def environment() -> dict[str, str]:
@@ -41,11 +43,14 @@ def _environment() -> tuple[tuple[str, str], ...]:
         except metadata.PackageNotFoundError:  # of another system, or an extra that is not installed
             continue
         found[name] = package.version
-        waiting += [_name(need) for need in package.requires or () if "extra ==" not in need]
+        waiting += [canonicalize_name(need.name) for need in requirements(package)]
     return tuple(sorted(found.items()))
 
 
-def _name(requirement: str) -> str:
-    """The name of the package that a requirement is of, as registries write it."""
-    word = re.match(r"[\w.-]+", requirement)
-    return re.sub(r"[-_.]+", "-", word[0]).lower() if word else ""
+def requirements(package: metadata.Distribution, extra: str = "") -> list[Requirement]:
+    """Return what a package needs on this machine; with the name of an extra, what it needs for that besides."""
+    every = [Requirement(text) for text in package.requires or ()]
+    plain = [need for need in every if need.marker is None or need.marker.evaluate({"extra": ""})]
+    if not extra:
+        return plain
+    return [need for need in every if need not in plain and need.marker and need.marker.evaluate({"extra": extra})]
