@@ -1,12 +1,14 @@
 """Promises of the posterior: whether drawn robots' true parameters lie in what calibrations say of them.
 
-    python benchmarks/promises.py calibrations --cases 300      simulation-based calibration (Talts et al. 2018)
+    python benchmarks/promises.py calibrations --cases 300      simulation-based calibration, an arm of three joints
+    python benchmarks/promises.py arm --cases 300               the same of all six
     python benchmarks/promises.py markers --cases 100           three markers a pose, which a pose shifts alike by twice the noise
     python benchmarks/promises.py joints --cases 100            the same by joints that stand beside their readings
     python benchmarks/promises.py alike --cases 100             the same, nothing shared
 
 Every case draws a robot from the model's priors, measures it, identifies and samples it, and ranks the truth among thinned
-draws. Ranks of a right posterior are uniform: a chi² p a quantity, to be above 1 % over their number, and a band that the
+draws (Talts et al. 2018). Ranks of a right posterior are uniform: a chi² p a quantity, to be above 1 % over their number, and
+a band that the
 empirical distribution stays in 95 times in 100 (Säilynoja et al. 2022). The prior and the graph that make the data are the
 model's own: what is tested is how they are inferred, not whether they are a real robot's.
 
@@ -35,7 +37,8 @@ from sampling.ranks import Band, table_of
 
 KINDS = {
     # half of the noises stated, of whatever size they really are, half left to the fit
-    "calibrations": (Design(), Design(stated=False)),
+    "calibrations": (Design(joints=3, poses=30), Design(joints=3, poses=30, stated=False)),
+    "arm": (Design(), Design(stated=False)),
     "markers": (Design(poses=30, markers=3, shared=1e-4, level=0.0),),
     "joints": (Design(poses=30, markers=3, repeating=5e-5, level=0.0),),
     "alike": (Design(poses=30, markers=3, level=0.0),),

@@ -7,6 +7,8 @@ right by definition. Data of other physics are those of tests/hidden.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -15,9 +17,11 @@ import calflow as cf
 from calflow.design.candidates import candidates, pack
 from calflow.estimation.accuracy import errors
 from calflow.estimation.certainty import position_variance
+from calflow.estimation.progress import draws
 from calflow.model import Model, build
 from calflow.robot.parts import Marker
 from calflow.robot.robot import Robot
+from calflow.sampling.sample import ChainLength, sample
 from robots import industrial
 from sampling.ranks import rank
 
@@ -45,13 +49,14 @@ class Design:
     repeating: float = 0.0
     stated: bool = True
     level: float = 1.0
-    effects: tuple[str, ...] = EFFECTS
+    joints: int = 6
 
     @property
     def robot(self) -> Robot:
-        """The nominal robot."""
-        names = "EFG"[: self.markers]
-        return replace(industrial(), markers=dict(zip(names, map(Marker, APART), strict=False)))
+        """The nominal robot, or its first joints alone."""
+        whole, names = industrial(), "EFG"[: self.markers]
+        markers = dict(zip(names, map(Marker, APART), strict=False))
+        return replace(whole, joints=whole.joints[: self.joints], markers=markers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +72,7 @@ class Case:
     def drawn(design: Design, rng: np.random.Generator) -> Case:
         """Draw a robot from the priors, and measure it."""
         robot = design.robot
-        model = build(robot, design.effects)
+        model = build(robot, EFFECTS)
         truth = from_prior(model, rng)
         log_noise = design.level * rng.standard_normal()
         readings, _ = candidates(model, design.poses + design.further, "load", "E", None, rng)
@@ -85,11 +90,11 @@ class Case:
         if design.stated:
             more["sigma"] = SIGMA
         data = cf.Measurements.from_arrays(robot, np.repeat(readings, each, axis=0), position.reshape(-1, 3), **more)
-        return Case(model, truth, log_noise, data)
+        return Case(build(robot, EFFECTS, data.given), truth, log_noise, data)
 
-    def fitted(self, effects: tuple[str, ...] = EFFECTS) -> cf.Fit:
+    def fitted(self) -> cf.Fit:
         """Identify it."""
-        return cf.identify(self.model.robot, self.data, effects, starts=1)
+        return cf.identify(self.model.robot, self.data, EFFECTS, starts=1)
 
 
 def packed(model: Model, readings: np.ndarray, marker: str) -> np.ndarray:
@@ -124,10 +129,11 @@ class Told:
 
 def told(case: Case, design: Design, rng: np.random.Generator) -> Told:
     """Calibrate a case, sample it, and hold what is said against the truth."""
-    fit = case.fitted(design.effects)
+    fit = case.fitted()
+    known, length = fit.identification.known, ChainLength(max_steps=STEPS, block=STEPS)
     seed = int(rng.integers(2**31))
-    posterior = cf.sample(fit.model, case.data, max_steps=STEPS, block=STEPS, seed=seed)
-    known, sampled = fit.identification.known, posterior.sampled
+    with TemporaryDirectory() as folder:
+        sampled = sample(known, fit.identification.data, Path(folder, "chain.h5"), length, rng=draws(seed))
     chosen = sampled.values.reshape(-1, len(case.truth) + 1)
     chosen = chosen[rng.choice(len(chosen), DRAWS, replace=False)]
     values, truth, names = [chosen[:, :-1]], [case.truth], [p.name for p in case.model.parameters]
@@ -139,7 +145,7 @@ def told(case: Case, design: Design, rng: np.random.Generator) -> Told:
     first = further.only(further.table["marker"].to_numpy() == "E")
     for k in range(min(2, len(first))):
         rows = first.rows[:, k : k + 1]
-        values.append(np.array([case.model.point(draw, rows)[0] for draw in chosen[:, :-1]]))
+        values.append(np.array([case.model.point(one, rows)[0] for one in chosen[:, :-1]]))
         truth.append(case.model.point(case.truth, rows)[0])
         names += [f"further pose {k + 1} {axis}" for axis in AXES]
     ranks = rank(np.hstack(values), np.concatenate(truth))

@@ -19,8 +19,14 @@ def position_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
     """
     jacobian = known.model.point_jacobian(known.estimate, rows)
     of_choice = choice_variance(known.alternatives, known.model, known.estimate, rows)
-    left = known.field.variance(readings(known, rows))[:, None] if known.field else unexplained(known) ** 2
-    return np.asarray(_of_parameters(jacobian, known.covariance) + of_choice + left)
+    return np.asarray(of_parameters(jacobian, known.covariance) + of_choice + left_variance(known, rows))
+
+
+def left_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
+    """Return the variance of what positions err by beside parameters and choice of model, alike along all axes (n_rows, 1) [m²]."""
+    if known.field:
+        return np.asarray(known.field.variance(readings(known, rows))[:, None])
+    return np.full((rows.shape[1], 1), unexplained(known) ** 2)
 
 
 def expected_point(known: Identified, rows: np.ndarray) -> np.ndarray:
@@ -44,7 +50,7 @@ def rotation_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
     What no measurement told of is as sure as its prior says (see `untold_turns`).
     """
     jacobian = known.model.rotation_jacobian(known.estimate, rows)
-    return _of_parameters(jacobian, known.covariance) + known.rotation_discrepancy**2
+    return of_parameters(jacobian, known.covariance) + known.rotation_discrepancy**2
 
 
 def untold_turns(known: Identified, rows: np.ndarray) -> np.ndarray:
@@ -67,6 +73,6 @@ def unexplained(known: Identified) -> float:
     return float(np.hypot(left, known.elsewhere))
 
 
-def _of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Variance (n_rows, 3) of what depends on the parameters by a Jacobian (n_rows, 3, n_parameters)."""
+def of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the variance (n_rows, 3) of what depends on the parameters by a Jacobian (n_rows, 3, n_parameters)."""
     return np.asarray(np.einsum("nai,ij,naj->na", jacobian, covariance, jacobian, optimize=True))

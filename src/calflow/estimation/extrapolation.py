@@ -21,3 +21,10 @@ def extrapolation(data: Measurements) -> tuple[Extrapolation, ...]:
     return tuple(
         Extrapolation(joint=int(i) + 1, rows=int(beyond[:, i].sum())) for i in np.flatnonzero(beyond.any(axis=0))
     )
+
+
+def beyond(readings: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Return which joint readings (n_rows, n_joints) lie outside those measured (n_measured, n_joints) by a tenth of the range."""
+    low, high = measured.min(axis=0), measured.max(axis=0)
+    margin = BEYOND * (high - low)
+    return np.asarray((readings < low - margin) | (readings > high + margin))

@@ -22,6 +22,7 @@ from calflow.measurements.acceptance import Acceptance
 from calflow.stages import STAGES
 from calflow.stages.cell_settings import BoxSettings, CellSettings, CylinderSettings, StationSettings
 from calflow.stages.select_settings import SelectSettings, TaskSettings
+from calflow.stages.task_settings import WorkSettings
 
 KINDS = {str: "text", int: "integer", float: "number", bool: "true or false"}
 ANSWERS: Mapping[str, type] = {  # the tables that commands other than run write
@@ -56,6 +57,7 @@ def renewed(text: str) -> str:
         "stations": keys("[[stages.select.cell.stations]]", StationSettings),
         "boxes": keys("[[stages.select.cell.boxes]]", BoxSettings),
         "cylinders": keys("[[stages.select.cell.cylinders]]", CylinderSettings),
+        "work": keys("[stages.sample.task]", WorkSettings),
         "tables": contents(),
     }
     for name, written in kept.items():

@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import pandas as pd
 from pydantic import Field
 
-from calflow.estimation.calibrated import calibrated, with_maps_held
+from calflow.deployment.needed_conditions import NeededCondition
+from calflow.deployment.orientation import not_known
+from calflow.deployment.prediction import as_told, beyond_limits
+from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
+from calflow.estimation.fit_summary import IdentifySummary
 from calflow.faults import corrected
 from calflow.files.documents import to_document
 from calflow.files.problems import Problem, refuse
@@ -21,8 +28,11 @@ from calflow.sampling.posterior_tables import (
     posterior_table,
     predictive_table,
 )
-from calflow.sampling.sample import ChainLength, sample, too_few_walkers
+from calflow.sampling.sample import ChainLength, Sampled, sample, too_few_walkers
+from calflow.sampling.task_error import task_error
+from calflow.sampling.task_tables import TaskPoint, TaskSummary, task_summary, task_table
 from calflow.stages.stage import Context, Stage
+from calflow.stages.task_settings import WorkSettings
 from calflow.study import Study
 
 
@@ -35,6 +45,7 @@ class SampleSettings(FileModel):
     max_steps: int = Field(default=2000, ge=50)
     ess: int = Field(default=4000, ge=100)
     independent: float = Field(default=0.8, ge=0, le=1)
+    task: WorkSettings | None = Field(default=None, description="a table: where the robot works")
 
 
 def run(context: Context) -> Results:
@@ -42,7 +53,7 @@ def run(context: Context) -> Results:
     study = context.study
     data = corrected(study.measurements(), context.tables["identify/faults.csv"])
     known = calibrated(study.robot, context.results, data.given)
-    length = ChainLength(**context.settings.model_dump())
+    length = ChainLength(**context.settings.model_dump(exclude={"task"}))
     if wrong := too_few_walkers(length.walkers, len(with_maps_held(known)[0].model.parameters) + 1):
         raise refuse(wrong, study.path, key="stages.sample.walkers")
     path = context.folder / "sample" / "chain.h5"
@@ -55,13 +66,44 @@ def run(context: Context) -> Results:
         "sample/models.csv": models_table(sampled.models),
         "sample/cause_probabilities.csv": cause_table(sampled.models),
     }
-    return Results(tables, {"sample/summary.json": to_document(chain_summary(sampled, table))})
+    documents = {"sample/summary.json": to_document(chain_summary(sampled, table))}
+    if context.settings.task is not None:
+        points, summary = _task(context, context.settings.task, known, sampled)
+        tables["sample/task.csv"], documents["sample/task_summary.json"] = points, to_document(summary)
+    return Results(tables, documents)
+
+
+def _task(
+    context: Context, settings: WorkSettings, known: Identified, sampled: Sampled
+) -> tuple[pd.DataFrame, TaskSummary]:
+    """Say how accurate the robot is where it works."""
+    asked, results = settings.asked(context.study), context.results
+    measured = sampled.data.only(sampled.data.train)
+    time_origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
+    task = settings.points(context.study, known.model, measured, time_origin, context.rng("task")).on(known.model.robot)
+    stage = "diagnose" if "diagnose/effects.csv" in results else "identify"
+    needed = results.rows(f"{stage}/needed_conditions.csv", NeededCondition)
+    told = as_told(known, needed, task, "widen")
+    found = task_error(sampled, told.known, told.data.rows, context.rng("task errors"), told.widened)
+    table = task_table(told.known, told.data, measured, found, asked)
+    notes = (*told.notes, *not_known(told.known, told.data.rows), *beyond_limits(task))
+    return table, task_summary(table, found, asked, notes)
+
+
+def _files(study: Study, settings: SampleSettings) -> tuple[Path, ...]:
+    """The file of the task's poses."""
+    named = settings.task.poses if settings.task else ""
+    return (study.path.parent / named,) if named else ()
 
 
 def problems(study: Study, settings: SampleSettings, data: Measurements | None) -> list[Problem]:
     """Find fewer walkers than the study's own effects need; causes that are found may need more."""
     message = too_few_walkers(settings.walkers, len(build(study.robot, study.file.effects).parameters) + 1)
-    return [study.setting_problem("sample", message, "walkers")] if message else []
+    told = settings.task.wrong(study.robot) if settings.task else ()
+    return [
+        *([study.setting_problem("sample", message, "walkers")] if message else []),
+        *(study.setting_problem("sample", wrong, "task", key) for wrong, key in told),
+    ]
 
 
 STAGE = Stage(
@@ -77,7 +119,9 @@ STAGE = Stage(
         "sample/predictive.csv": PredictedError,
         "sample/models.csv": ModelRow,
         "sample/cause_probabilities.csv": CauseProbability,
+        "sample/task.csv": TaskPoint,
     },
-    documents={"sample/summary.json": ChainSummary},
+    documents={"sample/summary.json": ChainSummary, "sample/task_summary.json": TaskSummary},
     problems=problems,
+    reads=_files,
 )

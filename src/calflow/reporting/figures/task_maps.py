@@ -1,0 +1,66 @@
+"""Figures of the task: how far off the tool may be, where in space and along a path."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+
+from calflow.reporting.style import ACCENT, DARK, MIDDLE, crowded, figure
+
+VIEWS = (((0, 1), "from above"), ((0, 2), "from the side"), ((1, 2), "from the front"))
+CELLS = 14  # across a map
+DENSE = 150  # points from which a map has cells in the place of dots
+
+
+def task_map(place: np.ndarray, radius: np.ndarray, groups: Sequence[tuple[str, np.ndarray]]) -> Figure:
+    """Draw the radius (n_points,) [mm] over places (n_points, 3) [m] from three sides; the darker, the larger.
+
+    groups are payloads and which points (n_points,) are under them, a line of maps each. Where points are many, a cell shows the
+    largest radius of those that lie behind each other in it.
+    """
+    dark = ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(0.1, 1, 256)))
+    norm = Normalize(radius.min(), radius.max() if np.ptp(radius) > 0 else radius.min() + 1e-6)
+    drawn = figure(2.1 * len(groups) + 0.3)
+    grid = drawn.subplots(len(groups), len(VIEWS), squeeze=False)
+    for line, (name, own) in zip(grid, groups, strict=True):
+        for axes, ((i, j), title) in zip(line, VIEWS, strict=True):
+            _seen(axes, place[own][:, [i, j]], radius[own], dark, norm)
+            axes.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=f"{name}, {title}" if name else title)
+            axes.set_aspect("equal", adjustable="datalim")
+    drawn.colorbar(ScalarMappable(norm, dark), ax=grid, shrink=0.8, aspect=30, label="95 % radius [mm]")
+    return drawn
+
+
+def _seen(axes: Axes, place: np.ndarray, radius: np.ndarray, colours: ListedColormap, norm: Normalize) -> None:
+    if len(place) >= DENSE:
+        x, y = place.T
+        axes.hexbin(x, y, radius, reduce_C_function=np.max, gridsize=CELLS, cmap=colours, norm=norm, linewidths=0.2)
+    else:
+        size = 3 * crowded(len(place))
+        axes.scatter(place[:, 0], place[:, 1], size, radius, cmap=colours, norm=norm, linewidths=0)
+
+
+def along(parts: Sequence[tuple[str, np.ndarray, np.ndarray, float | None]], label: str) -> Figure:
+    """Draw what is expected and the 95 % limit (n_points,) in the order of the points, below each other.
+
+    parts have an axis' words, both, and the tolerance in the same unit, None where none is asked.
+    """
+    drawn = figure(1.9 * len(parts) + 0.2)
+    grid = drawn.subplots(len(parts), 1, squeeze=False, sharex=True)[:, 0]
+    for axes, (words, expected, limit, tolerance) in zip(grid, parts, strict=True):
+        number = np.arange(1, len(limit) + 1)
+        axes.fill_between(number, 0, limit, color=DARK, alpha=0.12, linewidth=0)
+        axes.plot(number, limit, color=DARK, label="below this with 95 % probability")
+        axes.plot(number, expected, color=MIDDLE, linestyle="-.", label="expected")
+        if tolerance is not None:
+            axes.axhline(tolerance, color=ACCENT, linestyle="--", label="tolerance")
+        axes.set(ylabel=words, xlim=(1, max(2, len(limit))), ylim=(0, None))
+    grid[-1].set_xlabel(label)
+    drawn.legend(*grid[0].get_legend_handles_labels(), loc="outside upper left", ncols=3)
+    return drawn

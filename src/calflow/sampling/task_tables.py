@@ -1,0 +1,135 @@
+"""What is told of a task: a row a point, and a summary."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from calflow.estimation.calibrated import Identified
+from calflow.estimation.certainty import expected_point
+from calflow.estimation.extrapolation import beyond
+from calflow.files.tables import column, to_frame
+from calflow.measurements.measurements import Measurements
+from calflow.sampling.task_error import TaskError
+
+LIKELY = 0.95  # probability from which a point counts as within
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskPoint:
+    """A point of the task: where the calibrated robot says its tool is, and how far off it may be."""
+
+    point: str = column("as in the task's file; else a number")
+    payload: str = column("what the robot carries")
+    marker: str = column("whose position it is")
+    x_mm: float = column("where the model says it is, in the measuring frame", "mm")
+    y_mm: float = column("the same along y", "mm")
+    z_mm: float = column("the same along z", "mm")
+    nominal_mm: float = column("how far from there the nominal robot says it is: the error without calibration", "mm")
+    expected_mm: float = column("mean length of the error that is left", "mm")
+    sd_x_mm: float = column("root mean square of that error along the measuring frame's x", "mm")
+    sd_y_mm: float = column("the same along y", "mm")
+    sd_z_mm: float = column("the same along z", "mm")
+    radius95_mm: float = column("length below which the error is with 95 % probability", "mm")
+    turn_mrad: float = column("mean angle by which the tool is turned otherwise than the model says", "mrad")
+    sd_turn_x_mrad: float = column("root mean square of that turn about the tool's own x", "mrad")
+    sd_turn_y_mrad: float = column("the same about y", "mrad")
+    sd_turn_z_mrad: float = column("the same about z", "mrad")
+    turn95_mrad: float = column("angle below which it is with 95 % probability", "mrad")
+    within: float = column("probability that the point meets the tolerances; empty: none was asked")
+    beyond: str = column("what of it is not like anything that was measured: joints, payload; empty: nothing")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskSummary:
+    """How accurate the robot is where it works."""
+
+    points: int = column("of the task, under all its payloads")
+    in_order: bool = column("whether they are a path, in the order of their rows")
+    tolerance_mm: float | None = column("asked of the position; null: none", "mm")
+    turn_tolerance_mrad: float | None = column("asked of the orientation; null: none", "mrad")
+    nominal_mm: float = column("mean error of the nominal robot", "mm")
+    expected_mm: float = column("mean error that is left", "mm")
+    worst_radius95_mm: float = column("the largest of the points' 95 % radii", "mm")
+    worst_turn95_mrad: float = column("the largest of the points' 95 % angles", "mrad")
+    likely_points: int | None = column(
+        "points that meet the tolerances with at least 95 % probability; null: none asked"
+    )
+    least_within: float | None = column("the least probability of a point; null: none asked")
+    all_within: float | None = column(
+        "probability that all points meet the tolerances, where what the model lacks differs from pose to pose; null: none asked"
+    )
+    all_within_alike: float | None = column(
+        "the same where what the model lacks is one error at all poses: the truth is between the two; null: none asked"
+    )
+    beyond_measured: int = column("points that are not like anything that was measured")
+    notes: tuple[str, ...] = column("what has to be known to read all this", default=())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """What is asked of a task [m, rad], None for nothing, and whether its points are a path."""
+
+    tolerance: float | None = None
+    turn_tolerance: float | None = None
+    in_order: bool = False
+
+    @property
+    def anything(self) -> bool:
+        """Whether there is a tolerance."""
+        return self.tolerance is not None or self.turn_tolerance is not None
+
+
+def task_table(
+    known: Identified, task: Measurements, measured: Measurements, found: TaskError, asked: Asked
+) -> pd.DataFrame:
+    """Return a row a point of the task; measured are the rows that were fitted."""
+    place = expected_point(known, task.rows)
+    nominal = known.model.point(known.model.nominal, task.rows)
+    within = found.within(asked.tolerance, asked.turn_tolerance).mean(axis=0)
+    position, turn, table = found.position, found.turn, task.table
+    strange = _strange(task, measured)
+    rows = [
+        TaskPoint(
+            point=str(table["pose"].iloc[k]), payload=str(table["payload"].iloc[k]), marker=str(table["marker"].iloc[k]),
+            x_mm=1e3 * place[k, 0], y_mm=1e3 * place[k, 1], z_mm=1e3 * place[k, 2],
+            nominal_mm=1e3 * float(np.linalg.norm(nominal[k] - place[k])),
+            expected_mm=1e3 * position.expected[k], sd_x_mm=1e3 * position.sd[k, 0], sd_y_mm=1e3 * position.sd[k, 1],
+            sd_z_mm=1e3 * position.sd[k, 2], radius95_mm=1e3 * position.radius[k],
+            turn_mrad=1e3 * turn.expected[k], sd_turn_x_mrad=1e3 * turn.sd[k, 0], sd_turn_y_mrad=1e3 * turn.sd[k, 1],
+            sd_turn_z_mrad=1e3 * turn.sd[k, 2], turn95_mrad=1e3 * turn.radius[k],
+            within=float(within[k]) if asked.anything else float("nan"), beyond=strange[k],
+        )
+        for k in range(len(task))
+    ]  # fmt: skip
+    return to_frame(rows, TaskPoint)
+
+
+def task_summary(table: pd.DataFrame, found: TaskError, asked: Asked, notes: tuple[str, ...]) -> TaskSummary:
+    """Say how accurate the robot is over the whole task."""
+    together = [
+        float(found.within(asked.tolerance, asked.turn_tolerance, alike).all(axis=1).mean()) if asked.anything else None
+        for alike in (False, True)
+    ]
+    return TaskSummary(
+        points=len(table), in_order=asked.in_order,
+        tolerance_mm=None if asked.tolerance is None else 1e3 * asked.tolerance,
+        turn_tolerance_mrad=None if asked.turn_tolerance is None else 1e3 * asked.turn_tolerance,
+        nominal_mm=table["nominal_mm"].mean(), expected_mm=table["expected_mm"].mean(),
+        worst_radius95_mm=table["radius95_mm"].max(), worst_turn95_mrad=table["turn95_mrad"].max(),
+        likely_points=int((table["within"] >= LIKELY).sum()) if asked.anything else None,
+        least_within=float(table["within"].min()) if asked.anything else None,
+        all_within=together[0], all_within_alike=together[1],
+        beyond_measured=int((table["beyond"] != "").sum()), notes=notes,
+    )  # fmt: skip
+
+
+def _strange(task: Measurements, measured: Measurements) -> list[str]:
+    """Say of each point what of it was not measured: joints beyond their readings, and a payload that was not carried."""
+    outside = beyond(task.joints, measured.joints)
+    carried = set(measured.table["payload"])
+    joints = [", ".join(f"joint {i + 1}" for i in np.flatnonzero(row)) for row in outside]
+    loads = ["" if payload in carried else f"payload {payload or 'none'}" for payload in task.table["payload"]]
+    return ["; ".join(filter(None, pair)) for pair in zip(joints, loads, strict=True)]
