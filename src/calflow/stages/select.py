@@ -31,7 +31,16 @@ from calflow.files.tables import to_frame
 from calflow.model import Model, build
 from calflow.robot.parts import Base
 from calflow.stages.select_settings import SelectSettings
-from calflow.stages.select_study import by_sides, from_outside, measured_rows, named_files, observed, problems, task_of
+from calflow.stages.select_study import (
+    SIDES,
+    by_sides,
+    from_outside,
+    measured_rows,
+    named_files,
+    observed,
+    problems,
+    task_of,
+)
 from calflow.stages.stage import Context, Stage
 
 SAID = 5  # gaps in words
@@ -76,9 +85,8 @@ def _isolability(context: Context, model: Model, planned: Planned, chosen: Selec
     """Say what the poses can tell apart, with and without what could be added to them."""
     study, settings, n = context.study, context.settings, len(chosen.readings)
     marker = settings.marker or next(iter(model.robot.markers))
-    visits = Visits(
-        model.robot, chosen.readings, (settings.payload,) * n, (marker,), frozenset(settings.records), chosen.vias
-    )
+    records = frozenset(settings.records) | (frozenset() if chosen.vias is None else SIDES)
+    visits = Visits(model.robot, chosen.readings, (settings.payload,) * n, (marker,), records, chosen.vias)
     more, _ = candidates(
         model, n, settings.payload, marker, settings.region, context.rng("further poses"), planned.observation
     )

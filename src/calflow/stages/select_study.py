@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calflow.design.isolability.visits import Record
 from calflow.design.stated_poses import stated_poses
 from calflow.design.task import Task
 from calflow.effects import catalogue
@@ -21,7 +22,7 @@ from calflow.observations.position import Position
 from calflow.stages.select_settings import SelectSettings
 from calflow.study import Study
 
-SIDES = ("approach", "travel")  # what vias make known
+SIDES: frozenset[Record] = frozenset({"approach", "travel"})  # what vias make known
 
 
 def problems(study: Study, settings: SelectSettings, data: Measurements | None) -> list[Problem]:
@@ -53,7 +54,7 @@ def _untold(study: Study, settings: SelectSettings) -> Iterator[str]:
     """Say which suspected causes poses alone cannot tell of."""
     for effect in settings.also_effects:
         kind = catalogue()[effect]
-        if lacking := unmet(kind.needs, study.robot, SIDES):
+        if lacking := unmet(kind.needs, study.robot, tuple(SIDES)):
             yield f"poses cannot be chosen for '{effect}', which needs {lacking[0]}"
         elif not kind(study.robot).declared:
             yield f"'{effect}' has no parameters before there are measurements, so poses cannot be chosen for it"
@@ -108,7 +109,7 @@ def observed(study: Study, settings: SelectSettings) -> Observation:
 
 def by_sides(effects: Sequence[str]) -> list[str]:
     """Return those of these effects that show by the side from which joints come, and not by where the poses are."""
-    return [effect for effect in effects if set(SIDES) & set(catalogue()[effect].needs)]
+    return [effect for effect in effects if SIDES & set(catalogue()[effect].needs)]
 
 
 def _unplaced(study: Study, settings: SelectSettings) -> Problem | None:

@@ -114,7 +114,9 @@ def _gaps(results: Results) -> list[Item]:
     table = results.tables[ISOLABILITY]
     gaps = isolability_gaps(table)
     left = int(table["worst"].sum()) - len(gaps[:GAPS])
-    more: list[Item] = [f"{plural(left, 'further gap')}, and what fills each, in {ISOLABILITY}."] if left else []
+    more: list[Item] = (
+        [f"{plural(left, 'further gap')} in {ISOLABILITY}, some of which nothing tried fills."] if left else []
+    )
     return [*(f"{first_up(words)}." for words in (isolability_summary(table), *gaps[:GAPS])), *more]
 
 
