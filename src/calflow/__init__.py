@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from calflow.runs.export import export_run
     from calflow.runs.filter import filter_program
     from calflow.runs.history import history
+    from calflow.runs.next_poses import NextStep, next_poses
     from calflow.runs.pack import pack
     from calflow.runs.predict import predict
     from calflow.runs.reproduce import Reproduction, reproduce
@@ -48,9 +49,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Base", "Comparison", "Compensation", "Coupling", "Diagnosis", "Drift", "Expected", "Fit", "FourBar", "Frame",
-    "History", "InputError", "Joint", "Marker", "Measurements", "Model", "Payload", "Posterior", "Prediction",
+    "History", "InputError", "Joint", "Marker", "Measurements", "Model", "NextStep", "Payload", "Posterior", "Prediction",
     "Reproduction", "Robot", "Run", "Study", "Validation", "choose_check_poses", "compare", "compensate", "dh",
-    "diagnose", "drift", "export_run", "filter_program", "history", "identify", "load_study", "modified_dh", "pack",
+    "diagnose", "drift", "export_run", "filter_program", "history", "identify", "load_study", "modified_dh", "next_poses", "pack",
     "predict", "report", "reproduce", "run", "sample", "simulate", "validate",
 ]  # fmt: skip
 
@@ -78,6 +79,7 @@ _HOMES = {
     "runs.compare": ("compare",),
     "runs.drift": ("drift",),
     "runs.history": ("history",),
+    "runs.next_poses": ("NextStep", "next_poses"),
     "runs.pack": ("pack",),
     "runs.predict": ("predict",),
     "runs.reproduce": ("Reproduction", "reproduce"),

@@ -48,6 +48,7 @@ def test_it_begins_without_measurements_and_goes_on_until_there_is_a_verdict(sma
     first = in_process("next", small.path, "--number", 7, "--out", small / "first")
     assert first.code == 4, first
     assert first.out.startswith("nothing measured yet")
+    assert "measurements.csv is not there yet" in first.out
     poses = pd.read_csv(small / "first" / "poses.csv")
     assert list(poses["pose"]) == list(range(1, 8))
     assert set(poses["payload"]) == {"heavy"}
@@ -121,7 +122,7 @@ def test_interrupted_it_leaves_nothing(small, monkeypatch):
     ("edit", "options", "said"),
     [
         ("", ("--number", 0), "expected 1 pose or more, found 0"),
-        ("", ("--probability", 1), "expected a probability from 0.5 to 1, found 1"),
+        ("", ("--probability", 1), "expected a probability of at least 0.5 and below 1, found 1"),
         ("", ("--tolerance-mm", -1), "expected a tolerance above 0, found -1"),
         ("", ("--rows", "nowhere.csv"), "no such file"),
         ('payload = "havy"\n', (), "unknown payload 'havy'"),

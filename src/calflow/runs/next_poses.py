@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -91,7 +92,7 @@ def next_poses(
     if number < 1:
         raise refuse(f"expected 1 pose or more, found {number}", key="number")
     if not 0.5 <= confidence < 1:
-        raise refuse(f"expected a probability from 0.5 to 1, found {confidence:g}", key="confidence")
+        raise refuse(f"expected a probability of at least 0.5 and below 1, found {confidence:g}", key="confidence")
     if tolerance is not None and not tolerance > 0:
         raise refuse(f"expected a tolerance above 0, found {1e3 * tolerance:g} mm", key="tolerance")
     settings = study.validated_settings("select", SelectSettings)
@@ -99,13 +100,14 @@ def next_poses(
     if wrong := problems(study, settings, None):
         raise InputError(wrong)
     asked = _Asked(study, settings, number, tolerance or settings.tolerance, confidence, say)
-    data = _measured(study)
-    if data is None:
-        return asked.begun(None)
+    unwritten = _unwritten(study)
+    if unwritten or not study.file.sources:
+        return asked.begun(None, tuple(f"{path} is not there yet" for path in unwritten))
+    data = study.measurements()
     train = data.only(data.train)
     model = stated(study.robot, study.file.effects, train, observations(train))
     if said := too_few_equations(model, train):
-        return asked.begun(data, said)
+        return asked.begun(data, (said,))
     return asked.judged(data)
 
 
@@ -141,7 +143,7 @@ class _Asked:
         told = task_of(self.study, settings, model, rng)
         return told or Task.within(model, (settings.payload,), self.marker, settings.region, TASK_POSES, rng)
 
-    def begun(self, data: Measurements | None, said: str = "") -> NextStep:
+    def begun(self, data: Measurements | None, notes: tuple[str, ...]) -> NextStep:
         """Propose poses to begin with, or to go on with where there are too few to identify anything."""
         study, settings = self.study, self.settings
         effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))
@@ -161,7 +163,7 @@ class _Asked:
             status=status, poses=0 if data is None else data.table["pose"].nunique(),
             fitted_poses=0 if data is None else data.table.loc[data.train, "pose"].nunique(),
             measure=self.measure, confidence=self.confidence, tolerance_mm=_mm(self.tolerance),
-            notes=(said,) if said else (),
+            notes=notes,
         )  # fmt: skip
         return NextStep(verdict, _numbered(chosen.poses.assign(reason=reason), data))
 
@@ -264,20 +266,16 @@ class _Asked:
         return table.assign(reason=[one.reason for one in ordered])
 
 
-def _measured(study: Study) -> Measurements | None:
-    """The rows measured so far; None where the study names none, or its files are still to be written."""
-    own = [study.path.parent / source.file for source in study.file.sources]
-    unwritten = [
-        path for path, source in zip(own, study.file.sources, strict=True) if not source.url and not path.exists()
+def _unwritten(study: Study) -> list[Path]:
+    """The study's measurement files that nobody has written yet, where no rows measured since stand for them."""
+    sources = study.file.sources if not study.further else ()
+    data = os.environ.get("CALFLOW_DATA")
+    places = [study.path.parent, *([Path(data)] if data else [])]
+    return [
+        study.path.parent / one.file
+        for one in sources
+        if not one.url and not any(os.path.lexists(place / one.file) for place in places)
     ]
-    if not study.file.sources:
-        return None
-    if unwritten and not study.further:
-        try:
-            _ = study.measurement_paths
-        except InputError:
-            return None
-    return study.measurements()
 
 
 def _suspects(found: Diagnosis, lacks: Lacks) -> tuple[Suspect, ...]:
