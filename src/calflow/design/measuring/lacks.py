@@ -8,6 +8,7 @@ model.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -163,10 +164,10 @@ def _weighed(seen: Screening[Cause], kind: Kind, forms: Sequence[Form]) -> Itera
             yield Lack(nothing, float(size), _alone(seen, float(size)) - np.log(len(TIMES_NOISE)))
     else:
         own = [form for form in forms if form.kind == kind]
-        names = [form.name for form in own]
+        names = Counter(form.name for form in own)
         sizes = TIMES_USUAL if kind == "cause" else TIMES_NOISE
         for form in own:
-            prior = -np.log(len(set(names)) * names.count(form.name) * len(sizes))
+            prior = -np.log(len(names) * names[form.name] * len(sizes))
             for size, log_likelihood in zip(sizes, _likelihoods(seen, form, sizes), strict=True):
                 yield Lack(form, float(size), float(log_likelihood) + prior)
 
