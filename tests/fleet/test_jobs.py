@@ -6,12 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from calflow.fleet.fleet import load_fleet
-from calflow.fleet.fleet_folder import FleetFolder
 from calflow.fleet.fleet_lines import fleet_lines
 from calflow.fleet.jobs import MOST, jobs, size_for
 from calflow.fleet.outcome import Outcome, read_outcome, worst_first, write_outcome
-from calflow.fleet.standing import forget_stale
 
 
 @pytest.mark.parametrize("robots", [1, 2, 3, 20, 99, 200, 201, 300, 1000])
@@ -54,17 +51,3 @@ def test_an_outcome_reads_back_as_it_was(tmp_path):
     write_outcome(tmp_path / "a.json", told)
     assert read_outcome(tmp_path / "a.json") == told
     assert read_outcome(tmp_path / "b.json") is None
-
-
-@pytest.mark.parametrize("text", ["{", '{"robot": "a"}'])
-def test_an_outcome_of_another_version_is_no_reason_to_stop(plant, text):
-    """Fails if a fleet cannot be run any more after calflow was renewed."""
-    fleet, folder = load_fleet(plant.file), FleetFolder(plant.out)
-    for robot in fleet.robots:
-        write_outcome(folder.outcome(robot.name), outcome(robot.name))
-        folder.run(robot.name).mkdir(parents=True)
-        (folder.run(robot.name) / "manifest.json").touch()
-    folder.outcome("A-1").write_text(text, encoding="utf-8")
-    (folder.run("B-2") / "manifest.json").unlink()
-    forget_stale(fleet, folder)
-    assert [folder.outcome(robot.name).exists() for robot in fleet.robots] == [False, False, True]

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from calflow.diagnosis.findings.tables import FindingRow
 from calflow.estimation.calibrated import Identified
 from calflow.files.results import Results
-from calflow.fleet.fleet import Fleet
+from calflow.fleet.fleet import FleetRobot
 from calflow.fleet.fleet_folder import FleetFolder
-from calflow.fleet.outcome import read_outcome
 from calflow.population.common_causes import Shown
 from calflow.runs.calibrated_run import CalibratedRun
 
@@ -27,17 +26,14 @@ class Collected:
     causes: tuple[Shown, ...]
 
 
-def collected(fleet: Fleet, folder: FleetFolder) -> Iterator[Collected]:
-    """Yield what was found of each robot that is calibrated, in the order of their names.
+def collected(robot: FleetRobot, folder: FleetFolder) -> Collected:
+    """Return what was found of a robot that is calibrated.
 
     Raises:
-        InputError: a run folder was changed since.
+        InputError: its run folder was changed since.
     """
-    for robot in fleet.robots:
-        outcome = read_outcome(folder.outcome(robot.name))
-        if outcome and outcome.status == "calibrated":
-            run = CalibratedRun.of(folder.run(robot.name))
-            yield Collected(robot.name, robot.type.name, run.known(()), tuple(_causes(run.results)))
+    run = CalibratedRun.of(folder.run(robot.name))
+    return Collected(robot.name, robot.type.name, run.known(()), tuple(_causes(run.results)))
 
 
 def _causes(results: Results) -> Iterator[Shown]:

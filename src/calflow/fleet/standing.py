@@ -11,6 +11,7 @@ from calflow.fleet.fleet import Fleet, FleetRobot
 from calflow.fleet.fleet_folder import FleetFolder
 from calflow.fleet.outcome import Outcome, read_outcome
 from calflow.runs.manifest import NAME, read_manifest
+from calflow.runs.reasons import damage
 
 LOOK = 0.5  # s between looks for outcomes
 
@@ -40,7 +41,7 @@ def outcomes(fleet: Fleet, folder: FleetFolder) -> list[Outcome]:
 
 
 def forget_stale(fleet: Fleet, folder: FleetFolder) -> None:
-    """Delete the outcomes that are no reason not to try a robot anew: it failed, its run is gone, another version wrote them."""
+    """Delete the outcomes of robots to be tried anew: those that failed, whose run was changed, or of another version's form."""
     for robot in fleet.robots:
         if not _holds(robot, folder):
             folder.outcome(robot.name).unlink(missing_ok=True)
@@ -51,7 +52,16 @@ def _holds(robot: FleetRobot, folder: FleetFolder) -> bool:
         found = read_outcome(folder.outcome(robot.name))
     except InputError:
         return False
-    return found is not None and found.status == "calibrated" and (folder.run(robot.name) / NAME).is_file()
+    return found is not None and found.status == "calibrated" and _is_whole(folder.run(robot.name))
+
+
+def _is_whole(run: Path) -> bool:
+    """Whether a run folder is as its stages left it."""
+    try:
+        manifest = read_manifest(run)
+    except InputError:
+        return False
+    return manifest is not None and not any(damage(entry, run) for entry in manifest.stages.values())
 
 
 def arriving(fleet: Fleet, folder: FleetFolder, ended: Callable[[], bool]) -> Iterator[Outcome]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from calflow.files.problems import InputError
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
 from calflow.files.writing import write_whole
-from calflow.fleet.collected import collected
+from calflow.fleet.collected import Collected, collected
 from calflow.fleet.fleet import Fleet
 from calflow.fleet.fleet_folder import CAUSES, TABLE, TYPES, UNLIKE, FleetFolder
 from calflow.fleet.outcome import Outcome, worst_first
+from calflow.fleet.reason import reason
 from calflow.fleet.types import CommonCauseRow, TypeParameter, UnlikeRow, by_type
 from calflow.runs.kept import write_results
 
@@ -24,7 +26,8 @@ def write_summary(fleet: Fleet, folder: FleetFolder, found: Sequence[Outcome]) -
     from calflow.reporting.html import writing
     from calflow.reporting.style import style
 
-    types = by_type(collected(fleet, folder))
+    known, found = _known(fleet, folder, found)
+    types = by_type(known)
     tables = {
         TABLE: to_frame(worst_first(found), Outcome),
         TYPES: to_frame([row for one in types for row in one.parameters()], TypeParameter),
@@ -40,3 +43,16 @@ def write_summary(fleet: Fleet, folder: FleetFolder, found: Sequence[Outcome]) -
         page, *more = fleet_report(fleet.title, found, types)
         document.write(fleet.title, [page], folder.path)
         writing.write(fleet.title, [page, *more], folder.path)
+
+
+def _known(fleet: Fleet, folder: FleetFolder, found: Sequence[Outcome]) -> tuple[list[Collected], list[Outcome]]:
+    """What was found of every calibrated robot, and the outcomes: a robot whose run was changed since is none of these any more."""
+    known, told = list[Collected](), list[Outcome]()
+    for one in found:
+        try:
+            if one.status == "calibrated":
+                known.append(collected(fleet.robot(one.robot), folder))
+            told.append(one)
+        except InputError as error:
+            told.append(Outcome(robot=one.robot, type=one.type, status="failed", reason=reason(error)))
+    return known, told
