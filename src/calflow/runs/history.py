@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import combinations, pairwise
 from pathlib import Path
 
@@ -9,6 +11,9 @@ import numpy as np
 
 from calflow.deployment.history import FALSE_ALARM, TABLES, History
 from calflow.deployment.history import history as told_history
+from calflow.estimation.calibrated import Identified
+from calflow.estimation.fit_summary import IdentifySummary
+from calflow.estimation.parameters import FittedParameter
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.runs.calibrated_run import CalibratedRun
 from calflow.runs.compare import measured_files, run_names, same_robot
@@ -50,10 +55,36 @@ def history(*studies_or_runs: str | Path, false_alarm: float = FALSE_ALARM, out:
     if problems:
         raise InputError(problems)
     rng = np.random.default_rng(runs[0].file.seed)
-    found = told_history(names, dates, [run.known(()) for run in runs], false_alarm, rng)
+    found = told_history(names, dates, [_with_what_is_left(run) for run in runs], false_alarm, rng)
+    found = replace(found, notes=(*found.notes, *_doubts(runs, names)))
     if out is not None:
         from calflow.reporting.over_time import history_report
 
         title = runs[-1].file.title or runs[-1].robot.name
         keep(Path(out), found.results, TABLES, title, lambda: history_report(found, title))
     return found
+
+
+def _with_what_is_left(run: CalibratedRun) -> Identified:
+    """A run's model, its covariance as wide as its table says: after diagnose with what may be left in errors that rows share."""
+    known = run.known(())
+    stated = {one.parameter: one.sd for one in run.results.rows(f"{run.stage}/parameters.csv", FittedParameter)}
+    sd = np.array([stated.get(one.name, np.nan) for one in known.model.parameters])
+    own = np.sqrt(np.diag(known.covariance))
+    wider = np.where(sd > own, sd / np.where(own > 0, own, 1.0), 1.0)
+    return replace(known, covariance=known.covariance * np.outer(wider, wider))
+
+
+def _doubts(runs: Sequence[CalibratedRun], names: Sequence[str]) -> Iterator[str]:
+    """Say where what a model lacks may pass for a movement."""
+    summaries = [run.results.document("identify/summary.json", IdentifySummary) for run in runs]
+    doubtful = [
+        name
+        for name, run, one in zip(names, runs, summaries, strict=True)
+        if run.stage != "diagnose" or one.discrepancy_mm > 0
+    ]
+    if doubtful:
+        yield (
+            f"the model of {', '.join(doubtful)} leaves errors beyond the noise, or was not diagnosed: where runs were measured at "
+            "different poses such errors pass for movements; measure the same poses, and run diagnose"
+        )
