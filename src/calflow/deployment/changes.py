@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,8 @@ DRAWS = 20_000  # of calibrations in which nothing moves
 class Change:
     """A parameter (its index) that is not the same in calibrations first to last, and changed most likely after one of them.
 
-    All three count calibrations from 0. p is the chance that any parameter looks so anywhere where none moved.
+    All three count calibrations from 0. p is the chance that any parameter looks so anywhere where none moved; shift is the mean
+    after less the mean before, in these calibrations, and sd its standard deviation.
     """
 
     parameter: int
@@ -24,6 +26,8 @@ class Change:
     after: int
     last: int
     p: float
+    shift: float
+    sd: float
 
 
 def changes(runs: Sequence[Alone], false_alarm: float, rng: np.random.Generator) -> list[Change]:
@@ -45,13 +49,15 @@ def changes(runs: Sequence[Alone], false_alarm: float, rng: np.random.Generator)
     largest = np.zeros(DRAWS)
     shown: dict[tuple[int, int, int], np.ndarray] = {}
     for span in _spans(len(runs)):
-        shown[span] = np.abs(_z(value[:, None], weight, span))[0]
-        largest = np.maximum(largest, np.abs(_z(drawn, weight, span)).max(axis=1))
+        shift, sd = _shift(value, weight, span)
+        shown[span] = np.abs(shift / sd)
+        shift, sd = _shift(drawn, weight[:, None], span)
+        largest = np.maximum(largest, np.abs(shift / sd).max(axis=1))
     largest.sort()
     chance = {span: (1 + DRAWS - np.searchsorted(largest, z, side="left")) / (1 + DRAWS) for span, z in shown.items()}
     names = np.flatnonzero(told)
     return [
-        Change(int(names[j]), *span, p=float(chance[span][j]))
+        Change(int(names[j]), *span, float(chance[span][j]), *_shift(value[:, j], weight[:, j], span))
         for j in range(len(names))
         for span in _narrowest({s: z[j] for s, z in shown.items() if chance[s][j] <= false_alarm}, 0, len(runs) - 1)
     ]
@@ -86,15 +92,12 @@ def _spans(n: int) -> Iterator[tuple[int, int, int]]:
     return ((a, k, b) for a in range(n) for b in range(a + 1, n) for k in range(a, b))
 
 
-def _z(value: np.ndarray, weight: np.ndarray, span: tuple[int, int, int]) -> np.ndarray:
-    """Mean after less mean before, over its standard deviation; value (runs, draws, n), weight (runs, n), result (draws, n)."""
+def _shift(value: np.ndarray, weight: np.ndarray, span: tuple[int, int, int]) -> tuple[Any, Any]:
+    """Mean after less mean before, and its standard deviation, of values (runs, …) with weights that spread over them."""
     a, k, b = span
-    sums = [weight[i:j].sum(axis=0) for i, j in ((a, k + 1), (k + 1, b + 1))]
-    before, after = (
-        np.einsum("rdn,rn->dn", value[i:j], weight[i:j]) / own
-        for (i, j), own in zip(((a, k + 1), (k + 1, b + 1)), sums, strict=True)
-    )
-    return np.asarray((after - before) / np.sqrt(1 / sums[0] + 1 / sums[1]))
+    before, after = slice(a, k + 1), slice(k + 1, b + 1)
+    means = [(value[own] * weight[own]).sum(axis=0) / weight[own].sum(axis=0) for own in (before, after)]
+    return means[1] - means[0], np.sqrt(sum(1 / weight[own].sum(axis=0) for own in (before, after)))
 
 
 def _drawn(run: Alone, rng: np.random.Generator) -> np.ndarray:

@@ -62,7 +62,7 @@ class MovedParameter:
     before: str = column("the first run after")
     surely_after: str = column("a run before it moved, surely")
     surely_before: str = column("a run after, surely; between the two it may have moved little by little")
-    shift: float = column("from all runs since the change before to all until the next one", UNIT, sd="sd")
+    shift: float = column("mean of before to surely_before less that of surely_after to after", UNIT, sd="sd")
     sd: float = column("its standard deviation", UNIT)
     in_sd: float = column("the shift in standard deviations")
     p: float = column("chance that any parameter looks so between any runs where nothing moved")
@@ -147,7 +147,7 @@ def history(
                            told=bool(told[j]))
             for name, own in zip(names, alone, strict=True) for j, one in enumerate(parameters)
         ),
-        tuple(_moved(one, found, level, parameters, names) for one in found),
+        tuple(_moved(one, parameters[one.parameter], names) for one in found),
         tuple(_present(one, level, parameters, names, bool(told[one.parameter])) for one in level if one.last == len(runs) - 1),
         false_alarm,
         tuple(_notes(runs, parameters)),
@@ -184,18 +184,11 @@ def _in_order(
     )  # fmt: skip
 
 
-def _moved(
-    one: Change, found: Sequence[Change], level: Sequence[Level], parameters: Sequence[Parameter], names: Sequence[str]
-) -> MovedParameter:
-    own = [each for each in level if each.parameter == one.parameter]
-    k = [each.after for each in found if each.parameter == one.parameter].index(one.after)
-    before, after = own[k], own[k + 1]
-    parameter = parameters[one.parameter]
-    shift, sd = after.value - before.value, float(np.hypot(before.sd, after.sd))
+def _moved(one: Change, parameter: Parameter, names: Sequence[str]) -> MovedParameter:
     return MovedParameter(
         parameter=parameter.name, effect=parameter.effect, joint=parameter.joint or None, unit=parameter.unit,
         after=names[one.after], before=names[one.after + 1], surely_after=names[one.first], surely_before=names[one.last],
-        shift=shift, sd=sd, in_sd=shift / sd, p=one.p, meaning=parameter.meaning,
+        shift=one.shift, sd=one.sd, in_sd=one.shift / one.sd, p=one.p, meaning=parameter.meaning,
     )  # fmt: skip
 
 
