@@ -30,7 +30,7 @@ from calflow.model import Model, build
 from calflow.reporting.material import latest
 from calflow.robot.robot import Robot
 from calflow.sampling.chain_summary import ChainSummary
-from calflow.sampling.model_tables import CauseProbability, ModelRow
+from calflow.sampling.model_tables import ONLY, CauseProbability, ModelRow
 from calflow.stages.identify import STAGE as IDENTIFY
 from calflow.stages.stage import Context
 from calflow.study import load_study
@@ -357,7 +357,7 @@ def with_sample(given: Context, steps: int = 40) -> Context:
 def _weighed() -> dict[str, pd.DataFrame]:
     """Two models in reach, and their causes, as sample weighs them."""
     models = [
-        ModelRow(model=1, change="found", causes=("joint-backlash",), joints=(1,), parts=("joint1",), details=("",),
+        ModelRow(model=1, change="found", causes=("joint-backlash",), joints=(1,), parts=("joint1",), details=(ONLY,),
                  log_evidence=0.0, error=0.03, log_prior=-3.0, probability=0.7, by_tests=0.9),
         ModelRow(model=2, change="instead", causes=("joint-eccentricity",), joints=(3,), parts=("joint3",), details=("order 2",),
                  log_evidence=-0.8, error=0.04, log_prior=-3.0, probability=0.3, by_tests=0.1),

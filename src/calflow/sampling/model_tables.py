@@ -11,6 +11,8 @@ from calflow.estimation.occam_window import Change
 from calflow.files.tables import column, to_frame
 from calflow.sampling.models import WeighedModels
 
+ONLY = "-"  # instead of the form of a cause that has no other
+
 
 @dataclass(frozen=True, kw_only=True)
 class ModelRow:
@@ -23,7 +25,7 @@ class ModelRow:
     causes: tuple[str, ...] = column("ids of its causes; empty: none")
     joints: tuple[int, ...] = column("the joint or link of each; 0: none")
     parts: tuple[str, ...] = column("the part of the robot that each is a cause of")
-    details: tuple[str, ...] = column("the form of each, in words", separator="; ")
+    details: tuple[str, ...] = column("the form of each, in words; -: it has only one", separator="; ")
     log_evidence: float = column(
         "logarithm of the data's probability under it, over that of what diagnose found; empty: errors are not independent"
     )
@@ -55,7 +57,7 @@ def models_table(weighed: WeighedModels) -> pd.DataFrame:
         ModelRow(
             model=number, change=one.reached.change, causes=tuple(cause.id for cause in one.reached.causes),
             joints=tuple(cause.joint for cause in one.reached.causes), parts=tuple(cause.part for cause in one.reached.causes),
-            details=tuple(cause.detail for cause in one.reached.causes),
+            details=tuple(cause.detail or ONLY for cause in one.reached.causes),
             log_evidence=one.evidence.log - weighed.models[0].evidence.log if weighed.independent else np.nan,
             error=one.evidence.error if weighed.independent else np.nan,
             log_prior=one.reached.log_prior, probability=float(probability), by_tests=float(by_tests),

@@ -81,10 +81,11 @@ def weighed_models(
 
     advance is told the share of work done; exact is the relative error of each evidence that is good enough.
     """
-    found = []
+    found, seed = [], int(rng.integers(2**63))
     for number, reached in enumerate(known.in_reach, start=1):
         posterior = _about_its_fit(problem.on(_with_causes(known, reached.causes)), known)
-        found.append(WeighedModel(reached, posterior.problem.model, evidence(posterior, rng, exact)))
+        same = np.random.default_rng(seed)  # the same draws for all: what errors they have in common does not count
+        found.append(WeighedModel(reached, posterior.problem.model, evidence(posterior, same, exact)))
         advance(number / len(known.in_reach))
     return WeighedModels(tuple(found))
 

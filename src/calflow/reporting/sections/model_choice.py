@@ -11,7 +11,7 @@ from calflow.reporting.findings import place_name
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.words import number, percent
-from calflow.sampling.model_tables import CauseProbability, ModelRow
+from calflow.sampling.model_tables import ONLY, CauseProbability, ModelRow
 
 SHOWN, LEAST = 12, 0.005  # causes and models that are told: those that are likeliest, down to this probability
 FAR = 0.1  # by how much a probability differs from that of diagnose for it to be said
@@ -63,7 +63,7 @@ def _differing(causes: list[CauseProbability]) -> list[Block]:
 
 def _row(row: ModelRow) -> tuple[str, str, str]:
     named = [
-        place_name(cause, joint, part) + (f" ({detail})" if detail else "")
+        place_name(cause, joint, part) + (f" ({detail})" if detail != ONLY else "")
         for cause, joint, part, detail in zip(row.causes, row.joints, row.parts, row.details, strict=True)
     ]
     words = {"found": " (as found)"}.get(row.change, "")
