@@ -61,9 +61,13 @@ def _counted(ranks: np.ndarray, n_draws: int, points: np.ndarray) -> np.ndarray:
 
 
 def shares_within(ranks: np.ndarray, n_draws: int, interval: float) -> np.ndarray:
-    """Return the share of cases whose truth lies in the central interval of its draws, shape (n_quantities,)."""
-    share = (ranks + 0.5) / (n_draws + 1)
-    return np.asarray((np.abs(share - 0.5) < interval / 2).mean(axis=0))
+    """Return the share of cases whose truth lies in the central interval of its draws, shape (n_quantities,).
+
+    A rank that the interval's end cuts counts by its part inside.
+    """
+    low, high = (1 - interval) / 2, (1 + interval) / 2
+    inside = np.minimum((ranks + 1) / (n_draws + 1), high) - np.maximum(ranks / (n_draws + 1), low)
+    return np.asarray(np.clip(inside * (n_draws + 1), 0, 1).mean(axis=0))
 
 
 def table_of(ranks: pd.DataFrame, n_draws: int, rng: np.random.Generator) -> pd.DataFrame:

@@ -92,7 +92,7 @@ def test_what_was_not_measured_is_said(calibrations):
     assert far.any()
     assert all(("joint 1" in said) == is_far for said, is_far in zip(part["beyond"], far, strict=True))
     assert (whole["beyond"] != "").sum() < far.sum()
-    told = task_summary(part, found, asked, ())
+    told = task_summary(known, part, found, asked, ())
     assert told.beyond_measured == (part["beyond"] != "").sum()
     assert told.all_within <= told.least_within + 1e-9
     assert told.all_within <= told.all_within_alike + 0.05

@@ -40,6 +40,13 @@ def answer(task: TaskSummary) -> str | None:
     return sentence + (f" {strange(task)}" if task.beyond_measured else "")
 
 
+def task_lines(results: Results) -> list[str]:
+    """Return the answer where a tolerance is asked of a task."""
+    task = task_of(results)
+    said = answer(task) if task else None
+    return [said] if said else []
+
+
 def strange(task: TaskSummary) -> str:
     """Say how many points are unlike what was measured."""
     return (

@@ -12,7 +12,8 @@ from calflow.estimation.certainty import expected_point
 from calflow.estimation.extrapolation import beyond
 from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
-from calflow.sampling.task_error import TaskError
+from calflow.observations.pose import Pose
+from calflow.sampling.task_error import Spread, TaskError
 
 LIKELY = 0.95  # probability from which a point counts as within
 
@@ -56,6 +57,11 @@ class TaskSummary:
     worst_turn95_mrad: float = column("the largest of the points' 95 % angles", "mrad")
     likely_points: int | None = column(
         "points that meet the tolerances with at least 95 % probability; null: none asked"
+    )
+    likely_positions: int | None = column("points whose position alone does; null: none asked of it")
+    likely_turns: int | None = column("points whose orientation alone does; null: none asked of it")
+    orientation_measured: bool = column(
+        "whether any orientation was measured; else turns are as sure as their priors say"
     )
     least_within: float | None = column("the least probability of a point; null: none asked")
     all_within: float | None = column(
@@ -107,7 +113,9 @@ def task_table(
     return to_frame(rows, TaskPoint)
 
 
-def task_summary(table: pd.DataFrame, found: TaskError, asked: Asked, notes: tuple[str, ...]) -> TaskSummary:
+def task_summary(
+    known: Identified, table: pd.DataFrame, found: TaskError, asked: Asked, notes: tuple[str, ...]
+) -> TaskSummary:
     """Say how accurate the robot is over the whole task."""
     together = [
         float(found.within(asked.tolerance, asked.turn_tolerance, alike).all(axis=1).mean()) if asked.anything else None
@@ -120,10 +128,17 @@ def task_summary(table: pd.DataFrame, found: TaskError, asked: Asked, notes: tup
         nominal_mm=table["nominal_mm"].mean(), expected_mm=table["expected_mm"].mean(),
         worst_radius95_mm=table["radius95_mm"].max(), worst_turn95_mrad=table["turn95_mrad"].max(),
         likely_points=int((table["within"] >= LIKELY).sum()) if asked.anything else None,
+        likely_positions=_likely(found.position, asked.tolerance), likely_turns=_likely(found.turn, asked.turn_tolerance),
+        orientation_measured=any(isinstance(one, Pose) for one in known.model.observations),
         least_within=float(table["within"].min()) if asked.anything else None,
         all_within=together[0], all_within_alike=together[1],
         beyond_measured=int((table["beyond"] != "").sum()), notes=notes,
     )  # fmt: skip
+
+
+def _likely(spread: Spread, tolerance: float | None) -> int | None:
+    """How many points meet a tolerance with enough probability."""
+    return None if tolerance is None else int((spread.within(tolerance).mean(axis=0) >= LIKELY).sum())
 
 
 def _strange(task: Measurements, measured: Measurements) -> list[str]:

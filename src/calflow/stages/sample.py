@@ -87,7 +87,7 @@ def _task(
     found = task_error(sampled, told.known, told.data.rows, context.rng("task errors"), told.widened)
     table = task_table(told.known, told.data, measured, found, asked)
     notes = (*told.notes, *not_known(told.known, told.data.rows), *beyond_limits(task))
-    return table, task_summary(table, found, asked, notes)
+    return table, task_summary(told.known, table, found, asked, notes)
 
 
 def _files(study: Study, settings: SampleSettings) -> tuple[Path, ...]:

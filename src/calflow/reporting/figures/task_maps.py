@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import matplotlib
 import numpy as np
@@ -11,7 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
-from calflow.reporting.style import ACCENT, DARK, MIDDLE, crowded, figure
+from calflow.reporting.style import ALONE, crowded, figure
 
 VIEWS = (((0, 1), "from above"), ((0, 2), "from the side"), ((1, 2), "from the front"))
 CELLS = 14  # across a map
@@ -46,21 +47,26 @@ def _seen(axes: Axes, place: np.ndarray, radius: np.ndarray, colours: ListedColo
         axes.scatter(place[:, 0], place[:, 1], size, radius, cmap=colours, norm=norm, linewidths=0)
 
 
-def along(parts: Sequence[tuple[str, np.ndarray, np.ndarray, float | None]], label: str) -> Figure:
-    """Draw what is expected and the 95 % limit (n_points,) in the order of the points, below each other.
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A quantity along a path (n_points,): an axis' words, and the tolerance in the same unit, None where none is asked."""
 
-    parts have an axis' words, both, and the tolerance in the same unit, None where none is asked.
-    """
-    drawn = figure(1.9 * len(parts) + 0.2)
-    grid = drawn.subplots(len(parts), 1, squeeze=False, sharex=True)[:, 0]
-    for axes, (words, expected, limit, tolerance) in zip(grid, parts, strict=True):
-        number = np.arange(1, len(limit) + 1)
-        axes.fill_between(number, 0, limit, color=DARK, alpha=0.12, linewidth=0)
-        axes.plot(number, limit, color=DARK, label="below this with 95 % probability")
-        axes.plot(number, expected, color=MIDDLE, linestyle="-.", label="expected")
-        if tolerance is not None:
-            axes.axhline(tolerance, color=ACCENT, linestyle="--", label="tolerance")
-        axes.set(ylabel=words, xlim=(1, max(2, len(limit))), ylim=(0, None))
-    grid[-1].set_xlabel(label)
-    drawn.legend(*grid[0].get_legend_handles_labels(), loc="outside upper left", ncols=3)
+    words: str
+    limit: np.ndarray
+    tolerance: float | None
+
+
+def along(courses: Sequence[Course], groups: Sequence[tuple[str, np.ndarray]]) -> Figure:
+    """Draw quantities in the order of a path's points, below each other; groups are as for `task_map`, a line each."""
+    drawn = figure(1.9 * len(courses) + 0.2)
+    grid = drawn.subplots(len(courses), 1, squeeze=False, sharex=True)[:, 0]
+    for axes, course in zip(grid, courses, strict=True):
+        for (name, own), (colour, dashes, _) in zip(groups, ALONE, strict=False):
+            number = np.arange(1, int(own.sum()) + 1)
+            axes.plot(number, course.limit[own], color=colour, linestyle=dashes, label=name or "95 %")
+        if course.tolerance is not None:
+            axes.axhline(course.tolerance, color="#000000", linewidth=1.8, linestyle=(0, (1, 1)), label="tolerance")
+        axes.set(ylabel=course.words, ylim=(0, None))
+    grid[-1].set_xlabel("point of the path")
+    drawn.legend(*grid[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
     return drawn

@@ -7,16 +7,17 @@ import pandas as pd
 
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Bullets, Paragraph, Plot, Table
-from calflow.reporting.figures.task_maps import along, task_map
+from calflow.reporting.figures.task_maps import Course, along, task_map
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
-from calflow.reporting.task_answer import LIKELY, answer, asked, chance, strange, task_of
+from calflow.reporting.task_answer import LIKELY, answer, chance, strange, task_of
 from calflow.reporting.words import mm
 from calflow.sampling.task_tables import TaskSummary
 
 MAPS = 3  # payloads that have a line of maps, the least sure ones
 WORST = 5  # points in the table
 WORST_HEADER = ("least sure points", "payload", "nominal [mm]", "95 % [mm]", "95 % [mrad]", "within")
+PATH = "Along the path: what errors are below with 95 % probability."
 MAP = "Radius in which the tool is with 95 % probability; of points behind each other the largest."
 INTRODUCTION = (
     "How far the tool may be from where the calibrated model says it is: draws of the parameters, with what the model lacks beside "
@@ -64,15 +65,12 @@ def _pictures(task: TaskSummary, table: pd.DataFrame) -> list[Block]:
     groups = [(name or ("no payload" if len(carried) > 1 else ""), payload == name) for name in carried]
     blocks: list[Block] = [Plot("task_map", task_map(place, radius, groups), MAP, table)]
     if task.in_order:
-        parts = [("position [mm]", *_of(table, "expected_mm", "radius95_mm"), task.tolerance_mm)]
-        parts += [("turn [mrad]", *_of(table, "turn_mrad", "turn95_mrad"), task.turn_tolerance_mrad)]
-        blocks.append(Plot("task_path", along(parts, "point of the path"), "Errors along the path.", table))
+        parts = [
+            Course("position [mm]", table["radius95_mm"].to_numpy(dtype=float), task.tolerance_mm),
+            Course("turn [mrad]", table["turn95_mrad"].to_numpy(dtype=float), task.turn_tolerance_mrad),
+        ]
+        blocks.append(Plot("task_path", along(parts, groups), PATH, table))
     return blocks
-
-
-def _of(table: pd.DataFrame, *names: str) -> tuple[np.ndarray, np.ndarray]:
-    first, second = (table[name].to_numpy(dtype=float) for name in names)
-    return first, second
 
 
 def _worst(task: TaskSummary, table: pd.DataFrame) -> list[tuple[str, ...]]:
@@ -89,13 +87,24 @@ def _worst(task: TaskSummary, table: pd.DataFrame) -> list[tuple[str, ...]]:
 def not_met(results: Results) -> list[Advice]:
     """Tolerances that some points hardly meet, and points unlike those measured, are to be acted on."""
     task, found = _summary(results), list[Advice]()
-    if task.likely_points is not None and task.likely_points < task.points:
+    sure = f"with {100 * LIKELY:.0f} % probability"
+    if task.likely_positions is not None and (short := task.points - task.likely_positions):
         found.append(
             Advice(
                 2,
-                f"{task.points - task.likely_points} of {task.points} points of the task are not within {asked(task)} with "
-                f"{100 * LIKELY:.0f} % probability: sample/task.csv says which; poses near them, under their payload, tell most "
-                "([stages.select.task] chooses such).",
+                f"{short} of {task.points} points of the task are not within {mm(task.tolerance_mm or 0.0)} mm {sure}: "
+                "sample/task.csv says which; poses near them, under their payload, tell most ([stages.select.task] chooses such).",
+            )
+        )
+    if task.likely_turns is not None and (short := task.points - task.likely_turns):
+        how = "poses near them tell most" if task.orientation_measured else (
+            "no orientation was measured; measure them, or several markers far apart"
+        )  # fmt: skip
+        found.append(
+            Advice(
+                2,
+                f"{short} of {task.points} points of the task are not turned within {mm(task.turn_tolerance_mrad or 0.0)} mrad "
+                f"{sure}: {how}.",
             )
         )
     if task.beyond_measured:

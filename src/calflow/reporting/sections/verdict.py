@@ -27,7 +27,7 @@ from calflow.reporting.section import Section, advice, sections
 from calflow.reporting.sections.accuracy import LACKS
 from calflow.reporting.sections.identifiability import open_questions
 from calflow.reporting.sections.predictive import coverage_words
-from calflow.reporting.task_answer import answer, task_of
+from calflow.reporting.task_answer import task_lines
 from calflow.reporting.tolerance import judged, useless
 from calflow.reporting.words import first_up, listed, mm, plural, ratio
 
@@ -56,8 +56,7 @@ def write(material: Material) -> list[Block]:
     more = [f"{plural(len(further), 'further step')}, less urgent, under “Further steps”."] if further else []
     lists: list[Listed] = [*_lists(material.results), ("What to do next", [*urgent, *more] or [FINE])]
     first = foremost(material.results)
-    verdict, task = judged(material, found), task_of(material.results)
-    of_task = answer(task) if task else None
+    verdict = judged(material, found)
     return [
         Paragraph("Calibration report", 10),
         Heading(material.title, 0),
@@ -66,8 +65,7 @@ def write(material: Material) -> list[Block]:
         Paragraph(judgement(material.results, found), 14, bold=True),
         Gap(6),
         *([Paragraph(verdict.verdict, 11, bold=True)] if verdict else []),
-        *([Paragraph(of_task, 11, bold=True)] if of_task else []),
-        *(Paragraph(said, 11, bold=True) for said in first),
+        *(Paragraph(said, 11, bold=True) for said in (*task_lines(material.results), *first)),
         Paragraph(headline(found, split), 12),
         Gap(16),
         Columns(cards, [1] * len(cards), 8),
@@ -161,7 +159,7 @@ def leftover(times: float, discrepancy: float = 0.0, structure: str = "", signif
 
 def next_steps(results: Results) -> tuple[list[str], list[str]]:
     """Return what all sections advise, the most urgent first: what there is room for on the first page, and the rest."""
-    above = _plain(_lists(results)) + foremost(results)
+    above = _plain(_lists(results)) + foremost(results) + task_lines(results)
     return split_steps([step.sentence for step in advice(sections(), results)], above)
 
 
