@@ -17,7 +17,7 @@ from filelock import FileLock
 
 from calflow.files.tables import from_frame
 from calflow.fleet import engine
-from calflow.fleet.attempt import attempt
+from calflow.fleet.attempts import attempts
 from calflow.fleet.fleet import load_fleet
 from calflow.fleet.fleet_folder import FleetFolder
 from calflow.fleet.outcome import Outcome
@@ -142,12 +142,13 @@ def test_a_robot_whose_process_is_killed_is_named(plant):
 
     killer = threading.Thread(target=kill)
     killer.start()
-    folder = FleetFolder(plant.out)
-    outcome = attempt(load_fleet(plant.file).robot("A-1"), folder)
+    fleet, folder = load_fleet(plant.file), FleetFolder(plant.out)
+    found = list(attempts(fleet.robots, folder))
     killer.join()
-    assert outcome.status == "failed"
-    assert outcome.reason.startswith("its process was ended by SIGKILL")
-    assert attempt(load_fleet(plant.file).robot("A-1"), folder).status == "calibrated"
+    assert [one.robot for one in found] == list(ROBOTS)
+    assert [one.status for one in found] == ["failed", "calibrated", "calibrated"]
+    assert found[0].reason.startswith("its process was ended by SIGKILL")
+    assert [one.status for one in attempts(fleet.robots[:1], folder)] == ["calibrated"]
 
 
 def test_a_job_waits_for_one_that_outlived_its_command(plant):
@@ -157,7 +158,7 @@ def test_a_job_waits_for_one_that_outlived_its_command(plant):
     held = FileLock(folder.run("A-1") / ".lock", thread_local=False)
     held.acquire()
     threading.Timer(0.5, held.release).start()
-    assert attempt(load_fleet(plant.file).robot("A-1"), folder).status == "calibrated"
+    assert [one.status for one in attempts(load_fleet(plant.file).robots[:1], folder)] == ["calibrated"]
     assert not held.is_locked
 
 
