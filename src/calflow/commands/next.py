@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.options import FILE, NOT_TOLD
+from calflow.commands.options import FILE, NOT_TOLD, Command
 
 if TYPE_CHECKING:
     import pandas as pd
     from rich.table import Table
 
 
-@click.command("next")
+@click.command("next", cls=Command)
 @click.argument("study", type=FILE)
 @click.option(
     "--rows", type=FILE, multiple=True, help="CSV of rows measured since, besides the study's own; may be repeated."
