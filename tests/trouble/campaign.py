@@ -170,7 +170,7 @@ def unreadable(answer: Answer) -> str:
 
 @contextmanager
 def patience(seconds: float = PATIENCE) -> Iterator[None]:
-    """Stop what takes too long: of the processor, so that a busy machine is no hang, or ten times as long waiting.
+    """Stop what takes too long: of the processor, so that a busy machine is no hang, or a hundred times as long waiting.
 
     Raises:
         Hangs: it does.
@@ -179,7 +179,7 @@ def patience(seconds: float = PATIENCE) -> Iterator[None]:
     def stop(*_: object) -> None:
         raise Hangs
 
-    timers = {signal.SIGPROF: (signal.ITIMER_PROF, seconds), signal.SIGALRM: (signal.ITIMER_REAL, 10 * seconds)}
+    timers = {signal.SIGPROF: (signal.ITIMER_PROF, seconds), signal.SIGALRM: (signal.ITIMER_REAL, 100 * seconds)}
     before = {number: signal.signal(number, stop) for number in timers}
     for timer, after in timers.values():
         signal.setitimer(timer, after, 1.0)  # again, should something swallow the first

@@ -17,6 +17,7 @@ from calflow.runs.listener import Listener, Silent
 from calflow.runs.lock import locked
 from calflow.runs.manifest import read_manifest
 from calflow.runs.planning import passed_over, plan
+from calflow.stages.demand import memory_there, warned
 from calflow.study import Study
 
 
@@ -63,6 +64,11 @@ def run(
     if any(step.stage.measured and not step.reuse for step in steps):
         study.measurements()  # what is wrong with them is told before any work is done
     settings = {step.stage.name: study.validated_settings(step.stage.name, step.stage.settings) for step in steps}
+    for step in steps:
+        if step.stage.measured and not step.reuse:
+            foreseen = step.stage.demand(study, settings[step.stage.name], study.measurements())
+            if said := warned(step.stage.name, foreseen, memory_there()):
+                listener.say(said)
     planned = read_manifest(folder)
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):

@@ -23,6 +23,7 @@ from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
 from calflow.diagnosis.findings.extended_model import accuracy_table, extended_model, extended_noise, summary
 from calflow.diagnosis.findings.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint, confirm
 from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, FindingRow, candidates_table, findings_table
+from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.acceptance import FALSE_ALARM
 from calflow.diagnosis.search.fitted import FAR, Fitted
 from calflow.estimation.accuracy import Accuracy
@@ -39,9 +40,18 @@ from calflow.files.results import Results
 from calflow.files.tables import to_frame
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
+from calflow.model import stated
+from calflow.observations import observations
+from calflow.stages.demand import Demand
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 from calflow.study_file import known_effects
+
+COPIES, SECONDS = (
+    1.4,
+    2.5e-7,
+)  # measured where nothing is found: arrays of the regressors' size at once, and per number of it
+MANY = 10_000  # residuals, up to which any machine will do
 
 
 class DiagnoseSettings(FileModel):
@@ -118,11 +128,27 @@ def _confirmed(found: Fitted, other: Study, say: Say) -> dict[str, pd.DataFrame]
     }
 
 
+def demand(study: Study, settings: DiagnoseSettings, data: Measurements) -> Demand:
+    """Foresee what the tests take: a column of residuals for each parameter of the model and of every candidate."""
+    train = data.only(data.train)
+    places = train.table.drop_duplicates(["pose", "marker"]).index  # repeats are averaged
+    rows = sum(len(seen.units) * int(train.of_series(k)[places].sum()) for k, seen in enumerate(observations(train)))
+    if rows < MANY:
+        return Demand()
+    wanted = Catalogue.of(train, study.file.effects, settings.catalogue, settings.leave_out)
+    columns = sum(len(effect.declared) for effect in wanted.effects) + len(
+        stated(study.robot, study.file.effects, train).parameters
+    )
+    remedy = "name the causes to look for (stages.diagnose.catalogue), or hold more of the poses out (split.holdout)"
+    return Demand(rows, columns, COPIES, SECONDS * rows * columns, remedy)
+
+
 STAGE = Stage(
     "diagnose",
     "name what the model lacks",
     DiagnoseSettings,
     run,
+    demand=demand,
     needs=("identify",),
     tables={
         "diagnose/findings.csv": FindingRow,

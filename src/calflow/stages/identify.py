@@ -33,8 +33,11 @@ from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated
 from calflow.observations import observations
+from calflow.stages.demand import Demand
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
+
+COPIES, SECONDS = 3.5, 2e-6  # measured: arrays of the Jacobian's size at once, and per number of it
 
 
 class IdentifySettings(FileModel):
@@ -118,11 +121,22 @@ def _wrong_count(study: Study, settings: IdentifySettings) -> list[Problem]:
     return found
 
 
+def demand(study: Study, settings: IdentifySettings, data: Measurements) -> Demand:
+    """Foresee what the fit takes: it goes through the rows part by part, and keeps a few figures of each."""
+    train = data.only(data.train)
+    n_parameters = len(stated(study.robot, study.file.effects, train).parameters)
+    rows = sum(len(seen.units) * int(train.of_series(k).sum()) for k, seen in enumerate(observations(train)))
+    return Demand(
+        rows, n_parameters, COPIES, SECONDS * rows * n_parameters, "hold more of the poses out (split.holdout)"
+    )
+
+
 STAGE = Stage(
     "identify",
     "identify geometry and compliance",
     IdentifySettings,
     run,
+    demand=demand,
     tables={
         "identify/parameters.csv": FittedParameter,
         "identify/accuracy.csv": Accuracy,

@@ -15,6 +15,7 @@ from calflow.files.results import Results
 from calflow.files.tables import Tables
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
+from calflow.stages.demand import Demand
 from calflow.study import Study
 
 
@@ -55,6 +56,11 @@ def no_files(study: Study, settings: Any) -> tuple[Path, ...]:
     return ()
 
 
+def no_demand(study: Study, settings: Any, data: Measurements) -> Demand:
+    """Return nothing to speak of: what takes neither memory nor time worth telling."""
+    return Demand()
+
+
 @dataclass(frozen=True)
 class Stage:
     """A stage: its settings' model, the stages whose results it needs, and whether it reads the measurements.
@@ -62,8 +68,8 @@ class Stage:
     tables and documents say by path in the run folder what it may make: of which rows, or of which dataclass. problems finds
     what it would refuse of a study, its settings and (where there are any) the measurements; resumes names files of an
     earlier run that it goes on from where only its settings changed; reads names further files that its settings ask for;
-    titled says whether the study's title and acceptance stand in what it writes. bases names stages of which one is enough
-    to go on from, the one that tells most first: see `on`.
+    demand foresees what it will take; titled says whether the study's title and acceptance stand in what it writes. bases names
+    stages of which one is enough to go on from, the one that tells most first: see `on`.
     """
 
     name: str
@@ -78,6 +84,7 @@ class Stage:
     documents: Mapping[str, type] = field(default_factory=dict, hash=False)
     problems: Callable[[Study, Any, Measurements | None], list[Problem]] = no_problems
     reads: Callable[[Study, Any], tuple[Path, ...]] = no_files
+    demand: Callable[[Study, Any, Measurements], Demand] = no_demand
     titled: bool = False
     bases: tuple[str, ...] = ()
 
