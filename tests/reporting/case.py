@@ -348,13 +348,13 @@ def with_sample(given: Context, steps: int = 40) -> Context:
         sd_over_laplace_most=1.01, missing_steps=0,
     )  # fmt: skip
     own = Results(
-        {"sample/posterior.csv": posterior, "sample/predictive.csv": predictive, **_weighed()},
+        {"sample/posterior.csv": posterior, "sample/predictive.csv": predictive, **weighed_models()},
         {"sample/summary.json": to_document(summary)},
     )
     return replace(given, results=given.results | own)
 
 
-def _weighed() -> dict[str, pd.DataFrame]:
+def weighed_models() -> dict[str, pd.DataFrame]:
     """Two models in reach, and their causes, as sample weighs them."""
     models = [
         ModelRow(model=1, change="found", causes=("joint-backlash",), joints=(1,), parts=("joint1",), details=(ONLY,),
