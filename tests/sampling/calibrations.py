@@ -107,7 +107,7 @@ def from_prior(model: Model, rng: np.random.Generator) -> np.ndarray:
     lower, upper = model.bounds.T
     found = np.full(len(model.nominal), np.nan)
     while (wrong := ~((found >= lower) & (found <= upper))).any():
-        drawn = model.nominal + model.prior_sd * rng.standard_normal(len(found))
+        drawn = model.prior_mean + model.prior_sd * rng.standard_normal(len(found))
         found[wrong] = drawn[wrong]
     return found
 

@@ -143,13 +143,14 @@ def draw_starts(model: Model, n_starts: int, rng: np.random.Generator) -> np.nda
 class Expansion:
     """The objective at one point, its gradient and Gauss-Newton Hessian, in coordinates scaled by the priors.
 
-    residual (n,) are the stacked whitened residuals.
+    residual (n,) are the stacked whitened residuals, independent (n,) the same without what rows of a standstill share.
     """
 
     value: float
     gradient: np.ndarray
     hessian: np.ndarray
     residual: np.ndarray
+    independent: np.ndarray
 
     def information(self, prior_sd: np.ndarray) -> np.ndarray:
         """Return the Hessian in the parameters' own units."""
@@ -160,7 +161,8 @@ def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
     """Expand the objective about scaled parameters x, block by block of rows, so that memory does not grow with them."""
     model, n = problem.model, len(x)
     offset = x - model.prior_mean / model.prior_sd
-    value, gradient, hessian, residuals = 0.5 * offset @ offset, offset.copy(), np.eye(n), []
+    value, gradient, hessian = 0.5 * offset @ offset, offset.copy(), np.eye(n)
+    errors, residuals = list[np.ndarray](), list[np.ndarray]()
     for block in problem.blocks:
         for _, error, *slopes in block.linearised(x * model.prior_sd):
             residual, jacobian = block.independent(error, *slopes)
@@ -171,8 +173,9 @@ def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
             value += 0.5 * float(rho(squared, loss).sum())
             gradient += weighted.T @ residual.ravel()
             hessian += weighted.T @ scaled
-            residuals.append(error.ravel())
-    return Expansion(value, gradient, hessian, np.concatenate(residuals))
+            errors.append(error.ravel())
+            residuals.append(residual.ravel())
+    return Expansion(value, gradient, hessian, np.concatenate(errors), np.concatenate(residuals))
 
 
 class _Objective(ca.Callback):

@@ -94,7 +94,7 @@ class Products:
     """Products of a fit's whitened Jacobian and residuals, side by side and scaled by the priors: all that a correlation needs.
 
     alone (p + 1, p + 1) is that of rows without others at their standstill; pull (p,) is how far each parameter is from its
-    nominal value, in prior standard deviations. n is the number of residuals.
+    prior mean, in prior standard deviations. n is the number of residuals.
     """
 
     alone: np.ndarray
@@ -124,7 +124,7 @@ class Products:
                 product = markers * means.T @ means
                 together.append(Together(int(markers), len(means), rows.T @ rows - product, product))
             n += both.shape[0] * both.shape[1]
-        pull = (result.estimate - model.nominal) / model.prior_sd
+        pull = (result.estimate - model.prior_mean) / model.prior_sd
         return Products(alone, tuple(together), pull, n)
 
     @property

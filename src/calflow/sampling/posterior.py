@@ -46,14 +46,14 @@ class Laplace:
         """Approximate the posterior of a problem about its estimate; the noise level is what the fit leaves."""
         prior_sd = problem.model.prior_sd
         there = expansion(problem, estimate / prior_sd, "linear")
-        pull = (estimate - problem.model.nominal) / prior_sd
+        pull = (estimate - problem.model.prior_mean) / prior_sd
         told, free = there.hessian - np.eye(len(estimate)), ~at_bound
         variance = 1.0
         for _ in range(VARIANCE_PASSES):
             information = told / variance + np.eye(len(estimate))
             inverse = np.linalg.inv(information[np.ix_(free, free)])
             determined = len(inverse) - np.trace(inverse)
-            variance = float((there.residual**2).sum() / max(1.0, there.residual.size - determined))
+            variance = float((there.independent**2).sum() / max(1.0, there.independent.size - determined))
         sd = np.zeros(len(estimate))
         sd[free] = np.sqrt(np.diag(inverse)) * prior_sd[free]
         covariance = np.linalg.inv(information) * np.outer(prior_sd, prior_sd)
@@ -188,7 +188,7 @@ def _sum_of_squares(problem: LeastSquares, evaluations: int) -> Callable[[np.nda
 def _squares_of(block: SeriesBlock, evaluations: int) -> Callable[[np.ndarray], np.ndarray]:
     n_rows = len(block.rows)
     if block.sharing is not None:
-        return _independent_squares_of(block, block.sharing)
+        return _independent_squares_of(block, block.sharing, evaluations)
     inputs, residual = block.expression()
     row = compiled(ca.Function("squares", inputs, [ca.sumsqr(residual)]), evaluations * n_rows)
     data = [np.asfortranarray(part) for part in block.data]
@@ -204,10 +204,12 @@ def _squares_of(block: SeriesBlock, evaluations: int) -> Callable[[np.ndarray], 
     return squares
 
 
-def _independent_squares_of(block: SeriesBlock, sharing: Sharing) -> Callable[[np.ndarray], np.ndarray]:
+def _independent_squares_of(
+    block: SeriesBlock, sharing: Sharing, evaluations: int
+) -> Callable[[np.ndarray], np.ndarray]:
     n_rows = len(block.rows)
     inputs, residual = block.expression()
-    row = compiled(ca.Function("residual", inputs, [residual]), EXPECTED_EVALUATIONS * n_rows)
+    row = compiled(ca.Function("residual", inputs, [residual]), evaluations * n_rows)
     data = [np.asfortranarray(part) for part in block.data]
     over_rows = row.map("rows", "serial", n_rows, [0], [])
     mapped: dict[int, ca.Function] = {}
