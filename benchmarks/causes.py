@@ -24,11 +24,12 @@ import pandas as pd
 from heavy_robot import EFFECTS, NOISE, HeavyRobot
 
 import calflow as cf
-from calflow.diagnosis.findings.reach import models_in_reach
+from calflow.diagnosis.findings.reach import models_in_reach, shown
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES, Acceptance
 from calflow.diagnosis.search.extension import Extended, extend
 from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.effects.cause import Cause
 from calflow.effects.link_torsion import LinkTorsion
 from calflow.effects.nonlinear_joint_stiffness import NonlinearJointStiffness
@@ -104,7 +105,7 @@ def diagnosed(case: Case, rng: np.random.Generator) -> tuple[Identified, Extende
     start = Fitted.of(case.known, *averaged(data, case.known.noise(data)))
     found = extend(start, catalogue, Acceptance(SHARES["causes"] * FALSE_ALARM, 10), rng, lambda line: None)
     final = found.fitted
-    reached = models_in_reach(final, found.findings, catalogue, len(found.first.places))
+    reached = models_in_reach(final, found.findings, catalogue)
     extended = Identified(
         final.model, final.fit.estimate, final.fit.covariance, final.fit.at_bound, series_noise(case.known.noise(data)),
         final.noise.discrepancy, 0.0, final.loss, in_reach=reached,
@@ -112,9 +113,13 @@ def diagnosed(case: Case, rng: np.random.Generator) -> tuple[Identified, Extende
     return extended, found, catalogue
 
 
-def every_set(found: Extended) -> Iterator[ModelInReach]:
-    """All sets of up to two of the places that the data show."""
-    causes = [score.cause for score in found.first.scores]
+def shown_places(found: Extended, catalogue: Catalogue) -> list[Cause]:
+    """A cause of each place that the data show."""
+    return list(shown(found.findings, Linearisation.at(found.fitted, catalogue).beside.scores).values())
+
+
+def every_set(causes: Sequence[Cause]) -> Iterator[ModelInReach]:
+    """All sets of up to two of these causes."""
     for number in range(3):
         for chosen in combinations(causes, number):
             yield ModelInReach(chosen, "found", -number * float(np.log(len(causes))), 0.0)
@@ -125,22 +130,23 @@ def compared(seed: int, number: int) -> pd.DataFrame:
     for attempt in range(100):
         rng = np.random.default_rng([seed, number, attempt])
         case = drawn(rng)
-        extended, found, _ = diagnosed(case, rng)
+        extended, found, catalogue = diagnosed(case, rng)
         if _ambiguous(extended.in_reach):
             break
+    places = shown_places(found, catalogue)
     problem = posterior_of(extended, case.data.on(extended.model.robot))[0].problem
     began = time.process_time()
     few = weighed_models(extended, problem, rng)
     took = time.process_time() - began
-    every = weighed_models(replace(extended, in_reach=tuple(every_set(found))), problem, rng, exact=EXHAUSTIVE)
+    every = weighed_models(replace(extended, in_reach=tuple(every_set(places))), problem, rng, exact=EXHAUSTIVE)
     true = case.hidden.cause, case.hidden.joint
     rows = [
-        {"case": number, "attempts": attempt + 1, "cause": score.cause.id, "part": score.cause.part,
-         "true": (score.cause.id, score.cause.joint) == true,
-         "in_reach": _at(few, few.probabilities, score.cause), "by_tests": _at(few, few.by_tests, score.cause),
-         "exhaustive": _at(every, every.probabilities, score.cause), "models": len(few.models), "of": len(every.models),
+        {"case": number, "attempts": attempt + 1, "cause": cause.id, "part": cause.part,
+         "true": (cause.id, cause.joint) == true,
+         "in_reach": _at(few, few.probabilities, cause), "by_tests": _at(few, few.by_tests, cause),
+         "exhaustive": _at(every, every.probabilities, cause), "models": len(few.models), "of": len(every.models),
          "worst_error": max(one.evidence.error for one in few.models), "seconds": took}
-        for score in found.first.scores
+        for cause in places
     ]  # fmt: skip
     return pd.DataFrame(rows)
 

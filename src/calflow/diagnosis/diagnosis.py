@@ -81,4 +81,4 @@ def diagnose(
     return Diagnosis(start, extended, verdicts, tuple(left), grown, wanted.lacking, wanted.superseded,
                      acceptance.false_alarm, misfit(extended.fitted, rng("misfit")), capped=len(verdicts) >= causes,
                      alternatives=fitted_alternatives(verdicts, extended.fitted),
-                     in_reach=models_in_reach(extended.fitted, extended.findings, every, len(extended.first.places)))  # fmt: skip
+                     in_reach=models_in_reach(extended.fitted, extended.findings, every))  # fmt: skip

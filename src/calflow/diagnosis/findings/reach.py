@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.screening.screening import Score
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Finding, Linearisation
 from calflow.diagnosis.search.trial import swapped
@@ -19,17 +20,18 @@ MOST = 24  # models: the likeliest
 
 
 def models_in_reach(
-    final: Fitted, findings: Sequence[Finding[Cause]], catalogue: Catalogue, tested: int
+    final: Fitted, findings: Sequence[Finding[Cause]], catalogue: Catalogue
 ) -> tuple[ModelInReach, ...]:
     """Return the models in reach, what was found first, then by how likely the linear tests make them; none of nothing found.
 
-    Before the data each place of the catalogue that they can show is a cause with odds of one to the number of these places
-    (tested), and its forms share them evenly: one cause is to be expected of the whole catalogue, however large it is. Causes of
-    very many parameters stay as they are in all models.
+    Before the data each place of the catalogue that they can show is a cause with odds of one to the number of these places,
+    and its forms share them evenly: one cause is to be expected of the whole catalogue, however large it is. Causes of very many
+    parameters stay as they are in all models.
     """
     if not any(_is_small(finding.cause) for finding in findings):
         return ()
-    places = float(np.log(tested))
+    beside = Linearisation.at(final, catalogue).beside.scores
+    places = float(np.log(len(shown(findings, beside))))
 
     def log_prior(causes: Sequence[Cause]) -> float:
         return -sum(places + float(np.log(catalogue.variants.get(cause.place, 1))) for cause in causes)
@@ -37,15 +39,21 @@ def models_in_reach(
     independent = final.background is None and final.alone.shared == 1
     near = [
         ModelInReach(tuple(causes), change, log_prior(causes), weight, independent)
-        for causes, change, weight in _neighbours(final, findings, catalogue, places)
+        for causes, change, weight in _neighbours(final, findings, beside, places)
         if weight > -REACH
     ]
     found = ModelInReach(final.causes, "found", log_prior(final.causes), 0.0, independent)
     return (found, *sorted(near, key=lambda one: -one.log_weight)[: MOST - 1])
 
 
+def shown(findings: Sequence[Finding[Cause]], beside: Sequence[Score[Cause]]) -> dict[tuple[str, str], Cause]:
+    """Return the places that the data show, in place of what was found or beside it, each with a cause there."""
+    scores = [*beside, *(score for finding in findings for score in finding.scores)]
+    return {score.cause.place: score.cause for score in scores}
+
+
 def _neighbours(
-    final: Fitted, findings: Sequence[Finding[Cause]], catalogue: Catalogue, places: float
+    final: Fitted, findings: Sequence[Finding[Cause]], beside: Sequence[Score[Cause]], places: float
 ) -> Iterator[tuple[list[Cause], Change, float]]:
     """Yield the causes of all models one step away, the step, and the logarithm of how likely it makes them (BIC).
 
@@ -60,7 +68,7 @@ def _neighbours(
         for score in finding.scores:
             if score.cause != finding.cause and _is_small(score.cause):
                 yield swapped(causes, finding.cause, score.cause), "instead", (own - score.delta_bic) / 2
-    for score in Linearisation.at(final, catalogue).beside.scores:
+    for score in beside:
         if _is_small(score.cause):
             yield [*causes, score.cause], "besides", -score.delta_bic / 2 - places
 
