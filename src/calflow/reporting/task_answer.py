@@ -35,9 +35,16 @@ def answer(task: TaskSummary) -> str | None:
     chances = low if low == high else f"{low} to {high}"
     sentence = (
         f"Task: {task.likely_points} of {task.points} {where} are within {asked(task)} with at least {100 * LIKELY:.0f} % "
-        f"probability; all of them together with {chances}."
+        f"probability{_apart(task)}; all of them together with {chances}."
     )
     return sentence + (f" {strange(task)}" if task.beyond_measured else "")
+
+
+def _apart(task: TaskSummary) -> str:
+    """Say how many points meet each of two tolerances alone."""
+    if task.likely_positions is None or task.likely_turns is None:
+        return ""
+    return f" ({task.likely_positions} in position alone, {task.likely_turns} in orientation alone)"
 
 
 def task_lines(results: Results) -> list[str]:

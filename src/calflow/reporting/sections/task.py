@@ -98,7 +98,7 @@ def not_met(results: Results) -> list[Advice]:
         )
     if task.likely_turns is not None and (short := task.points - task.likely_turns):
         how = "poses near them tell most" if task.orientation_measured else (
-            "no orientation was measured; measure them, or several markers far apart"
+            "no orientation was measured; measure some, or markers whose places on the tool are known"
         )  # fmt: skip
         found.append(
             Advice(
