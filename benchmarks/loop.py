@@ -46,6 +46,7 @@ TOLERANCES = 0.6, 2.5  # of a case, over the noise
 LOOKS = (20, 30, 45, 60, 80, 110)  # poses
 PLANS = (*LOOKS, 160)
 FACTORS = tuple(k / 10 for k in range(8, 26))
+BINS = (-1e-9, 0.05, 0.5, 0.8, 0.95, 1.0)  # of a probability
 HOPELESS, TRIED = 0.2, 45  # probability at best, and poses from which it is heeded
 FRESH = 400
 SIZES = 0.01, 0.3  # of a cause, over the catalogue's largest
@@ -283,7 +284,20 @@ def told_of_loop(rows: pd.DataFrame) -> str:
         lines.append(
             f"planned with factor {factor:.1f}: {np.mean(sizes):.1f}; the loop {own['poses'].mean() / np.mean(sizes):.2f} times"
         )
-    return "\n".join((told.join(right).round(3).to_string(), "", *lines))
+    return "\n".join((told.join(right).round(3).to_string(), "", by_probability(rows).round(3).to_string(), "", *lines))
+
+
+def by_probability(rows: pd.DataFrame) -> pd.DataFrame:
+    """What was said at all looks, those that did not stop as well, against how often the tool was truly within."""
+    every = [
+        (float(probability), float(true) <= tolerance)
+        for looks, tolerance in zip(rows["looks"], rows["tolerance_mm"], strict=True)
+        for _, probability, _, true in (look.split(":") for look in str(looks).split(";"))
+    ]
+    looks = pd.DataFrame(every, columns=["probability", "met"])
+    return looks.groupby(pd.cut(looks["probability"], BINS), observed=True).agg(
+        looks=("met", "size"), mean_probability=("probability", "mean"), met=("met", "mean")
+    )
 
 
 def told_of_plans(rows: pd.DataFrame) -> str:
