@@ -16,12 +16,13 @@ import pytest
 from filelock import FileLock
 
 from calflow.files.tables import from_frame
+from calflow.files.toml import read_toml
 from calflow.fleet import engine
 from calflow.fleet.attempts import attempts
 from calflow.fleet.fleet import load_fleet
 from calflow.fleet.fleet_folder import FleetFolder
 from calflow.fleet.outcome import Outcome
-from calflow.study import load_study, workflow_folder
+from calflow.study import StudyFile, workflow_folder
 from conftest import in_process
 from fleet.plant import ROBOTS, broken, mended
 
@@ -60,7 +61,7 @@ def test_a_robot_of_a_fleet_is_what_it_is_alone(ran):
         ).read_bytes()
     assert in_process("status", plant.out / "robots" / "A-1").code == 0
     assert in_process("pack", plant.out / "robots" / "A-1", "--out", plant / "A-1.zip").code == 0
-    assert load_study(plant.out / "robots" / "A-1" / "inputs" / "study.toml").name == "A-1"
+    assert read_toml(plant.out / "robots" / "A-1" / "inputs" / "study.toml", StudyFile).name == "A-1"
 
 
 def test_plan_and_status_say_how_far_it_is(ran, plant):
