@@ -252,7 +252,7 @@ def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small
     assert f"certain to {off.prediction_sd:.3f} mm (1 sd, its own error included" in certainty(off)
     assert left in certainty(off)
     elsewhere = Alternative(off.known.model, off.known.estimate + 3 * np.sqrt(np.diag(off.known.covariance)), 0.4)
-    rivalled = replace(off, known=replace(off.known, alternatives=(elsewhere,)))
+    rivalled = replace(off, calibration=replace(calibration, known=replace(off.known, alternatives=(elsewhere,))))
     assert "its own error and the choice among causes that do as well included" in certainty(rivalled)
     assert rivalled.prediction_sd > off.prediction_sd
 

@@ -136,5 +136,5 @@ def _next(how_many: HowMany, worth: list[Worth]) -> list[Item]:
 
 
 SECTION = Section(
-    0, "Plan", NEEDS, write, worth_telling=lambda results: "identify/summary.json" not in results
+    1, "Plan", NEEDS, write, worth_telling=lambda results: "identify/summary.json" not in results
 )  # a calibration has a first page of its own
