@@ -34,11 +34,13 @@ from calflow.reporting.sections import (
     posterior,
     predictive,
     residuals,
+    task,
     told_apart,
 )
 from calflow.reporting.sections.further_steps import SECTION as FURTHER_STEPS
 from calflow.reporting.sections.verdict import FEWEST, headline, leftover, next_steps, split_steps
 from calflow.sampling.chain_summary import ChainSummary
+from calflow.sampling.task_tables import TaskSummary
 
 SUMMARY = IdentifySummary(
     noise_sources=("file",), sigma_mm=0.05, discrepancy_mm=0.0, loss="linear", reduced_chi2=1.02, lack_of_fit_p=0.5,
@@ -55,6 +57,11 @@ CHAIN = ChainSummary(
     steps=100, burn_in_steps=25, ensembles=4, walkers=8, autocorrelation_steps=2.0, acceptance_independent=0.7,
     worst_rhat=1.001, smallest_ess=5000.0, sd_over_laplace_least=0.99, sd_over_laplace_most=1.01, missing_steps=0,
 )  # fmt: skip
+TASK = TaskSummary(
+    points=20, in_order=False, tolerance_mm=0.3, turn_tolerance_mrad=None, nominal_mm=5.0, expected_mm=0.1,
+    worst_radius95_mm=0.2, worst_turn95_mrad=0.3, likely_points=20, likely_positions=20, likely_turns=None,
+    orientation_measured=True, least_within=0.97, all_within=0.9, all_within_alike=0.95, beyond_measured=0,
+)  # fmt: skip
 
 
 def summary(stage: str = "identify", **items: object) -> dict[str, object]:
@@ -67,6 +74,10 @@ def diagnosed(**items: object) -> dict[str, object]:
 
 def chain(missing: int) -> dict[str, object]:
     return {"sample/summary.json": to_document(replace(CHAIN, missing_steps=missing))}
+
+
+def work(**items: object) -> dict[str, object]:
+    return {"sample/task_summary.json": to_document(replace(TASK, **items))}  # type: ignore[arg-type]
 
 
 def results(given: Mapping[str, object]) -> Results:
@@ -189,6 +200,7 @@ QUIET: dict[str, object] = {
     "sample/posterior.csv": pd.DataFrame({"parameter": ["joint2.a", "E.x"], "rhat": [1.001, 1.009]}),
     **chain(0),
     "sample/predictive.csv": predictions(57, 3),
+    **work(),
 }
 
 SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
@@ -233,6 +245,10 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
      "disagree on a"),
     (told_apart.add_to_the_plan, {"select/isolability.csv": planned("play is seen in 20 of 100; with more in 95")}, 3,
      "Play is seen in 20 of 100; with more in 95."),
+    (task.not_met, work(likely_points=17, likely_positions=17), 2,
+     "3 of 20 points of the task are not within 0.300 mm with 95 % probability"),
+    (task.not_met, work(turn_tolerance_mrad=0.5, likely_turns=12, orientation_measured=False), 2,
+     "8 of 20 points of the task are not turned within 0.500 mrad with 95 % probability: no orientation was measured"),
     (predictive.too_narrow, {"sample/predictive.csv": predictions(45, 15)}, 2, "Only 45 of 60"),
 ]  # fmt: skip
 
@@ -276,6 +292,10 @@ def test_every_rule_is_tested() -> None:
         (search.untested, {"diagnose/findings.csv": found("unexplained"),
                            "diagnose/candidates.csv": to_frame([CandidateRow(cause="frame-drift", imitated=True)],
                                                                CandidateRow)}),
+    (task.not_met, work(likely_points=17, likely_positions=17), 2,
+     "3 of 20 points of the task are not within 0.300 mm with 95 % probability"),
+    (task.not_met, work(turn_tolerance_mrad=0.5, likely_turns=12, orientation_measured=False), 2,
+     "8 of 20 points of the task are not turned within 0.500 mrad with 95 % probability: no orientation was measured"),
     (predictive.too_narrow, {"sample/predictive.csv": predictions(54, 6)}),
     (predictive.too_narrow, {"sample/predictive.csv": predictions(10, 50, split="train")}),
     ],

@@ -146,7 +146,7 @@ def test_sections_are_left_out_without_their_tables(small: Context, whole: Conte
         ]
 
     assert set(titles(whole)) - set(titles(small)) == {
-        "Planned poses", "How sure: the sampled posterior", "Predictions put to the test"
+        "Planned poses", "How sure: the sampled posterior", "Predictions put to the test", "Which causes: all models in reach"
     }  # fmt: skip
     assert titles(whole)[0] == "Verdict"
     assert titles(whole)[-1].startswith("Appendix")
