@@ -16,7 +16,6 @@ from calflow.estimation.calibrated import Identified
 from calflow.estimation.fit import expansion, fit
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.repeats import averaged
-from calflow.estimation.sharing import Sharing
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.coordinates import Coordinates
 
@@ -186,42 +185,29 @@ def _sum_of_squares(problem: LeastSquares, evaluations: int) -> Callable[[np.nda
 
 
 def _squares_of(block: SeriesBlock, evaluations: int) -> Callable[[np.ndarray], np.ndarray]:
-    n_rows = len(block.rows)
-    if block.sharing is not None:
-        return _independent_squares_of(block, block.sharing, evaluations)
+    """The same of one series' rows; where these share errors, of what of them is independent."""
     inputs, residual = block.expression()
-    row = compiled(ca.Function("squares", inputs, [ca.sumsqr(residual)]), evaluations * n_rows)
+    if block.sharing is None:
+        alone = _over_walkers(block, ca.Function("squares", inputs, [ca.sumsqr(residual)]), evaluations)
+        return lambda values: np.asarray(alone(values)[0].sum(axis=1))
+    errors, sharing = _over_walkers(block, ca.Function("residual", inputs, [residual]), evaluations), block.sharing
+    return lambda values: sharing.squares(errors(values).transpose(2, 0, 1))
+
+
+def _over_walkers(block: SeriesBlock, row: ca.Function, evaluations: int) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the function (n_parameters, n_walkers) -> a row's outputs for all rows (n_outputs, n_walkers, n_rows)."""
+    n_rows = len(block.rows)
     data = [np.asfortranarray(part) for part in block.data]
-    over_rows = row.map("rows", "serial", n_rows, [0], [])
+    over_rows = compiled(row, evaluations * n_rows).map("rows", "serial", n_rows, [0], [])
     mapped: dict[int, ca.Function] = {}
 
-    def squares(values: np.ndarray) -> np.ndarray:
+    def outputs(values: np.ndarray) -> np.ndarray:
         n_walkers = values.shape[1]
         if n_walkers not in mapped:
             mapped[n_walkers] = over_rows.map("walkers", "serial", n_walkers, [1, 2, 3], [])
-        return np.asarray(mapped[n_walkers](values, *data)).reshape(n_walkers, n_rows).sum(axis=1)
+        return np.asarray(mapped[n_walkers](values, *data)).reshape(-1, n_walkers, n_rows)
 
-    return squares
-
-
-def _independent_squares_of(
-    block: SeriesBlock, sharing: Sharing, evaluations: int
-) -> Callable[[np.ndarray], np.ndarray]:
-    n_rows = len(block.rows)
-    inputs, residual = block.expression()
-    row = compiled(ca.Function("residual", inputs, [residual]), evaluations * n_rows)
-    data = [np.asfortranarray(part) for part in block.data]
-    over_rows = row.map("rows", "serial", n_rows, [0], [])
-    mapped: dict[int, ca.Function] = {}
-
-    def squares(values: np.ndarray) -> np.ndarray:
-        n_walkers = values.shape[1]
-        if n_walkers not in mapped:
-            mapped[n_walkers] = over_rows.map("walkers", "serial", n_walkers, [1, 2, 3], [])
-        errors = np.asarray(mapped[n_walkers](values, *data)).reshape(-1, n_walkers, n_rows)
-        return sharing.squares(errors.transpose(2, 0, 1))
-
-    return squares
+    return outputs
 
 
 def posterior_of(known: Identified, data: Measurements) -> tuple[Posterior, Laplace]:
