@@ -12,7 +12,6 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -115,11 +114,11 @@ class _Running:
     """A run in a process of its own, forked from one that has loaded all but run nothing: threads do not outlive a fork."""
 
     def __init__(self, study: Path, run: Path) -> None:
-        for name in LOADED:
-            import_module(name)
+        apart = multiprocessing.get_context("forkserver")  # this process may have set a report, by threads of typst's
+        apart.set_forkserver_preload(list(LOADED))
         self._log = run.with_name(f"{run.name}.log")
         self._log.unlink(missing_ok=True)
-        self.process = multiprocessing.get_context("fork").Process(target=_run, args=(study, run, self._log))
+        self.process = apart.Process(target=_run, args=(study, run, self._log))
         self.process.start()
 
     @property
