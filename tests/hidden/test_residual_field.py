@@ -57,7 +57,7 @@ def ask(folder, wanted):
 def predicted(folder, rows):
     """What calflow predicts of rows, and what it says."""
     rows.drop(columns=[*X, "sigma_mm"]).to_csv(folder / "rows.csv", index=False)
-    answer = in_process("predict", folder / "run", folder / "rows.csv", "--out", folder / "predicted.csv")
+    answer = in_process("predict", folder / "run", folder / "rows.csv", "--out", folder / "predicted.csv", "--force")
     assert answer.code == 0, answer
     return pd.read_csv(folder / "predicted.csv"), answer.err
 

@@ -25,7 +25,7 @@ def test_a_poor_machine_is_slow_and_can_be_relied_on(tmp_path):
     """Fails if without compiler, home, cache and UTF-8 the doctor breaks, calls it trouble, or does not say what is slow."""
     (tmp_path / "file").write_text("", encoding="utf-8")
     done = asked(
-        tmp_path, CC="no-such-compiler", HOME="/nonexistent", XDG_CACHE_HOME=None, XDG_CONFIG_HOME=None, MPLCONFIGDIR=None,
+        tmp_path, CC="no-such-compiler", HOME="/proc/nowhere", XDG_CACHE_HOME=None, XDG_CONFIG_HOME=None, MPLCONFIGDIR=None,
         LC_ALL="de_DE.ISO-8859-1", PYTHONIOENCODING="latin-1", CALFLOW_DATA=None, COLUMNS="300",
     )  # fmt: skip
     said = done.stdout.decode("latin-1")

@@ -166,7 +166,7 @@ def test_what_cannot_be_asked_is_refused(measured):
     (told,) = measured.refused("validate", measured / "runs", measured / "few.csv", "--station", "fitted")
     assert "the device's frame cannot be fitted" in told
     (told,) = measured.refused("validate", measured / "runs", measured / "new.csv", "--tolerance-mm", -1)
-    assert "tolerance: expected more than 0" in told
+    assert "--tolerance-mm: expected more than 0" in told
     (told, *_) = measured.refused("validate", measured / "runs", measured / "asked.csv")
     assert "asked.csv" in told
     assert not (measured / "runs" / "validate").exists()
