@@ -23,10 +23,10 @@ LEVELS = (0.5, 0.9, 0.95)
 
 
 def share(right: pd.Series) -> tuple[float, float, float]:
-    """Share of cases that are right, with its 95 % interval (Jeffreys)."""
+    """Share of cases that are right, with its 95 % interval (Jeffreys; to the end where all are alike)."""
     n, k = len(right), float(right.sum())
     low, high = beta(k + 0.5, n - k + 0.5).ppf([0.025, 0.975])
-    return k / n, low, high
+    return k / n, float(low) if k else 0.0, float(high) if k < n else 1.0
 
 
 def reliability(cases: pd.DataFrame) -> pd.DataFrame:

@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import chi2, kstest
 
 from calflow.design.candidates import pack
+from calflow.files.problems import InputError
 from calflow.model import build
 from calflow.robot.robot import Robot
 from calflow.simulation import simulate
@@ -266,3 +267,10 @@ def test_no_run_reads_the_truth(small):
     """Fails if a study knows what it is to find."""
     (small / "truth.toml").unlink()
     assert small.calflow("run", "--stage", "identify").code == 0
+
+
+@pytest.mark.parametrize("repeats", [10**13, 10**7 + 1])
+def test_a_mistyped_number_of_repeats_is_refused(small, repeats):
+    """Fails if a figure with some zeros too many fills the memory instead of being told."""
+    with pytest.raises(InputError, match="expected at most 10,000,000 rows a marker"):
+        simulated(small, ("repeats = 2", f"repeats = {repeats}"))

@@ -24,6 +24,8 @@ from calflow.robot.robot import Robot
 from calflow.study import check_effects
 from calflow.study_file import known_effects
 
+MOST_ROWS = 10_000_000  # a marker: more would take this program's memory for a mistyped figure
+
 
 class Region(FileModel):
     """A box in the measuring frame."""
@@ -77,6 +79,15 @@ class Truth(FileModel):
     device: Device = Device()
     sets: tuple[PoseSet, ...] = Field(min_length=1)
     values: dict[str, dict[str, Any]] = {}
+
+    @model_validator(mode="after")
+    def _of_some_size(self) -> Truth:
+        rows = self.repeats * sum(one.random or 0 for one in self.sets)
+        if max(rows, self.repeats) > MOST_ROWS:
+            raise ValueError(
+                f"expected at most {MOST_ROWS:,} rows a marker, found {rows:,} (random poses times repeats)"
+            )
+        return self
 
     @field_validator("effects")
     @classmethod

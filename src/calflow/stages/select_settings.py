@@ -38,7 +38,7 @@ class SelectSettings(Region):
     """
 
     poses: int = Field(default=100, ge=4, description="how many poses to choose")
-    candidates: int = Field(default=2000, ge=100, description="how many to choose them of")
+    candidates: int = Field(default=2000, ge=100, le=10_000_000, description="how many to choose them of")
     candidates_file: str = Field(
         default="",
         description="a CSV of joint readings (`q1_deg` …) to choose of, such as taught poses, in the place of drawn ones; "
