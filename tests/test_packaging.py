@@ -13,14 +13,14 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-CONTAINER = (ROOT / "packaging" / "Containerfile").read_text(encoding="utf-8")
+CONTAINER = (ROOT / ".ci" / "Containerfile").read_text(encoding="utf-8")
 OF_CONDA = {"matplotlib": "matplotlib-base", "typst": "typst-py"}  # what conda-forge calls them
 
 
 @pytest.fixture(scope="module")
 def recipe():
     """The conda recipe."""
-    return yaml.safe_load((ROOT / "packaging" / "conda" / "meta.yaml").read_text(encoding="utf-8"))
+    return yaml.safe_load((ROOT / ".ci" / "conda" / "meta.yaml").read_text(encoding="utf-8"))
 
 
 def test_the_recipe_needs_what_the_project_needs(recipe):
@@ -38,7 +38,7 @@ def test_the_recipe_is_of_this_project(recipe):
     assert recipe["package"] == {"name": own["name"], "version": own["version"]}
     assert (recipe["about"]["license"], recipe["about"]["summary"]) == (own["license"], own["description"])
     assert recipe["build"]["entry_points"] == [f"{name} = {where}" for name, where in own["scripts"].items()]
-    assert (ROOT / "packaging" / "conda" / recipe["source"]["path"] / "pyproject.toml").is_file()
+    assert (ROOT / ".ci" / "conda" / recipe["source"]["path"] / "pyproject.toml").is_file()
 
 
 def test_the_container_is_built_of_what_is_there():
