@@ -13,6 +13,7 @@ from calflow.design.planned import Planned
 from calflow.diagnosis.linear import Block
 from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors
 from calflow.diagnosis.screening.screening import Family, Screening
+from calflow.diagnosis.screening.tall_matrix import Held
 from calflow.measurements.series import Series
 from calflow.observations.position import Position
 from calflow.robot.robot import Robot
@@ -90,8 +91,8 @@ def test_chances_are_those_of_fits_to_simulated_measurements():
     information = fitted.T @ fitted
     taken = float(np.trace(np.linalg.solve(information + np.diag(prior**-2.0), information)))
     regressors = Regressors(
-        noise, fitted, prior**-2.0, np.zeros(4), 0.0, matrix, np.concatenate([block.sd for block in blocks]),
-        tuple(candidates), Products.of(noise, fitted, matrix, candidates), taken,
+        noise, fitted, prior**-2.0, np.zeros(4), 0.0, Held(matrix), np.concatenate([block.sd for block in blocks]),
+        tuple(candidates), Products.of(noise, fitted, Held(matrix), candidates), taken,
     )  # fmt: skip
     family = Family({}, 5.0)
     seen, told = chances(Screening(regressors), family, alarm, rng, draws=number)

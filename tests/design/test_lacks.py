@@ -29,7 +29,7 @@ def log_likelihood(lacks, lack):
     seen = r.residual - r.jacobian @ start
     covariance = (1 + lack.alone**2) * np.eye(len(seen)) + (r.jacobian / r.precision) @ r.jacobian.T
     if len(lack.form.columns):
-        waves = r.matrix[:, lack.form.columns] * (lack.form.sd * lack.size)
+        waves = r.matrix.values[:, lack.form.columns] * (lack.form.sd * lack.size)
         covariance += waves @ waves.T
     return multivariate_normal(np.zeros(len(seen)), covariance).logpdf(seen)
 
@@ -52,7 +52,7 @@ def test_amplitudes_are_those_of_a_joint_fit(lacks):
     """Fails if mean or covariance of what may be lacking are not those of parameters and amplitudes estimated together."""
     r = lacks.regressors
     lack = max((one for one in lacks.every if one.form.kind == "background"), key=lambda one: one.log_weight)
-    both = np.hstack([r.jacobian, r.matrix[:, lack.form.columns]])
+    both = np.hstack([r.jacobian, r.matrix.values[:, lack.form.columns]])
     precision = np.diag(np.concatenate([r.precision, (lack.form.sd * lack.size) ** -2.0]))
     scale = np.diag(precision) ** -0.5
     whole = np.linalg.inv(np.outer(scale, scale) * (both.T @ both + precision)) * np.outer(scale, scale)

@@ -199,7 +199,7 @@ def test_a_robot_is_told_the_same_at_its_first_step():
     blocks = [
         Block(
             f"{c.cause.id} {c.cause.part}",
-            r.matrix[:, c.columns],
+            r.matrix.values[:, c.columns],
             r.prior_sd[c.columns],
             c.cause.detail,
             *c.cause.bounds,

@@ -11,8 +11,9 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2 as chi2_distribution
 
-from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors, counted_once, shared_error
+from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors, shared_error
 from calflow.diagnosis.screening.screening import Score
+from calflow.diagnosis.screening.tall_matrix import Held, counted_once
 from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.diagnosis.search.trial import Trial, bic, relief
 
@@ -209,10 +210,10 @@ class LinearTrial(Trial[Block]):
         residual, both = found.residual, np.hstack([found.design, problem.matrix / found.level])
         if problem.group is not None:
             shared, _ = shared_error(residual, problem.group, found.effective_parameters)
-            residual, both = counted_once(residual, both, problem.group, shared)
+            residual, both = (counted_once(values, problem.group, shared) for values in (residual, both))
         free = np.flatnonzero(~found.at_bound)
         precision = found.prior_sd**-2.0
-        jacobian, matrix = both[:, free], both[:, n:]
+        jacobian, matrix = both[:, free], Held(both[:, n:])
         regressors = Regressors(
             residual=residual,
             jacobian=jacobian,

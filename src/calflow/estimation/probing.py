@@ -16,6 +16,7 @@ from typing import ClassVar, TypeVar
 import casadi as ca
 import numpy as np
 
+from calflow.compiled import compiled
 from calflow.effects import Effect
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.model import over_rows
@@ -116,6 +117,78 @@ class Basis:
         yield from (order[depth == k] for k in range(int(depth.max(initial=-1)) + 1))
 
 
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """A problem at p, with effects beside its model, at nothing: residuals and slopes of any of its rows.
+
+    graphs has for each of the problem's blocks the function of a row, bases what effects do to inner quantities. Where an
+    observation has no single report there are no bases, and the graphs' own slopes are all. width is the number of the effects'
+    parameters.
+    """
+
+    problem: LeastSquares
+    p: np.ndarray
+    graphs: tuple[ca.Function, ...]
+    bases: tuple[Basis, ...]
+    width: int
+
+    @staticmethod
+    def of(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> Probe:
+        """Make the graphs, or take those that were made for the same model."""
+        model = problem.model
+        bases, width = _bases(effects, model.given)
+        if effects:
+            moved = problem.on(replace(model, probes=(Levers(model.robot),)))
+            pairs = zip(problem.blocks, moved.blocks, strict=True)
+            graphs = tuple(graph for block, with_levers in pairs if (graph := _graph(block, with_levers)))
+            if len(graphs) == len(problem.blocks):
+                return Probe(problem, np.append(p, np.zeros(Inner.width(model.robot))), graphs, tuple(bases), width)
+        large = replace(model, probes=tuple(effects))
+        graphs = tuple(block.graph for block in problem.on(large).blocks)
+        return Probe(problem, np.append(p, large.nominal[len(p) :]), graphs, (), width)
+
+    def compiled(self, passes: int) -> Probe:
+        """Return the same as machine code, where that pays for so many passes over all rows."""
+        evaluations = passes * self.problem.n_rows
+        graphs = tuple(compiled(graph, evaluations) for graph in self.graphs)
+        bases = tuple(replace(basis, function=compiled(basis.function, evaluations)) for basis in self.bases)
+        return replace(self, graphs=graphs, bases=bases)
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of the model's own parameters."""
+        return len(self.problem.model.parameters)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Of the Jacobian: the model's parameters first, then those of the effects."""
+        return self.problem.size, self.n_parameters + self.width
+
+    def of_rows(self, number: int, rows: slice | np.ndarray, out: np.ndarray) -> np.ndarray:
+        """Return whitened residuals (n,) of some rows of the block of this number, and fill in their Jacobian, zero before."""
+        block, graph, n = self.problem.blocks[number], self.graphs[number], self.n_parameters
+        data = [values[:, rows] for values in block.data]
+        left, slopes, *state = over_rows(graph, self.p, *data)
+        if not self.bases:
+            out[:] = slopes.T
+            return left.T.ravel()
+        out[:, :n] = slopes.T[:, :n]
+        shape = (left.shape[1], block.n_units, -1)
+        _fill(out.reshape(shape)[..., n:], self.bases, slopes.T.reshape(shape)[..., n:], state[0], data[0])
+        return left.T.ravel()
+
+    def whole(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the residuals (n,) and the Jacobian of all rows."""
+        residual, matrix, start = np.empty(self.problem.size), np.zeros(self.shape), 0
+        for number, block in enumerate(self.problem.blocks):
+            for first in range(0, len(block.rows), ROWS):
+                rows = slice(first, min(first + ROWS, len(block.rows)))
+                stop = start + (rows.stop - first) * block.n_units
+                residual[start:stop] = self.of_rows(number, rows, matrix[start:stop])
+                start = stop
+        return residual, matrix
+
+
 def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
     """Return the stacked whitened residuals (n,) at p, and their Jacobian (n, n_parameters + n_columns).
 
@@ -123,28 +196,7 @@ def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> t
     """
     if not effects:
         return problem.screened(p)  # by the graph that the fit has made
-    robot, given, n = problem.model.robot, problem.model.given, len(p)
-    bases, width = _bases(effects, given)
-    levers = Levers(robot)
-    moved = problem.on(replace(problem.model, probes=(levers,)))
-    graphs = [_graph(block, with_levers) for block, with_levers in zip(problem.blocks, moved.blocks, strict=True)]
-    known = [graph for graph in graphs if graph]
-    if len(known) < len(graphs):
-        large = replace(problem.model, probes=tuple(effects))
-        return problem.on(large).screened(np.concatenate([p, large.nominal[n:]]))
-    residual, start, still = np.empty(problem.size), 0, np.concatenate([p, np.zeros(len(levers.declared))])
-    matrix = np.zeros((problem.size, n + width))
-    for block, graph in zip(problem.blocks, known, strict=True):
-        for first in range(0, len(block.rows), ROWS):
-            data = [values[:, first : first + ROWS] for values in block.data]
-            left, slopes, state = over_rows(graph, still, *data)
-            rows = slice(start, start + left.size)
-            residual[rows] = left.T.ravel()
-            matrix[rows, :n] = slopes.T[:, :n]
-            shape = (left.shape[1], block.n_units, -1)
-            _fill(matrix[rows].reshape(shape)[..., n:], bases, slopes.T.reshape(shape)[..., n:], state, data[0])
-            start = rows.stop
-    return residual, matrix
+    return Probe.of(problem, p, effects).whole()
 
 
 def _fill(

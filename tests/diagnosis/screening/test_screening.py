@@ -103,7 +103,7 @@ def summed(r):
 
 def with_residual(r, residual, **changes):
     """The same regressors with another residual."""
-    products = replace(r.products, fitted_left=r.jacobian.T @ residual, left=r.matrix.T @ residual)
+    products = replace(r.products, fitted_left=r.jacobian.T @ residual, left=r.matrix.across(residual))
     return replace(r, residual=residual, products=products, **changes)
 
 

@@ -8,6 +8,7 @@ import pytest
 from calflow.diagnosis.screening.detection_limit import detection_limit, noncentrality
 from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors
 from calflow.diagnosis.screening.screening import Family, Screening
+from calflow.diagnosis.screening.tall_matrix import Held
 from calflow.diagnosis.search.exchange import Exchange
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
@@ -41,8 +42,10 @@ def regressors():
     candidates = tuple(
         Candidate(cause, np.arange(i, j)) for cause, i, j in zip(every, ends[:-1], ends[1:], strict=True)
     )
-    products = Products.of(residual, jacobian, matrix, candidates)
-    return Regressors(residual, jacobian, np.full(OWN, 0.1), np.zeros(OWN), 0.0, matrix, prior_sd, candidates, products)
+    products = Products.of(residual, jacobian, Held(matrix), candidates)
+    return Regressors(
+        residual, jacobian, np.full(OWN, 0.1), np.zeros(OWN), 0.0, Held(matrix), prior_sd, candidates, products
+    )
 
 
 FAMILY = Family({}, 30.0)
@@ -50,7 +53,7 @@ FAMILY = Family({}, 30.0)
 
 def chi2(regressors, columns):
     """What a fit with some candidates' columns leaves, by ordinary least squares with the priors as rows."""
-    whole = np.hstack([regressors.jacobian, regressors.matrix[:, columns]])
+    whole = np.hstack([regressors.jacobian, regressors.matrix.values[:, columns]])
     prior = np.diag(np.sqrt([*regressors.precision, *regressors.prior_sd[columns] ** -2.0]))
     left = np.append(regressors.residual, np.zeros(len(prior)))
     return float(np.linalg.lstsq(np.vstack([whole, prior]), left, rcond=None)[1][0])
@@ -85,7 +88,7 @@ def test_two_causes_of_one_place_stand_as_any_pair_does(regressors):
     """Breaks if two waves of one joint, or two steps of the device, give way to whatever comes first."""
     twice = [Cause(ROBOT, catalogue()["joint-eccentricity"](ROBOT, order=order), "joint1") for order in (1, 2)]
     there = (Candidate(twice[0], np.arange(6, 8)), Candidate(twice[1], np.arange(8, 10)))
-    both = regressors.matrix[:, 6:10] @ np.array([3e-5, 1e-5, -2e-5, 2e-5])
+    both = regressors.matrix.values[:, 6:10] @ np.array([3e-5, 1e-5, -2e-5, 2e-5])
     candidates = (*regressors.candidates[2:6], *there)
     alone = with_residual(regressors, regressors.residual + both, candidates=candidates)
     assert not list(Exchange.of(Screening(alone), FAMILY, twice).better())
@@ -98,7 +101,7 @@ def test_a_cause_at_its_detection_limit_is_found_95_times_in_100(regressors):
     limit, found, draws = detection_limit(score, FAMILY, 0.01), 0, 400
     for _ in range(draws):
         phase = rng.uniform(0, 2 * np.pi)
-        effect = regressors.matrix[:, 6:8] @ (limit * np.array([np.cos(phase), np.sin(phase)]))
+        effect = regressors.matrix.values[:, 6:8] @ (limit * np.array([np.cos(phase), np.sin(phase)]))
         noise = rng.standard_normal(ROWS)
         again = Screening(replaced(regressors, effect + noise))
         found += FAMILY.p(next(s for s in again.scores if s.cause == causes()[6])) < 0.01
@@ -118,7 +121,9 @@ def replaced(regressors, residual):
 
 def test_one_cause_takes_the_place_of_two_that_imitate_it(regressors):
     """Breaks if two causes that together resemble a third keep it out, or right ones give way to what resembles them."""
-    truly = with_residual(regressors, np.random.default_rng(2).standard_normal(ROWS) + regressors.matrix[:, 2] * 6e-5)
+    truly = with_residual(
+        regressors, np.random.default_rng(2).standard_normal(ROWS) + regressors.matrix.values[:, 2] * 6e-5
+    )
     imitating = Exchange.of(Screening(truly), FAMILY, [causes()[0], causes()[1]])
     assert imitating.alone().cause == causes()[2]
     assert Exchange.of(Screening(regressors), FAMILY, [causes()[0], causes()[1]]).alone() is None

@@ -21,6 +21,7 @@ from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors, candidates_of
 from calflow.diagnosis.screening.screening import Family, Screening
+from calflow.diagnosis.screening.tall_matrix import Held
 from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
@@ -162,7 +163,7 @@ def _regressors(
     soft = np.array([p.prior_sd if p.effect == "joint-compliance" else 0.0 for p in model.parameters])
     point = model.nominal + soft
     _, matrix = probed(planned.problem(model, point, rows), point, effects)
-    jacobian, found, candidates = matrix[:, :n], matrix[:, n:], candidates_of(effects)
+    jacobian, found, candidates = matrix[:, :n], Held(matrix[:, n:]), candidates_of(effects)
     residual, precision = rng.standard_normal(len(matrix)), sd**-2.0
     products = Products.of(residual, jacobian, found, candidates)
     known = cho_solve(cho_factor(products.fitted + np.diag(precision)), products.fitted)

@@ -148,7 +148,7 @@ def _backgrounds(
         columns = start + np.arange(number)
         spectrum = np.concatenate([effect.spectrum for effect in effects])  # type: ignore[attr-defined]
         sd = regressors.prior_sd[columns] * spectrum
-        moved = float(np.sqrt(np.mean(((regressors.matrix[:, columns] * sd) ** 2).sum(axis=1))))
+        moved = float(np.sqrt(regressors.products.squared[columns] @ sd**2 / len(regressors.residual)))
         start += number
         if moved > 0:
             yield Form("background", " and ".join(inputs), tuple(effects), columns, sd / moved)

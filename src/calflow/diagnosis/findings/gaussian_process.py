@@ -29,7 +29,7 @@ def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> n
     regressors = replace(fitted, background=None).regressors(decoys)
     amplitudes = _amplitudes(Screening(regressors)) * regressors.prior_sd
     own = regressors.jacobian
-    imitated = own.T @ (regressors.matrix @ amplitudes)
+    imitated = own.T @ regressors.matrix.times(amplitudes)
     settled = -np.linalg.solve(own.T @ own + np.diag(regressors.precision), imitated)
     model, fit = fitted.model, fitted.fit
     both = replace(model, probes=tuple(decoys))

@@ -37,11 +37,14 @@ class Correlation:
 
     def whiten(self, values: np.ndarray) -> None:
         """Multiply values (n, …) by (V/s²)^-1/2 in their place: these are the largest arrays of all."""
-        shrunk = 1 - (1 + self.variance) ** -0.5
-        along = (shrunk * (self.modes.T @ values).T).T
+        along = self.taken(self.modes.T @ values)
         for start in range(0, len(values), ROWS):
             part = slice(start, start + ROWS)
             values[part] -= self.modes[part] @ along
+
+    def taken(self, along: np.ndarray) -> np.ndarray:
+        """Return what is taken off along the modes of values that are (n_modes, …) along them."""
+        return np.asarray(((1 - (1 + self.variance) ** -0.5) * along.T).T)
 
     def degrees_of_freedom(self, along: np.ndarray, visible: np.ndarray, of_noise: float) -> np.ndarray:
         """Return those of the variance of each column's amplitude, shape (n_columns,) (Satterthwaite 1946).

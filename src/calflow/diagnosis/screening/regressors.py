@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Generic
@@ -11,14 +12,16 @@ from scipy.stats import f as f_distribution
 
 from calflow.diagnosis.screening.correlation import Correlation
 from calflow.diagnosis.screening.hypothesis import H
+from calflow.diagnosis.screening.tall_matrix import HELD, Held, Remade, TallMatrix, counted_once
 from calflow.effects import Effect
 from calflow.effects.cause import Cause, parts
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares, Stacking
-from calflow.estimation.probing import probed, side_by_side
+from calflow.estimation.probing import Probe, side_by_side
 from calflow.estimation.sharing import group_means
 
 USUAL = 1e-3  # m, per axis: what a model leaves of a usual robot at most
+PASSES = 4  # over all rows that a linearisation is asked for, on average
 SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
 
 
@@ -53,28 +56,27 @@ class Products:
     def of(
         residual: np.ndarray,
         jacobian: np.ndarray,
-        matrix: np.ndarray,
+        matrix: TallMatrix,
         candidates: Sequence[Candidate],
         correlation: Correlation | None = None,
     ) -> Products:
         """Add up the products of the residual (n,), the Jacobian (n, n_free) and the regressors (n, n_columns)."""
         own = np.zeros((matrix.shape[1], max((len(c.columns) for c in candidates), default=0)))
-        squared = np.zeros(len(own))
-        for candidate in candidates:
-            columns = candidate.columns
-            x = matrix[:, side_by_side(columns)]
-            product = x.T @ x
-            own[columns, : len(columns)], squared[columns] = product, product.diagonal()
-        modes = correlation.modes.T if correlation else np.zeros((0, len(residual)))
+        squared, left = np.zeros(len(own)), np.zeros(len(own))
+        modes = correlation.modes if correlation else np.zeros((len(residual), 0))
+        mixed, along = np.zeros((jacobian.shape[1], len(own))), np.zeros((modes.shape[1], len(own)))
+        for rows, values in matrix.blocks():
+            for candidate in candidates:
+                columns = candidate.columns
+                x = values[:, side_by_side(columns)]
+                product = x.T @ x
+                own[columns, : len(columns)] += product
+                squared[columns] += product.diagonal()
+            mixed += jacobian[rows].T @ values
+            left += values.T @ residual[rows]
+            along += modes[rows].T @ values
         return Products(
-            jacobian.T @ jacobian,
-            jacobian.T @ matrix,
-            own,
-            squared,
-            jacobian.T @ residual,
-            matrix.T @ residual,
-            modes @ jacobian,
-            modes @ matrix,
+            jacobian.T @ jacobian, mixed, own, squared, jacobian.T @ residual, left, modes.T @ jacobian, along
         )
 
     def without(self, gone: np.ndarray, value: np.ndarray) -> Products:
@@ -105,7 +107,7 @@ class Regressors(Generic[H]):
     precision: np.ndarray
     pull: np.ndarray
     prior_rss: float
-    matrix: np.ndarray
+    matrix: TallMatrix
     prior_sd: np.ndarray
     candidates: tuple[Candidate[H], ...]
     products: Products
@@ -132,31 +134,35 @@ class Regressors(Generic[H]):
         model = fit.model
         large = replace(model, probes=tuple(effects))
         n = len(model.parameters)
-        left, matrix = probed(problem, fit.estimate, effects)
+        probe = Probe.of(problem, fit.estimate, effects) if effects else None
+        tall = probe if probe and math.prod(probe.shape) > HELD else None
+        left, slopes = probe.whole() if probe and not tall else problem.screened(fit.estimate)
         shared = chance = 1.0
         if poses is not None:
             group = shared_by(problem.stacking, poses)
             shared, chance = shared_error(left, group, fit.effective_parameters)
             shared = correlation.shared if correlation else shared
-            left, matrix = counted_once(left, matrix, group, shared)
+            left, slopes = (counted_once(values, group, shared) for values in (left, slopes))
         if correlation is not None:
             correlation.whiten(left)
-            correlation.whiten(matrix)
+            correlation.whiten(slopes)
         free = np.flatnonzero(~fit.at_bound)
         offset = fit.estimate - model.prior_mean
         precision = model.prior_sd**-2.0
         scale = max(1.0, problem.scatter / USUAL)
-        jacobian, found, candidates = matrix[:, free], matrix[:, n:], candidates_of(effects)
+        candidates, jacobian = candidates_of(effects), slopes[:, free]
+        rows = np.arange(problem.n_rows) if poses is None else poses
+        matrix = Remade(tall.compiled(PASSES), rows, shared, correlation) if tall else Held(slopes[:, n:])
         return Regressors(
             left,
             jacobian,
             precision[free],
             (precision * offset)[free],
             float(precision @ offset**2),
-            found,
+            matrix,
             large.prior_sd[n:] * scale,
             candidates,
-            Products.of(left, jacobian, found, candidates, correlation),
+            Products.of(left, jacobian, matrix, candidates, correlation),
             fit.effective_parameters,
             scale,
             shared,
@@ -177,19 +183,6 @@ class Regressors(Generic[H]):
             prior_rss=self.prior_rss - float(pull @ pull),
             products=self.products.without(columns, value),
         )
-
-
-def counted_once(
-    residual: np.ndarray, matrix: np.ndarray, group: np.ndarray, shared: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals (n,) and regressors (n, n_columns) in which what a group (n,) has in common counts once.
-
-    shared is the factor of that: see `shared_error`.
-    """
-    if shared >= 1:
-        return residual, matrix
-    first, second = (array - (1 - shared) * group_means(array, group) for array in (residual, matrix))
-    return first, second
 
 
 def shared_by(stacking: Stacking, poses: np.ndarray) -> np.ndarray:

@@ -189,21 +189,35 @@ class Screening(Generic[H]):
 
     def information(self, columns: np.ndarray) -> np.ndarray:
         """Return S between some columns, shape (n_columns, n_columns)."""
-        x, imitated = self.regressors.matrix[:, columns], self._imitated[:, columns]
-        return np.asarray(x.T @ x - imitated.T @ imitated)
+        imitated = self._imitated[:, columns]
+        return np.asarray(self.regressors.matrix.products(columns) - imitated.T @ imitated)
 
     def response(self, columns: np.ndarray) -> np.ndarray:
         """Return by how much u of all columns falls with some columns' amplitudes, shape (n_columns, n_own)."""
-        r = self.regressors
-        return np.asarray(r.matrix.T @ r.matrix[:, columns] - self._imitated.T @ self._imitated[:, columns])
+        shown = self.regressors.matrix.response(columns)
+        return np.asarray(shown - self._imitated.T @ self._imitated[:, columns])
 
-    def settled(self, residual: np.ndarray, pull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return u (n_columns, n_draws) and chi² (n_draws,) of residuals (n, n_draws) with the priors' pull (n_free, n_draws)."""
-        r = self.regressors
-        gradient = solve_triangular(self._factor, r.jacobian.T @ residual + pull, lower=True)
-        score = r.matrix.T @ residual - self._imitated.T @ gradient
-        chi2 = (residual**2).sum(axis=0) + (pull**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
-        return score, chi2
+    def settled(
+        self, residual: np.ndarray, pull: np.ndarray, size: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return u (n_columns, n_draws) and chi² (n_draws,) of residuals (n, n_draws) with the priors' pull (n_free, n_draws).
+
+        Residuals are times a size (n,) of each row, where that is given: draws can be signs then, which take little memory.
+        """
+        r, n_draws = self.regressors, residual.shape[1]
+        size = np.ones(len(residual)) if size is None else size
+        slope, chi2 = np.zeros((r.jacobian.shape[1], n_draws)), np.zeros(n_draws)
+        score = np.zeros((r.matrix.shape[1], n_draws))
+        for rows, x in r.matrix.blocks():
+            for start in range(0, n_draws, DRAWN_AT_ONCE):
+                draws = slice(start, start + DRAWN_AT_ONCE)
+                drawn = size[rows, None] * residual[rows, draws]
+                score[:, draws] += x.T @ drawn
+                slope[:, draws] += r.jacobian[rows].T @ drawn
+                chi2[draws] += (drawn**2).sum(axis=0)
+        gradient = solve_triangular(self._factor, slope + pull, lower=True)
+        score -= self._imitated.T @ gradient
+        return score, chi2 + (pull**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
 
     @property
     def degrees_of_freedom(self) -> float:
@@ -325,17 +339,16 @@ class Screening(Generic[H]):
         contests = [
             _Contest.of(block, [number[r.candidates[m].cause.place] for m in block.members]) for block in self._blocks
         ]
+        drawn = [_drawn(rng, n, r.precision, count) for count in np.diff([*range(0, DRAWS, DRAWN_AT_ONCE), DRAWS])]
+        signs, pseudo = (np.hstack(part) for part in zip(*drawn, strict=True))
+        score, chi2 = self.settled(signs, pseudo, size)
         smallest = np.ones((len(places), DRAWS))
         for start in range(0, DRAWS, DRAWN_AT_ONCE):
-            part = slice(start, min(start + DRAWN_AT_ONCE, DRAWS))
-            count = part.stop - part.start
-            noise = size[:, None] * rng.choice([-1.0, 1.0], (n, count))
-            pseudo = np.sqrt(r.precision)[:, None] * rng.standard_normal((r.jacobian.shape[1], count))
-            score, chi2 = self.settled(noise, pseudo)
+            part = slice(start, start + DRAWN_AT_ONCE)
             for block, contest in zip(self._blocks, contests, strict=True):
-                whitened = np.einsum("mij,mjk->mik", block.roots, score[block.columns])
+                whitened = np.einsum("mij,mjk->mik", block.roots, score[block.columns, part])
                 largest = contest.won((whitened**2).sum(axis=1))
-                p = self._p(largest, chi2, contest.degrees_of_freedom, n)  # the priors are drawn too: nothing is lost
+                p = self._p(largest, chi2[part], contest.degrees_of_freedom, n)  # priors are drawn too: nothing is lost
                 np.minimum.at(smallest[:, part], contest.place, p)
         scans = np.array([_worth(row) for row in smallest])
         adjusted = -np.expm1(scans[:, None] * np.log1p(-np.minimum(smallest, 1 - 1e-16)))
@@ -359,6 +372,12 @@ class Screening(Generic[H]):
         left = np.maximum(total - degrees_of_freedom, 1.0)
         ratio = drops / degrees_of_freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
         return np.asarray(fdtrc(degrees_of_freedom, left if sure is None else sure, ratio))
+
+
+def _drawn(rng: np.random.Generator, n: int, precision: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Draw the signs (n, count) of so many residuals, and the pull (n_free, count) of priors of a precision (n_free,)."""
+    signs = rng.choice(np.array([-1, 1], dtype=np.int8), (n, count))
+    return signs, np.sqrt(precision)[:, None] * rng.standard_normal((len(precision), count))
 
 
 def prior_cost(pulled: np.ndarray, number: int) -> np.ndarray:

@@ -18,6 +18,7 @@ from scipy.stats import norm
 from calflow.diagnosis.screening.correlation import Background
 from calflow.diagnosis.screening.regressors import Products, Regressors
 from calflow.diagnosis.screening.screening import Screening
+from calflow.diagnosis.screening.tall_matrix import Held
 from calflow.diagnosis.search.decoys import Decoy, InTime, JointField, Shift, placed, under_payloads
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects.cause import Cause
@@ -52,16 +53,17 @@ class Basis:
         kinds = functions(fitted)
         regressors = replace(fitted, background=None).regressors([effect for _, effects in kinds for effect in effects])
         spectrum = np.concatenate([effect.spectrum for _, effects in kinds for effect in effects])
-        waves = regressors.matrix * (regressors.prior_sd * spectrum)
+        scale = regressors.prior_sd * spectrum
+        shown = regressors.matrix.products(np.arange(len(scale))) * scale[:, None] * scale
         ends = np.cumsum([0, *(sum(len(effect.declared) for effect in effects) for _, effects in kinds)])
         spans = [slice(i, j) for i, j in pairwise(ends)]
         # A wire, or a socket, asks for no place that a device would report: what errs with that place moves nothing here.
-        moving = [k for k, span in enumerate(spans) if waves[:, span].any()]
-        square, turns = np.linalg.eigh(waves.T @ waves)
+        moving = [k for k, span in enumerate(spans) if shown.diagonal()[span].any()]
+        square, turns = np.linalg.eigh(shown)
         kept = np.argsort(-square)[: min(MODES, int(np.count_nonzero(square > 1e-12 * square[-1])))]
         whole = np.sqrt(square[kept])[:, None] * turns[:, kept].T
         parts = tuple(_few(whole[:, spans[k]]) for k in moving)
-        modes = waves @ (turns[:, kept] / np.sqrt(square[kept]))
+        modes = regressors.matrix.times(scale[:, None] * turns[:, kept] / np.sqrt(square[kept]))
         return Basis(modes, tuple(kinds[k][0] for k in moving), parts, fitted.problem.weight)
 
     @cached_property
@@ -175,8 +177,9 @@ class Sizes:
     def of(regressors: Regressors[Cause], basis: Basis, weight: np.ndarray) -> Sizes:
         """Take the model's own parameters out of the modes."""
         modes = basis.weighed(weight)
-        products = Products.of(regressors.residual, regressors.jacobian, modes, ())
-        own = replace(regressors, matrix=modes, candidates=(), products=products)
+        held = Held(modes)
+        products = Products.of(regressors.residual, regressors.jacobian, held, ())
+        own = replace(regressors, matrix=held, candidates=(), products=products)
         seen = Screening(own)
         columns = np.arange(modes.shape[1])
         return Sizes(basis, weight, regressors.shared, modes, seen.information(columns), modes.T @ modes, seen.score,
