@@ -37,7 +37,8 @@ from calflow.design.isolability.visits import RECORDS, ROOM, Visits
 from calflow.design.planned import Planned
 from calflow.design.selection import select
 from calflow.diagnosis.diagnosis import diagnose
-from calflow.diagnosis.screening.screening import Family, Screening
+from calflow.diagnosis.screening.family import Family
+from calflow.diagnosis.screening.screening import Screening
 from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES
 from calflow.effects.cause import Cause
 from calflow.estimation.progress import draws

@@ -11,8 +11,9 @@ from calflow.design.isolability.told_apart import isolability_gaps, isolability_
 from calflow.design.isolability.visits import Visits
 from calflow.design.planned import Planned
 from calflow.diagnosis.linear import Block
+from calflow.diagnosis.screening.family import Family
 from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors
-from calflow.diagnosis.screening.screening import Family, Screening
+from calflow.diagnosis.screening.screening import Screening
 from calflow.diagnosis.screening.tall_matrix import Held
 from calflow.measurements.series import Series
 from calflow.observations.position import Position

@@ -13,7 +13,7 @@ import numpy as np
 
 from calflow.diagnosis.findings.verdict import verdict
 from calflow.diagnosis.linear_trial import Block, LinearProblem, LinearTrial
-from calflow.diagnosis.screening.screening import Family
+from calflow.diagnosis.screening.family import Family
 from calflow.diagnosis.search.acceptance import FALSE_ALARM, Acceptance
 from calflow.diagnosis.search.linearisation import Finding
 from calflow.diagnosis.search.stepwise import Stepwise

@@ -12,7 +12,7 @@ from scipy.optimize import lsq_linear
 from scipy.stats import chi2 as chi2_distribution
 
 from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors, shared_error
-from calflow.diagnosis.screening.screening import Score
+from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.screening.tall_matrix import Held, counted_once
 from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.diagnosis.search.trial import Trial, bic, relief

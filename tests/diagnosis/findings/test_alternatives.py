@@ -9,7 +9,7 @@ import pytest
 
 from calflow.diagnosis.findings.alternatives import MOST, alternatives_table, fitted_alternatives
 from calflow.diagnosis.findings.verdict import UNEXPLAINED, Rival, verdict
-from calflow.diagnosis.screening.screening import Family
+from calflow.diagnosis.screening.family import Family
 from calflow.diagnosis.search.linearisation import Finding
 from calflow.effects.cause import Cause
 from calflow.estimation.alternative import Alternative, AlternativeParameter, choice_variance

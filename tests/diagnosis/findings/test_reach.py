@@ -7,7 +7,7 @@ import pytest
 
 from calflow.diagnosis.findings.reach import models_in_reach, shown
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.screening import Family
+from calflow.diagnosis.screening.family import Family
 from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.effects import catalogue
 from diagnosis.found import cause, hidden, start

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.screening.detection_limit import detection_limit, noncentrality
+from calflow.diagnosis.screening.family import Family
 from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors
-from calflow.diagnosis.screening.screening import Family, Screening
+from calflow.diagnosis.screening.screening import Screening
 from calflow.diagnosis.screening.tall_matrix import Held
 from calflow.diagnosis.search.exchange import Exchange
 from calflow.effects import catalogue

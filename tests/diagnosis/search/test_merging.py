@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calflow.diagnosis.linear_trial import Block, LinearProblem, LinearTrial
-from calflow.diagnosis.screening.screening import Family
+from calflow.diagnosis.screening.family import Family
 from calflow.diagnosis.search.acceptance import Acceptance
 from calflow.diagnosis.search.merging import kindred, merged
 from calflow.diagnosis.search.stepwise import Stepwise

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.linear_trial import Block
-from calflow.diagnosis.screening.screening import Family
+from calflow.diagnosis.screening.family import Family
 from calflow.diagnosis.search.acceptance import Acceptance
 from calflow.diagnosis.search.exchange import COLUMNS
 from calflow.diagnosis.search.linearisation import Screened

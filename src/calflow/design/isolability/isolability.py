@@ -18,9 +18,10 @@ from calflow.design.isolability.visits import Visits
 from calflow.design.planned import Planned
 from calflow.diagnosis.findings.verdict import WITHIN
 from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.screening.family import Family
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors, candidates_of
-from calflow.diagnosis.screening.screening import Family, Screening
+from calflow.diagnosis.screening.screening import Screening
 from calflow.diagnosis.screening.tall_matrix import Held
 from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES
 from calflow.effects import Effect

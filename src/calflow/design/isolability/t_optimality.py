@@ -17,7 +17,7 @@ from scipy.stats import norm
 
 from calflow.design.planned import Planned
 from calflow.diagnosis.findings.verdict import WITHIN
-from calflow.diagnosis.screening.screening import Score
+from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.estimation.least_squares import LeastSquares
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.screening import Score
+from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Finding, Linearisation
 from calflow.diagnosis.search.trial import swapped

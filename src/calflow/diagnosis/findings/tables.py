@@ -17,7 +17,8 @@ from calflow.diagnosis.findings.misfit import Misfit
 from calflow.diagnosis.findings.remainder import POSE, Remainder
 from calflow.diagnosis.findings.verdict import Rival, Verdict, label
 from calflow.diagnosis.screening.detection_limit import detection_limit
-from calflow.diagnosis.screening.screening import Score, by_place
+from calflow.diagnosis.screening.score import Score
+from calflow.diagnosis.screening.screening import by_place
 from calflow.diagnosis.search.extension import Extended
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.merging import kindred

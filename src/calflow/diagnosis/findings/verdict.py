@@ -10,7 +10,8 @@ from typing import Generic, Literal
 import numpy as np
 
 from calflow.diagnosis.screening.hypothesis import H
-from calflow.diagnosis.screening.screening import Score, by_place
+from calflow.diagnosis.screening.score import Score
+from calflow.diagnosis.screening.screening import by_place
 from calflow.diagnosis.search.linearisation import Finding
 
 WITHIN = 10.0  # of the best BIC: closer rivals cannot be told apart (Kass and Raftery 1995: "very strong" beyond)

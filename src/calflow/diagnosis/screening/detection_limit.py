@@ -7,7 +7,8 @@ from scipy.optimize import brentq
 from scipy.stats import f as f_distribution
 from scipy.stats import ncf
 
-from calflow.diagnosis.screening.screening import Family, Score
+from calflow.diagnosis.screening.family import Family
+from calflow.diagnosis.screening.score import Score
 from calflow.effects.cause import Cause
 
 POWER = 0.95

@@ -18,73 +18,16 @@ from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 from scipy.stats import f as f_distribution
 
+from calflow.diagnosis.screening.family import Family, worth
 from calflow.diagnosis.screening.hypothesis import H
-from calflow.diagnosis.screening.regressors import Candidate, Regressors
+from calflow.diagnosis.screening.regressors import Regressors
+from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.screening.trials import Trials
 
 MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
 INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
 TAIL = 3.0  # prior standard deviations
 DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
-BOOTSTRAP_SIGNIFICANCE = (
-    0.05  # of the smallest p-value, at which the bootstrap counts how many tests the family is worth
-)
-
-
-@dataclass(frozen=True)
-class Score(Generic[H]):
-    """What one candidate would gain, without a refit.
-
-    drop is that of chi² and share its part of all, degrees_of_freedom those that it costs, p the p-value of this test
-    alone; delta_bic is negative where it pays. visible_share is how much of the effect the model's own parameters cannot
-    imitate, information S, shown how many directions of it the data show, left the degrees of freedom besides them. unusual is
-    what delta_bic would lose if priors were taken for what they say (see `prior_cost`).
-    """
-
-    candidate: Candidate[H]
-    drop: float
-    share: float
-    degrees_of_freedom: float
-    p: float
-    delta_bic: float
-    visible_share: float
-    estimate: np.ndarray
-    covariance: np.ndarray
-    information: np.ndarray
-    shown: int
-    left: float
-    unusual: float = 0.0
-
-    @property
-    def explained(self) -> float:
-        """Share of chi² that goes, not counting what the cause pulls at its own prior."""
-        precision = np.linalg.inv(self.covariance)
-        fallen = self.estimate @ (2 * precision - self.information) @ self.estimate
-        return float(np.clip(fallen * self.share / max(self.drop, 1e-12), 0.0, 1 - 1e-6))
-
-    @property
-    def cause(self) -> H:
-        """The cause."""
-        return self.candidate.cause
-
-
-@dataclass(frozen=True)
-class Family:
-    """What the number of tests costs: scans is how many each place's variants are worth, places all places together.
-
-    A place pays for its own scan first, so that a cause without variants need not pay for the others'.
-    """
-
-    scans: dict[tuple[str, str], float]
-    places: float
-
-    def tests(self, score: Score) -> float:
-        """Return how many tests a candidate pays for: its place's scan times all places."""
-        return self.scans.get(score.cause.place, 1.0) * self.places
-
-    def p(self, score: Score) -> float:
-        """Return the chance that anything in the family looks like this where nothing is hidden."""
-        return float(-np.expm1(self.tests(score) * np.log1p(-min(score.p, 1 - 1e-16))))
 
 
 @dataclass(frozen=True)
@@ -350,9 +293,9 @@ class Screening(Generic[H]):
                 largest = contest.won((whitened**2).sum(axis=1))
                 p = self._p(largest, chi2[part], contest.degrees_of_freedom, n)  # priors are drawn too: nothing is lost
                 np.minimum.at(smallest[:, part], contest.place, p)
-        scans = np.array([_worth(row) for row in smallest])
+        scans = np.array([worth(row) for row in smallest])
         adjusted = -np.expm1(scans[:, None] * np.log1p(-np.minimum(smallest, 1 - 1e-16)))
-        return Family(dict(zip(places, scans, strict=True)), _worth(adjusted.min(axis=0)) if places else 1.0)
+        return Family(dict(zip(places, scans, strict=True)), worth(adjusted.min(axis=0)) if places else 1.0)
 
     def _p(
         self,
@@ -401,10 +344,3 @@ def by_place(scores: Sequence[Score[H]]) -> dict[tuple[str, str], tuple[float, S
         least = float(values.min())
         found[place] = (least - 2 * float(np.log(np.exp((least - values) / 2).sum())), members[int(values.argmin())])
     return found
-
-
-def _worth(smallest: np.ndarray) -> float:
-    """How many independent tests have a smallest p-value that is distributed like this, on the safe side of so few draws."""
-    error = float(np.sqrt(BOOTSTRAP_SIGNIFICANCE * (1 - BOOTSTRAP_SIGNIFICANCE) / len(smallest)))
-    quantile = float(np.quantile(smallest, BOOTSTRAP_SIGNIFICANCE - error))
-    return float(max(1.0, np.log1p(-BOOTSTRAP_SIGNIFICANCE) / np.log1p(-min(quantile, BOOTSTRAP_SIGNIFICANCE))))

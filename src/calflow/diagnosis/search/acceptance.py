@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from calflow.diagnosis.screening.screening import MATERIAL, Family, Score
+from calflow.diagnosis.screening.family import Family
+from calflow.diagnosis.screening.score import Score
+from calflow.diagnosis.screening.screening import MATERIAL
 from calflow.diagnosis.search.linearisation import Finding
 
 FALSE_ALARM = 0.01  # the chance that anything is found where nothing is hidden, unless a study says otherwise

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.screening import Score
+from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.diagnosis.search.refinement import finest, in_place, refined

@@ -9,7 +9,8 @@ from itertools import chain
 import numpy as np
 
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.screening import Score, Screening
+from calflow.diagnosis.screening.score import Score
+from calflow.diagnosis.screening.screening import Screening
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.diagnosis.search.trial import swapped

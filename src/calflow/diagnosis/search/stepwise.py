@@ -10,8 +10,10 @@ from typing import Generic
 import numpy as np
 
 from calflow.diagnosis.findings.verdict import WITHIN
+from calflow.diagnosis.screening.family import Family
 from calflow.diagnosis.screening.hypothesis import H
-from calflow.diagnosis.screening.screening import Family, Score, by_place
+from calflow.diagnosis.screening.score import Score
+from calflow.diagnosis.screening.screening import by_place
 from calflow.diagnosis.search.acceptance import Acceptance
 from calflow.diagnosis.search.exchange import COLUMNS, SPLIT, Exchange
 from calflow.diagnosis.search.linearisation import Finding, Screened

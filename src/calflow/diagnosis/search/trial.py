@@ -10,8 +10,10 @@ from typing import Any, Generic, Self
 
 import numpy as np
 
+from calflow.diagnosis.screening.family import Family
 from calflow.diagnosis.screening.hypothesis import H
-from calflow.diagnosis.screening.screening import Family, Score, prior_cost
+from calflow.diagnosis.screening.score import Score
+from calflow.diagnosis.screening.screening import prior_cost
 from calflow.diagnosis.search.linearisation import Finding, Linearisation
 
 PATIENCE = 3  # models with causes at the same places that may be no better than one before them

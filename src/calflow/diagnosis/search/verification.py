@@ -9,7 +9,8 @@ import numpy as np
 
 from calflow.diagnosis.findings.verdict import WITHIN
 from calflow.diagnosis.screening.hypothesis import H
-from calflow.diagnosis.screening.screening import Score, by_place
+from calflow.diagnosis.screening.score import Score
+from calflow.diagnosis.screening.screening import by_place
 from calflow.diagnosis.search.exchange import COLUMNS
 from calflow.diagnosis.search.linearisation import Finding
 from calflow.diagnosis.search.trial import Trial, swapped
