@@ -62,16 +62,11 @@ def left_out(fit: Fit, pose: np.ndarray) -> LeftOut:
         fit: the model as it was fitted; orientations are left out of account.
         pose: the number of each row's pose, (n_rows,): rows of one pose are left out together.
     """
-    found, expected, number, shares = 0.0, 0.0, 0, list[float]()
-    for residual, jacobian in _by_pose(fit, pose):
-        covered = np.linalg.inv(np.eye(len(residual)) - jacobian @ fit.covariance @ jacobian.T)
-        missed = covered @ residual
-        found, expected = found + float(missed @ missed), expected + float(np.trace(covered))
-        number += len(residual)
-        shares.append(np.trace(covered) / len(residual))
-    share = float(np.median(shares)) if shares else 0.0
+    squares, covered, sizes = np.concatenate([*_by_pose(fit, pose), np.zeros((3, 0))], axis=1)
+    number = int(sizes.sum())
+    share = float(np.median(covered / sizes)) if number else 0.0
     freedom = max(1.0, number - fit.effective_parameters)
-    return LeftOut(found, expected, number, share, fit.problem.scatter, freedom)
+    return LeftOut(float(squares.sum()), float(covered.sum()), number, share, fit.problem.scatter, freedom)
 
 
 def elsewhere(fit: Fit, pose: np.ndarray) -> float:
@@ -82,13 +77,27 @@ def elsewhere(fit: Fit, pose: np.ndarray) -> float:
     return float(left_out(fit, pose).excess())
 
 
-def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield each pose's whitened residuals (n,), of lengths, and their Jacobian (n, n_parameters)."""
+def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield for poses, of as many lengths, what each errs by when left out, what is expected, and how many lengths; (3, n_poses).
+
+    Errors are squared, and over the noise.
+    """
     for block in fit.problem.reweighted(fit.estimate, fit.loss).blocks:
         lengths = np.array([unit != "rad" for unit in block.observation.units])
-        for rows, *part in block.linearised(fit.estimate):
-            residual, jacobian = block.independent(*part)
-            order = np.argsort(pose[rows], kind="stable")
-            ends = np.flatnonzero(np.diff(pose[rows][order])) + 1
-            for own in np.split(order, ends):
-                yield residual[own][:, lengths].ravel(), jacobian[own][:, lengths].reshape(-1, jacobian.shape[2])
+        block = block.together(pose[block.rows])
+        for rows, _, residual, jacobian in block.independent(fit.estimate, pose[block.rows]):
+            _, first, count = np.unique(pose[rows], return_index=True, return_counts=True)
+            for many in np.unique(count):
+                own = first[count == many, None] + np.arange(many)
+                yield _left_out(residual[own][..., lengths], jacobian[own][:, :, lengths], fit.covariance)
+
+
+def _left_out(residual: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """The same of poses with as many rows: residuals (n_poses, n_rows, n_lengths) and their Jacobian."""
+    n_poses = len(residual)
+    residual = residual.reshape(n_poses, -1)
+    jacobian = jacobian.reshape(*residual.shape, len(covariance))
+    size = residual.shape[1]
+    covered = np.linalg.inv(np.eye(size) - jacobian @ covariance @ jacobian.transpose(0, 2, 1))
+    missed = (covered @ residual[:, :, None])[:, :, 0]
+    return np.array([(missed**2).sum(axis=1), np.trace(covered, axis1=1, axis2=2), np.full(n_poses, float(size))])

@@ -164,8 +164,7 @@ def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
     value, gradient, hessian = 0.5 * offset @ offset, offset.copy(), np.eye(n)
     errors, residuals = list[np.ndarray](), list[np.ndarray]()
     for block in problem.blocks:
-        for _, error, *slopes in block.linearised(x * model.prior_sd):
-            residual, jacobian = block.independent(error, *slopes)
+        for _, error, residual, jacobian in block.independent(x * model.prior_sd):
             squared = (residual**2).sum(axis=1)
             slope = rho_slope(squared, loss)[:, None, None]
             scaled = (jacobian * model.prior_sd).reshape(-1, n)

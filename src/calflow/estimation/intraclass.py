@@ -6,6 +6,7 @@ count: they fix what markers have in common rather than what they have apart.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,11 +14,10 @@ from scipy.optimize import minimize
 
 from calflow.estimation.fit import Fit, fit
 from calflow.estimation.lack_of_fit import LackOfFit
-from calflow.estimation.least_squares import LeastSquares, Loss, SeriesBlock, may_share
+from calflow.estimation.least_squares import LeastSquares, Loss, may_share
 from calflow.estimation.noise import LEAST_SCATTER, Noise
 from calflow.estimation.repeats import averaged, standstills
 from calflow.estimation.reweighting import fit_reweighted
-from calflow.estimation.sharing import group_means
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
@@ -53,7 +53,7 @@ def found_alike(result: Fit, data: Measurements, noise: Noise) -> tuple[float, f
 
     None is claimed of too few standstills, nor of a fit with a robust loss, which weighs each row for itself.
     """
-    if result.loss != "linear":
+    if result.loss != "linear" or np.bincount(standstills(data)).max() == 1:
         return 0.0, 1.0
     products = Products.of(result, data, noise)
     return products.likeliest() if products.common >= ENOUGH else (0.0, 1.0)
@@ -78,6 +78,14 @@ class Together:
     units: int
     apart: np.ndarray
     means: np.ndarray
+
+    @staticmethod
+    def of(both: np.ndarray) -> Together:
+        """Form the products of what standstills have, side by side (n_standstills, n_markers, n_units, p + 1)."""
+        _, markers, _, size = both.shape
+        rows, means = both.reshape(-1, size), both.mean(axis=1).reshape(-1, size)
+        product = markers * means.T @ means
+        return Together(markers, len(means), rows.T @ rows - product, product)
 
     def log_determinant(self, correlation: float) -> float:
         """Return the log of the determinant of the errors' covariance."""
@@ -107,25 +115,20 @@ class Products:
         """Form the products at a fit's estimate."""
         model, size = result.model, len(result.estimate) + 1
         alone, together, n = np.zeros((size, size)), list[Together](), 0
+        standstill = standstills(data)
         for block in LeastSquares.of(model, data, replace(noise, intraclass=0.0)).blocks:
-            both = _side_by_side(block, result.estimate)
-            group = np.arange(len(both))
-            if may_share(block.observation, noise):
-                group = standstills(data.only(np.isin(np.arange(len(data)), block.rows)))
-            count = np.bincount(group)[group]
-            for markers in np.unique(count):
-                own = np.flatnonzero(count == markers)
-                rows = both[own].reshape(-1, size)
-                if markers == 1:
-                    alone += rows.T @ rows
-                    continue
-                first = np.unique(group[own], return_index=True)[1]
-                means = group_means(both[own], group[own])[first].reshape(-1, size)
-                product = markers * means.T @ means
-                together.append(Together(int(markers), len(means), rows.T @ rows - product, product))
-            n += both.shape[0] * both.shape[1]
+            group = standstill if may_share(block.observation, noise) else np.arange(len(data))
+            block = block.together(group[block.rows])
+            for rows, residual, jacobian in block.linearised(result.estimate, group[block.rows]):
+                both = np.concatenate([jacobian * model.prior_sd, residual[:, :, None]], axis=2)
+                _, own, count = np.unique(group[rows], return_inverse=True, return_counts=True)
+                single = both[count[own] == 1].reshape(-1, size)
+                alone += single.T @ single
+                several = np.unique(count[count > 1])
+                together += [Together.of(both[count[own] == k].reshape(-1, k, *both.shape[1:])) for k in several]
+                n += both.shape[0] * both.shape[1]
         pull = (result.estimate - model.prior_mean) / model.prior_sd
-        return Products(alone, tuple(together), pull, n)
+        return Products(alone, _merged(together), pull, n)
 
     @property
     def common(self) -> float:
@@ -156,10 +159,12 @@ class Products:
         return (self.alone + sum(one.weighed(correlation) for one in self.together)) * np.exp(-log_level)
 
 
-def _side_by_side(block: SeriesBlock, estimate: np.ndarray) -> np.ndarray:
-    """Jacobian, scaled by the priors, and whitened residual of a block's rows, shape (n_rows, n_units, p + 1)."""
-    parts = [
-        np.concatenate([jacobian * block.model.prior_sd, residual[:, :, None]], axis=2)
-        for _, residual, jacobian in block.linearised(estimate)
-    ]
-    return np.concatenate(parts)
+def _merged(together: Sequence[Together]) -> tuple[Together, ...]:
+    """Return the products over standstills of as many markers added up."""
+    found: dict[int, Together] = {}
+    for one in together:
+        known = found.get(one.markers)
+        found[one.markers] = one if known is None else Together(
+            one.markers, known.units + one.units, known.apart + one.apart, known.means + one.means
+        )  # fmt: skip
+    return tuple(found[markers] for markers in sorted(found))

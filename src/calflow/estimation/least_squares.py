@@ -115,19 +115,52 @@ class SeriesBlock:
         """What its function is known by among those of the model: the observation's number, and how many weights a row has."""
         return self.model.observations.index(self.observation), len(self.whitening)
 
-    def linearised(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield row numbers (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, part by part."""
-        together = len(self.rows) if self.sharing else LINEARISED_ROWS
-        for start in range(0, len(self.rows), together):
-            part = slice(start, start + together)
+    def together(self, group: np.ndarray) -> SeriesBlock:
+        """Return the same rows, those of a group (n_rows,) beside each other."""
+        order = np.argsort(group, kind="stable")
+        return replace(
+            self,
+            rows=self.rows[order],
+            conditions=self.conditions[:, order],
+            reported=self.reported[:, order],
+            whitening=self.whitening[:, order],
+            sigma=self.sigma[:, order],
+            total=self.total[:, order],
+            sharing=self.sharing and self.sharing.only(order),
+        )
+
+    def parts(self, group: np.ndarray | None = None) -> Iterator[slice]:
+        """Yield the rows in parts of about LINEARISED_ROWS, so that what is made of them does not grow with the data.
+
+        No part ends between neighbours of one group (n_rows,), which are standstills where rows share errors.
+        """
+        n = len(self.rows)
+        if group is None:
+            group = self.sharing.standstill if self.sharing else np.arange(n)
+        ends, start = np.append(np.flatnonzero(np.diff(group)) + 1, n), 0
+        while start < n:
+            end = int(ends[np.searchsorted(ends, min(start + LINEARISED_ROWS, n))])
+            yield slice(start, end)
+            start = end
+
+    def linearised(
+        self, p: np.ndarray, group: np.ndarray | None = None
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Yield row numbers (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, by `parts`."""
+        for part in self.parts(group):
             residual, jacobian = over_rows(self.function, p, *(values[:, part] for values in self.data))
             yield self.rows[part], residual.T, jacobian.T.reshape(residual.shape[1], self.n_units, -1)
 
-    def independent(self, residual: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what `linearised` yields of a part without what rows of a standstill share: of variance 1 each."""
-        if self.sharing is None:
-            return residual, jacobian
-        return self.sharing.decorrelated(residual), self.sharing.decorrelated(jacobian)
+    def independent(
+        self, p: np.ndarray, group: np.ndarray | None = None
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Yield what `linearised` does, and after it residuals and Jacobian without what rows of a standstill share."""
+        for part, (rows, residual, jacobian) in zip(self.parts(group), self.linearised(p, group), strict=True):
+            if self.sharing is None:
+                yield rows, residual, residual, jacobian
+                continue
+            own = self.sharing.only(part)
+            yield rows, residual, own.decorrelated(residual), own.decorrelated(jacobian)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,9 +184,10 @@ class LeastSquares:
                 continue
             own, units = noise.only(rows), observation.units
             reported = observation.reported(data.table.iloc[rows])
-            blocks.append(SeriesBlock(model, observation, rows, data.rows[:, rows], reported, own.whitening(units),
+            block = SeriesBlock(model, observation, rows, data.rows[:, rows], reported, own.whitening(units),
                                 own.principal(units), own.about_model(units),
-                                shared_by(observation, own, data.only(data.of_series(k)))))  # fmt: skip
+                                shared_by(observation, own, data.only(data.of_series(k))))  # fmt: skip
+            blocks.append(block.together(block.sharing.standstill) if block.sharing else block)
         return LeastSquares(model, tuple(blocks))
 
     @property
@@ -242,8 +276,7 @@ class LeastSquares:
         """Return the stacked whitened residuals (n,) at p, made independent, and Householder's R factor of their Jacobian."""
         residuals, r_factor = [], np.zeros((0, len(p)))
         for block in self.blocks:
-            for _, *part in block.linearised(p):
-                residual, jacobian = block.independent(*part)
+            for _, _, residual, jacobian in block.independent(p):
                 residuals.append(residual.ravel())
                 r_factor = np.asarray(np.linalg.qr(np.vstack([r_factor, jacobian.reshape(-1, len(p))]), mode="r"))
         return np.concatenate(residuals), r_factor

@@ -19,6 +19,10 @@ class Sharing:
     standstill: np.ndarray
     correlation: float
 
+    def only(self, rows: np.ndarray | slice) -> Sharing:
+        """Return that of some rows, whole standstills."""
+        return Sharing(np.unique(self.standstill[rows], return_inverse=True)[1], self.correlation)
+
     @cached_property
     def size(self) -> np.ndarray:
         """Number of rows of each standstill."""
