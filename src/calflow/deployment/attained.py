@@ -13,6 +13,7 @@ from calflow.deployment.alignment import FEWEST, Alignment, can_align, errors_le
 from calflow.deployment.iso_9283 import angle_repeatability, pose_repeatability
 from calflow.estimation.calibrated import Identified
 from calflow.estimation.certainty import expected_point, position_variance
+from calflow.estimation.groups import members
 from calflow.estimation.repeats import conditions
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
@@ -62,7 +63,7 @@ class Attained:
         sigma = known.noise(data).sigma if known.noise_known else np.zeros(len(data))
         noise = np.sqrt(np.bincount(group, weights=np.nan_to_num(sigma) ** 2)) / count
         variance = mean(position_variance(known, rows)).sum(axis=1)
-        own = [np.flatnonzero(group == k) for k in range(len(count))]
+        own = members(group)
         return Attained(
             table, mean(data.position), expected, np.sqrt(variance + 3 * noise**2), noise,
             np.array([pose_repeatability(data.position[k]) for k in own]),

@@ -8,6 +8,7 @@ import numpy as np
 
 from calflow.deployment.compensation import Landing, landing
 from calflow.deployment.targets import Targets, features
+from calflow.estimation.groups import members
 from calflow.model import Model
 from calflow.robot.loop import reachable
 from calflow.robot.robot import Robot
@@ -51,9 +52,8 @@ def near(rigid: Model, rows: np.ndarray, targets: Targets, rng: np.random.Genera
         places, of = np.unique(rows[robot.external].T, axis=0, return_inverse=True)
     number = int(np.clip(MOST_DRAWN // len(places), LEAST_DRAWN, DRAWN))
     found = np.empty((len(targets), TRIED[-1], robot.n_joints))
-    for k, place in enumerate(places):
+    for place, own in zip(places, members(of.ravel()), strict=True):
         readings = _drawn(robot, place, number, rng)
-        own = np.flatnonzero(of.ravel() == k)
         nearest = _nearest(rigid, readings, rows[:, own], targets.only(own))
         found[own] = readings[np.resize(nearest.T, (TRIED[-1], len(own))).T]
     return found

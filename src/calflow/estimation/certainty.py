@@ -7,6 +7,7 @@ import numpy as np
 from calflow.estimation.alternative import choice_variance
 from calflow.estimation.calibrated import Identified
 
+PART_ROWS = 4096  # whose Jacobian is there at once
 UNTOLD = 0.5  # of a direction's prior variance: what is left above it was hardly measured
 
 
@@ -17,9 +18,16 @@ def position_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
     measurement of the same poses takes away; of a residual field its own variance in the discrepancy's place. Where the noise was
     estimated from the fit discrepancy and noise cannot be told apart, and both are in.
     """
-    jacobian = known.model.point_jacobian(known.estimate, rows)
+    told = parameter_variance(known, rows)
     of_choice = choice_variance(known.alternatives, known.model, known.estimate, rows)
-    return np.asarray(of_parameters(jacobian, known.covariance) + of_choice + left_variance(known, rows))
+    return np.asarray(told + of_choice + left_variance(known, rows))
+
+
+def parameter_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
+    """Return the variance of each row's predicted position per axis that is the parameters' (n_rows, 3) [m²], part by part."""
+    parts = np.array_split(rows, range(PART_ROWS, rows.shape[1], PART_ROWS), axis=1)
+    slopes = (known.model.point_jacobian(known.estimate, part) for part in parts)
+    return np.concatenate([of_parameters(slope, known.covariance) for slope in slopes])
 
 
 def left_variance(known: Identified, rows: np.ndarray) -> np.ndarray:

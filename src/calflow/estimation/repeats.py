@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.estimation.accuracy import errors
+from calflow.estimation.groups import members
 from calflow.estimation.noise import LEAST_SCATTER, Noise, Source
 from calflow.estimation.nuisance import observing
 from calflow.estimation.scatter import Pooled, Scatter, pooled, scatter
@@ -103,8 +104,9 @@ def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
         oriented = np.isfinite(data.rotation).all(axis=(1, 2))
         turns = Rotation.from_matrix(data.rotation[oriented])
         found = np.full((len(count), 3), np.nan)
-        for k in np.unique(group[oriented]):
-            found[k] = angles(turns[np.flatnonzero(group[oriented] == k)].mean())
+        measured, own = np.unique(group[oriented], return_inverse=True)
+        for k, rows in zip(measured, members(own), strict=True):
+            found[k] = angles(turns[rows].mean())
         table = table.drop(columns=["qw", "qx", "qy", "qz"], errors="ignore")
         table[["rx", "ry", "rz"]] = found
         means = replace(means, rotation=of_means(noise.rotation))

@@ -8,6 +8,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi, norm, t
 
+from calflow.estimation.groups import members
+
 NORMAL_MEDIAN = 0.6745  # median of |x| of a standard normal
 FALSE_REMOVAL = 0.01  # chance that any repeat of a whole series looks gross where all are normal
 TAILS = (2.5, 3.0, 4.0, 6.0, 10.0, 30.0)  # degrees of freedom of the heavy tails that gross errors are held against
@@ -79,8 +81,9 @@ def pooled(error: np.ndarray, group: np.ndarray) -> Pooled:
         wild = np.unique(group[size > limit])
         if not len(wild):
             break
+        together = members(group)
         for k in wild:
-            own = np.flatnonzero(kept & (group == k))
+            own = together[k][kept[together[k]]]
             far = np.linalg.norm(error[own] - np.median(error[own], axis=0), axis=1)
             kept[own if len(own) == 2 else own[np.argmax(far)]] = False
     if not kept.all() and not _are_errors(error, group, kept):
@@ -103,11 +106,12 @@ def _are_errors(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> bool:
     """Whether gross errors of some rows explain the scatter clearly better than heavy tails of all (Student's t)."""
     apart, count = _apart(error, group, kept)
     here = count[group]
-    believed, doubted = kept & (here > 1), ~kept & (here > 0)
+    believed, doubted, alone = kept & (here > 1), ~kept & (here > 0), np.unique(group[~kept & (here == 0)])
+    together = members(group) if len(alone) else []
     value = np.concatenate([
         apart[believed] / np.sqrt(1 - 1 / here[believed])[:, None],
         apart[doubted] / np.sqrt(1 + 1 / here[doubted])[:, None],
-        *(np.diff(error[group == k], axis=0) / np.sqrt(2) for k in np.unique(group[~kept & (here == 0)])),
+        *(np.diff(error[together[k]], axis=0) / np.sqrt(2) for k in alone),
     ])  # fmt: skip
     weight = np.ones(len(value))
     weight[: believed.sum()] = 1 - 1 / here[believed]

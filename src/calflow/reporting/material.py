@@ -12,7 +12,7 @@ import pandas as pd
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy, errors
 from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
-from calflow.estimation.certainty import position_variance
+from calflow.estimation.certainty import parameter_variance, position_variance
 from calflow.estimation.fit_summary import FitSummary
 from calflow.estimation.registration import in_measuring_frame
 from calflow.faults import corrected
@@ -26,6 +26,9 @@ from calflow.study import Study
 MEAN_OF_NOISE = np.sqrt(
     np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, np.pi])
 )  # mean length of so many unit normals
+
+
+DRAWN, WORST = 20_000, 500  # rows that figures show one by one: more dots would only hide each other
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,25 @@ class Material:
         return np.where(np.isnan(whole[:, 1]), 1e3 * whole[:, 0], np.nan)
 
     @cached_property
+    def drawn(self) -> np.ndarray:
+        """The rows that figures show one by one: all, or of very many some at random and those of the largest errors."""
+        n = len(self.data)
+        if n <= DRAWN:
+            return np.arange(n)
+        some = np.random.default_rng(0).choice(n, DRAWN, replace=False)  # markers and payloads may take turns
+        return np.union1d(some, np.argpartition(self.distance, -WORST)[-WORST:])
+
+    @property
+    def drawn_words(self) -> str:
+        """Which rows figures show, where these are not all; with a space before it."""
+        n = len(self.data)
+        if len(self.drawn) == n:
+            return ""
+        return (
+            f" Of {n:,} rows {DRAWN:,} are drawn, at random, and the {WORST} of the largest errors; means are of all."
+        )
+
+    @cached_property
     def place(self) -> np.ndarray:
         """Where the marker was: as measured, or as predicted where no position was, shape (n_rows, 3) [m]."""
         known = self.known.model
@@ -162,9 +184,8 @@ class Material:
     @cached_property
     def model_sd(self) -> float:
         """How sure the parameters make the model's position: root mean square over the judged rows [mm]."""
-        jacobian = self.known.model.point_jacobian(self.known.estimate, self.data.rows[:, self.judged])
-        variance = np.einsum("nai,ij,naj->n", jacobian, self.known.covariance, jacobian, optimize=True)
-        return 1e3 * float(np.sqrt(variance.mean()))
+        variance = parameter_variance(self.known, self.data.rows[:, self.judged])
+        return 1e3 * float(np.sqrt(variance.sum(axis=1).mean()))
 
     @property
     def prediction_sd(self) -> float:

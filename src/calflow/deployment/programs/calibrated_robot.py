@@ -21,6 +21,7 @@ from calflow.deployment.programs.posture import Arm
 from calflow.deployment.target_frames import base_placement
 from calflow.deployment.targets import Targets, features
 from calflow.estimation.calibrated import Identified
+from calflow.estimation.groups import members
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.robot.loop import reachable
@@ -78,8 +79,7 @@ class CalibratedRobot:
         """
         found: list[np.ndarray] = [np.empty((0, self.n_joints))] * len(flanges)
         places, of = np.unique(external[:, self.robot.external], axis=0, return_inverse=True)
-        for k, place in enumerate(places):
-            own = np.flatnonzero(of.ravel() == k).tolist()
+        for place, own in zip(places, members(of.ravel()), strict=True):
             ways = self._at_one_place(flanges[own], starts, [near[i] for i in own], place)
             for i, one in zip(own, ways, strict=True):
                 found[i] = one

@@ -81,17 +81,23 @@ def in_workspace(
 
 
 def against_joints(
-    reading: np.ndarray, parts: Mapping[str, np.ndarray], held: np.ndarray, labels: Sequence[str]
+    reading: np.ndarray, parts: Mapping[str, np.ndarray], held: np.ndarray, shown: np.ndarray, labels: Sequence[str]
 ) -> Figure:
-    """Draw the parts of the errors (n_rows,) [mm], nan where a row has none, against every joint's reading (n_rows, n_joints)."""
+    """Draw the parts of the errors (n_rows,) [mm], nan where a row has none, against every joint's reading (n_rows, n_joints).
+
+    shown are the rows that get a dot; the mean is that of all.
+    """
     n_joints = reading.shape[1]
     drawn, grid = panels(len(parts), n_joints, 1.3 * max(len(parts), 1.5), sharey=True, sharex="col")
     limit = 1.1 * max(np.nanmax(np.abs(error)) for error in parts.values()) or 1.0
     for k, (name, error) in enumerate(parts.items()):
         there = np.isfinite(error)
+        dotted = shown[there[shown]]
         for i in range(n_joints):
             axes = grid[k, i]
-            dots(axes, reading[there, i], error[there], held[there], 0.6 * crowded(len(error)), len(parts) * n_joints)
+            dots(
+                axes, reading[dotted, i], error[dotted], held[dotted], 0.6 * crowded(len(shown)), len(parts) * n_joints
+            )
             running_mean(axes, reading[there, i], error[there])
             axes.set_ylim(-limit, limit)
             axes.locator_params(axis="x", nbins=3)
@@ -102,8 +108,13 @@ def against_joints(
     return drawn
 
 
-def against_place(reach: np.ndarray, height: np.ndarray, distance: np.ndarray, held: np.ndarray) -> Figure:
-    """Draw the errors' lengths [mm] against reach and height [m] and against the order of the rows."""
+def against_place(
+    reach: np.ndarray, height: np.ndarray, distance: np.ndarray, held: np.ndarray, shown: np.ndarray
+) -> Figure:
+    """Draw the errors' lengths [mm] against reach and height [m] and against the order of the rows.
+
+    shown are the rows that get a dot; the mean is that of all.
+    """
     drawn, grid = panels(1, 3, 2.1, sharey=True)
     order = np.arange(1, len(distance) + 1)
     for axes, values, label in zip(
@@ -112,7 +123,7 @@ def against_place(reach: np.ndarray, height: np.ndarray, distance: np.ndarray, h
         ("horizontal distance from axis 1 [m]", "height z [m]", "row of the file"),
         strict=True,
     ):
-        dots(axes, values, distance, held, crowded(len(distance)), 3)
+        dots(axes, values[shown], distance[shown], held[shown], crowded(len(shown)), 3)
         running_mean(axes, values, distance)
         axes.set_xlabel(label)
     grid[0, 0].set_ylabel("error [mm]")

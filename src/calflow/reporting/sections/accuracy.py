@@ -42,7 +42,7 @@ def write(material: Material) -> list[Block]:
     known = material.noise_floor is not None
     errors = pd.DataFrame(
         {"held_out": material.held, "error_mm": material.distance, "noise_per_axis_mm": material.sigma}
-    )
+    ).iloc[material.drawn]
     draw = waterfall if len(accuracy) > own else budget
     spent = draw(steps(accuracy, split), material.noise_floor)
     name = "noise alone" if known else "normal noise"

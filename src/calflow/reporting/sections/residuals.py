@@ -34,11 +34,12 @@ def write(material: Material) -> list[Block]:
     """Show the errors of the calibrated model in space, against joints and place, and the rows that stand out."""
     shown = _shown(material)
     some = f" {len(shown)} of {len(material.data)} rows are shown." if len(shown) < len(material.data) else ""
+    drawn = material.drawn_words
     directed, rows = _directed(material), by_row(material)
     enlarged = f", drawn {_factor(material):,.0f} times enlarged" if directed else " (lengths have no direction: dots)"
     return [
         Paragraph(INTRODUCTION, keep=True),
-        Plot("residuals_place", by_place(material), PLACE, rows),
+        Plot("residuals_place", by_place(material), PLACE + drawn, rows),
         Plot(
             "residuals_workspace",
             in_space(material),
@@ -46,31 +47,31 @@ def write(material: Material) -> list[Block]:
             rows,
             scene=Scene(shown.tolist(), _factor(material), ("pose", "marker")),
         ),
-        Plot("residuals_joints", by_joint(material), JOINTS, rows),
+        Plot("residuals_joints", by_joint(material), JOINTS + drawn, rows),
         *_flagged(material),
     ]
 
 
 def by_row(material: Material) -> pd.DataFrame:
-    """Return what the figures show of each row: which it is, where it was, its joints' readings and its errors."""
+    """Return what the figures show of each row drawn: which it is, where it was, its joints' readings and its errors."""
     robot, told = material.data.robot, material.data.table
     place = {f"{axis}_mm": 1e3 * material.place[:, k] for k, axis in enumerate("xyz")}
     joints = shown_readings(robot, material.data.joints)
     readings = {name: joints[:, k] for k, name in enumerate(reading_columns(robot))}
     error = {f"d{axis}_mm": material.error[:, k] for k, axis in enumerate("xyz")} | {"error_mm": material.distance}
     named = {name: told[name].astype(str).to_numpy() for name in ("pose", "marker")}
-    return pd.DataFrame({**named, "held_out": material.held, **place, **readings, **error})
+    return pd.DataFrame({**named, "held_out": material.held, **place, **readings, **error}).iloc[material.drawn]
 
 
 def by_place(material: Material) -> Figure:
     """Draw the errors' size against reach, height and row."""
     reach = np.linalg.norm(material.place[:, :2] - np.array(material.data.robot.base.origin[:2]), axis=1)
-    return against_place(reach, material.place[:, 2], material.distance, material.held)
+    return against_place(reach, material.place[:, 2], material.distance, material.held, material.drawn)
 
 
 def in_space(material: Material) -> Figure:
     """Draw the errors in the workspace."""
-    position, shown = 1e3 * material.place, _shown(material)
+    position, shown = 1e3 * material.place, material.drawn[_shown(material)]
     error, distance, held = (values[shown] for values in (material.error, material.distance, material.held))
     return in_workspace(position[shown], error, distance, held, _factor(material))
 
@@ -79,7 +80,7 @@ def by_joint(material: Material) -> Figure:
     """Draw the errors against each joint's reading."""
     robot = material.data.robot
     reading = shown_readings(robot, material.data.joints)
-    return against_joints(reading, _components(material), material.held, reading_labels(robot))
+    return against_joints(reading, _components(material), material.held, material.drawn, reading_labels(robot))
 
 
 def _directed(material: Material) -> bool:
@@ -93,8 +94,8 @@ def _factor(material: Material) -> float:
 
 
 def _shown(material: Material) -> np.ndarray:
-    """Which rows are drawn in the workspace."""
-    n = len(material.data)
+    """Which of the rows drawn are shown in the workspace."""
+    n = len(material.drawn)
     return np.unique(np.linspace(0, n - 1, DRAWN).astype(int))
 
 
