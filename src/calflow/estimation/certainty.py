@@ -7,7 +7,7 @@ import numpy as np
 from calflow.estimation.alternative import choice_variance
 from calflow.estimation.calibrated import Identified
 
-PART_ROWS = 4096  # whose Jacobian is there at once
+PART_ROWS = 100_000  # whose Jacobian is there at once: enough for machine code to pay
 UNTOLD = 0.5  # of a direction's prior variance: what is left above it was hardly measured
 
 

@@ -28,7 +28,7 @@ MEAN_OF_NOISE = np.sqrt(
 )  # mean length of so many unit normals
 
 
-DRAWN, WORST = 20_000, 500  # rows that figures show one by one: more dots would only hide each other
+DRAWN, WORST = 5_000, 100  # rows that figures show one by one: more dots would only hide each other
 
 
 @dataclass(frozen=True)
