@@ -24,7 +24,7 @@ def test_much_is_told_against_what_there_is():
     """Fails if a run that will need all memory, or an hour, begins without a word, or the figures are not the array's."""
     said = warned("diagnose", Demand(300_000, 3500, 1.5, 600.0, "name causes"), 16 * GB)
     assert said.startswith(
-        "warning: diagnose is foreseen to take some 12.6 GB (this machine has 16 GB) and at least 10 minutes"
+        "warning: diagnose is foreseen to take some 12.8 GB (this machine has 16 GB) and at least 10 minutes"
     )
     assert said.endswith("for 300,000 residuals by 3,500 columns; to take less, name causes")
     assert "at least 60 minutes" in warned("diagnose", Demand(10, 10, 1.0, 3600.0), 16 * GB)
@@ -34,7 +34,7 @@ def test_much_is_told_against_what_there_is():
 def test_what_certainly_cannot_be_done_is_refused():
     """Fails if a run works for an hour and then dies of memory that was never there, or one is refused that might do."""
     with pytest.raises(
-        InputError, match=r"diagnose cannot be done here: one array .* takes 84 GB, this machine has 16 GB; name"
+        InputError, match=r"diagnose cannot be done here: one array .* takes 84.0 GB, this machine has 16 GB; name"
     ):
         warned("diagnose", Demand(3_000_000, 3500, 1.5, 600.0, "name causes"), 16 * GB)
     assert warned("diagnose", Demand(300_000, 3500, 1.5, 600.0, "name causes"), 9 * GB)

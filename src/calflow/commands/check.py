@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 def check(study: Path) -> None:
     """Check a study with its robot, workflow and measurements, and run nothing."""
     from calflow.runs.checking import check as check_study
+    from calflow.stages.demand import memory_there, warned
     from calflow.study import load_study
 
     loaded = load_study(study)
@@ -41,6 +42,10 @@ def check(study: Path) -> None:
     for row in checked.nominal.itertuples():
         click.echo(f"  {row.split:8} mean {row.mean_mm:.3f} mm, max {row.max_mm:.3f} mm")
     click.echo(f"{checked.n_parameters} parameters: {', '.join(loaded.file.effects)}")
+    for name, demand in checked.demands.items():
+        click.echo(f"{name} will take {demand.words}")
+        if said := warned(name, demand, memory_there()):
+            click.echo(said)
     click.echo("ok")
 
 

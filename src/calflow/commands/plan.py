@@ -15,11 +15,15 @@ from calflow.commands.options import FILE, FORCE, OUT, STAGE
 @STAGE
 @FORCE
 def plan(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
-    """Show which stages would run, which would be reused, and why."""
+    """Show which stages would run and what they would take, which would be reused, and why."""
     from calflow.runs.folder import default_folder
+    from calflow.runs.planning import foreseen
     from calflow.runs.planning import plan as make_plan
     from calflow.study import load_study
 
     loaded = load_study(study)
-    for step in make_plan(loaded, out or default_folder(loaded), stage, force):
-        click.echo(f"{step.stage.name:14} {'reuse' if step.reuse else 'run':6} {step.reason}")
+    steps = make_plan(loaded, out or default_folder(loaded), stage, force)
+    demands = foreseen(loaded, [step.stage for step in steps if not step.reuse])
+    for step in steps:
+        taken = f"; takes {demands[step.stage.name].words}" if step.stage.name in demands else ""
+        click.echo(f"{step.stage.name:14} {'reuse' if step.reuse else 'run':6} {step.reason}{taken}")

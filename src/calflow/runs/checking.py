@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import pandas as pd
@@ -15,8 +16,9 @@ from calflow.files.problems import InputError, Problem, together
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated
 from calflow.observations import observations
-from calflow.runs.planning import stages_of
+from calflow.runs.planning import foreseen, stages_of
 from calflow.stages import STAGES
+from calflow.stages.demand import Demand
 from calflow.study import Study
 
 
@@ -25,7 +27,7 @@ class Checked:
     """What a sound study has: its measurements, what is wrong in them, how many parameters, the nominal robot's error [mm].
 
     nominal has the columns of accuracy.csv: the robot as its maker describes it, once base and tool are placed, and what is
-    wrong is put right. doubts say which stated noises the repeats contradict.
+    wrong is put right. doubts say which stated noises the repeats contradict, demands what stages will take.
     """
 
     data: Measurements
@@ -33,6 +35,7 @@ class Checked:
     n_parameters: int
     nominal: pd.DataFrame
     doubts: tuple[NoiseDoubt, ...] = ()
+    demands: Mapping[str, Demand] = field(default_factory=dict)
 
 
 def check(study: Study) -> Checked | None:
@@ -42,11 +45,11 @@ def check(study: Study) -> Checked | None:
         InputError: with all that a run would refuse.
     """
     measured = study.file.measurements is not None
-    _, data, _ = together(
+    stages, data, _ = together(
         partial(stages_of, study), lambda: study.measurements() if measured else None, partial(_confirming, study)
     )
     _, checked = together(partial(_settings, study, data), lambda: _checked(study, data) if data else None)
-    return checked
+    return replace(checked, demands=foreseen(study, stages)) if checked else None
 
 
 def _confirming(study: Study) -> None:

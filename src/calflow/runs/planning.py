@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,6 +14,7 @@ from calflow.runs.identity import check_same_study
 from calflow.runs.manifest import read_manifest
 from calflow.runs.reasons import FORCED, UNCHANGED, reason
 from calflow.stages import STAGES
+from calflow.stages.demand import Demand
 from calflow.stages.stage import Stage
 from calflow.study import Study
 
@@ -108,6 +109,20 @@ def plan(study: Study, folder: Path, only: str | None = None, force: bool = Fals
             continue  # it takes its results into account where they are there; it does not ask for them
         steps.append(PlannedStage(stage, why is None, why or UNCHANGED, key))
     return steps
+
+
+def foreseen(study: Study, stages: Iterable[Stage]) -> dict[str, Demand]:
+    """Return what stages that read the measurements will take, by name, where that can be foreseen.
+
+    Raises:
+        InputError: the measurements are at fault.
+    """
+    found = {}
+    for stage in stages:
+        if stage.measured:
+            settings = study.validated_settings(stage.name, stage.settings)
+            found[stage.name] = stage.demand(study, settings, study.measurements())
+    return {name: demand for name, demand in found.items() if demand.rows}
 
 
 def passed_over(folder: Path, only: str | None, steps: Sequence[PlannedStage]) -> list[str]:

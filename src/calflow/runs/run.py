@@ -16,7 +16,7 @@ from calflow.runs.folder import default_folder, read_results
 from calflow.runs.listener import Listener, Silent
 from calflow.runs.lock import locked
 from calflow.runs.manifest import read_manifest
-from calflow.runs.planning import passed_over, plan
+from calflow.runs.planning import foreseen, passed_over, plan
 from calflow.stages.demand import memory_there, warned
 from calflow.study import Study
 
@@ -64,11 +64,9 @@ def run(
     if any(step.stage.measured and not step.reuse for step in steps):
         study.measurements()  # what is wrong with them is told before any work is done
     settings = {step.stage.name: study.validated_settings(step.stage.name, step.stage.settings) for step in steps}
-    for step in steps:
-        if step.stage.measured and not step.reuse:
-            foreseen = step.stage.demand(study, settings[step.stage.name], study.measurements())
-            if said := warned(step.stage.name, foreseen, memory_there()):
-                listener.say(said)
+    for name, demand in foreseen(study, [step.stage for step in steps if not step.reuse]).items():
+        if said := warned(name, demand, memory_there()):
+            listener.say(said)
     planned = read_manifest(folder)
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):

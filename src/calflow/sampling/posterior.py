@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import emcee
@@ -189,23 +189,34 @@ def _squares_of(block: SeriesBlock, evaluations: int) -> Callable[[np.ndarray], 
     inputs, residual = block.expression()
     if block.sharing is None:
         alone = _over_walkers(block, ca.Function("squares", inputs, [ca.sumsqr(residual)]), evaluations)
-        return lambda values: np.asarray(alone(values)[0].sum(axis=1))
-    errors, sharing = _over_walkers(block, ca.Function("residual", inputs, [residual]), evaluations), block.sharing
-    return lambda values: sharing.squares(errors(values).transpose(2, 0, 1))
+        return lambda values: np.sum([squares[0].sum(axis=1) for squares in alone(values)], axis=0)
+    errors = _over_walkers(block, ca.Function("residual", inputs, [residual]), evaluations)
+    shared = [block.sharing.only(part) for part in block.parts()]
+    return lambda values: np.sum(
+        [own.squares(one.transpose(2, 0, 1)) for own, one in zip(shared, errors(values), strict=True)], axis=0
+    )
 
 
-def _over_walkers(block: SeriesBlock, row: ca.Function, evaluations: int) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the function (n_parameters, n_walkers) -> a row's outputs for all rows (n_outputs, n_walkers, n_rows)."""
-    n_rows = len(block.rows)
-    data = [np.asfortranarray(part) for part in block.data]
-    over_rows = compiled(row, evaluations * n_rows).map("rows", "serial", n_rows, [0], [])
-    mapped: dict[int, ca.Function] = {}
+def _over_walkers(
+    block: SeriesBlock, row: ca.Function, evaluations: int
+) -> Callable[[np.ndarray], Iterator[np.ndarray]]:
+    """Return the function (n_parameters, n_walkers) -> a row's outputs (n_outputs, n_walkers, n_rows), by the block's parts.
 
-    def outputs(values: np.ndarray) -> np.ndarray:
+    CasADi lays out each walker's copy of the rows, which would take 750 bytes for each of both.
+    """
+    row = compiled(row, evaluations * len(block.rows))
+    parts = [[np.asfortranarray(values[:, part]) for values in block.data] for part in block.parts()]
+
+    @lru_cache
+    def mapped(n_rows: int, n_walkers: int) -> ca.Function:
+        over_rows = row.map("rows", "serial", n_rows, [0], [])
+        return over_rows.map("walkers", "serial", n_walkers, [1, 2, 3], [])
+
+    def outputs(values: np.ndarray) -> Iterator[np.ndarray]:
         n_walkers = values.shape[1]
-        if n_walkers not in mapped:
-            mapped[n_walkers] = over_rows.map("walkers", "serial", n_walkers, [1, 2, 3], [])
-        return np.asarray(mapped[n_walkers](values, *data)).reshape(-1, n_walkers, n_rows)
+        for data in parts:
+            n_rows = data[0].shape[1]
+            yield np.asarray(mapped(n_rows, n_walkers)(values, *data)).reshape(-1, n_walkers, n_rows)
 
     return outputs
 

@@ -12,6 +12,7 @@ BYTES = 8  # of a number
 GIGA = 1e9
 MUCH = 0.5  # of the machine's memory, from which it is told
 LONG = 15 * 60.0  # s, from which it is told
+PROGRAM = 0.2e9  # bytes that the program takes for itself
 LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container
 
 
@@ -19,7 +20,7 @@ LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container
 class Demand:
     """What a stage will take: an array of so many rows and columns, as many copies of it at once, and so many seconds of one core.
 
-    remedy says how to need less.
+    remedy says how to need less, of what the rows are.
     """
 
     rows: int = 0
@@ -27,6 +28,7 @@ class Demand:
     copies: float = 0.0
     seconds: float = 0.0
     remedy: str = ""
+    of: str = "residuals"
 
     @property
     def certain(self) -> float:
@@ -35,8 +37,21 @@ class Demand:
 
     @property
     def memory(self) -> float:
-        """What is taken together [bytes]."""
-        return self.copies * self.certain
+        """What is taken together [bytes]; nothing where nothing is foreseen."""
+        return PROGRAM + self.copies * self.certain if self.rows else 0.0
+
+    @property
+    def words(self) -> str:
+        """What is taken, in words; empty where nothing is foreseen."""
+        return f"about {self.memory / GIGA:.1f} GB and {duration(self.seconds)} of one core" if self.rows else ""
+
+
+def duration(seconds: float) -> str:
+    """Return a time that is roughly known in words."""
+    for unit, size in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return "less than 2 minutes"
 
 
 def warned(stage: str, demand: Demand, there: float | None) -> str:
@@ -45,16 +60,16 @@ def warned(stage: str, demand: Demand, there: float | None) -> str:
     Raises:
         InputError: its largest array alone does not fit.
     """
-    minutes, needed = demand.seconds / 60, demand.memory / GIGA
     has = f"this machine has {there / GIGA:.0f} GB" if there else "what this machine has is not known"
     if there and demand.certain > there:
-        raise refuse(f"{stage} cannot be done here: one array of {demand.rows:,} residuals by {demand.columns:,} columns takes "
-                     f"{demand.certain / GIGA:.0f} GB, {has}; {demand.remedy}")  # fmt: skip
+        raise refuse(f"{stage} cannot be done here: one array of {demand.rows:,} {demand.of} by {demand.columns:,} columns takes "
+                     f"{demand.certain / GIGA:.1f} GB, {has}; {demand.remedy}")  # fmt: skip
     if (not there or demand.memory <= MUCH * there) and demand.seconds <= LONG:
         return ""
     return (
-        f"warning: {stage} is foreseen to take some {needed:.1f} GB ({has}) and at least {minutes:.0f} minutes of one core, "
-        f"for {demand.rows:,} residuals by {demand.columns:,} columns; to take less, {demand.remedy}"
+        f"warning: {stage} is foreseen to take some {demand.memory / GIGA:.1f} GB ({has}) and at least "
+        f"{duration(demand.seconds)} of one core, for {demand.rows:,} {demand.of} by {demand.columns:,} columns; to take less, "
+        f"{demand.remedy}"
     )
 
 

@@ -37,7 +37,10 @@ from calflow.stages.demand import Demand
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
-COPIES, SECONDS = 3.5, 2e-6  # measured: arrays of the Jacobian's size at once, and per number of it
+# Measured: memory as multiples of the table's, while its cells are text and while it is fitted; seconds a row to read, check
+# and write it, and a number of each model's Jacobian.
+COPIES, READING, FITTING = 9.0, 3e-5, 6e-7
+REMEDY = "keep fewer poses in the file: parameters become surer by the root of their number alone"
 
 
 class IdentifySettings(FileModel):
@@ -122,13 +125,12 @@ def _wrong_count(study: Study, settings: IdentifySettings) -> list[Problem]:
 
 
 def demand(study: Study, settings: IdentifySettings, data: Measurements) -> Demand:
-    """Foresee what the fit takes: it goes through the rows part by part, and keeps a few figures of each."""
-    train = data.only(data.train)
-    n_parameters = len(stated(study.robot, study.file.effects, train).parameters)
-    rows = sum(len(seen.units) * int(train.of_series(k).sum()) for k, seen in enumerate(observations(train)))
-    return Demand(
-        rows, n_parameters, COPIES, SECONDS * rows * n_parameters, "hold more of the poses out (split.holdout)"
-    )
+    """Foresee what the fits take: they go through the rows part by part, so that memory is that of reading the table."""
+    train, effects = data.only(data.train), study.file.effects
+    residuals = sum(len(seen.units) * int(train.of_series(k).sum()) for k, seen in enumerate(observations(train)))
+    parameters = sum(len(stated(study.robot, effects[:k], train).parameters) for k in range(1, len(effects) + 1))
+    seconds = READING * len(data) + FITTING * residuals * parameters
+    return Demand(len(data), data.table.shape[1], COPIES, seconds, REMEDY, "rows")
 
 
 STAGE = Stage(
