@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 from pydantic import Field
 
@@ -12,16 +13,19 @@ from calflow.deployment.orientation import not_known
 from calflow.deployment.prediction import as_told, beyond_limits
 from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
 from calflow.estimation.fit_summary import IdentifySummary
+from calflow.estimation.repeats import conditions
 from calflow.faults import corrected
 from calflow.files.documents import to_document
 from calflow.files.problems import Problem, refuse
 from calflow.files.results import Results
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
-from calflow.model import build
+from calflow.model import build, stated
+from calflow.observations import observations
 from calflow.sampling.chain_summary import ChainSummary
 from calflow.sampling.model_tables import CauseProbability, ModelRow, cause_table, models_table
 from calflow.sampling.posterior_tables import (
+    DRAWS,
     PosteriorRow,
     PredictedError,
     chain_summary,
@@ -31,9 +35,15 @@ from calflow.sampling.posterior_tables import (
 from calflow.sampling.sample import ChainLength, Sampled, sample, too_few_walkers
 from calflow.sampling.task_error import task_error
 from calflow.sampling.task_tables import TaskPoint, TaskSummary, task_summary, task_table
+from calflow.stages.demand import Demand
 from calflow.stages.stage import Context, Stage
 from calflow.stages.task_settings import WorkSettings
 from calflow.study import Study
+
+# Measured: steps until a chain is long enough; seconds a number of the Jacobian that a walker's residuals would have; arrays of
+# all draws' predictions at once.
+STEPS, SECONDS, COPIES = 500, 1.2e-8, 5.0
+REMEDY = "keep fewer poses in the file, or leave the stage out: of so many rows identify/covariance.csv says what a chain would say"
 
 
 class SampleSettings(FileModel):
@@ -106,6 +116,19 @@ def problems(study: Study, settings: SampleSettings, data: Measurements | None) 
     ]
 
 
+def demand(study: Study, settings: SampleSettings, data: Measurements) -> Demand:
+    """Foresee the walkers' residuals, which take the time, and the draws' predictions of all rows, which take the memory."""
+    train = data.only(data.train)
+    first = np.unique(conditions(train), return_index=True)[1]  # repeats are averaged
+    residuals = sum(
+        len(seen.units) * int(train.of_series(k)[first].sum()) for k, seen in enumerate(observations(train))
+    )
+    parameters = len(stated(study.robot, study.file.effects, train).parameters)
+    walkers = settings.ensembles * (settings.walkers or 2 * (parameters + 1))
+    seconds = SECONDS * min(STEPS, settings.max_steps) * walkers * residuals * parameters
+    return Demand(3 * len(data), DRAWS, COPIES, seconds, REMEDY)
+
+
 STAGE = Stage(
     "sample",
     "sample the posterior",
@@ -123,5 +146,6 @@ STAGE = Stage(
     },
     documents={"sample/summary.json": ChainSummary, "sample/task_summary.json": TaskSummary},
     problems=problems,
+    demand=demand,
     reads=_files,
 )
