@@ -100,3 +100,11 @@ def test_no_name_stands_for_three_files():
         if path.stem not in ("__init__", "base") and room(name) != "commands"
     )
     assert not [name for name, number in names.items() if number > 2]
+
+
+def test_what_is_said_goes_through_one_place():
+    """Fails if a command prints by itself, past what spells out the signs that a terminal would obey."""
+    told = [
+        name for name, path in modules().items() if "click.echo(" in path.read_text() or " print(" in path.read_text()
+    ]
+    assert told == ["commands.output"]

@@ -9,6 +9,7 @@ import sys
 import click
 
 from calflow.commands import COMMANDS
+from calflow.commands.output import say
 
 TROUBLE = 1  # exit code of trouble of the machine
 THREADS = "OMP_NUM_THREADS"  # what the libraries of linear algebra read when they are loaded
@@ -29,24 +30,26 @@ def main() -> None:
     try:
         cli(prog_name="calflow", standalone_mode=False)
     except click.ClickException as error:
-        error.show()
+        shown = io.StringIO()
+        error.show(shown)
+        say(*shown.getvalue().splitlines(), err=True)
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt) as interruption:  # click raises its own from Python's
         told = getattr(interruption.__cause__ or interruption, "__notes__", ["the same command begins anew"])
-        click.echo(f"interrupted: {' '.join(told)}", err=True)
+        say(f"interrupted: {' '.join(told)}", err=True)
         sys.exit(130)
     except OSError as error:
         so = " ".join(
             getattr(error, "__notes__", ["Give another place, or the same command again when this is mended."])
         )
-        click.echo(f"error: {error}. {so}", err=True)
+        say(f"error: {error}. {so}", err=True)
         sys.exit(TROUBLE)
     except Exception as error:
         from calflow.files.problems import InputError
 
         if not isinstance(error, InputError):
             raise
-        click.echo(str(error), err=True)
+        say(*error.problems, err=True)
         sys.exit(2)
 
 

@@ -53,3 +53,12 @@ def test_rows_that_were_not_repeated_say_nothing():
     assert np.isnan(pooled(error, group).sigma)
     assert scatter(error, group).freedom.sum() == 0
     assert np.isnan(scatter(error, group).pooled)
+
+
+def test_an_axis_of_another_unit_is_scatter_of_all_rows():
+    """Fails if every repeat looks gross, as of an axis in metres read as millimetres, and nothing is left to measure them by."""
+    error, group = drawn(np.random.default_rng(43), 40, 2)
+    error[:, 0] *= 1e6
+    found = pooled(error, group)
+    assert not found.gross.any()
+    assert found.sigma == pytest.approx(classical(error, group), rel=1e-12)

@@ -33,6 +33,7 @@ SILENT = {  # what was once accepted, or ended in a traceback
     "an end of line in a label": ("mapped", "measurements.csv", ";gut;light\n", ';gut;"light\n"\n'),
     "a sign of another script": ("plain", "measurements.csv", "0.03721", "０.03721"),
     "a figure without end": ("mapped", "measurements.csv", "-148,3139", "9" * 400),
+    "a name with a sign that cannot be seen": ("plain", "quick.toml", '"quick"', '"qui\\u0000ck"'),
     "a whole number without end": ("plain", "truth.toml", "seed = 3", "seed = 0x" + 5000 * "f"),
 }
 

@@ -55,7 +55,9 @@ def differences(before: str, after: str, held_before: Any, held_after: Any) -> I
 def _leaves(value: Any, path: tuple[str, ...], factor: float) -> Iterator[Leaf]:
     if isinstance(value, dict):
         for key, own in value.items():
-            name, unit = _split(key)
+            name, unit = (
+                (key, "") if isinstance(own, str) else _split(key)
+            )  # a text has no factor: its key is all there is
             yield from _leaves(own, (*path, name), factor * FURTHER.get(unit, 1.0))
     elif isinstance(value, list):
         for k, own in enumerate(value):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from calflow.commands.options import FILE
+from calflow.commands.output import say
 
 if TYPE_CHECKING:
     from calflow.measurements.measurements import Measurements
@@ -23,30 +24,29 @@ def check(study: Path) -> None:
 
     loaded = load_study(study)
     checked = check_study(loaded)
-    click.echo(f"study {loaded.name}: {loaded.robot.name}, workflow {loaded.workflow.name} "
-               f"({', '.join(loaded.stages)})")  # fmt: skip
+    say(f"study {loaded.name}: {loaded.robot.name}, workflow {loaded.workflow.name} ({', '.join(loaded.stages)})")
     if checked is None:
-        click.echo("no measurements yet: 'calflow run --stage select' proposes poses")
+        say("no measurements yet: 'calflow run --stage select' proposes poses")
         return
     data = checked.data
     for doubt in checked.doubts:
-        click.echo(f"warning: {doubt.statement}")
+        say(f"warning: {doubt.statement}")
     for note in data.notes:
-        click.echo(f"note: {note}")
+        say(f"note: {note}")
     for k, path in enumerate(loaded.measurement_paths):
-        click.echo(_counted(path, data.only(data.of_series(k))))
+        say(_counted(path, data.only(data.of_series(k))))
     for fault in checked.faults:
-        click.echo(f"fault: {fault.said}")
+        say(f"fault: {fault.said}")
     source = "as the robot file says" if loaded.robot.base.known else "placed by the poses to fit"
-    click.echo(f"the nominal robot's position error, base and tool {source}:")
+    say(f"the nominal robot's position error, base and tool {source}:")
     for row in checked.nominal.itertuples():
-        click.echo(f"  {row.split:8} mean {row.mean_mm:.3f} mm, max {row.max_mm:.3f} mm")
-    click.echo(f"{checked.n_parameters} parameters: {', '.join(loaded.file.effects)}")
+        say(f"  {row.split:8} mean {row.mean_mm:.3f} mm, max {row.max_mm:.3f} mm")
+    say(f"{checked.n_parameters} parameters: {', '.join(loaded.file.effects)}")
     for name, demand in checked.demands.items():
-        click.echo(f"{name} will take {demand.words}")
+        say(f"{name} will take {demand.words}")
         if said := warned(name, demand, memory_there()):
-            click.echo(said)
-    click.echo("ok")
+            say(said)
+    say("ok")
 
 
 def _counted(path: Path, data: Measurements) -> str:

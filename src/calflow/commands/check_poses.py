@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from calflow.commands.options import FILE, OVER, Command, write_free
+from calflow.commands.output import hand_over, say
 
 
 @click.command("check-poses", cls=Command)
@@ -25,8 +26,8 @@ def check_poses(study_or_run: Path, rows: Path, number: int, out: Path | None, f
     from calflow.runs.check_poses import choose_check_poses
 
     chosen = choose_check_poses(study_or_run, rows, number)
-    click.echo(seen_from(chosen.foreseen), err=True)
+    say(seen_from(chosen.foreseen), err=True)
     if out is None:
-        click.echo(csv_text(chosen.table), nl=False)
+        hand_over(csv_text(chosen.table))
     else:
         write_free(out, csv_text(chosen.table).encode(), force)

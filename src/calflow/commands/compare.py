@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from calflow.commands.options import FILE
+from calflow.commands.output import say
 
 
 @click.command()
@@ -18,7 +19,6 @@ def compare(runs: tuple[Path, ...], out: Path | None) -> None:
     from calflow.runs.compare import compare as compare_runs
 
     found = compare_runs(*runs, out=out)
-    for line in comparison_lines(found):
-        click.echo(line)
+    say(*comparison_lines(found))
     if out is not None:
-        click.echo(f"report: {out / 'report.pdf'}")
+        say(f"report: {out / 'report.pdf'}")

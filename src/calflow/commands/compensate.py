@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from calflow.commands.options import FILE, OVER, apart, write_free
+from calflow.commands.output import hand_over, say
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,16 +48,18 @@ def compensate(
         study_or_run, targets, frames=frames, in_order=in_order, missing="widen" if without_conditions else "refuse"
     )
     for note in table.attrs["notes"]:
-        click.echo(f"note: {note}", err=True)
+        say(f"note: {note}", err=True)
     if out is None:
-        click.echo(csv_text(table), nl=False)
+        hand_over(csv_text(table))
         return
     write_free(out, csv_text(table).encode(), force)
     landed = table[table["reached"]]
-    click.echo(f"{len(landed)} of {len(table)} targets reached")
+    say(f"{len(landed)} of {len(table)} targets reached")
     if len(landed):
-        click.echo(f"distance from the target, root mean square: {_rms(landed['nominal_miss_mm']):.3f} mm with nominal commands, "
-                   f"{_rms(landed['expected_mm']):.3f} mm expected with these")  # fmt: skip
+        say(
+            f"distance from the target, root mean square: {_rms(landed['nominal_miss_mm']):.3f} mm with nominal commands, "
+            f"{_rms(landed['expected_mm']):.3f} mm expected with these"
+        )
 
 
 def _rms(values: pd.Series) -> float:

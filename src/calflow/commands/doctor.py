@@ -6,6 +6,9 @@ import sys
 
 import click
 
+from calflow.commands.output import say
+from calflow.files.problems import seen
+
 
 @click.command()
 def doctor() -> None:
@@ -23,11 +26,11 @@ def doctor() -> None:
     for title in ("what", "state", "found", "what to do"):
         table.add_column(title, overflow="fold")
     for one in findings:
-        table.add_row(one.what, one.state, one.found, one.remedy)
+        table.add_row(*map(seen, (one.what, one.state, one.found, one.remedy)))
     Console(highlight=False, markup=False).print(table)
     wrong = [one.what for one in findings if one.state == "trouble"]
     slow = [one.what for one in findings if one.state == "slow"]
     if slow:
-        click.echo(f"slow because of: {', '.join(slow)}")
-    click.echo(f"to be mended first: {', '.join(wrong)}" if wrong else "calflow can be relied on")
+        say(f"slow because of: {', '.join(slow)}")
+    say(f"to be mended first: {', '.join(wrong)}" if wrong else "calflow can be relied on")
     sys.exit(1 if wrong else 0)

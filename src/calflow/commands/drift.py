@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from calflow.commands.options import FILE, NOT_TOLD, NOT_WELL, STATION, Command
+from calflow.commands.output import say
 
 if TYPE_CHECKING:
     from calflow.deployment.validation import Station
@@ -38,9 +39,8 @@ def drift(study_or_run: Path, rows: Path, false_alarm: float, station: Station, 
 
     folder = out or run_folder(study_or_run) / "drift" / rows.stem
     found = drift_of_run(study_or_run, rows, false_alarm=false_alarm, station=station, out=folder)
-    for line in drift_lines(found):
-        click.echo(line)
+    say(*drift_lines(found))
     for note in found.summary.notes:
-        click.echo(f"note: {note}", err=True)
-    click.echo(f"report: {folder / 'report.pdf'}")
+        say(f"note: {note}", err=True)
+    say(f"report: {folder / 'report.pdf'}")
     sys.exit(STATUS.get(found.summary.status, 0))

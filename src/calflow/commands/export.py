@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from calflow.commands.options import FILE, OVER, write_free
+from calflow.commands.output import hand_over, say
 
 if TYPE_CHECKING:
     from calflow.deployment.export import Format
@@ -32,8 +33,8 @@ def export(study_or_run: Path, to: Format, out: Path | None, force: bool) -> Non
 
     found = export_run(study_or_run, to)
     for note in found.notes:
-        click.echo(f"note: {note}", err=True)
+        say(f"note: {note}", err=True)
     if out is None:
-        click.echo(found.text, nl=False)
+        hand_over(found.text)
     else:
         write_free(out, found.text.encode(), force)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from calflow.commands.options import FILE, OVER, apart, check_free
+from calflow.commands.output import say
 
 MOST_TOLD = 20  # of one kind that are printed
 
@@ -67,15 +68,14 @@ def filter_targets(
     table = csv_text(to_frame(done.rows, FilteredTarget)).encode()
     if summary is not None:
         check_free(summary, table, force, "another name")
-    for line in summary_lines(program, done):
-        click.echo(line)
+    say(*summary_lines(program, done))
     for note in done.notes:
-        click.echo(f"note: {note}", err=True)
+        say(f"note: {note}", err=True)
     write_whole(target, done.source)
     if summary is not None:
         write_whole(summary, table)
-        click.echo(f"wrote {summary}")
-    click.echo(f"wrote {target}")
+        say(f"wrote {summary}")
+    say(f"wrote {target}")
 
 
 def summary_lines(program: Path, done: Filtered) -> list[str]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from calflow.commands.options import FILE, NOT_WELL, resumable
+from calflow.commands.output import say
 
 if TYPE_CHECKING:
     from calflow.fleet.fleet import Fleet
@@ -34,7 +35,7 @@ def plan(fleet_file: Path, out: Path | None) -> None:
 
     check_engine()
     for one in planned(*_opened(fleet_file, out)):
-        click.echo(one)
+        say(one)
 
 
 @fleet.command()
@@ -68,15 +69,14 @@ def run(
         called = command(loaded, folder, Asked(cores, batch or size_for(len(loaded.robots), cores), profile, options))
         with running(called, log) as process:
             for one in arriving(loaded, folder, lambda: process.poll() is not None):
-                click.echo(f"{one.robot}: {one.verdict or why(one)}")
+                say(f"{one.robot}: {one.verdict or why(one)}")
         found = outcomes(loaded, folder)
         if process.returncode:
-            click.echo(f"Snakemake ended with {process.returncode}: what it said is in {log}", err=True)
+            say(f"Snakemake ended with {process.returncode}: what it said is in {log}", err=True)
             write_summary(loaded, folder, found)
-    for line in fleet_lines(found):
-        click.echo(line)
+    say(*fleet_lines(found))
     _tell_failed(found)
-    click.echo(f"report: {folder.path / 'report.pdf'}")
+    say(f"report: {folder.path / 'report.pdf'}")
     sys.exit(0 if all(one.status == "calibrated" for one in found) else NOT_WELL)
 
 
@@ -89,8 +89,7 @@ def status(fleet_file: Path, out: Path | None) -> None:
     from calflow.fleet.standing import outcomes
 
     found = outcomes(*_opened(fleet_file, out))
-    for line in fleet_lines(found):
-        click.echo(line)
+    say(*fleet_lines(found))
     _tell_failed(found)
 
 
@@ -104,7 +103,7 @@ def report(fleet_file: Path, out: Path | None) -> None:
 
     loaded, folder = _opened(fleet_file, out)
     write_summary(loaded, folder, outcomes(loaded, folder))
-    click.echo(f"report: {folder.path / 'report.pdf'}")
+    say(f"report: {folder.path / 'report.pdf'}")
 
 
 @fleet.command(hidden=True)
@@ -131,4 +130,4 @@ def _tell_failed(found: list[Outcome]) -> None:
 
     for one in found:
         if one.status != "calibrated":
-            click.echo(f"! {one.robot} ({one.type}): {why(one)}")
+            say(f"! {one.robot} ({one.type}): {why(one)}")

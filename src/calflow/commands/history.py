@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from calflow.commands.options import FILE, NOT_TOLD, NOT_WELL, Command
+from calflow.commands.output import say
 
 STATUS = {"moved": NOT_WELL, "cannot be told": NOT_TOLD}
 
@@ -28,10 +29,9 @@ def history(runs: tuple[Path, ...], false_alarm: float, out: Path | None) -> Non
     from calflow.runs.history import history as history_of_runs
 
     found = history_of_runs(*runs, false_alarm=false_alarm, out=out)
-    for line in history_lines(found):
-        click.echo(line)
+    say(*history_lines(found))
     for note in found.notes:
-        click.echo(f"note: {note}", err=True)
+        say(f"note: {note}", err=True)
     if out is not None:
-        click.echo(f"report: {out / 'report.pdf'}")
+        say(f"report: {out / 'report.pdf'}")
     sys.exit(STATUS.get(found.status, 0))

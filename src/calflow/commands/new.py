@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from calflow.commands.options import FILE
+from calflow.commands.output import say
 
 
 def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
@@ -15,7 +16,7 @@ def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
     from calflow.templates import library
 
     for name, said in library.listing():
-        click.echo(f"{name:20} {said}")
+        say(f"{name:20} {said}")
     context.exit()
 
 
@@ -36,11 +37,13 @@ def new(folder: Path, robot: str, tip: str | None, base: str | None) -> None:
     from calflow.templates import SCHEMAS, schema_kinds, schema_path, write_study
 
     for path in write_study(folder, robot, tip, base):
-        click.echo(f"wrote {path}")
+        say(f"wrote {path}")
     for kind in schema_kinds(robot).values():
         write_whole(folder / schema_path(kind), schema_text(kind).encode())
     doing = "look over" if robot else "describe your robot in"
-    click.echo(f"next: {doing} {folder / 'robot.toml'}, put the measurements into "
-               f"{folder / 'measurements.csv'}, then: calflow check {folder}")  # fmt: skip
-    click.echo(f"to try it with simulated measurements first: calflow simulate {folder / 'truth.toml'}")
-    click.echo(f"editors complete and check these files by {folder / SCHEMAS}")
+    say(
+        f"next: {doing} {folder / 'robot.toml'}, put the measurements into "
+        f"{folder / 'measurements.csv'}, then: calflow check {folder}"
+    )
+    say(f"to try it with simulated measurements first: calflow simulate {folder / 'truth.toml'}")
+    say(f"editors complete and check these files by {folder / SCHEMAS}")

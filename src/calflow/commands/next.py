@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from calflow.commands.options import FILE, NOT_TOLD, Command
+from calflow.commands.output import say
+from calflow.files.problems import seen
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,18 +48,18 @@ def next_poses(
     from calflow.study import load_study
 
     tolerance = None if tolerance_mm is None else tolerance_mm / 1e3
-    console, trouble = Console(highlight=False, soft_wrap=True), Console(stderr=True, highlight=False)
+    trouble = Console(stderr=True, highlight=False, markup=False)
     with trouble.status("measured so far …"):
-        step = of_study(with_rows(load_study(study), rows), number, tolerance, probability, say=trouble.print)
-    for line in next_lines(step.verdict):
-        console.print(line, markup=False)
+        measured = with_rows(load_study(study), rows)
+        step = of_study(measured, number, tolerance, probability, say=lambda line: trouble.print(seen(line)))
+    say(*next_lines(step.verdict))
     if len(step.poses):
         load = step.poses["payload"].iloc[0] or "no payload"
-        console.print(f"measure next, with {load}, in this order:", markup=False)
-        console.print(_table(step.poses))
+        say(f"measure next, with {load}, in this order:")
+        Console(highlight=False, markup=False, soft_wrap=True).print(_table(step.poses))
     if out is not None:
         step.write(out)
-        console.print(f"wrote {out / 'poses.csv'} and {out / 'verdict.json'}", markup=False)
+        say(f"wrote {out / 'poses.csv'} and {out / 'verdict.json'}")
     sys.exit(
         NOT_TOLD
         if step.verdict.status in ("measure", "too few", "nothing measured") and step.verdict.tolerance_mm
@@ -76,5 +78,5 @@ def _table(poses: pd.DataFrame) -> Table:
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("what for", overflow="fold")
     for pose, *values, reason in poses[["pose", *readings, "reason"]].to_numpy(object):
-        table.add_row(str(pose), *(f"{value:.2f}" for value in values), reason)
+        table.add_row(str(pose), *(f"{value:.2f}" for value in values), seen(reason))
     return table

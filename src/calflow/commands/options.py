@@ -10,6 +10,8 @@ from typing import Any
 
 import click
 
+from calflow.commands.output import say
+
 OUT = click.option("--out", type=click.Path(path_type=Path), help="Run folder; runs/<study name> by default.")
 STAGE = click.option("--stage", help="This stage alone, with what it needs.")
 FORCE = click.option("--force", is_flag=True, help="Do not reuse earlier results.")
@@ -89,7 +91,7 @@ def write_free(path: Path, content: bytes, force: bool) -> None:
 
     check_free(path, content, force, "another name")
     write_whole(path, content)
-    click.echo(f"wrote {path}")
+    say(f"wrote {path}")
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from calflow.commands.options import FILE, FORCE, OUT, STAGE
+from calflow.commands.output import say
 
 
 @click.command()
@@ -26,4 +27,4 @@ def plan(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
     demands = foreseen(loaded, [step.stage for step in steps if not step.reuse])
     for step in steps:
         taken = f"; takes {demands[step.stage.name].words}" if step.stage.name in demands else ""
-        click.echo(f"{step.stage.name:14} {'reuse' if step.reuse else 'run':6} {step.reason}{taken}")
+        say(f"{step.stage.name:14} {'reuse' if step.reuse else 'run':6} {step.reason}{taken}")

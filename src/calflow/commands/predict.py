@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from calflow.commands.options import FILE, OVER, apart, write_free
+from calflow.commands.output import hand_over, say
 
 
 @click.command()
@@ -30,8 +31,8 @@ def predict(study_or_run: Path, rows: Path, out: Path | None, force: bool, witho
     apart(out, "--out", rows)
     table = predict_rows(study_or_run, rows, "widen" if without_conditions else "refuse")
     for note in table.attrs["notes"]:
-        click.echo(f"note: {note}", err=True)
+        say(f"note: {note}", err=True)
     if out is None:
-        click.echo(csv_text(table), nl=False)
+        hand_over(csv_text(table))
     else:
         write_free(out, csv_text(table).encode(), force)

@@ -9,7 +9,8 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
-import click
+from calflow.commands.output import say
+from calflow.files.problems import seen
 
 if TYPE_CHECKING:
     from calflow.stages.stage import Stage
@@ -58,13 +59,13 @@ class Lines:
 
     def start(self, stage: Stage, reason: str) -> None:
         self._told = time.monotonic()
-        click.echo(f"{stage.name}: {stage.title} ({reason})")
+        say(f"{stage.name}: {stage.title} ({reason})")
 
     def reuse(self, stage: Stage, reason: str) -> None:
-        click.echo(f"{stage.name}: reused ({reason})")
+        say(f"{stage.name}: reused ({reason})")
 
     def say(self, line: str) -> None:
-        click.echo(f"  {line}")
+        say(f"  {line}")
 
     def advance(self, share: float) -> None:
         if self._interrupted:
@@ -74,13 +75,13 @@ class Lines:
     def _show(self, share: float) -> None:
         if time.monotonic() - self._told > 10:
             self._told = time.monotonic()
-            click.echo(f"  {share:.0%}")
+            say(f"  {share:.0%}")
 
     def stop(self, stage: Stage) -> None:
         self._heeded()
 
     def finish(self, stage: Stage, seconds: float) -> None:
-        click.echo(f"  done in {seconds:.1f} s")
+        say(f"  done in {seconds:.1f} s")
 
 
 class Bar(Lines):
@@ -114,7 +115,7 @@ class Bar(Lines):
         self.say(f"{stage.name}: reused ({reason})")
 
     def say(self, line: str) -> None:
-        self._progress.print(line, markup=False)
+        self._progress.print(seen(line), markup=False)
 
     def _show(self, share: float) -> None:
         self._progress.update(self._task, completed=share)

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from calflow.commands.options import FILE, OUT, resumable
+from calflow.commands.output import say
 from calflow.commands.progress import progress
 
 
@@ -21,4 +22,4 @@ def report(study_or_run: Path, out: Path | None) -> None:
     study, folder = study_and_folder(study_or_run, out)
     with resumable(), progress() as listener:
         result = run_study(study, folder, "report", True, listener)
-    click.echo(f"report: {result.folder / 'report.pdf'}")
+    say(f"report: {result.folder / 'report.pdf'}")

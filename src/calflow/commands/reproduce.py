@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from calflow.commands.options import FILE
+from calflow.commands.output import say
 from calflow.commands.progress import progress
 
 if TYPE_CHECKING:
@@ -33,12 +34,11 @@ def reproduce(run: Path, out: Path | None) -> None:
         with progress() as listener:
             found = reproduce_run(run, out, listener)
     except OSError as error:  # which elsewhere ends with 1
-        click.echo(f"error: {error}", err=True)
+        say(f"error: {error}", err=True)
         sys.exit(CANNOT)
-    for line in reproduction_lines(found):
-        click.echo(line)
+    say(*reproduction_lines(found))
     if out is not None:
-        click.echo(f"run: {out / 'run'}, differences: {out / 'differences.csv'}")
+        say(f"run: {out / 'run'}, differences: {out / 'differences.csv'}")
     sys.exit(DIFFERS if found.other else 0)
 
 

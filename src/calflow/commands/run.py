@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from calflow.commands.options import FILE, FORCE, OUT, STAGE, resumable
+from calflow.commands.output import say
 from calflow.commands.progress import progress
 
 
@@ -23,7 +24,6 @@ def run(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
 
     with resumable(), progress() as listener:
         result = run_study(load_study(study), out, stage, force, listener)
-    for line in last_lines(result.results):
-        click.echo(line)
+    say(*last_lines(result.results))
     report = result.folder / "report.pdf"
-    click.echo(f"report: {report}" if report.is_file() else f"results: {result.folder}")
+    say(f"report: {report}" if report.is_file() else f"results: {result.folder}")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from calflow.commands.options import FILE, OVER, write_free
+from calflow.commands.output import hand_over
 
 if TYPE_CHECKING:
     from calflow.api.file_schemas import Draft
@@ -31,6 +32,6 @@ def schema(kind: str, draft: Draft, out: Path | None, force: bool) -> None:
     for one in [kind] if kind else KINDS:
         said = schema_text(one, draft)
         if out is None:
-            click.echo(said, nl=False)
+            hand_over(said)
         else:
             write_free(out if kind else out / f"{one}.schema.json", said.encode(), force)

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from calflow.commands.options import FILE, OVER, check_free
+from calflow.commands.output import say
 
 
 @click.command()
@@ -22,4 +23,4 @@ def simulate(truth: Path, out: Path | None, force: bool) -> None:
     table = simulate_truth(truth)
     check_free(path, csv_text(table).encode(), force)
     write_csv(path, table)
-    click.echo(f"wrote {path}")
+    say(f"wrote {path}")

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from calflow.commands.options import FILE
+from calflow.commands.output import say
 
 
 @click.command()
@@ -21,8 +22,8 @@ def status(study_or_run: Path) -> None:
     manifest = read_manifest(folder)
     if manifest is None:
         raise refuse("nothing was run here yet", folder)
-    click.echo(f"{folder}: study {manifest.study}, workflow {manifest.workflow}, calflow {manifest.calflow}")
+    say(f"{folder}: study {manifest.study}, workflow {manifest.workflow}, calflow {manifest.calflow}")
     for name, entry in manifest.stages.items():
         seconds = "" if entry.seconds is None else f"{entry.seconds:.1f} s"
         reused = f"; reused since: {entry.reused}" if entry.reused else ""
-        click.echo(f"{name:14} {entry.status:12} {seconds:>8}  ran because: {entry.reason}{reused}")
+        say(f"{name:14} {entry.status:12} {seconds:>8}  ran because: {entry.reason}{reused}")

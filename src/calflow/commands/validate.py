@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from calflow.commands.options import FILE, NOT_TOLD, NOT_WELL, STATION, Command
+from calflow.commands.output import say
 
 if TYPE_CHECKING:
     from calflow.deployment.validation import Station
@@ -53,9 +54,8 @@ def validate(
     found = validate_run(
         study_or_run, rows, tolerance=tolerance, task=task, confidence=confidence, station=station, out=folder
     )
-    for line in verdict_lines(found):
-        click.echo(line)
+    say(*verdict_lines(found))
     for note in found.summary.notes:
-        click.echo(f"note: {note}", err=True)
-    click.echo(f"report: {folder / 'report.pdf'}")
+        say(f"note: {note}", err=True)
+    say(f"report: {folder / 'report.pdf'}")
     sys.exit(STATUS.get(found.summary.status, 0))

@@ -108,6 +108,8 @@ def _are_errors(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> bool:
     here = count[group]
     believed, doubted, alone = kept & (here > 1), ~kept & (here > 0), np.unique(group[~kept & (here == 0)])
     together = members(group) if len(alone) else []
+    if not believed.any():  # nothing is left that would say how the others should scatter
+        return False
     value = np.concatenate([
         apart[believed] / np.sqrt(1 - 1 / here[believed])[:, None],
         apart[doubted] / np.sqrt(1 + 1 / here[doubted])[:, None],

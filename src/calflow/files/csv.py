@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from calflow.files.writing import write_whole
+from calflow.files.writing import write_text
 
 FLOATS = "%.10g"  # more than any measurement supports, fewer than rounding disturbs
 # pandas before 3.1 reads the last bit of a number as it likes unless told so; later ones warn of being told.
@@ -21,7 +21,7 @@ def csv_text(table: pd.DataFrame) -> str:
 
 def write_csv(path: Path, table: pd.DataFrame) -> None:
     """Write a table whole or not at all."""
-    write_whole(path, csv_text(table).encode())
+    write_text(path, csv_text(table))
 
 
 def read_csv(path: Path) -> pd.DataFrame:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 MOST_TOLD = 20  # problems of one kind that are told one by one; the others are counted
+CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")  # what no text has; tabs and ends of lines it has
 LONGEST_WORD, LONGEST_MESSAGE = 60, 1000  # characters of a user's own word, and of a whole message, that are shown
 
 

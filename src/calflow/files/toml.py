@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from calflow.files.limits import beyond
 from calflow.files.problems import MOST_TOLD, InputError, Problem, nearest, refuse, shortened
 from calflow.files.regular import regular_file
 from calflow.files.units import LARGEST, SUFFIXES, split_unit, to_si
@@ -32,9 +33,6 @@ _EXPECTED = {
     "tuple_type": "expected a list [ … ]",
 }
 _KEY = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
-LONGEST_KEY, LONGEST_TEXT = 200, 10_000  # characters
-LARGEST_WHOLE = 2**63 - 1  # of TOML
-TOO_LONG = f"is too long: expected at most {LONGEST_KEY} characters in a name, {LONGEST_TEXT} in a text"
 
 
 class Unit(str):
@@ -170,9 +168,9 @@ def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
     except (OSError, ValueError, RecursionError) as error:  # not UTF-8, or a number of thousands of digits
         raise refuse(f"cannot be read: {error}", path) from None
     origin = Origin.of_text(path, text)
-    beyond = [(where, message) for where, message in _beyond(raw) if where]
-    if beyond:
-        raise InputError(_counted(beyond, lambda one: origin.problem(one[1], *one[0])))
+    unfit = list(beyond(raw))
+    if unfit:
+        raise InputError(_counted(unfit, lambda one: origin.problem(one[1], *one[0])))
     return raw, origin
 
 
@@ -224,20 +222,6 @@ def _counted(items: Sequence[Any], tell: Callable[[Any], Problem]) -> list[Probl
     told = [tell(item) for item in items[:MOST_TOLD]]
     more = len(items) - len(told)
     return [*told, replace(told[-1], message=f"and {more} more problems like this one", key=None)] if more else told
-
-
-def _beyond(raw: Any, where: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], str]]:
-    """The places of keys and texts that are longer than any name and of whole numbers that TOML does not have, with what to say."""
-    if isinstance(raw, str) and len(raw) > LONGEST_TEXT:
-        yield where, TOO_LONG
-    if isinstance(raw, int) and not -LARGEST_WHOLE <= raw <= LARGEST_WHOLE:
-        yield where, f"expected a whole number of at most {LARGEST_WHOLE}"
-    members = raw.items() if isinstance(raw, dict) else enumerate(raw) if isinstance(raw, list) else ()
-    for key, value in members:
-        if isinstance(key, str) and len(key) > LONGEST_KEY:
-            yield (*where, key), TOO_LONG
-        else:
-            yield from _beyond(value, (*where, key))
 
 
 def line_numbers(text: str) -> dict[tuple[Any, ...], int]:

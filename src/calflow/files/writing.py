@@ -6,6 +6,16 @@ import os
 from pathlib import Path
 
 
+def utf8(text: str) -> bytes:
+    """Return a text as it is written; bytes of a file's name that are no text are spelled out."""
+    return text.encode(errors="backslashreplace")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text whole or not at all."""
+    write_whole(path, utf8(text))
+
+
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file beside its place and move it there when it is complete; folders that lack are made."""
     path.parent.mkdir(parents=True, exist_ok=True)

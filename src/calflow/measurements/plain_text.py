@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
-from calflow.files.problems import refuse
+from calflow.files.problems import CONTROL, refuse
 
 REMEDY = 'save it as "CSV UTF-8 (comma delimited)", as Excel calls it'
 ARCHIVE, OLE = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"  # how .xlsx and .xls begin
 HEAD = 4096  # bytes that tell what a file is
-CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")  # what no text has; tabs and ends of lines it has
 
 
 def check_text(path: Path, separator: str = ",") -> None:

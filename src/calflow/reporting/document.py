@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Sequence
 from functools import singledispatch
@@ -9,6 +10,7 @@ from pathlib import Path
 
 from matplotlib.text import Text
 
+from calflow.files.writing import utf8, write_whole
 from calflow.reporting.blocks import (
     Block,
     Bullets,
@@ -166,14 +168,20 @@ def write(title: str, parts: Sequence[Part], folder: Path) -> int:
     text = source(title, parts)
     fonts = _fonts(text, drawings)
     for plot in drawings:
-        plot.drawn.savefig(figures / f"{plot.name}.svg", metadata={"Date": None, "Creator": None})
+        write_whole(figures / f"{plot.name}.svg", _svg(plot))
     for old in set(figures.glob("*.svg")) - {figures / f"{plot.name}.svg" for plot in drawings}:
         old.unlink()  # of an earlier run with other tables
-    written = fonts.legible(source(title, parts, fonts.families)).encode()
+    written = utf8(fonts.legible(source(title, parts, fonts.families)))
     places = [str(place) for place in fonts.folders]
-    output = str(folder / "report.pdf")
-    typst.compile(written, output=output, root=str(folder), ignore_system_fonts=True, font_paths=places)  # type: ignore[misc]
+    pdf = typst.compile(written, root=str(folder), ignore_system_fonts=True, font_paths=places)  # type: ignore[misc]
+    write_whole(folder / "report.pdf", pdf)
     return len(drawings)
+
+
+def _svg(plot: Plot) -> bytes:
+    drawn = io.BytesIO()
+    plot.drawn.savefig(drawn, format="svg", metadata={"Date": None, "Creator": None})
+    return drawn.getvalue()
 
 
 def _fonts(text: str, drawings: Sequence[Plot]) -> Fonts:

@@ -13,6 +13,7 @@ from typing import Any, Self
 import numpy as np
 
 from calflow.files.problems import InputError
+from calflow.files.writing import write_text
 from calflow.robot import summary
 from calflow.robot.checks import follower_problems, joint_problems, other_problems
 from calflow.robot.formats import robot_file, toml_written, urdf
@@ -114,7 +115,7 @@ class Robot(Part):
 
     def to_toml(self, path: str | Path) -> None:
         """Write a robot file that reads back equal; frames that follow no convention are stated by their steps."""
-        Path(path).write_text(self.toml_text(), encoding="utf-8")
+        write_text(Path(path), self.toml_text())
 
     def toml_text(self) -> str:
         """Return what `to_toml` writes."""

@@ -11,7 +11,7 @@ from calflow.files.csv import write_csv
 from calflow.files.problems import refuse
 from calflow.files.results import Results
 from calflow.files.tables import schema
-from calflow.files.writing import write_whole
+from calflow.files.writing import write_text
 from calflow.runs.manifest import NAME
 from calflow.stages import STAGES
 
@@ -24,10 +24,10 @@ def write_results(folder: Path, results: Results, tables: Mapping[str, type]) ->
     for name, table in results.tables.items():
         write_csv(folder / name, table)
         described = json.dumps(schema(table, tables[name]), indent=2, ensure_ascii=False)
-        write_whole((folder / name).with_suffix(".schema.json"), f"{described}\n".encode())
+        write_text((folder / name).with_suffix(".schema.json"), f"{described}\n")
     for name, document in results.documents.items():
         said = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
-        write_whole(folder / name, f"{said}\n".encode())
+        write_text(folder / name, f"{said}\n")
 
 
 def not_of_a_run(folder: Path) -> None:

@@ -10,6 +10,7 @@ from importlib import resources
 from pathlib import Path
 
 from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.writing import write_text
 from calflow.robot.formats import urdf
 from calflow.robot.formats.urdf_document import UrdfJoint, read_document
 from calflow.robot.frames import places
@@ -42,7 +43,7 @@ def write_study(folder: Path, robot: str = "", tip: str | None = None, base: str
     folder.mkdir(parents=True, exist_ok=True)
     try:
         for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8")
+            write_text(folder / name, text)
     except OSError:
         for name in texts:
             (folder / name).unlink(missing_ok=True)

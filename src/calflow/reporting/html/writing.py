@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 
+from calflow.files.writing import write_text
 from calflow.reporting.blocks import Part, plots
 from calflow.reporting.html.elements import Html, as_json, element, joined
 from calflow.reporting.html.page import Page, contents, section
@@ -18,7 +19,7 @@ STYLE, SCRIPTS = "report.css", ("data.js", "tables.js", "scene.js")  # scene.js 
 
 def write(title: str, parts: Sequence[Part], folder: Path) -> None:
     """Write report.html into a folder that has the drawings in figures/."""
-    (folder / "report.html").write_text(page(title, parts, folder / "figures"), encoding="utf-8", newline="\n")
+    write_text(folder / "report.html", page(title, parts, folder / "figures"))
 
 
 def page(title: str, parts: Sequence[Part], figures: Path) -> str:
