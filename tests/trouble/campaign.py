@@ -11,7 +11,7 @@ import json
 import signal
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import count
@@ -155,10 +155,10 @@ def _asked(study: str, folder: Path, file: str) -> tuple[Answer, str]:
     return answer, unreadable(answer) or "; ".join(f"warning: {one.message}" for one in warned)
 
 
-def unreadable(answer: Answer) -> str:
-    """Say why an answer is none for a user; empty where it is one."""
+def unreadable(answer: Answer, codes: Collection[int] = (0, 2)) -> str:
+    """Say why an answer is none for a user, who expects some exit codes; empty where it is one."""
     lines = answer.err.splitlines()
-    if answer.code not in (0, 2):
+    if answer.code not in codes:
         return f"exit code {answer.code}: {answer.err[:300]}"
     if answer.code == 2 and not lines:
         return "refused without a word"

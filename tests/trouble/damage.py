@@ -1,116 +1,167 @@
-"""Damage: a run folder whose files are cut, turned, zeroed or gone, and machines that lack something.
+"""Damage: a run folder whose files are cut, emptied, turned, zeroed, gone, no files any more, or not to be read.
 
-What is done with a damaged run must be what is done with a sound one, or be refused with a message, or say that a stage runs again:
-never a traceback, never another result.
+What is done with a damaged run must be what is done with a sound one, or be refused with a message that leaves nothing behind, or
+say that a stage runs again: never a traceback, never another result.
 """
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from calflow.runs.manifest import read_manifest
-from conftest import Answer, Folder
+from conftest import Answer
 from trouble.campaign import Hangs, patience, unreadable
+from trouble.kills import tables
+from trouble.workplace import OF_RUNS, Workplace
 
-Damage = Callable[[bytes, np.random.Generator], bytes | None]
+Damage = Callable[[Path, np.random.Generator], None]
+
+RUN = "runs"
+REFUSED, TROUBLE = 2, 1
 
 
-def cut(content: bytes, rng: np.random.Generator) -> bytes:
+def cut(path: Path, rng: np.random.Generator) -> None:
     """A file cut off."""
-    return content[: int(rng.integers(max(len(content), 1)))]
+    content = path.read_bytes()
+    path.write_bytes(content[: int(rng.integers(max(len(content), 1)))])
 
 
-def turned(content: bytes, rng: np.random.Generator) -> bytes:
+def emptied(path: Path, rng: np.random.Generator) -> None:
+    """A file of no length."""
+    path.write_bytes(b"")
+
+
+def turned(path: Path, rng: np.random.Generator) -> None:
     """A bit turned."""
-    changed = bytearray(content)
+    changed = bytearray(path.read_bytes())
     if changed:
         changed[int(rng.integers(len(changed)))] ^= 1 << int(rng.integers(8))
-    return bytes(changed)
+    path.write_bytes(bytes(changed))
 
 
-def zeroed(content: bytes, rng: np.random.Generator) -> bytes:
+def zeroed(path: Path, rng: np.random.Generator) -> None:
     """A block of zeros."""
+    content = path.read_bytes()
     at = int(rng.integers(max(len(content), 1)))
-    return content[:at] + bytes(len(content[at : at + 512])) + content[at + 512 :]
+    path.write_bytes(content[:at] + bytes(len(content[at : at + 512])) + content[at + 512 :])
 
 
-def gone(content: bytes, rng: np.random.Generator) -> None:
+def gone(path: Path, rng: np.random.Generator) -> None:
     """A file that is not there any more."""
+    path.unlink()
 
 
-DAMAGES: tuple[Damage, ...] = (cut, turned, zeroed, gone)
+def no_file(path: Path, rng: np.random.Generator) -> None:
+    """A folder in its place."""
+    path.unlink()
+    path.mkdir()
+
+
+def locked_away(path: Path, rng: np.random.Generator) -> None:
+    """A file that its user may not read; one who may read everything (root) may still."""
+    path.chmod(0)
+
+
+DAMAGES: tuple[Damage, ...] = (cut, emptied, turned, zeroed, gone, no_file, locked_away)
 
 
 @dataclass(frozen=True)
 class Sound:
-    """A finished run, and what the commands say of it: status, plan, and a prediction of some rows."""
+    """A finished run, a copy of it, and what each command says and makes of it."""
 
-    folder: Folder
-    said: dict[str, Answer]
+    place: Workplace
+    kept: Path
+    said: dict[str, Answer] = field(default_factory=dict)
+    made: dict[str, dict[str, bytes]] = field(default_factory=dict)
 
     @staticmethod
-    def of(folder: Folder) -> Sound:
-        """Ask of a finished study's run."""
-        rows = folder.rows.drop(columns=["x_mm", "y_mm", "z_mm", "sigma_mm"])
-        folder.measure(rows, "asked.csv")
-        said = {command: folder.calflow(command, *arguments) for command, arguments in _commands(folder).items()}
-        assert all(answer.code == 0 for answer in said.values()), said
-        return Sound(folder, said)
+    def of(place: Workplace) -> Sound:
+        """Ask of a workplace's run."""
+        sound = Sound(place, place.path / "kept")
+        shutil.copytree(sound.run, sound.kept, dirs_exist_ok=True)
+        for name, arguments in OF_RUNS.items():
+            sound.said[name] = place.ask(arguments)
+            sound.made[name] = place.made()
+            assert sound.said[name].code in (0, 3), sound.said[name]
+        sound.mend()
+        return sound
+
+    @property
+    def run(self) -> Path:
+        """The run folder."""
+        return self.place.path / RUN
+
+    def mend(self) -> None:
+        """Put the run back as it was."""
+        for path in self.run.rglob("*"):
+            with suppress(FileNotFoundError):
+                path.chmod(0o755)
+        shutil.rmtree(self.run)
+        shutil.copytree(self.kept, self.run)
 
     def files(self) -> list[str]:
         """Every file of the run."""
-        run = self.folder / "runs"
-        return sorted(path.relative_to(run).as_posix() for path in run.rglob("*") if path.is_file())
+        return sorted(path.relative_to(self.kept).as_posix() for path in self.kept.rglob("*") if path.is_file())
 
-    def wrong(self, name: str, damage: Damage, rng: np.random.Generator) -> str:
-        """Damage a file, ask, mend it, and say what was wrong; nothing where all was well."""
-        path = self.folder / "runs" / name
-        before = path.read_bytes()
-        after = damage(before, rng)
-        if after == before:
-            return ""
-        manifest = read_manifest(self.folder / "runs")
+    def wrong(self, name: str, damage: Damage, seed: int, commands: Iterable[str] = OF_RUNS) -> str:
+        """Damage a file, ask each command anew, and say what was wrong; nothing where all was well."""
+        return "; ".join(said for command in commands for said in self._wrong(command, name, damage, seed))
+
+    def _wrong(self, command: str, name: str, damage: Damage, seed: int) -> Iterator[str]:
+        damage(self.run / name, np.random.default_rng(seed))
+        try:
+            with patience():
+                answer = self.place.ask(OF_RUNS[command])
+        except Hangs:
+            yield f"{command} hangs"
+        except Exception as error:
+            yield f"{command}: traceback, {error!r}"
+        else:
+            yield from (f"{command}: {said}" for said in self._of(command, answer, name, damage))
+        finally:
+            self.mend()
+
+    def _of(self, command: str, answer: Answer, name: str, damage: Damage) -> Iterator[str]:
+        """Say what is wrong with an answer."""
+        said = self.said[command]
+        if odd := unreadable(answer, (said.code, REFUSED, *([TROUBLE] if damage in (locked_away, no_file) else []))):
+            yield odd
+        elif answer.code in (REFUSED, TROUBLE):
+            if left := self.place.made():
+                yield f"refused, but left {', '.join(left)}"
+        elif command == "plan":
+            yield from self._reused(answer, name)
+        elif command in ("run", "report"):
+            if "is left out" not in answer.out and tables(self.run) != tables(self.kept):
+                yield "the run is not as it was"
+        elif command == "reproduce":
+            if answer.out.splitlines()[-1] != said.out.splitlines()[-1]:
+                yield f"says {answer.out.splitlines()[-1]}"
+        elif (answer.out, answer.err) != (said.out, said.err):
+            yield "says something else in silence"
+        elif self.place.made() != self.made[command]:
+            yield "makes something else in silence"
+
+    def _reused(self, answer: Answer, name: str) -> Iterator[str]:
+        manifest = read_manifest(self.kept)
         assert manifest is not None
         stage = next((stage for stage in manifest.stages if name in manifest.outputs(stage)), None)
-        try:
-            path.unlink() if after is None else path.write_bytes(after)
-            return "; ".join(self._wrong(name, stage))
-        finally:
-            path.write_bytes(before)
-
-    def _wrong(self, name: str, stage: str | None) -> Iterator[str]:
-        for command, arguments in _commands(self.folder).items():
-            try:
-                with patience():
-                    answer = self.folder.calflow(command, *arguments)
-            except Hangs:
-                yield f"{command} hangs"
-                continue
-            except Exception as error:
-                yield f"{command}: traceback, {error!r}"
-                continue
-            if said := unreadable(answer):
-                yield f"{command}: {said}"
-            if answer.code != 0:
-                continue
-            if command == "plan":
-                again = next((line for line in answer.out.splitlines() if line.split()[0] == stage), "")
-                if stage and " run " not in again:
-                    yield f"{stage} is reused, whose {name} is damaged"
-            elif answer.out != self.said[command].out:
-                yield f"{command} says something else in silence"
+        again = next((line for line in answer.out.splitlines() if line.split()[0] == stage), "")
+        if stage and (self.run / name).exists() and _same(self.run / name, self.kept / name):
+            return
+        if stage and " run " not in again:
+            yield f"{stage} is reused, whose {name} is damaged"
 
 
-def copied(folder: Folder, to: Path) -> Folder:
-    """Return a copy of a study's folder."""
-    shutil.copytree(folder.path, to)
-    return Folder(to)
-
-
-def _commands(folder: Folder) -> dict[str, tuple[Path, ...]]:
-    return {"status": (folder / "runs",), "plan": (), "predict": (folder / "runs", folder / "asked.csv")}
+def _same(one: Path, other: Path) -> bool:
+    """Whether a file can be read, and holds what another does."""
+    try:
+        return one.read_bytes() == other.read_bytes()
+    except OSError:
+        return False

@@ -106,7 +106,8 @@ def differences(whole: Unbroken, run: Path) -> list[str]:
 
 def tables(run: Path) -> dict[str, str]:
     """Return the hash of every CSV and JSON of a run, but for the manifest, which tells times."""
-    paths = [path for path in run.rglob("*") if path.suffix in (".csv", ".json") and path.name != "manifest.json"]
+    every = [path for path in run.rglob("*") if path.is_file() and path.name != "manifest.json"]
+    paths = [path for path in every if path.suffix in (".csv", ".json")]
     return {path.relative_to(run).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
 

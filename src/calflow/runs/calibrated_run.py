@@ -9,17 +9,17 @@ from calflow.deployment.needed_conditions import NeededCondition
 from calflow.estimation.calibrated import Identified, calibrated
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.faults.base import FaultyRow
-from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.problems import refuse
 from calflow.files.results import Results
 from calflow.files.tables import lacking
 from calflow.files.toml import read_toml
-from calflow.measurements.reading import sha256
 from calflow.measurements.source import MeasurementSource
 from calflow.robot.robot import Robot
 from calflow.runs.cache_key import after
 from calflow.runs.folder import read_results, run_folder
 from calflow.runs.manifest import Manifest, read_manifest
-from calflow.runs.reasons import outdated
+from calflow.runs.reasons import damage, outdated
+from calflow.runs.study_files import check_inputs
 from calflow.stages import STAGES
 from calflow.study import FIELD
 from calflow.study_file import StudyFile, WorkflowFile
@@ -29,7 +29,7 @@ from calflow.study_file import StudyFile, WorkflowFile
 class CalibratedRun:
     """A run folder that holds an identified robot: its study's and robot's files, and the results of identify and diagnose.
 
-    without_field says why the residual field that the study asks for is not there; None where it is, or is not asked for.
+    without says what the model lacks that the run, or its study, would add, and why.
     """
 
     folder: Path
@@ -37,33 +37,38 @@ class CalibratedRun:
     robot: Robot
     file: StudyFile
     results: Results
-    without_field: str | None = None
+    without: tuple[str, ...] = ()
 
     @staticmethod
     def of(study_or_run: str | Path) -> CalibratedRun:
         """Open a run that is named by its folder, or by its study.
 
         Raises:
-            InputError: the run has not identified yet, or its files were changed.
+            InputError: the run has not identified yet, or what it wrote of its model, or read, was changed since.
         """
         folder = run_folder(Path(study_or_run))
         manifest = read_manifest(folder)
         if manifest is None:
             raise refuse("holds no run: expected a folder that 'calflow run' has filled", folder)
-        _check_inputs(folder, manifest)
+        check_inputs(folder, manifest)
         robot = Robot.from_toml(folder / "inputs" / "robot.toml")
         reason = outdated(manifest, folder, "identify", robot)
         if reason:
             raise refuse(f"holds no identified robot: {reason}; run the study again", folder)
         results = read_results(manifest, folder, "identify")
-        if outdated(manifest, folder, "diagnose", robot) is None:
+        undiagnosed = _without_diagnosis(manifest, folder, robot)
+        if undiagnosed is None:
             results |= read_results(manifest, folder, "diagnose")
         file = read_toml(folder / "inputs" / "study.toml", StudyFile)
         asked = file.residual_field or FIELD in read_toml(folder / "inputs" / "workflow.toml", WorkflowFile).stages
         lacking = _without_field(manifest, folder, robot, "diagnose/effects.csv" in results) if asked else None
         if asked and lacking is None:
             results |= read_results(manifest, folder, FIELD)
-        return CalibratedRun(folder, manifest, robot, file, results, lacking)
+        without = (
+            *([f"what diagnose found: {undiagnosed}"] if undiagnosed else []),
+            *([f"the residual field that the study asks for: {lacking}"] if lacking else []),
+        )
+        return CalibratedRun(folder, manifest, robot, file, results, without)
 
     def known(self, given: tuple[str, ...]) -> Identified:
         """Return the best model there is, for rows with these optional conditions."""
@@ -113,39 +118,34 @@ class CalibratedRun:
     @property
     def notes(self) -> tuple[str, ...]:
         """What there is to say of it whatever rows are given."""
-        field = self.without_field
-        said = (
-            ()
-            if field is None
-            else (f"without the residual field that the study asks for: {field}; run the study again",)
-        )
-        return (*self.columns_mended, *said)
+        return (*self.columns_mended, *(f"without {said}; run the study again" for said in self.without))
 
 
-def _check_inputs(folder: Path, manifest: Manifest) -> None:
-    """Check that the copies of the files that were asked are those that the results are of.
+def _without_diagnosis(manifest: Manifest, folder: Path, robot: Robot) -> str | None:
+    """Return why diagnose does not hold for the results of identify, empty where it was never run; None where it does.
 
     Raises:
-        InputError: one was changed, or is not there.
+        InputError: its files were changed, so that the model would be another than the one that the run tells of.
     """
-    known = set(manifest.inputs.values())
-    copies = [folder / "inputs" / f"{name}.toml" for name in ("study", "robot", "workflow")]
-    copies += [path for path in sorted((folder / "inputs").iterdir()) if path not in copies and path.is_file()]
-    wrong = {path: "is missing" for path in copies if not path.is_file()}
-    wrong |= {path: "is not what the run read" for path in copies if path not in wrong and sha256(path) not in known}
-    if wrong:
-        raise InputError(Problem(f"{said}; run the study again", path) for path, said in wrong.items())
+    entry = manifest.stages.get("diagnose")
+    if entry is None:
+        return ""
+    reason = _unfit(manifest, folder, robot, "diagnose", ("identify",))
+    if reason and entry.status == "done" and reason == damage(entry, folder):
+        raise refuse(f"holds no diagnosed robot any more: {reason}; run the study again", folder)
+    return reason
 
 
 def _without_field(manifest: Manifest, folder: Path, robot: Robot, diagnosed: bool) -> str | None:
     """Return why a residual field does not hold for the results of identify, or of diagnose; None where it does."""
-    reason = outdated(manifest, folder, FIELD, robot)
+    return _unfit(manifest, folder, robot, FIELD, ("identify", "diagnose") if diagnosed else ("identify",))
+
+
+def _unfit(manifest: Manifest, folder: Path, robot: Robot, stage: str, bases: tuple[str, ...]) -> str | None:
+    """Return why a stage's results are not of those of its bases, or do not hold for a robot; None where all is well."""
+    reason = outdated(manifest, folder, stage, robot)
     if reason:
         return reason
-    made = {name: key for name, key in manifest.stages[FIELD].key.items() if name.startswith("after ")}
-    own = ("identify", "diagnose") if diagnosed else ("identify",)
-    return (
-        None
-        if made == after({name: manifest.stages[name].key for name in own})
-        else f"{FIELD} was made of other results"
-    )
+    made = {name: key for name, key in manifest.stages[stage].key.items() if name.startswith("after ")}
+    same = made == after({name: manifest.stages[name].key for name in bases})
+    return None if same else f"{stage} was made of other results"

@@ -13,7 +13,7 @@ from calflow.runs.manifest import NAME, Manifest
 from calflow.runs.reproduce import checked_run, finished
 from calflow.runs.ro_crate import NAME as METADATA
 from calflow.runs.ro_crate import ro_crate
-from calflow.runs.study_files import INPUTS, LAID_OUT, laid_out, lay_out
+from calflow.runs.study_files import INPUTS, LAID_OUT, check_inputs, laid_out, lay_out
 
 ENVIRONMENT = "environment.txt"
 BEGINNING = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can state: the archive's bytes tell no time
@@ -31,6 +31,7 @@ def pack(folder: str | Path) -> bytes:
     """
     folder = Path(folder)
     manifest = checked_run(folder)
+    check_inputs(folder, manifest)
     files = _files(manifest, folder)
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -76,7 +76,8 @@ def run(
         results = Results()
         for name in passed_over(folder, stage, steps):
             listener.say(
-                f"{name} is left out: its results are of other inputs, settings or versions; run the study to renew them"
+                f"{name} is left out: its results are of other inputs, settings or versions, or were changed since; "
+                "run the study to renew them"
             )
         for step in steps:
             if step.reuse:

@@ -103,6 +103,21 @@ def lay_out(manifest: Manifest, run_folder: Path, root: Path) -> Path:
     return root / next(places[name] for name, kept in manifest.files.items() if kept.path == manifest.study_file)
 
 
+def check_inputs(folder: Path, manifest: Manifest) -> None:
+    """Check that the copies of the files that were asked are those that the results are of.
+
+    Raises:
+        InputError: one was changed, or is not there.
+    """
+    known = set(manifest.inputs.values())
+    copies = [folder / "inputs" / f"{name}.toml" for name in ("study", "robot", "workflow")]
+    copies += [path for path in sorted((folder / "inputs").iterdir()) if path not in copies and path.is_file()]
+    wrong = {path: "is missing" for path in copies if not path.is_file()}
+    wrong |= {path: "is not what the run read" for path in copies if path not in wrong and sha256(path) not in known}
+    if wrong:
+        raise InputError(Problem(f"{said}; run the study again", path) for path, said in wrong.items())
+
+
 def load_again(manifest: Manifest, run_folder: Path, root: Path) -> Study:
     """Lay a run's inputs out in a folder and load the study there, with the workflow that the run had.
 
