@@ -11,7 +11,7 @@ import json
 import signal
 import traceback
 import warnings
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import count
@@ -78,15 +78,9 @@ class Campaign:
         """Return a study, a file of it, what is done to it, and what it then holds."""
         every = [(study, file) for study, file, often in TARGETS for _ in range(often)]
         study, file = every[number % len(every)]
-        content, done = (self.studies[study] / file).read_bytes(), []
-        for mutation in _chosen(study, file, rng):
-            try:
-                spoilt = mutation(content.decode(), rng)
-            except (UnicodeDecodeError, ValueError, IndexError):  # nothing left to spoil
-                break
-            content = spoilt
-            done.append(getattr(mutation, "func", mutation).__name__)
-        return study, file, " ".join(done), content
+        mutations = chosen(Path(file).suffix, ";" if study == "mapped" else ",", rng)
+        content, done = spoilt((self.studies[study] / file).read_bytes(), mutations, rng)
+        return study, file, done, content
 
     def judged(self, number: int, study: str, file: str, mutations: str, content: bytes) -> Verdict:
         """Judge one file's content."""
@@ -128,11 +122,24 @@ def keep(verdict: Verdict, folder: Path) -> None:
     (folder / f"{verdict.number}-{verdict.study}-{verdict.file}").write_bytes(verdict.content)
 
 
-def _chosen(study: str, file: str, rng: np.random.Generator) -> list[Mutation]:
-    own = {".csv": in_table(";" if study == "mapped" else ","), ".toml": IN_TOML, ".urdf": IN_URDF}[Path(file).suffix]
+def chosen(suffix: str, separator: str, rng: np.random.Generator) -> list[Mutation]:
+    """Choose what is done to a file of a kind, by its ending; to a kind that is none of these only what disks do."""
+    known = {".csv": in_table(separator), ".toml": IN_TOML, ".urdf": IN_URDF}.get(suffix, BYTES)
     number = 1 if rng.random() < ALONE else int(rng.integers(2, 5))
-    of_each = [own if rng.random() < STRUCTURED else BYTES for _ in range(number)]
-    return [known[int(rng.integers(len(known)))] for known in of_each]
+    of_each = [known if rng.random() < STRUCTURED else BYTES for _ in range(number)]
+    return [own[int(rng.integers(len(own)))] for own in of_each]
+
+
+def spoilt(content: bytes, mutations: Sequence[Mutation], rng: np.random.Generator) -> tuple[bytes, str]:
+    """Return what a file then holds, and what was done to it."""
+    done = []
+    for mutation in mutations:
+        try:
+            content = mutation(content.decode(), rng)
+        except (UnicodeDecodeError, ValueError, IndexError):  # nothing left to spoil
+            break
+        done.append(getattr(mutation, "func", mutation).__name__)
+    return content, " ".join(done)
 
 
 def _asked(study: str, folder: Path, file: str) -> tuple[Answer, str]:

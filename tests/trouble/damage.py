@@ -6,11 +6,13 @@ say that a stage runs again: never a traceback, never another result.
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 
 import numpy as np
 
@@ -23,6 +25,12 @@ from trouble.workplace import OF_RUNS, Workplace
 Damage = Callable[[Path, np.random.Generator], None]
 
 RUN = "runs"
+AS_USER = (
+    "setpriv",
+    "--bounding-set",
+    "-dac_override,-dac_read_search",
+)  # before a command: root with no more rights than others
+SLOW = ("run", "report", "reproduce")  # of which a case of the campaign has one
 REFUSED, TROUBLE = 2, 1
 
 
@@ -69,6 +77,23 @@ def locked_away(path: Path, rng: np.random.Generator) -> None:
 
 
 DAMAGES: tuple[Damage, ...] = (cut, emptied, turned, zeroed, gone, no_file, locked_away)
+
+
+@dataclass(frozen=True)
+class Damaged:
+    """What came of a case: the file, what was done to it, and what is wrong with what some command then said or made."""
+
+    number: int
+    file: str
+    damage: str
+    wrong: str
+
+
+def reads_everything() -> bool:
+    """Whether the modes of files do not keep this user from reading."""
+    with NamedTemporaryFile() as file:
+        os.chmod(file.name, 0)
+        return os.access(file.name, os.R_OK)
 
 
 @dataclass(frozen=True)
@@ -157,6 +182,15 @@ class Sound:
             return
         if stage and " run " not in again:
             yield f"{stage} is reused, whose {name} is damaged"
+
+
+def damaged(sound: Sound, seed: int, number: int) -> Damaged:
+    """Damage a file of a run and ask the commands: each number has another file and damage, until all had all."""
+    files = sound.files()
+    name, damage = files[number % len(files)], DAMAGES[(number + number // len(files)) % len(DAMAGES)]
+    slow = SLOW[(number + number // len(files)) % len(SLOW)]
+    commands = [command for command in OF_RUNS if command not in SLOW or command == slow]
+    return Damaged(number, name, damage.__name__, sound.wrong(name, damage, seed + number, commands))
 
 
 def _same(one: Path, other: Path) -> bool:
