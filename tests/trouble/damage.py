@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -106,12 +106,12 @@ class Sound:
     made: dict[str, dict[str, bytes]] = field(default_factory=dict)
 
     @staticmethod
-    def of(place: Workplace) -> Sound:
-        """Ask of a workplace's run."""
+    def of(place: Workplace, commands: Iterable[str] = OF_RUNS) -> Sound:
+        """Ask commands of a workplace's run."""
         sound = Sound(place, place.path / "kept")
         shutil.copytree(sound.run, sound.kept, dirs_exist_ok=True)
-        for name, arguments in OF_RUNS.items():
-            sound.said[name] = place.ask(arguments)
+        for name in commands:
+            sound.said[name] = place.ask(OF_RUNS[name])
             sound.made[name] = place.made()
             assert sound.said[name].code in (0, 3), sound.said[name]
         sound.mend()
@@ -134,9 +134,10 @@ class Sound:
         """Every file of the run."""
         return sorted(path.relative_to(self.kept).as_posix() for path in self.kept.rglob("*") if path.is_file())
 
-    def wrong(self, name: str, damage: Damage, seed: int, commands: Iterable[str] = OF_RUNS) -> str:
-        """Damage a file, ask each command anew, and say what was wrong; nothing where all was well."""
-        return "; ".join(said for command in commands for said in self._wrong(command, name, damage, seed))
+    def wrong(self, name: str, damage: Damage, seed: int, without: Collection[str] = ()) -> str:
+        """Damage a file, ask each command anew but for some, and say what was wrong; nothing where all was well."""
+        asked = [command for command in self.said if command not in without]
+        return "; ".join(said for command in asked for said in self._wrong(command, name, damage, seed))
 
     def _wrong(self, command: str, name: str, damage: Damage, seed: int) -> Iterator[str]:
         damage(self.run / name, np.random.default_rng(seed))
@@ -189,8 +190,8 @@ def damaged(sound: Sound, seed: int, number: int) -> Damaged:
     files = sound.files()
     name, damage = files[number % len(files)], DAMAGES[(number + number // len(files)) % len(DAMAGES)]
     slow = SLOW[(number + number // len(files)) % len(SLOW)]
-    commands = [command for command in OF_RUNS if command not in SLOW or command == slow]
-    return Damaged(number, name, damage.__name__, sound.wrong(name, damage, seed + number, commands))
+    without = [command for command in SLOW if command != slow]
+    return Damaged(number, name, damage.__name__, sound.wrong(name, damage, seed + number, without))
 
 
 def _same(one: Path, other: Path) -> bool:

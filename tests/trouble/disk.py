@@ -98,10 +98,10 @@ def filled(whole: dict[str, dict[str, str]], place: Workplace, at: Path, seed: i
     with disk(at):
         here, elsewhere = _copied(place, at), at if temporary else None
         left = int(np.exp(rng.uniform(np.log(LEAST), np.log(MOST))))
-        _resize(at, _used(at) + left)
+        resize(at, used(at) + left)
         answer = ask(here, command, elsewhere)
         wrong = list(_refused(here, command, answer))
-        _resize(at, LARGE)
+        resize(at, LARGE)
         again, expected = ask(here, command, elsewhere), whole[command]
         if again.code != 0 or "Traceback" in again.err:
             wrong.append(f"asked again ends with {again.code}: {again.err[-300:]}")
@@ -147,12 +147,14 @@ def _refused(place: Workplace, command: str, answer: Answer) -> Iterator[str]:
         yield "left an archive"
 
 
-def _used(at: Path) -> int:
+def used(at: Path) -> int:
+    """Return how many bytes of a file system are taken."""
     said = os.statvfs(at)
     return (said.f_blocks - said.f_bfree) * said.f_frsize
 
 
-def _resize(at: Path, size: int) -> None:
+def resize(at: Path, size: int) -> None:
+    """Give a mounted file system another size [bytes]."""
     _mount("-o", f"remount,size={size}", str(at))
 
 

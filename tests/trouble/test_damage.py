@@ -3,23 +3,90 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-from trouble.damage import DAMAGES, Sound, gone, turned
+from conftest import Answer
+from trouble.campaign import unreadable
+from trouble.damage import AS_USER, DAMAGES, Sound, locked_away, reads_everything, turned
+from trouble.workplace import few_sections, workplace
+
+ASKED = ("status", "plan", "predict", "export", "pack", "compare")
 
 
-@pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
-def test_every_damaged_file_of_a_run_is_noticed(finished, damage):
-    """Fails if a result is used that was changed, or a stage whose file is damaged is reused, or a command ends in a traceback."""
-    sound, rng = Sound.of(finished), np.random.default_rng(1)
-    names = sound.files()
-    assert len(names) > 20
-    asked = names[:: 1 if damage in (turned, gone) else 3]
-    assert {name: said for name in asked if (said := sound.wrong(name, damage, rng))} == {}
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch, few_sections():
+        patch.delenv("CALFLOW_DATA", raising=False)
+        yield Sound.of(workplace(tmp_path_factory.mktemp("damage") / "place"), ASKED)
+
+
+@pytest.mark.parametrize(
+    "damage", [one for one in DAMAGES if one is not locked_away], ids=lambda damage: damage.__name__
+)
+def test_every_damaged_file_of_a_run_is_noticed(sound, damage):
+    """Fails if a changed result is used, a stage whose file is damaged is reused, or a command ends in a traceback."""
+    names, first = sound.files(), DAMAGES.index(damage)
+    assert len(names) > 60
+    asked = {"manifest.json", "inputs/workflow.toml", "diagnose/parameters.csv", *names[first :: len(names) // 3]}
+    assert {name: said for name in sorted(asked) if (said := sound.wrong(name, damage, 1))} == {}
+
+
+def test_what_may_not_be_read_or_written_is_told(finished):
+    """Fails if a file that is another user's, or a folder to be read only, ends a command with a traceback, or half is written."""
+    user = AS_USER if reads_everything() else ()
+    if user and shutil.which(user[0]) is None:
+        pytest.skip("this user reads everything, and setpriv is not there")
+
+    def ask(*command):
+        called = [*user, sys.executable, "-m", "calflow", *command]
+        done = subprocess.run(called, capture_output=True, text=True, cwd=finished.path)
+        return Answer(done.returncode, done.stdout, done.stderr)
+
+    run, before = finished / "runs", finished.results()
+    rows = finished.rows.drop(columns=["x_mm", "y_mm", "z_mm", "sigma_mm"])
+    finished.measure(rows, "rows.csv")
+    for name in ("identify/parameters.csv", "manifest.json"):
+        (run / name).chmod(0)
+        answer = ask("predict", "runs", "rows.csv", "--out", "predicted.csv")
+        (run / name).chmod(0o644)
+        assert answer.code in (1, 2)
+        assert unreadable(answer, (1, 2)) == ""
+        assert name.split("/")[-1] in answer.err
+        assert not (finished / "predicted.csv").exists()
+    run.chmod(0o555)
+    finished.edit("study.toml", ("seed = 7", "seed = 8"))
+    for command in (
+        ("pack", "runs", "--out", "runs/a.zip"),
+        ("run", ".", "--out", "runs"),
+    ):
+        answer = ask(*command)
+        assert answer.code == 1, answer
+        assert unreadable(answer, (1,)) == ""
+        assert "Permission denied" in answer.err
+    run.chmod(0o755)
+    assert finished.results() == before
+    assert not list(run.rglob("*.part"))
+
+
+def test_an_old_diagnosis_is_not_used_beside_a_new_fit(finished):
+    """Fails if predictions are silently of a diagnosis that was made of other results than those of the fit beside it."""
+    finished.edit("quick.toml", ('"sample"]', '"diagnose"]'))
+    assert finished.calflow("run").code == 0
+    rows = finished.rows.drop(columns=["x_mm", "y_mm", "z_mm", "sigma_mm"])
+    finished.measure(rows, "rows.csv")
+    asked = ("predict", finished / "runs", finished / "rows.csv")
+    old = finished.calflow(*asked)
+    assert (old.code, old.err) == (0, "")
+    finished.edit("study.toml", ("holdout = 0.3", "holdout = 0.5"))
+    assert finished.calflow("run", "--stage", "identify").code == 0
+    new = finished.calflow(*asked)
+    assert new.err == "note: without what diagnose found: diagnose was made of other results; run the study again\n"
+    assert new.out != old.out
 
 
 def test_a_damaged_run_is_mended_by_running_it(finished):
@@ -27,7 +94,7 @@ def test_a_damaged_run_is_mended_by_running_it(finished):
     before, rng = finished.results(), np.random.default_rng(2)
     for name in ("identify/parameters.csv", "select/poses.csv", "inputs/robot.toml"):
         path = finished / "runs" / name
-        path.write_bytes(turned(path.read_bytes(), rng))
+        turned(path, rng)
     answer = finished.calflow("run")
     assert answer.code == 0
     assert answer.out.count("was changed by hand") == 2

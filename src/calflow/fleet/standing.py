@@ -10,8 +10,8 @@ from calflow.files.problems import InputError, refuse
 from calflow.fleet.fleet import Fleet, FleetRobot
 from calflow.fleet.fleet_folder import FleetFolder
 from calflow.fleet.outcome import Outcome, read_outcome
+from calflow.fleet.planned import steps
 from calflow.runs.manifest import NAME, read_manifest
-from calflow.runs.reasons import damage
 
 LOOK = 0.5  # s between looks for outcomes
 
@@ -41,7 +41,10 @@ def outcomes(fleet: Fleet, folder: FleetFolder) -> list[Outcome]:
 
 
 def forget_stale(fleet: Fleet, folder: FleetFolder) -> None:
-    """Delete the outcomes of robots to be tried anew: those that failed, whose run was changed, or of another version's form."""
+    """Delete the outcomes of robots to be tried anew: those that failed, or that a run of theirs would not leave as they are.
+
+    Snakemake looks at the dates of files, which a copy keeps, and a clock that was set back takes from others.
+    """
     for robot in fleet.robots:
         if not _holds(robot, folder):
             folder.outcome(robot.name).unlink(missing_ok=True)
@@ -50,18 +53,9 @@ def forget_stale(fleet: Fleet, folder: FleetFolder) -> None:
 def _holds(robot: FleetRobot, folder: FleetFolder) -> bool:
     try:
         found = read_outcome(folder.outcome(robot.name))
+        return found is not None and found.status == "calibrated" and all(step.reuse for step in steps(robot, folder))
     except InputError:
         return False
-    return found is not None and found.status == "calibrated" and _is_whole(folder.run(robot.name))
-
-
-def _is_whole(run: Path) -> bool:
-    """Whether a run folder is as its stages left it."""
-    try:
-        manifest = read_manifest(run)
-    except InputError:
-        return False
-    return manifest is not None and not any(damage(entry, run) for entry in manifest.stages.values())
 
 
 def arriving(fleet: Fleet, folder: FleetFolder, ended: Callable[[], bool]) -> Iterator[Outcome]:
