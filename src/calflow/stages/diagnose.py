@@ -24,7 +24,9 @@ from calflow.diagnosis.findings.extended_model import accuracy_table, extended_m
 from calflow.diagnosis.findings.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint, confirm
 from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, FindingRow, candidates_table, findings_table
 from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.screening.tall_matrix import HELD
 from calflow.diagnosis.search.acceptance import FALSE_ALARM
+from calflow.diagnosis.search.background import MODES
 from calflow.diagnosis.search.fitted import FAR, Fitted
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.alternative import AlternativeParameter
@@ -47,10 +49,9 @@ from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 from calflow.study_file import known_effects
 
-COPIES, SECONDS = (
-    1.4,
-    2.5e-7,
-)  # measured where nothing is found: arrays of the regressors' size at once, and per number of it
+# Measured: arrays of the regressors' size at once where these are held, else of the background's modes; and seconds for each of
+# the regressors' numbers, between nothing found and two causes.
+COPIES, COPIES_OF_MODES, SECONDS = 1.4, 8.4, 5e-7
 MANY = 10_000  # residuals, up to which any machine will do
 
 
@@ -140,7 +141,10 @@ def demand(study: Study, settings: DiagnoseSettings, data: Measurements) -> Dema
         stated(study.robot, study.file.effects, train).parameters
     )
     remedy = "name the causes to look for (stages.diagnose.catalogue), or hold more of the poses out (split.holdout)"
-    return Demand(rows, columns, COPIES, SECONDS * rows * columns, remedy)
+    seconds = SECONDS * rows * columns
+    if rows * columns <= HELD:
+        return Demand(rows, columns, COPIES, seconds, remedy)
+    return Demand(rows, MODES, COPIES_OF_MODES, seconds, remedy)
 
 
 STAGE = Stage(

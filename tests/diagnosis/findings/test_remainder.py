@@ -52,6 +52,17 @@ def test_structure_is_told_with_its_inputs(shift, inputs):
     assert inputs <= set(left[0].inputs)
 
 
+def test_what_is_certain_and_of_no_use_is_not_told(monkeypatch):
+    """Fails if a dependence's share is not what it adds to the errors, or one that explains too little is told for its p-value."""
+    known = fitted(lambda t: 2e-4 * np.outer(np.sin(3 * t["q1"]), [0, 0, 1]))
+    one, *_ = remainder(known, 0.01, np.random.default_rng(1), lambda _: None)
+    noise = SIGMA**2 * len(known.data) * 3
+    added = float((2e-4 * np.sin(3 * known.data.table["q1"])).pow(2).sum())
+    assert one.share == pytest.approx(added / (added + noise), abs=0.15)
+    monkeypatch.setattr("calflow.diagnosis.findings.remainder.MATERIAL", one.share * 1.01)
+    assert one not in remainder(known, 0.01, np.random.default_rng(1), lambda _: None)
+
+
 def test_what_goes_with_the_payload_is_told():
     """Breaks if a dependence on the payload is missed or put down to joints alone, or told where all rows carry the same."""
     robot = industrial()

@@ -13,7 +13,7 @@ from math import comb
 import numpy as np
 from scipy.stats import chi2
 
-from calflow.diagnosis.screening.screening import Screening
+from calflow.diagnosis.screening.screening import MATERIAL, Screening
 from calflow.diagnosis.search.background import functions
 from calflow.diagnosis.search.decoys import Decoy, decoys
 from calflow.diagnosis.search.fitted import Fitted
@@ -25,10 +25,14 @@ POSE = "pose"  # as an input: what changes from pose to pose in no way that anot
 
 @dataclass(frozen=True)
 class Remainder:
-    """A dependence that no cause explains: its inputs, the chance of anything like it where nothing is left, and its functions."""
+    """A dependence that no cause explains: its inputs, the chance of anything like it where nothing is left, and its functions.
+
+    share is its part of chi²: as of a cause, less than MATERIAL is of no use to anybody, however many rows show it.
+    """
 
     inputs: tuple[str, ...]
     p: float
+    share: float
     functions: tuple[Effect, ...]
     detail: str = ""
 
@@ -42,7 +46,7 @@ def remainder(
     """
     found: list[Remainder] = []
     for one in (*_single(fitted, rng), *_together(fitted), *_of_poses(fitted)):
-        if one.p >= significance or len(found) == MOST_PARTS:
+        if one.p >= significance or one.share < MATERIAL or len(found) == MOST_PARTS:
             continue
         if not any(set(one.inputs) & set(other.inputs) for other in found):
             found.append(one)
@@ -57,7 +61,7 @@ def _single(fitted: Fitted, rng: np.random.Generator) -> list[Remainder]:
     for score in screening.scores:
         decoy = score.cause.effect
         assert isinstance(decoy, Decoy)
-        tested.append(Remainder(decoy.inputs, family.p(score), (score.cause,), score.cause.detail))
+        tested.append(Remainder(decoy.inputs, family.p(score), score.share, (score.cause,), score.cause.detail))
     return sorted(tested, key=lambda one: one.p)
 
 
@@ -73,10 +77,13 @@ def _together(fitted: Fitted) -> list[Remainder]:
     known, n = dict(functions(fitted)), len(left.inputs)
     p = comb(left.tried, n) * 0.5**n * float(chi2.sf(left.gain, n))
     inputs = tuple(dict.fromkeys(name for part in left.inputs for name in part))
-    return [Remainder(inputs, min(1.0, p), tuple(effect for part in left.inputs for effect in known[part]))]
+    share = -float(np.expm1(-left.gain / fitted.fit.residual.size))
+    return [Remainder(inputs, min(1.0, p), share, tuple(effect for part in left.inputs for effect in known[part]))]
 
 
 def _of_poses(fitted: Fitted) -> list[Remainder]:
     """What the rows of a pose share: its markers err alike."""
     regressors = fitted.alone
-    return [Remainder((POSE,), regressors.shared_p, ())] if regressors.shared < 1 else []
+    if regressors.shared == 1:
+        return []
+    return [Remainder((POSE,), regressors.shared_p, 1 - regressors.shared**2, ())]
