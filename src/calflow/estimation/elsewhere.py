@@ -66,7 +66,8 @@ def left_out(fit: Fit, pose: np.ndarray) -> LeftOut:
     number = int(sizes.sum())
     share = float(np.median(covered / sizes)) if number else 0.0
     freedom = max(1.0, number - fit.effective_parameters)
-    return LeftOut(float(squares.sum()), float(covered.sum()), number, share, fit.problem.scatter, freedom)
+    # Added pose by pose, so that where parts end does not show in the last digit.
+    return LeftOut(float(sum(squares)), float(sum(covered)), number, share, fit.problem.scatter, freedom)
 
 
 def elsewhere(fit: Fit, pose: np.ndarray) -> float:
@@ -100,4 +101,4 @@ def _left_out(residual: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray
     size = residual.shape[1]
     covered = np.linalg.inv(np.eye(size) - jacobian @ covariance @ jacobian.transpose(0, 2, 1))
     missed = (covered @ residual[:, :, None])[:, :, 0]
-    return np.array([(missed**2).sum(axis=1), np.trace(covered, axis1=1, axis2=2), np.full(n_poses, float(size))])
+    return np.array([np.vecdot(missed, missed), np.trace(covered, axis1=1, axis2=2), np.full(n_poses, float(size))])

@@ -114,7 +114,7 @@ class Products:
     def of(result: Fit, data: Measurements, noise: Noise) -> Products:
         """Form the products at a fit's estimate."""
         model, size = result.model, len(result.estimate) + 1
-        alone, together, n = np.zeros((size, size)), list[Together](), 0
+        alone, together, n = np.zeros((size, size)), tuple[Together, ...](), 0
         standstill = standstills(data)
         for block in LeastSquares.of(model, data, replace(noise, intraclass=0.0)).blocks:
             group = standstill if may_share(block.observation, noise) else np.arange(len(data))
@@ -124,11 +124,12 @@ class Products:
                 _, own, count = np.unique(group[rows], return_inverse=True, return_counts=True)
                 single = both[count[own] == 1].reshape(-1, size)
                 alone += single.T @ single
-                several = np.unique(count[count > 1])
-                together += [Together.of(both[count[own] == k].reshape(-1, k, *both.shape[1:])) for k in several]
+                for markers in np.unique(count[count > 1]):
+                    several = both[count[own] == markers].reshape(-1, markers, *both.shape[1:])
+                    together = _merged((*together, Together.of(several)))
                 n += both.shape[0] * both.shape[1]
         pull = (result.estimate - model.prior_mean) / model.prior_sd
-        return Products(alone, _merged(together), pull, n)
+        return Products(alone, together, pull, n)
 
     @property
     def common(self) -> float:

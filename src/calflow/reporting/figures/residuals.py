@@ -126,6 +126,7 @@ def against_place(
         dots(axes, values[shown], distance[shown], held[shown], crowded(len(shown)), 3)
         running_mean(axes, values, distance)
         axes.set_xlabel(label)
+        axes.ticklabel_format(axis="x", style="plain")  # of a million rows too
     grid[0, 0].set_ylabel("error [mm]")
     grid[0, 0].set_ylim(0, 1.22 * distance.max() or 1.0)
     grid[0, 0].legend(loc="upper left", ncols=3, columnspacing=0.8, handletextpad=0.2, handlelength=1.2)
