@@ -17,9 +17,10 @@ from calflow.estimation.alternative import Alternative
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
 from calflow.reporting import document
-from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, RestOfPage, Table
+from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, Plot, RestOfPage, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section, advice, chosen, sections
+from calflow.reporting.sections import residuals
 from calflow.reporting.sections.verdict import certainty
 from calflow.reporting.style import style
 from calflow.stages.report import STAGE
@@ -229,6 +230,25 @@ def test_noise_floor_is_the_mean_length_of_the_noise(small: Context) -> None:
     material = Material.of(small.study, small.results, small.run_folder)
     noise = 0.05 * np.random.default_rng(0).standard_normal((200_000, 3))
     assert material.noise_floor == pytest.approx(np.linalg.norm(noise, axis=1).mean(), rel=0.01)
+
+
+def test_of_very_many_rows_some_are_drawn_and_the_worst(small: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails if a page carries a million rows, a largest error is not drawn, or nobody is told that others are not."""
+    material = Material.of(small.study, small.results, small.run_folder)
+    assert material.drawn.tolist() == list(range(len(material.data)))
+    assert material.drawn_words == ""
+    monkeypatch.setattr("calflow.reporting.material.DRAWN", 12)
+    monkeypatch.setattr("calflow.reporting.material.WORST", 3)
+    crowd = Material.of(small.study, small.results, small.run_folder)
+    assert set(np.argsort(crowd.distance)[-3:]) <= set(crowd.drawn)
+    assert 12 <= len(crowd.drawn) <= 15
+    with style():
+        drawn = [block for block in residuals.write(crowd) if isinstance(block, Plot)]
+    assert {len(plot.data) for plot in drawn} == {len(crowd.drawn)}
+    assert f"Of {len(crowd.data)} rows 12 are drawn, at random, and the 3 of the largest errors" in drawn[0].caption
+    scene = drawn[1].scene
+    assert scene
+    assert max(scene.shown) < len(crowd.drawn)
 
 
 def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import pandas as pd
 import pytest
 
 from calflow.diagnosis.screening.regressors import Regressors
 from calflow.files.problems import InputError
 from calflow.runs import run
 from calflow.stages import STAGES
-from calflow.stages.demand import Demand, memory_there, warned
+from calflow.stages.demand import Demand, duration, memory_there, warned
 from calflow.study import load_study
 
 GB = 1e9
@@ -78,3 +81,35 @@ def test_a_run_says_it_before_it_begins(small, monkeypatch):
     (told,) = small.refused("run", "--stage", "identify", "--out", small / "other")
     assert told.startswith("identify cannot be done here")
     assert not (small / "other").exists()
+
+
+def test_check_and_plan_say_what_stages_will_take(small):
+    """Fails if one learns it from the run alone, or a plan says it of what is reused."""
+    told = [
+        line
+        for line in small.calflow("check").out.splitlines()
+        if " will take about 0.2 GB and less than 2 min" in line
+    ]
+    assert [line.split()[0] for line in told] == ["identify", "sample"]
+    assert small.calflow("run", "--stage", "identify").code == 0
+    steps = {line.split()[0]: line for line in small.calflow("plan").out.splitlines()}
+    assert "takes" not in steps["identify"]
+    assert "; takes about 0.2 GB and less than 2 minutes of one core" in steps["sample"]
+
+
+def test_what_sample_takes_grows_with_steps_walkers_and_rows(small):
+    """Fails if a chain of a million rows, which takes days, begins without a word."""
+    study = load_study(small.path)
+    stage = STAGES["sample"]
+    settings = study.validated_settings("sample", stage.settings)
+    data = study.measurements()
+    few = stage.demand(study, settings, data)
+    assert few.rows == 3 * len(data)
+    longer = settings.model_copy(update={"max_steps": 2 * settings.max_steps})
+    assert stage.demand(study, longer, data).seconds == pytest.approx(2 * few.seconds)
+    twice = replace(data, table=pd.concat([data.table, data.table.assign(pose=-data.table["pose"])], ignore_index=True))
+    assert stage.demand(study, settings, twice).seconds == pytest.approx(2 * few.seconds)
+    again = replace(data, table=pd.concat([data.table, data.table.assign(repeat=9)], ignore_index=True))
+    assert stage.demand(study, settings, again).seconds == pytest.approx(few.seconds)
+    assert duration(3 * 86400) == "3 days"
+    assert duration(few.seconds) == "less than 2 minutes"
