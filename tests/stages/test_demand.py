@@ -9,7 +9,7 @@ import pytest
 
 from calflow.diagnosis.screening.regressors import Regressors
 from calflow.files.problems import InputError
-from calflow.runs import run
+from calflow.runs import checking, run
 from calflow.stages import STAGES
 from calflow.stages.demand import Demand, duration, memory_there, warned
 from calflow.study import load_study
@@ -95,6 +95,14 @@ def test_check_and_plan_say_what_stages_will_take(small):
     steps = {line.split()[0]: line for line in small.calflow("plan").out.splitlines()}
     assert "takes" not in steps["identify"]
     assert "; takes about 0.2 GB and less than 2 minutes of one core" in steps["sample"]
+
+
+def test_check_refuses_what_a_run_would_refuse(small, monkeypatch):
+    """Fails if a study passes the check whose run does not begin, or a warning is left to the run."""
+    monkeypatch.setattr(checking, "memory_there", lambda: 1e6)
+    assert "warning: identify is foreseen to take some 0.2 GB" in small.calflow("check").out
+    monkeypatch.setattr(checking, "memory_there", lambda: 1000.0)
+    assert [line.split(" ")[0] for line in small.refused("check")] == ["identify", "sample"]
 
 
 def test_what_sample_takes_grows_with_steps_walkers_and_rows(small):

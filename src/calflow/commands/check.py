@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 def check(study: Path) -> None:
     """Check a study with its robot, workflow and measurements, and run nothing."""
     from calflow.runs.checking import check as check_study
-    from calflow.stages.demand import memory_there, warned
     from calflow.study import load_study
 
     loaded = load_study(study)
@@ -44,8 +43,8 @@ def check(study: Path) -> None:
     say(f"{checked.n_parameters} parameters: {', '.join(loaded.file.effects)}")
     for name, demand in checked.demands.items():
         say(f"{name} will take {demand.words}")
-        if said := warned(name, demand, memory_there()):
-            say(said)
+    for warning in checked.warnings:
+        say(warning)
     say("ok")
 
 

@@ -18,7 +18,7 @@ from calflow.model import build, stated
 from calflow.observations import observations
 from calflow.runs.planning import foreseen, stages_of
 from calflow.stages import STAGES
-from calflow.stages.demand import Demand
+from calflow.stages.demand import Demand, memory_there, warned
 from calflow.study import Study
 
 
@@ -27,7 +27,8 @@ class Checked:
     """What a sound study has: its measurements, what is wrong in them, how many parameters, the nominal robot's error [mm].
 
     nominal has the columns of accuracy.csv: the robot as its maker describes it, once base and tool are placed, and what is
-    wrong is put right. doubts say which stated noises the repeats contradict, demands what stages will take.
+    wrong is put right. doubts say which stated noises the repeats contradict, demands what stages will
+    take, and warnings which of that is much for this machine.
     """
 
     data: Measurements
@@ -36,6 +37,7 @@ class Checked:
     nominal: pd.DataFrame
     doubts: tuple[NoiseDoubt, ...] = ()
     demands: Mapping[str, Demand] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
 
 def check(study: Study) -> Checked | None:
@@ -49,7 +51,11 @@ def check(study: Study) -> Checked | None:
         partial(stages_of, study), lambda: study.measurements() if measured else None, partial(_confirming, study)
     )
     _, checked = together(partial(_settings, study, data), lambda: _checked(study, data) if data else None)
-    return replace(checked, demands=foreseen(study, stages)) if checked else None
+    if checked is None:
+        return None
+    demands, there = foreseen(study, stages), memory_there()
+    told = together(*(partial(warned, name, demand, there) for name, demand in demands.items()))
+    return replace(checked, demands=demands, warnings=tuple(filter(None, told)))
 
 
 def _confirming(study: Study) -> None:

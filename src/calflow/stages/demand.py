@@ -20,7 +20,7 @@ LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container
 class Demand:
     """What a stage will take: an array of so many rows and columns, as many copies of it at once, and so many seconds of one core.
 
-    remedy says how to need less, of what the rows are.
+    besides are further bytes, remedy says how to need less, of what the rows are.
     """
 
     rows: int = 0
@@ -29,6 +29,7 @@ class Demand:
     seconds: float = 0.0
     remedy: str = ""
     of: str = "residuals"
+    besides: float = 0.0
 
     @property
     def certain(self) -> float:
@@ -38,7 +39,7 @@ class Demand:
     @property
     def memory(self) -> float:
         """What is taken together [bytes]; nothing where nothing is foreseen."""
-        return PROGRAM + self.copies * self.certain if self.rows else 0.0
+        return PROGRAM + self.besides + self.copies * self.certain if self.rows else 0.0
 
     @property
     def words(self) -> str:

@@ -37,9 +37,9 @@ from calflow.stages.demand import Demand
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
-# Measured: memory as multiples of the table's, while its cells are text and while it is fitted; seconds a row to read, check
-# and write it, and a number of each model's Jacobian.
-COPIES, READING, FITTING = 9.0, 3e-5, 6e-7
+# Measured: memory as multiples of the table's, while its cells are text and while it is fitted; seconds in any case, a row to
+# read, check and write it, and a number of each model's Jacobian.
+COPIES, STARTING, READING, FITTING = 9.0, 1.0, 3e-5, 6e-7
 REMEDY = "keep fewer poses in the file: parameters become surer by the root of their number alone"
 
 
@@ -129,7 +129,7 @@ def demand(study: Study, settings: IdentifySettings, data: Measurements) -> Dema
     train, effects = data.only(data.train), study.file.effects
     residuals = sum(len(seen.units) * int(train.of_series(k).sum()) for k, seen in enumerate(observations(train)))
     parameters = sum(len(stated(study.robot, effects[:k], train).parameters) for k in range(1, len(effects) + 1))
-    seconds = READING * len(data) + FITTING * residuals * parameters
+    seconds = STARTING + READING * len(data) + FITTING * residuals * parameters
     return Demand(len(data), data.table.shape[1], COPIES, seconds, REMEDY, "rows")
 
 

@@ -35,14 +35,14 @@ from calflow.sampling.posterior_tables import (
 from calflow.sampling.sample import ChainLength, Sampled, sample, too_few_walkers
 from calflow.sampling.task_error import task_error
 from calflow.sampling.task_tables import TaskPoint, TaskSummary, task_summary, task_table
-from calflow.stages.demand import Demand
+from calflow.stages.demand import BYTES, Demand
 from calflow.stages.stage import Context, Stage
 from calflow.stages.task_settings import WorkSettings
 from calflow.study import Study
 
-# Measured: steps until a chain is long enough; seconds a number of the Jacobian that a walker's residuals would have; arrays of
-# all draws' predictions at once.
-STEPS, SECONDS, COPIES = 500, 1.2e-8, 5.0
+# Measured: steps until a chain is long enough; seconds a number of the Jacobian that a walker's residuals would have; copies at
+# once of all draws' predictions, and of the chain.
+STEPS, SECONDS, COPIES, CHAINS = 600, 1.4e-8, 5.0, 6.0
 REMEDY = "keep fewer poses in the file, or leave the stage out: of so many rows identify/covariance.csv says what a chain would say"
 
 
@@ -125,8 +125,9 @@ def demand(study: Study, settings: SampleSettings, data: Measurements) -> Demand
     )
     parameters = len(stated(study.robot, study.file.effects, train).parameters)
     walkers = settings.ensembles * (settings.walkers or 2 * (parameters + 1))
-    seconds = SECONDS * min(STEPS, settings.max_steps) * walkers * residuals * parameters
-    return Demand(3 * len(data), DRAWS, COPIES, seconds, REMEDY)
+    draws = min(STEPS, settings.max_steps) * walkers
+    chain = CHAINS * BYTES * draws * (parameters + 1)
+    return Demand(3 * len(data), DRAWS, COPIES, SECONDS * draws * residuals * parameters, REMEDY, "coordinates", chain)
 
 
 STAGE = Stage(
