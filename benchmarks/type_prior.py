@@ -27,7 +27,7 @@ from calflow.design.selection import select
 from calflow.design.task import Task
 from calflow.estimation.calibrated import Identified
 from calflow.model import build
-from calflow.population.told import Told, shared_parameters
+from calflow.population.told import Calibration, Told, shared_parameters
 from calflow.population.unlike import unlike
 from calflow.robot.parameter import Parameter
 from hidden.case import COMPLIANCE, Case, draw_poses, robot_file, stated_tables, toml
@@ -122,7 +122,7 @@ def known(robot: cf.Robot, data: cf.Measurements) -> tuple[Identified, float]:
 
 def told_by(plant: Plant, robots: list[Robot], rng: np.random.Generator) -> tuple[tuple[Parameter, ...], list[Told]]:
     """What each robot's own calibration tells."""
-    fits = [known(plant.stated, plant.anywhere(robot, POSES, rng))[0] for robot in robots]
+    fits = [Calibration.of(known(plant.stated, plant.anywhere(robot, POSES, rng))[0]) for robot in robots]
     parameters = shared_parameters(fits)
     return parameters, [Told.of(str(k), one, parameters) for k, one in enumerate(fits)]
 

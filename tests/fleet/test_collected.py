@@ -23,13 +23,13 @@ def test_parameters_and_covariances_are_those_of_the_runs(plant):
     found = [collected(fleet.robot(name), folder) for name in ("A-1", "C-3")]
     assert [(one.robot, one.type) for one in found] == [("A-1", "small"), ("C-3", "small")]
     for one in found:
-        names = [parameter.name for parameter in one.known.model.parameters]
+        names = [parameter.name for parameter in one.calibration.parameters]
         table = pd.read_csv(folder.run(one.robot) / "identify" / "parameters.csv")
         assert names == list(table["parameter"])
-        np.testing.assert_array_equal(one.known.estimate, table["estimate"])
+        np.testing.assert_array_equal(one.calibration.estimate, table["estimate"])
         kept = pd.read_csv(folder.run(one.robot) / "identify" / "covariance.csv").set_index("parameter")
-        np.testing.assert_array_equal(one.known.covariance, kept.loc[names, names])
-    assert not np.array_equal(found[0].known.estimate, found[1].known.estimate)
+        np.testing.assert_array_equal(one.calibration.covariance, kept.loc[names, names])
+    assert not np.array_equal(found[0].calibration.estimate, found[1].calibration.estimate)
 
 
 def test_a_run_that_was_changed_is_told_and_made_anew(plant):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.estimation.calibrated import Identified
-from calflow.population.told import Told, shared_parameters
+from calflow.population.told import Calibration, Told, shared_parameters
 from calflow.population.type_prior import FEWEST, type_prior
 from calflow.population.unlike import unlike
 from calflow.robot.parameter import Parameter
@@ -110,8 +110,9 @@ def test_too_few_robots_are_refused():
 
 def test_a_fits_own_prior_is_taken_out_of_what_it_tells(calibration: Identified):
     """Fails if what the study took for granted counts once a robot: a fit with another prior tells the same."""
-    shared = shared_parameters([calibration])
-    one = Told.of("r", calibration, shared)
+    fitted = Calibration.of(calibration)
+    shared = shared_parameters([fitted])
+    one = Told.of("r", fitted, shared)
     known = np.linalg.inv(one.information + np.eye(len(shared))) @ one.pull
     where = {p.identity: k for k, p in enumerate(calibration.model.parameters)}
     own = [where[p.identity] for p in shared]

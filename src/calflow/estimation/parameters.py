@@ -35,11 +35,21 @@ class FittedParameter:
     )
     lower: float = column("the least that is allowed", UNIT)
     upper: float = column("the most that is allowed", UNIT)
+    prior_mean: float = column("what is expected of it before anything is measured", UNIT)
+    prior_sd: float = column("standard deviation of that", UNIT)
     at_bound: bool = column("whether the estimate sits on a bound")
     prior_share: float = column("share of the estimate's variance that is the prior's; 1: the data say nothing")
     figure: float = column("the maker's figure that the parameter's value is added to", UNIT)
     calibrated: float = column("figure + estimate", UNIT, sd="sd")
     meaning: str = column("what it is, in words")
+
+    def as_parameter(self) -> Parameter:
+        """Return the parameter that it is a row of."""
+        tag = self.parameter.removeprefix(f"{self.part}.").removesuffix(self.symbol).rstrip(".")
+        return Parameter(
+            self.effect, self.part, self.symbol, self.unit, self.prior_sd, self.lower, self.upper, self.nominal, self.figure,
+            self.meaning, self.joint or 0, self.variant, tag, self.prior_mean,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +83,8 @@ def parameter_table(result: Fit, covariance: np.ndarray) -> pd.DataFrame:
             "sd": np.where(free, np.sqrt(np.diag(covariance)), np.nan),
             "lower": table["lower"],
             "upper": table["upper"],
+            "prior_mean": table["prior_mean"],
+            "prior_sd": table["prior_sd"],
             "at_bound": result.at_bound,
             "prior_share": np.minimum(1.0, share),
             "figure": table["figure"],

@@ -1,43 +1,76 @@
-"""What was found of every robot of a fleet, in one place: its model with parameters and covariance, and the causes it shows."""
+"""What was found of every robot of a fleet, in one place: its parameters with their covariance, and the causes it shows."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
 
 from calflow.diagnosis.findings.tables import FindingRow
-from calflow.estimation.calibrated import Identified
-from calflow.files.results import Results
+from calflow.estimation.parameters import FittedParameter
+from calflow.files.csv import read_csv
+from calflow.files.problems import refuse
+from calflow.files.tables import from_frame
 from calflow.fleet.fleet import FleetRobot
 from calflow.fleet.fleet_folder import FleetFolder
 from calflow.population.common_causes import Shown
-from calflow.runs.calibrated_run import CalibratedRun
-
-FINDINGS = "diagnose/findings.csv"
+from calflow.population.told import Calibration
+from calflow.runs.manifest import Manifest, read_manifest
+from calflow.runs.reasons import damage
 
 
 @dataclass(frozen=True, eq=False)
 class Collected:
-    """A calibrated robot of a type: the best model that there is of it, and the causes that diagnose named."""
+    """A calibrated robot of a type: the parameters of the best model that there is of it, and the causes that diagnose named."""
 
     robot: str
     type: str
-    known: Identified
+    calibration: Calibration
     causes: tuple[Shown, ...]
 
 
 def collected(robot: FleetRobot, folder: FleetFolder) -> Collected:
-    """Return what was found of a robot that is calibrated.
+    """Return what was found of a robot that is calibrated, by the three tables that have it: a fleet has hundreds of robots.
 
     Raises:
         InputError: its run folder was changed since.
     """
-    run = CalibratedRun.of(folder.run(robot.name))
-    return Collected(robot.name, robot.type.name, run.known(()), tuple(_causes(run.results)))
+    run = folder.run(robot.name)
+    manifest = read_manifest(run)
+    if manifest is None:
+        raise refuse("holds no run any more", run)
+    stage = _last_fitted(manifest)
+    entry = manifest.stages.get(stage)
+    wrong = damage(entry, run) if entry else f"{stage} was never run"
+    if wrong:
+        raise refuse(f"holds no identified robot: {wrong}; run the fleet again", run)
+    placed = frozenset({"base", *robot.type.study.robot.markers})
+    causes = tuple(_causes(run / "diagnose/findings.csv")) if stage == "diagnose" else ()
+    return Collected(robot.name, robot.type.name, _calibration(run / stage, placed), causes)
 
 
-def _causes(results: Results) -> Iterator[Shown]:
-    rows = results.rows(FINDINGS, FindingRow) if FINDINGS in results else []
-    for row in rows:
+def _last_fitted(manifest: Manifest) -> str:
+    """The stage that the best model is of."""
+    diagnosed = manifest.stages.get("diagnose")
+    return "diagnose" if diagnosed and diagnosed.status == "done" else "identify"
+
+
+def _calibration(made: Path, placed: frozenset[str]) -> Calibration:
+    """The parameters in a stage's folder."""
+    rows = from_frame(read_csv(made / "parameters.csv"), FittedParameter, f"{made.name}/parameters.csv")
+    covariance = read_csv(made / "covariance.csv")
+    return Calibration(
+        tuple(row.as_parameter() for row in rows),
+        np.array([row.estimate for row in rows]),
+        covariance[[row.parameter for row in rows]].to_numpy(dtype=float),
+        np.array([row.at_bound for row in rows], dtype=bool),
+        placed,
+    )
+
+
+def _causes(findings: Path) -> Iterator[Shown]:
+    for row in from_frame(read_csv(findings), FindingRow, "diagnose/findings.csv"):
         if row.status in ("named", "one_of"):
             yield Shown(row.cause, row.joint or 0, row.detail, row.estimate, row.sd, row.unit)

@@ -87,8 +87,8 @@ class TypeFindings:
         causes = tuple(common_causes({one.robot: one.causes for one in robots}))
         if len(robots) < FEWEST:
             return TypeFindings(type_, len(robots), None, (), causes)
-        parameters = shared_parameters([one.known for one in robots])
-        prior, odd = unlike(parameters, [Told.of(one.robot, one.known, parameters) for one in robots])
+        parameters = shared_parameters([one.calibration for one in robots])
+        prior, odd = unlike(parameters, [Told.of(one.robot, one.calibration, parameters) for one in robots])
         return TypeFindings(type_, len(robots), prior, tuple(odd), causes)
 
     def expecting(self, robot: Robot) -> Robot | None:

@@ -12,6 +12,26 @@ from calflow.robot.parameter import Parameter
 
 
 @dataclass(frozen=True, eq=False)
+class Calibration:
+    """A robot's fitted parameters (n,): their estimate (n,) with covariance (n, n), and which sit on a bound (n,).
+
+    placed names the parts that say where the robot stands and what it holds.
+    """
+
+    parameters: tuple[Parameter, ...]
+    estimate: np.ndarray
+    covariance: np.ndarray
+    at_bound: np.ndarray
+    placed: frozenset[str]
+
+    @staticmethod
+    def of(known: Identified) -> Calibration:
+        """Return the parameters of a fitted model."""
+        placed = frozenset({"base", *known.model.robot.markers})
+        return Calibration(known.model.parameters, known.estimate, known.covariance, known.at_bound, placed)
+
+
+@dataclass(frozen=True, eq=False)
 class Told:
     """The log likelihood of parameters (n,) up to a constant: pull @ x - x @ information @ x / 2, x in standard deviations.
 
@@ -23,13 +43,14 @@ class Told:
     pull: np.ndarray
 
     @staticmethod
-    def of(robot: str, known: Identified, parameters: Sequence[Parameter]) -> Told:
+    def of(robot: str, known: Calibration, parameters: Sequence[Parameter]) -> Told:
         """Return what a fit tells of parameters of its model, whatever its others are."""
-        where = {parameter.identity: k for k, parameter in enumerate(known.model.parameters)}
+        where = {parameter.identity: k for k, parameter in enumerate(known.parameters)}
         own = np.array([where[parameter.identity] for parameter in parameters], dtype=int)
         free = np.flatnonzero(~known.at_bound[own])
         chosen = own[free]
-        sd, mean = known.model.prior_sd[chosen], known.model.prior_mean[chosen]
+        sd = np.array([known.parameters[int(k)].prior_sd for k in chosen])
+        mean = np.array([known.parameters[int(k)].prior_mean for k in chosen])
         unit = np.array([parameters[int(k)].prior_sd for k in free])
         precise = np.linalg.inv(known.covariance[np.ix_(chosen, chosen)] / np.outer(unit, unit))
         prior = (unit / sd) ** 2
@@ -41,14 +62,14 @@ class Told:
         return Told(robot, information, pull)
 
 
-def shared_parameters(fits: Sequence[Identified]) -> tuple[Parameter, ...]:
+def shared_parameters(fits: Sequence[Calibration]) -> tuple[Parameter, ...]:
     """Return the parameters that all fits have, of effects without variants, in the first one's order.
 
     Where a robot stands and what it holds while it is measured is its own, and tells nothing of its type.
     """
-    common = set.intersection(*({one.identity for one in known.model.parameters} for known in fits))
-    placed = {"base", *(name for known in fits for name in known.model.robot.markers)}
+    common = set.intersection(*({one.identity for one in known.parameters} for known in fits))
+    placed = frozenset.union(*(known.placed for known in fits))
     return tuple(
-        one for one in fits[0].model.parameters
+        one for one in fits[0].parameters
         if one.identity in common and not one.variant and one.part not in placed and one.effect
     )  # fmt: skip

@@ -119,7 +119,7 @@ def _expectation(
     mean = covariance @ pull.sum(axis=0)
     deviation = variance * (pull - weight @ mean)
     left = variance - variance**2 * np.diagonal(weight, axis1=1, axis2=2)
-    moved = np.einsum("rij,jk,rki->ri", weight, covariance, weight)
+    moved = (weight @ covariance * weight.transpose(0, 2, 1)).sum(axis=2)  # by BLAS: einsum takes ten times as long
     return mean, covariance, deviation**2 + left + variance**2 * moved
 
 
