@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from multiprocessing import active_children
 
 import pandas as pd
@@ -22,11 +23,12 @@ from calflow.fleet.attempts import attempts
 from calflow.fleet.fleet import load_fleet
 from calflow.fleet.fleet_folder import FleetFolder
 from calflow.fleet.outcome import Outcome
-from calflow.study import StudyFile, workflow_folder
+from calflow.study import StudyFile, load_study, workflow_folder
 from conftest import in_process
 from fleet.plant import ROBOTS, broken, mended
 
 SNAKEFILE = workflow_folder() / "fleet.smk"
+MINUTES = 30.0  # that a robot may take
 
 
 def rows(folder) -> dict[str, Outcome]:
@@ -133,23 +135,45 @@ def test_the_snakefile_is_used_by_hand(ran):
     assert "Nothing to be done" in done.stdout + done.stderr
 
 
-def test_a_robot_whose_process_is_killed_is_named(plant):
+def run_with(befalls: Callable[[], object], monkeypatch, plant, minutes: float) -> list[Outcome]:
+    """What comes of the plant's robots where something befalls the process of the second while it is at work."""
+
+    def read(path):
+        if path.stem == ROBOTS[1]:
+            befalls()
+        return load_study(path)
+
+    monkeypatch.setattr("calflow.fleet.attempts.load_study", read)
+    return list(attempts(load_fleet(plant.file).robots, FleetFolder(plant.out), minutes))
+
+
+def test_a_robot_whose_process_is_killed_is_named_and_harms_no_other(plant, monkeypatch):
     """Fails if a robot for which the memory does not suffice takes the others of its job with it."""
-
-    def kill() -> None:
-        while not (found := active_children()):
-            time.sleep(0.01)
-        os.kill(found[0].pid, signal.SIGKILL)
-
-    killer = threading.Thread(target=kill)
-    killer.start()
-    fleet, folder = load_fleet(plant.file), FleetFolder(plant.out)
-    found = list(attempts(fleet.robots, folder))
-    killer.join()
+    found = run_with(lambda: os.kill(os.getpid(), signal.SIGKILL), monkeypatch, plant, MINUTES)
     assert [one.robot for one in found] == list(ROBOTS)
-    assert [one.status for one in found] == ["failed", "calibrated", "calibrated"]
-    assert found[0].reason.startswith("its process was ended by SIGKILL")
-    assert [one.status for one in attempts(fleet.robots[:1], folder)] == ["calibrated"]
+    assert [one.status for one in found] == ["calibrated", "failed", "calibrated"]
+    assert found[1].reason.startswith("its process was ended by SIGKILL")
+    monkeypatch.undo()
+    left = load_fleet(plant.file).robots[1:2]
+    assert [one.status for one in attempts(left, FleetFolder(plant.out), MINUTES)] == ["calibrated"]
+
+
+def test_a_robot_that_never_ends_is_stopped_and_harms_no_other(plant, monkeypatch):
+    """Fails if one robot that hangs keeps those after it from being calibrated, or is left at work."""
+    fleet, folder = load_fleet(plant.file), FleetFolder(plant.out)
+    list(attempts(fleet.robots, folder, MINUTES))  # those that do not hang end at once the next time
+    found = run_with(lambda: time.sleep(3600), monkeypatch, plant, 0.1)
+    assert [one.status for one in found] == ["calibrated", "failed", "calibrated"]
+    assert found[1].reason.startswith("it had not ended after 0.1 minutes and was stopped")
+    assert not active_children()
+
+
+def test_a_limit_that_is_no_time_is_refused(plant):
+    """Fails if a fleet whose every robot would be stopped at once is begun."""
+    plant.file.write_text(plant.file.read_text(encoding="utf-8").replace("[fleet]", "[fleet]\nminutes_per_robot = 0"))
+    answer = plant.fleet("plan")
+    assert answer.code == 2
+    assert "minutes_per_robot" in answer.err
 
 
 def test_a_job_waits_for_one_that_outlived_its_command(plant):
@@ -159,7 +183,7 @@ def test_a_job_waits_for_one_that_outlived_its_command(plant):
     held = FileLock(folder.run("A-1") / ".lock", thread_local=False)
     held.acquire()
     threading.Timer(0.5, held.release).start()
-    assert [one.status for one in attempts(load_fleet(plant.file).robots[:1], folder)] == ["calibrated"]
+    assert [one.status for one in attempts(load_fleet(plant.file).robots[:1], folder, MINUTES)] == ["calibrated"]
     assert not held.is_locked
 
 

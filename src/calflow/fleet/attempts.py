@@ -56,11 +56,11 @@ class Log:
         self.say(f"{stage.name}: done in {seconds:.1f} s")
 
 
-def attempts(robots: Sequence[FleetRobot], folder: FleetFolder) -> Iterator[Outcome]:
+def attempts(robots: Sequence[FleetRobot], folder: FleetFolder, minutes: float) -> Iterator[Outcome]:
     """Run robots' studies one after the other in a process apart, and yield what comes of each; a failure is an outcome too.
 
-    Where a robot ends that process, another goes on with the next robot. One process has many, because what is worked out once
-    for a type of robots would else be worked out for each.
+    Where a robot ends that process, or takes so many minutes that the process is ended, another goes on with the next robot. One
+    process has many, because what is worked out once for a type of robots would else be worked out for each.
     """
     left = list(robots)
     while left:
@@ -71,6 +71,11 @@ def attempts(robots: Sequence[FleetRobot], folder: FleetFolder) -> Iterator[Outc
         sending.close()
         while left:
             robot = left.pop(0)
+            if not receiving.poll(60.0 * minutes):
+                process.kill()
+                process.join()
+                yield _failed(robot, _too_long(minutes))
+                break
             try:
                 yield receiving.recv()
             except EOFError:
@@ -103,6 +108,14 @@ def _calibrated(robot: FleetRobot, folder: FleetFolder, log: Log) -> Outcome:
 
 def _failed(robot: FleetRobot, why: str, stage: str = "") -> Outcome:
     return Outcome(robot=robot.name, type=robot.type.name, status="failed", failed_stage=stage, reason=why)
+
+
+def _too_long(minutes: float) -> str:
+    """Say that a robot was given up, and what to do."""
+    return (
+        f"it had not ended after {minutes:g} minutes and was stopped; its log says how far it came, and 'minutes_per_robot' in "
+        "[fleet] gives it longer"
+    )
 
 
 def _ended(code: int | None) -> str:

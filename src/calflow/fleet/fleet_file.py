@@ -34,10 +34,11 @@ Files = Annotated[
 
 
 class Plant(FileModel):
-    """The table `[fleet]`."""
+    """The table `[fleet]`; a robot's run that takes longer than minutes_per_robot is ended."""
 
     name: str
     title: str = ""
+    minutes_per_robot: float = Field(default=240.0, gt=0, allow_inf_nan=False)
 
     @field_validator("name")
     @classmethod

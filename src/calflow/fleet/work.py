@@ -12,11 +12,11 @@ from calflow.fleet.outcome import write_outcome
 
 def work(fleet: Fleet, folder: FleetFolder, names: Sequence[str]) -> None:
     """Calibrate robots and write what came of each; one that fails is tried once more, and holds up no other."""
-    failed = []
-    for outcome in attempts([fleet.robot(name) for name in names], folder):
+    failed, minutes = [], fleet.file.fleet.minutes_per_robot
+    for outcome in attempts([fleet.robot(name) for name in names], folder, minutes):
         if outcome.status == "failed":
             failed.append(fleet.robot(outcome.robot))
         else:
             write_outcome(folder.outcome(outcome.robot), outcome)
-    for outcome in attempts(failed, folder):
+    for outcome in attempts(failed, folder, minutes):
         write_outcome(folder.outcome(outcome.robot), outcome)
