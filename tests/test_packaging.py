@@ -55,7 +55,7 @@ def test_the_container_is_built_of_what_is_there():
         PROJECT["project"]["readme"],
     }
     assert needed | {"pyproject.toml"} <= names
-    assert {step for step, _, _ in steps} <= {"FROM", "WORKDIR", "COPY", "RUN", "ENV", "ENTRYPOINT", "CMD"}
+    assert {step for step, _, _ in steps} <= {"ARG", "FROM", "WORKDIR", "COPY", "RUN", "ENV", "ENTRYPOINT", "CMD"}
     assert [rest for step, _, rest in steps if step == "ENTRYPOINT"] == [
         f'["{next(iter(PROJECT["project"]["scripts"]))}"]'
     ]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pandas as pd
 import pytest
 
-from calflow.files.deviations import document_deviations, table_deviations
+from calflow.files.deviations import agreeing_digits, document_deviations, table_deviations
 from calflow.files.tables import column
 
 
@@ -39,6 +39,7 @@ def test_a_figure_is_told_in_its_own_sd():
         (WAS.assign(name=["a", "x", "c"]), ("name", 1, "b", "x")),
         (WAS.assign(estimate=["1.0", "2.0", "3.0"]), ("estimate", 1, "", "3.0")),
         (WAS[:2], ("rows", 1, "3", "2")),
+        (WAS[::-1].reset_index(drop=True), ("order of rows", 2, "a 1.0", "c ")),
         (WAS.drop(columns="sd"), ("sd", 3, "there", "not there")),
     ],
 )
@@ -47,6 +48,7 @@ def test_what_has_no_size_is_told_by_its_cells(now, told):
     (one,) = table_deviations("t.csv", WAS, now, Row)
     assert (one.name, one.cells, one.was, one.now) == told
     assert (one.absolute, one.in_sd) == (None, None)
+    assert agreeing_digits([one]) is None
 
 
 def test_equal_tables_and_documents_differ_nowhere():
@@ -60,3 +62,35 @@ def test_a_document_is_told_by_its_keys():
     one, other = document_deviations("s.json", {"a": [1.0, {"b": "x"}]}, {"a": [1.5, {"b": "y"}]})
     assert (one.name, one.absolute) == ("a.1", 0.5)
     assert (other.name, other.was, other.now) == ("a.2.b", "x", "y")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mixed:
+    """A row whose number is of a unit of its own, with a count and a share."""
+
+    unit: str = column("of value")
+    value: float = column("a figure", "as `unit` says")
+    count: int = column("how many")
+    share: float = column("of all")
+
+
+MIXED = pd.DataFrame(
+    {"unit": ["m", "rad/Nm"], "value": ["2", "1e-9"], "count": ["1000000", "2"], "share": ["0.9", "1e-32"]}
+)
+
+
+@pytest.mark.parametrize(
+    ("now", "digits"),
+    [
+        (MIXED.assign(value=["2.00000001", "1e-9"]), 8),
+        (MIXED.assign(value=["2", "1.1e-9"]), None),
+        (MIXED.assign(value=["2", "1.00000002e-9"]), 7),
+        (MIXED.assign(count=["1000001", "2"]), None),
+        (MIXED.assign(share=["0.9", "1e-29"]), 15),
+        (MIXED.assign(share=["0.9", "0.001"]), None),
+        (MIXED.assign(value=["2.0", "1e-9"]), 15),
+    ],
+)
+def test_agreement_is_told_in_digits(now, digits):
+    """Fails if numbers of different units are held against each other, or a change of a count or figure passes for rounding."""
+    assert agreeing_digits(table_deviations("t.csv", MIXED, now, Mixed)) == digits

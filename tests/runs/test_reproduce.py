@@ -60,6 +60,8 @@ def test_what_differs_is_told_with_its_size(finished):
     answer = finished.calflow("reproduce", finished / "runs", "--out", finished / "again")
     assert answer.code == 1
     assert "numpy 0." in answer.out
+    assert "most in joint2.a: " in answer.out
+    assert answer.out.splitlines()[-2].startswith("not the same")
     told = pd.read_csv(finished / "again" / "differences.csv")
     row = told[told["column"] == "estimate"].iloc[0]
     assert row["in_sd"] == pytest.approx(3, rel=1e-6)
@@ -67,6 +69,16 @@ def test_what_differs_is_told_with_its_size(finished):
     assert (finished / "again" / "run" / "manifest.json").is_file()
     (said,) = finished.refused("reproduce", finished / "runs", "--out", finished / "again")
     assert said.startswith("again: is not empty")
+
+
+def test_rounding_is_told_as_such(finished):
+    """Fails if other last digits, as other versions make them, pass for another result."""
+    table = pd.read_csv(finished / "runs" / "identify" / "parameters.csv", dtype=str, keep_default_na=False)
+    table["estimate"] = (table["estimate"].astype(float) * (1 + 3e-9)).map("{:.10g}".format)
+    finished.rewrite("identify/parameters.csv", table)
+    answer = finished.calflow("reproduce", finished / "runs")
+    assert answer.code == 1
+    assert answer.out.splitlines()[-1].startswith("the same to 8 digits: no number differs by more than rounding")
 
 
 def test_results_that_were_changed_are_not_compared(finished):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from calflow.runs.reproduce import Reproduction
 
 DIFFERS, CANNOT = 1, 2
-MOST_TOLD = 40  # columns that are told one by one
+MOST_TOLD = 12  # columns that are told one by one
 
 
 @click.command()
@@ -26,7 +27,8 @@ MOST_TOLD = 40  # columns that are told one by one
 def reproduce(run: Path, out: Path | None) -> None:
     """Run RUN, a run folder or an unpacked archive, again from its own inputs, and tell bit by bit what differs.
 
-    Ends with 0 where every file has the same bytes, 1 where one differs, and 2 where it cannot be done.
+    The last line is the verdict: the same bytes, the same to so many digits, or not the same. Ends with 0 where every file has
+    the same bytes, 1 where one differs, and 2 where it cannot be done.
     """
     from calflow.runs.reproduce import reproduce as reproduce_run
 
@@ -43,29 +45,50 @@ def reproduce(run: Path, out: Path | None) -> None:
 
 
 def reproduction_lines(found: Reproduction) -> list[str]:
-    """Say how many files are the same, what differs by how much, and which versions changed."""
+    """Say what differs by how much, the most telling first, which versions changed, and at last what that means."""
     lines = [f"{name} did not finish in this run, and was not compared" for name in found.unfinished]
     if not found.other:
         there = "" if not found.changed else f", though versions changed: {'; '.join(found.changed)}"
         return [*lines, f"the same: all {len(found.same)} files have the same bytes{there}"]
-    lines += [_line(one) for one in found.deviations[:MOST_TOLD]]
-    if len(found.deviations) > MOST_TOLD:
-        lines.append(f"… and {len(found.deviations) - MOST_TOLD} more columns: --out keeps them all")
-    told = {one.file for one in found.deviations}
+    most = sorted(found.deviations, key=lambda one: -math.inf if one.of_largest is None else -one.of_largest)
+    lines += [_line(one) for one in most[:MOST_TOLD]]
+    if len(most) > MOST_TOLD:
+        lines.append(
+            f"… and {len(most) - MOST_TOLD} more columns, which differ by less or as much: --out keeps them all"
+        )
+    if found.lacking:
+        lines.append(f"only in one of the two runs: {', '.join(found.lacking)}")
+    told = {*found.lacking, *(one.file for one in found.deviations)}
     if rest := [name for name in found.other if name not in told]:
-        lines.append(f"other bytes in {', '.join(rest)}")
+        lines.append(f"drawn or packed otherwise, which is not measured: {', '.join(rest)}")
     changed = "; ".join(found.changed) or "none: machine, compiler settings or threads may"
-    same, every = len(found.same), len(found.same) + len(found.other)
-    return [*lines, f"versions that changed: {changed}", f"differs: {same} of {every} files have the same bytes"]
+    return [*lines, f"versions that changed: {changed}", _verdict(found)]
+
+
+def _verdict(found: Reproduction) -> str:
+    counted = f"{len(found.same)} of {len(found.same) + len(found.other)} files have the same bytes"
+    if found.digits is not None:
+        sd = max((one.in_sd for one in found.deviations if one.in_sd is not None), default=None)
+        beside = "" if sd is None else f", and no estimate by more than {sd:.2g} of its standard deviation"
+        return f"the same to {found.digits} digits: no number differs by more than rounding{beside}; {counted}"
+    if found.deviations or found.lacking:
+        return f"not the same: more than rounding differs; {counted}"
+    return f"the same in all tables and summaries; {counted}"
 
 
 def _line(one: Deviation) -> str:
+    where = f"{one.file}, {one.name}: {one.cells} {'cell' if one.cells == 1 else 'cells'}"
+    most = f"{f'{one.row}: ' if one.row else ''}{one.was or 'empty'} → {one.now or 'empty'}"
     if one.absolute is None:
-        return f"{one.file}, {one.name}: {one.cells} cells, first {one.was!r} → {one.now!r}"
-    size = f"at most {one.absolute:.2g}"
+        return f"{where}, first {most}"
+    unit = "" if one.unit in ("", "1") else f" {one.unit}"
     parts = [
-        *([] if one.relative is None else [f"relative {one.relative:.2g}"]),
-        *([] if one.in_sd is None else [f"{one.in_sd:.2g} sd"]),
+        *(
+            []
+            if one.of_largest is None
+            else [f"{one.of_largest:.2g} of the largest {'of that unit ' if unit else ''}there"]
+        ),
+        *([] if one.in_sd is None else [f"at most {one.in_sd:.2g} standard deviations"]),
     ]
     more = f" ({', '.join(parts)})" if parts else ""
-    return f"{one.file}, {one.name}: {one.cells} cells, {size}{more}, {one.was} → {one.now}"
+    return f"{where}, most in {most}{unit}, {one.absolute:.2g} apart{more}"

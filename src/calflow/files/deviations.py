@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import sys
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +13,14 @@ import pandas as pd
 
 from calflow.files.tables import Column, column, columns
 
-ROWS = "rows"  # what differs where two tables are not equally long
+ROWS, ORDER = (
+    "rows",
+    "order of rows",
+)  # what differs where two tables are not equally long, or hold the same in another order
 NUMBERS = (int, float)
+OF_ROW = "`unit`"  # in a column's unit: each row states its own, in that column
+UNITLESS = ("", "1")
+SAME_DIGITS = 4  # fewer that agree are no matter of rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,25 +29,47 @@ class Deviation:
 
     file: str = column("the table or summary, by its path in the run folder")
     name: str = column(
-        "its column or key; `rows`: it has another number of rows, and no more is compared", name="column"
+        "its column or key; `rows`: it has another number of rows, `order of rows`: the same ones in another order; then no "
+        "more is compared",
+        name="column",
     )
     cells: int = column("how many of its cells differ")
-    was: str = column("the first of them as it was; of numbers the one that differs most")
+    row: str = column("the first cell of the row that is told; empty: of a summary, or of all rows")
+    was: str = column("what was in that row; of numbers the one that differs most, beside others of its unit")
     now: str = column("what came out instead")
-    absolute: float | None = column("largest difference, in the column's unit; empty: no numbers")
+    unit: str = column("of the numbers; empty: they have none")
+    absolute: float | None = column("largest difference there, in that unit; empty: no numbers")
     relative: float | None = column("the same over the larger of the two numbers")
+    of_largest: float | None = column(
+        "the same over the largest number of that unit in the column; empty: no numbers, or whole ones, which do not round"
+    )
     in_sd: float | None = column("largest difference in standard deviations as the table had them; empty: it has none")
+
+
+def agreeing_digits(deviations: Iterable[Deviation]) -> int | None:
+    """Return to how many digits of the largest number of its kind every number agrees; None: texts, rows or counts differ, or \
+fewer than four do."""
+    shares = [one.of_largest for one in deviations]
+    known = [share for share in shares if share is not None]
+    if not known or len(known) < len(shares):
+        return None
+    digits = math.floor(-math.log10(max(*known, sys.float_info.epsilon)))
+    return digits if digits >= SAME_DIGITS else None
 
 
 def table_deviations(file: str, was: pd.DataFrame, now: pd.DataFrame, row_type: type) -> list[Deviation]:
     """Return the columns in which two tables of texts (as read without any conversion) differ; row_type declares them."""
     if len(was) != len(now):
-        return [_texts(file, ROWS, abs(len(was) - len(now)), str(len(was)), str(len(now)))]
+        return [_texts(file, ROWS, abs(len(was) - len(now)), "", str(len(was)), str(len(now)))]
+    if list(was) == list(now) and not was.equals(now) and _sorted(was) == _sorted(now):
+        k = int(np.flatnonzero((was != now).any(axis=1))[0])
+        moved = int((was != now).any(axis=1).sum())
+        return [_texts(file, ORDER, moved, "", *(" ".join(table.iloc[k].iloc[:2]) for table in (was, now)))]
     found = []
     for name in dict.fromkeys((*was, *now)):
         if name not in was or name not in now:
             there = ("there", "not there") if name in was else ("not there", "there")
-            found.append(_texts(file, name, len(was), *there))
+            found.append(_texts(file, name, len(was), "", *there))
         elif (differ := (was[name] != now[name]).to_numpy()).any():
             declared = next((one for one in columns(row_type) if one.matches(name)), None)
             found.append(_column(file, name, was, now, differ, declared))
@@ -51,42 +81,78 @@ def document_deviations(file: str, was: Any, now: Any) -> list[Deviation]:
     first, second = _flat("", was), _flat("", now)
     found = []
     for key in dict.fromkeys((*first, *second)):
-        one, other = first.get(key), second.get(key)
+        one, other = first.get(key, "not there"), second.get(key, "not there")
         if one == other:
             continue
         if isinstance(one, NUMBERS) and isinstance(other, NUMBERS) and not isinstance(one, bool):
-            found.append(_numbers(file, key, 1, float(one), float(other), None))
+            largest = np.array(max(abs(one), abs(other)), dtype=float)
+            whole = isinstance(one, int) and isinstance(other, int)
+            scale = None if whole else float(_scale(largest, np.array(abs(other - one)), np.array(True)))
+            found.append(_numbers(file, key, 1, "", float(one), float(other), "", scale, None))
         else:
-            found.append(_texts(file, key, 1, str(one), str(other)))
+            found.append(_texts(file, key, 1, "", str(one), str(other)))
     return found
+
+
+def _sorted(table: pd.DataFrame) -> list[tuple[str, ...]]:
+    return sorted(table.itertuples(index=False, name=None))
 
 
 def _column(
     file: str, name: str, was: pd.DataFrame, now: pd.DataFrame, differ: np.ndarray, declared: Column | None
 ) -> Deviation:
-    first = int(np.flatnonzero(differ)[0])
+    def told(k: int) -> Deviation:
+        return _texts(file, name, int(differ.sum()), str(was.iloc[k, 0]), was[name].iloc[k], now[name].iloc[k])
+
     if declared is None or declared.many or declared.kind not in NUMBERS:
-        return _texts(file, name, int(differ.sum()), was[name].iloc[first], now[name].iloc[first])
+        return told(int(np.flatnonzero(differ)[0]))
     one, other = (pd.to_numeric(table[name], errors="coerce").to_numpy(dtype=float) for table in (was, now))
     apart = np.where(differ, np.abs(other - one), 0.0)
     if np.isnan(apart).any():  # a cell that is empty in one of the two
-        k = int(np.flatnonzero(np.isnan(apart))[0])
-        return _texts(file, name, int(differ.sum()), was[name].iloc[k], now[name].iloc[k])
-    k = int(np.argmax(apart))
+        return told(int(np.flatnonzero(np.isnan(apart))[0]))
+    units = _units(was, declared)
+    larger = pd.Series(np.fmax(np.abs(one), np.abs(other)))
+    scale = _scale(larger.groupby(units).transform("max").to_numpy(dtype=float), apart, np.isin(units, UNITLESS))
+    k = int(np.argmax(np.divide(apart, scale, out=np.zeros_like(apart), where=scale > 0)))
     sd = pd.to_numeric(was[declared.sd], errors="coerce").to_numpy(dtype=float) if declared.sd in was else None
     known = sd is not None and bool((sd[differ] > 0).any())
     in_sd = float(np.nanmax(apart[differ] / np.where(sd[differ] > 0, sd[differ], np.nan))) if known else None  # type: ignore[index]
-    return _numbers(file, name, int(differ.sum()), one[k], other[k], in_sd)
+    rounds = None if declared.kind is int else float(scale[k])
+    return _numbers(file, name, int(differ.sum()), str(was.iloc[k, 0]), one[k], other[k], units[k], rounds, in_sd)
 
 
-def _numbers(file: str, name: str, cells: int, was: float, now: float, in_sd: float | None) -> Deviation:
+def _scale(largest: np.ndarray, apart: np.ndarray, unitless: np.ndarray) -> np.ndarray:
+    """What differences are held against: shares and probabilities that round to naught are held against one."""
+    return np.where(unitless & (apart <= sys.float_info.epsilon), np.maximum(largest, 1.0), largest)
+
+
+def _units(table: pd.DataFrame, declared: Column) -> np.ndarray:
+    """The unit of each row's number: numbers of different units have no common size."""
+    stated = OF_ROW in declared.unit and "unit" in table
+    return table["unit"].to_numpy(dtype=object) if stated else np.full(len(table), declared.unit, dtype=object)
+
+
+def _numbers(
+    file: str,
+    name: str,
+    cells: int,
+    row: str,
+    was: float,
+    now: float,
+    unit: str,
+    scale: float | None,
+    in_sd: float | None,
+) -> Deviation:
     apart, larger = abs(now - was), max(abs(was), abs(now))
-    return Deviation(file=file, name=name, cells=cells, was=f"{was:.10g}", now=f"{now:.10g}", absolute=apart,
-                     relative=apart / larger if larger else 0.0, in_sd=in_sd)  # fmt: skip
+    return Deviation(
+        file=file, name=name, cells=cells, row=row, was=f"{was:.10g}", now=f"{now:.10g}", unit=unit, absolute=apart,
+        relative=apart / larger if larger else 0.0, of_largest=apart / scale if scale else None, in_sd=in_sd,
+    )  # fmt: skip
 
 
-def _texts(file: str, name: str, cells: int, was: str, now: str) -> Deviation:
-    return Deviation(file=file, name=name, cells=cells, was=was, now=now, absolute=None, relative=None, in_sd=None)
+def _texts(file: str, name: str, cells: int, row: str, was: str, now: str) -> Deviation:
+    return Deviation(file=file, name=name, cells=cells, row=row, was=was, now=now, unit="", absolute=None, relative=None,
+                     of_largest=None, in_sd=None)  # fmt: skip
 
 
 def _flat(key: str, value: Any) -> dict[str, Any]:

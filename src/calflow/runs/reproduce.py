@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 
 from calflow.files.csv import write_csv
-from calflow.files.deviations import Deviation, document_deviations, table_deviations
+from calflow.files.deviations import Deviation, agreeing_digits, document_deviations, table_deviations
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import to_frame
 from calflow.runs.cache_key import code_digest, common_key, stage_key, versions
@@ -32,15 +32,22 @@ DIFFERENCES = "differences.csv"
 class Reproduction:
     """What came of running a run again.
 
-    same and other are its files, by their path in the run folder, that came out as they were, and otherwise; deviations say of
-    tables and summaries what differs; changed says which versions do, and unfinished which stages there was nothing of.
+    same and other are its files, by their path in the run folder, that came out as they were, and otherwise; lacking those of
+    the others that one of the two does not have; deviations say of tables and summaries what differs; changed says which
+    versions do, and unfinished which stages there was nothing of.
     """
 
     same: tuple[str, ...]
     other: tuple[str, ...]
+    lacking: tuple[str, ...]
     deviations: tuple[Deviation, ...]
     changed: tuple[str, ...]
     unfinished: tuple[str, ...]
+
+    @property
+    def digits(self) -> int | None:
+        """To how many digits all tables and summaries agree that have other bytes; None where they do not, or none has."""
+        return None if self.lacking else agreeing_digits(self.deviations)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -119,6 +126,7 @@ def _reproduced(manifest: Manifest, folder: Path, work: Path, listener: Listener
     other = [name for name in dict.fromkeys((*was, *now)) if was.get(name) != now.get(name)]
     found = Reproduction(
         tuple(name for name in was if name not in other), tuple(other),
+        tuple(name for name in other if name not in was or name not in now),
         tuple(one for name in other for one in _deviations(name, folder, again)),
         tuple(_versions_changed(manifest)), tuple(name for name in manifest.stages if name not in done),
     )  # fmt: skip
