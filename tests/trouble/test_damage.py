@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 
-from conftest import Answer
+from conftest import Answer, in_process
 from trouble.campaign import unreadable
 from trouble.damage import AS_USER, DAMAGES, Sound, locked_away, reads_everything, turned
 from trouble.workplace import few_sections, workplace
@@ -125,6 +125,32 @@ def test_a_poor_machine_gives_the_same_bytes(small, finished, lacking):
     assert left
 
 
+COMMAS = """
+import locale, sys
+locale.setlocale(locale.LC_ALL, "")  # as a program does that shows calflow's results in its own windows
+assert locale.localeconv()["decimal_point"] == ","
+from calflow.cli import main
+sys.argv[0] = "calflow"
+main()
+"""
+
+
+@pytest.mark.parametrize("language", ["de_DE", "tr_TR"])
+def test_decimal_commas_of_a_locale_change_nothing(small, finished, tmp_path, language):
+    """Fails if a figure is read or written as the locale has it, or a name is put into capitals as Turkish does."""
+    made = ["localedef", "-i", language, "-f", "UTF-8", tmp_path / f"{language}.UTF-8"]
+    if shutil.which("localedef") is None or subprocess.run(made, capture_output=True).returncode:
+        pytest.skip(f"the locale {language} cannot be made here")
+    given = os.environ | {"LOCPATH": str(tmp_path), "LC_ALL": f"{language}.UTF-8"}
+    checked, ran = (
+        small.apart("-c", COMMAS, *command, env=given)
+        for command in (("check", small.path), ("run", small.path, "--out", small / "runs"))
+    )
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert small.results() == finished.results()
+    assert checked.stdout == in_process("check", small.path).out
+
+
 def test_a_name_that_the_terminal_cannot_show_is_spelled_out(small):
     """Fails if a study's name that a code page lacks ends a command with a traceback."""
     small.edit("study.toml", ('"small"', '"Čapek"'))
@@ -166,13 +192,13 @@ def test_a_clock_that_goes_back_changes_nothing(small, finished):
 
 
 def test_of_two_runs_at_once_one_is_told(small, finished):
-    """Fails if both write into the folder, neither does, or the one that does gives other bytes."""
+    """Fails if a second run writes into a folder where one is at work, or the first gives other bytes for it."""
     command = [sys.executable, "-m", "calflow", "run", small.path, "--out", small / "runs"]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    both = [subprocess.Popen(command, **pipes) for _ in range(2)]
-    said = [one.communicate()[1] for one in both]
-    codes = sorted(one.returncode for one in both)
-    assert codes in ([0, 2], [0, 0]), said  # the second may come when the first is through
-    if codes == [0, 2]:
-        assert "another run is at work in this folder" in "".join(said)
+    first = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONUNBUFFERED": "1"})
+    assert first.stdout is not None
+    assert first.stdout.readline().startswith("select: ")  # so it is at work
+    (told,) = small.refused("run")
+    assert told.startswith("runs: another run is at work in this folder")
+    first.communicate()
+    assert first.returncode == 0
     assert small.results() == finished.results()
