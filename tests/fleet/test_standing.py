@@ -21,3 +21,24 @@ def test_other_measurements_are_noticed_whatever_their_date(plant):
     forget_stale(loaded, folder)
     assert not folder.outcome("A-1").exists()
     assert folder.outcome("B-2").exists()
+
+
+def test_what_was_changed_since_is_told(plant):
+    """Fails if a figure of an outcome that was changed is passed on, or a robot of a changed run left out without a word."""
+    assert plant.fleet("work", "A-1", "B-2").code == 0
+    told = plant.fleet("report")
+    assert (told.code, "A-1" in told.out) == (0, False)
+    table = plant.out / "robots" / "A-1" / "identify" / "parameters.csv"
+    before = table.read_bytes()
+    table.write_bytes(before.replace(b"1", b"2", 1))
+    told = plant.fleet("report")
+    assert "! A-1 (small): Failed" in told.out
+    assert "identify/parameters.csv was changed by hand" in told.out
+    assert "B-2" not in told.out
+    table.write_bytes(before)
+    outcome = plant.out / "outcomes" / "A-1.json"
+    outcome.write_bytes(outcome.read_bytes().replace(b'_mm": 0.', b'_mm": 1.', 1))
+    for command in ("status", "report"):
+        answer = plant.fleet(command)
+        assert answer.code == 2
+        assert "A-1.json: cannot be read (it was changed since it was written)" in answer.err

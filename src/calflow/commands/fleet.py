@@ -102,7 +102,7 @@ def report(fleet_file: Path, out: Path | None) -> None:
     from calflow.fleet.summary import write_summary
 
     loaded, folder = _opened(fleet_file, out)
-    write_summary(loaded, folder, outcomes(loaded, folder))
+    _tell_failed(write_summary(loaded, folder, outcomes(loaded, folder)))
     say(f"report: {folder.path / 'report.pdf'}")
 
 

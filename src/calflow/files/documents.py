@@ -5,6 +5,8 @@ None stands for what cannot be told. Keys carry their unit, as columns do.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -18,6 +20,7 @@ Document = Mapping[str, Any]
 Documents = Mapping[str, Document]
 Kind = TypeVar("Kind")
 
+SUM = "sha256"  # the key of the sum of all the others, by which a turned bit is noticed
 DIGITS = 15  # of a number: those that a clock's seconds since 1970 need, without the last, which rounding disturbs
 
 
@@ -37,6 +40,21 @@ def from_document(document: Document, kind: type[Kind]) -> Kind:
     except ValidationError as error:
         said = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
         raise refuse(f"a summary of calflow was changed ({said}); run the study again") from None
+
+
+def sealed(document: Document) -> Document:
+    """Return a document with a sum of itself."""
+    return {**document, SUM: _sum(document)}
+
+
+def is_whole(document: Document) -> bool:
+    """Return whether a document is as it was sealed; one without a sum is of an earlier version, and counts as whole."""
+    content = {name: value for name, value in document.items() if name != SUM}
+    return SUM not in document or document[SUM] == _sum(content)
+
+
+def _sum(document: Document) -> str:
+    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
 
 
 def _plain(value: Any) -> Any:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from calflow.files.documents import from_document, to_document
+from calflow.files.documents import from_document, is_whole, sealed, to_document
 from calflow.files.problems import refuse
 from calflow.files.tables import column
-from calflow.files.writing import write_whole
+from calflow.files.writing import write_text
 
 Status = Literal["calibrated", "failed", "not run"]
 
@@ -49,7 +49,7 @@ def worst_first(outcomes: Iterable[Outcome]) -> list[Outcome]:
 
 def write_outcome(path: Path, outcome: Outcome) -> None:
     """Write an outcome whole."""
-    write_whole(path, (json.dumps(to_document(outcome), indent=2, ensure_ascii=False) + "\n").encode())
+    write_text(path, json.dumps(sealed(to_document(outcome)), indent=2, ensure_ascii=False) + "\n")
 
 
 def read_outcome(path: Path) -> Outcome | None:
@@ -59,7 +59,10 @@ def read_outcome(path: Path) -> Outcome | None:
         InputError: it was changed, or another version of calflow wrote it.
     """
     try:
-        return from_document(json.loads(path.read_text(encoding="utf-8")), Outcome)
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(content, dict) or not is_whole(content):
+            raise ValueError("it was changed since it was written")
+        return from_document(content, Outcome)
     except FileNotFoundError:
         return None
     except ValueError as error:

@@ -19,14 +19,17 @@ from calflow.runs.kept import write_results
 TABLES = {TABLE: Outcome, TYPES: TypeParameter, UNLIKE: UnlikeRow, CAUSES: CommonCauseRow}
 
 
-def write_summary(fleet: Fleet, folder: FleetFolder, found: Sequence[Outcome]) -> None:
-    """Write the tables and the reports of a fleet from what came of its robots, and of each type a robot file that knows it."""
+def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """Write a fleet's tables and reports from what came of its robots, and of each type a robot file that knows it.
+
+    Return the outcomes that these tell of: a robot whose run was changed since counts as failed.
+    """
     from calflow.fleet.fleet_report import fleet_report
     from calflow.reporting import document
     from calflow.reporting.html import writing
     from calflow.reporting.style import style
 
-    known, found = _known(fleet, folder, found)
+    known, found = _known(fleet, folder, outcomes)
     types = by_type(known)
     tables = {
         TABLE: to_frame(worst_first(found), Outcome),
@@ -43,6 +46,7 @@ def write_summary(fleet: Fleet, folder: FleetFolder, found: Sequence[Outcome]) -
         page, *more = fleet_report(fleet.title, found, types)
         document.write(fleet.title, [page], folder.path)
         writing.write(fleet.title, [page, *more], folder.path)
+    return found
 
 
 def _known(fleet: Fleet, folder: FleetFolder, found: Sequence[Outcome]) -> tuple[list[Collected], list[Outcome]]:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from calflow.files.documents import SUM, is_whole, sealed
 from calflow.files.problems import InputError, Problem, refuse
-from calflow.files.writing import write_whole
+from calflow.files.writing import write_text
 from calflow.runs.containment import contained
 
-NAME, SUM = "manifest.json", "sha256"  # SUM: the key of the sum of all the others
+NAME = "manifest.json"
 REMEDY = "delete it to run everything anew"
 DESCRIBING = (".toml", ".urdf")  # endings of inputs that hold no measurements
 
@@ -96,7 +95,9 @@ def read_manifest(folder: Path) -> Manifest | None:
         raise refuse(f"is no file; {REMEDY}", path)
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        stated = content.pop(SUM, None) if isinstance(content, dict) else None  # earlier versions stated none
+        whole = not isinstance(content, dict) or is_whole(content)
+        if isinstance(content, dict):
+            content.pop(SUM, None)
         manifest = Manifest.model_validate(content)
     except (FileNotFoundError, NotADirectoryError):
         return None
@@ -114,16 +115,11 @@ def read_manifest(folder: Path) -> Manifest | None:
     ]
     if outside:
         raise InputError(outside)
-    if stated is not None and stated != _sum(content):
+    if not whole:
         raise refuse(f"was changed since a run wrote it; {REMEDY}", path)
     return manifest
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Write a run folder's manifest whole, with a sum by which a turned bit is noticed."""
-    content = manifest.model_dump(exclude_none=True)
-    write_whole(folder / NAME, (json.dumps(content | {SUM: _sum(content)}, indent=2) + "\n").encode())
-
-
-def _sum(content: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    write_text(folder / NAME, json.dumps(sealed(manifest.model_dump(exclude_none=True)), indent=2) + "\n")
