@@ -161,4 +161,4 @@ def resize(at: Path, size: int) -> None:
 def _mount(*arguments: str) -> None:
     done = subprocess.run(["mount", *arguments], capture_output=True, text=True)
     if done.returncode:
-        raise NoMount(done.stderr.strip())
+        raise NoMount(done.stderr.strip().splitlines()[0])
