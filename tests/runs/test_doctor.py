@@ -62,6 +62,7 @@ def test_packages_that_are_too_old_or_not_there_are_named(monkeypatch):
     assert found["numpy"].remedy.startswith("pip install 'numpy>=")
     if "scikit-learn" in str(metadata.requires("calflow")):
         assert found["extra bench"].state == "without"
+        assert found["extra bench"].remedy.startswith("pip install 'scikit-learn>=")
 
 
 @pytest.mark.parametrize(("free", "state"), [(1e6, "trouble"), (1e12, "ok")])

@@ -159,9 +159,39 @@ def test_an_archive_has_the_same_bytes_each_time_and_describes_each_file(finishe
     table = crate.dereference("identify/parameters.csv")
     assert table["conformsTo"].id == "identify/parameters.schema.json"
     lock = (tmp_path / "crate" / "environment.txt").read_text(encoding="utf-8").splitlines()
-    assert {"calflow", "numpy", "casadi"} <= {line.partition("==")[0] for line in lock}
+    assert {"numpy", "casadi"} <= {line.partition("==")[0] for line in lock}
+    assert not any(line.startswith("calflow") for line in lock)  # no index has it, or somebody else's
+    assert any(line.startswith("# and calflow ") for line in lock)
     action = crate.dereference("#run")
     assert "inputs/files/measurements.csv" in {one.id for one in action["object"]}
+
+
+@pytest.mark.parametrize(
+    ("stated", "named", "name"),
+    [
+        ("cc-by-4.0", "https://spdx.org/licenses/CC-BY-4.0", "CC-BY-4.0"),
+        ("MIT and CC0-1.0", "#licence", "MIT AND CC0-1.0"),
+        ("LicenseRef-Ours", "#licence", "LicenseRef-Ours"),
+    ],
+)
+def test_an_archive_says_who_may_use_it_and_whose_it_is(finished, tmp_path, stated, named, name):
+    """Fails if a reader of RO-Crates does not find the licence or an author."""
+    from rocrate.rocrate import ROCrate
+
+    people = ["--author", "Ada Lovelace", "--author", "Ge Wang"]
+    answer = finished.calflow("pack", finished / "runs", "--out", tmp_path / "run.zip", "--licence", stated, *people)
+    assert (answer.code, answer.err) == (0, "")
+    crate = ROCrate(tmp_path / "run.zip")
+    assert (crate.license.id, crate.license["name"]) == (named, name)
+    assert [one["name"] for one in crate.root_dataset["author"]] == ["Ada Lovelace", "Ge Wang"]
+
+
+def test_a_licence_that_nobody_knows_is_refused(finished, tmp_path):
+    """Fails if a misspelt licence goes into an archive, or one that states none is written without a word."""
+    (told,) = finished.refused("pack", finished / "runs", "--out", tmp_path / "run.zip", "--licence", "CC-BY")
+    assert told.startswith("--licence 'CC-BY' is no SPDX licence expression")
+    assert not (tmp_path / "run.zip").exists()
+    assert "no licence stated" in finished.calflow("pack", finished / "runs", "--out", tmp_path / "run.zip").err
 
 
 def test_what_is_named_by_an_absolute_path_cannot_be_packed(finished):

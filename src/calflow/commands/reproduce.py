@@ -81,7 +81,7 @@ def _line(one: Deviation) -> str:
     most = f"{f'{one.row}: ' if one.row else ''}{one.was or 'empty'} → {one.now or 'empty'}"
     if one.absolute is None:
         return f"{where}, first {most}"
-    unit = "" if one.unit in ("", "1") else f" {one.unit}"
+    unit = "" if one.unit in ("", "1") or " " in one.unit else f" {one.unit}"  # some are told in words
     parts = [
         *(
             []

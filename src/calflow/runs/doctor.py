@@ -74,11 +74,11 @@ def _extras() -> Iterator[Finding]:
     own = metadata.distribution("calflow")
     for extra in own.metadata.get_all("Provides-Extra") or ():
         needs = [need for need in requirements(own, extra) if canonicalize_name(need.name) != "calflow"]
-        lacking = [need.name for need in needs if _version(need.name) is None]
+        lacking = [need for need in needs if _version(need.name) is None]
         if lacking:
-            yield Finding(
-                f"extra {extra}", "without", f"not installed: {', '.join(lacking)}", f"pip install 'calflow[{extra}]'"
-            )
+            names = ", ".join(need.name for need in lacking)
+            remedy = " ".join(f"'{need.name}{need.specifier}'" for need in lacking)  # calflow itself is in no index
+            yield Finding(f"extra {extra}", "without", f"not installed: {names}", f"pip install {remedy}")
         else:
             yield Finding(f"extra {extra}", "ok", "installed")
 

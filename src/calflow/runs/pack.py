@@ -14,16 +14,19 @@ from calflow.runs.reproduce import checked_run, finished
 from calflow.runs.ro_crate import NAME as METADATA
 from calflow.runs.ro_crate import ro_crate
 from calflow.runs.study_files import INPUTS, LAID_OUT, check_inputs, laid_out, lay_out
+from calflow.runs.terms import Terms
 
 ENVIRONMENT = "environment.txt"
 BEGINNING = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can state: the archive's bytes tell no time
+UNSTATED = Terms()
 READABLE, UNIX = 0o100644 << 16, 3
 
 
-def pack(folder: str | Path) -> bytes:
+def pack(folder: str | Path, terms: Terms = UNSTATED) -> bytes:
     """Return a run folder as a zip: what its stages wrote, all its inputs, the versions it was made with, and RO-Crate metadata.
 
     Unpacked it is a run folder, of which `calflow reproduce` needs nothing else. The same run gives the same bytes.
+    terms are those under which its files may be used.
 
     Raises:
         InputError: an input has changed or is missing, or is named by an absolute path; results were changed; or an earlier
@@ -35,7 +38,7 @@ def pack(folder: str | Path) -> bytes:
     files = _files(manifest, folder)
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in {METADATA: ro_crate(manifest, files), **files}.items():
+        for name, content in {METADATA: ro_crate(manifest, files, terms), **files}.items():
             entry = zipfile.ZipInfo(name, BEGINNING)
             entry.external_attr, entry.create_system, entry.compress_type = READABLE, UNIX, zipfile.ZIP_DEFLATED
             archive.writestr(entry, content, compresslevel=9)
@@ -43,10 +46,11 @@ def pack(folder: str | Path) -> bytes:
 
 
 def environment_lock(manifest: Manifest) -> str:
-    """Return the versions that a run was made with, as pip reads them."""
+    """Return the versions that a run was made with, as pip reads them; calflow itself, which no index has, in words."""
     versions = {**manifest.versions, **manifest.environment}
-    python = versions.pop("python")
-    head = f"# Python {python}, {manifest.machine}; calflow's code {manifest.code}\n"
+    python, _ = versions.pop("python"), versions.pop("calflow", None)
+    own = f"calflow {manifest.calflow} (code {manifest.code}), from its own wheel or sources"
+    head = f"# Python {python}, {manifest.machine}\n# and {own}\n"
     return head + "".join(f"{name}=={version}\n" for name, version in sorted(versions.items()))
 
 

@@ -12,22 +12,24 @@ from typing import Any
 from calflow.files.tables import columns
 from calflow.runs.manifest import Manifest
 from calflow.runs.study_files import INPUTS
+from calflow.runs.terms import Terms
 from calflow.stages import STAGES
 
 NAME = "ro-crate-metadata.json"
 VERSION = "https://w3id.org/ro/crate/1.1"
 CONTEXT = [f"{VERSION}/context", {"sha256": "https://schema.org/sha256"}]
 KINDS = {".csv": "text/csv", ".toml": "application/toml", ".h5": "application/x-hdf5", ".json": "application/json"}
-RUN, PROGRAM, LICENCE = "#run", "#calflow", "#licence"
+RUN, PROGRAM = "#run", "#calflow"
 
 
-def ro_crate(manifest: Manifest, files: Mapping[str, bytes]) -> bytes:
-    """Return the crate's metadata; files are the archive's by their path in it, without the metadata.
+def ro_crate(manifest: Manifest, files: Mapping[str, bytes], terms: Terms) -> bytes:
+    """Return the crate's metadata; files are the archive's by their path in it, without the metadata, used by these terms.
 
     The run is a CreateAction of calflow on the inputs, whose results are all else; a table names its schema.
     """
     inputs = [name for name in files if name.startswith(f"{INPUTS}/")]
     results = [name for name in files if ("/" in name and name not in inputs) or name.startswith("report.")]
+    licence, *authors = terms.entities()
     ended = max(entry.finished for entry in manifest.stages.values())
     graph: list[dict[str, Any]] = [
         {"@id": NAME, "@type": "CreativeWork", "conformsTo": {"@id": VERSION}, "about": {"@id": "./"}},
@@ -35,12 +37,10 @@ def ro_crate(manifest: Manifest, files: Mapping[str, bytes]) -> bytes:
             "@id": "./", "@type": "Dataset", "name": f"calflow run of study {manifest.study}",
             "description": "A robot calibration: its inputs, its results, and what it takes to repeat it. Unpack it; 'calflow "
             "reproduce FOLDER' runs it again and tells what differs. environment.txt has the versions it was made with.",
-            "datePublished": ended, "license": {"@id": LICENCE}, "hasPart": _named(files), "mentions": {"@id": RUN},
+            "datePublished": ended, "license": _reference(licence), **({"author": [*map(_reference, authors)]} if authors else {}),
+            "hasPart": _named(files), "mentions": {"@id": RUN},
         },
-        {
-            "@id": LICENCE, "@type": "CreativeWork", "name": "no licence stated",
-            "description": "Who packed this run has not said under which terms its files may be used.",
-        },
+        licence, *authors,
         {
             "@id": RUN, "@type": "CreateAction", "name": f"workflow {manifest.workflow} of study {manifest.study}",
             "endTime": ended, "instrument": {"@id": PROGRAM}, "object": _named(inputs), "result": _named(results),
@@ -53,6 +53,10 @@ def ro_crate(manifest: Manifest, files: Mapping[str, bytes]) -> bytes:
         *(_file(name, content, files) for name, content in files.items()),
     ]  # fmt: skip
     return f"{json.dumps({'@context': CONTEXT, '@graph': graph}, indent=2, ensure_ascii=False)}\n".encode()
+
+
+def _reference(entity: Mapping[str, Any]) -> dict[str, str]:
+    return {"@id": entity["@id"]}
 
 
 def _named(names: Mapping[str, bytes] | list[str]) -> list[dict[str, str]]:
