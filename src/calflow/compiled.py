@@ -150,9 +150,9 @@ def _build(command: list[str], source: str, folder: Path, key: str) -> Path:
             subprocess.run([*command, *FLAGS, str(code), "-o", str(built), "-lm"], check=True, capture_output=True)
         except subprocess.CalledProcessError as error:
             said = error.stderr.decode(errors="replace").strip().splitlines()
-            raise NotCompiled(
-                f"the C compiler '{shlex.join(command)}' failed{f': {said[-1]}' if said else ''}"
-            ) from None
+            # The last line may say no more than that it ended.
+            why = next((line for line in said if "error" in line), said[-1] if said else "")
+            raise NotCompiled(f"the C compiler '{shlex.join(command)}' failed{f': {why}' if why else ''}") from None
         except OSError as error:
             raise NotCompiled(f"the C compiler '{shlex.join(command)}' cannot be run ({error})") from None
         if not built.is_file():

@@ -44,6 +44,15 @@ def test_a_cache_that_cannot_be_written_is_told(tmp_path):
     assert b"the folder of machine code cannot be used" in done.stdout
 
 
+def test_temporary_files_that_lie_elsewhere_are_told(tmp_path):
+    """Fails if a folder named for temporary files that is full, or no folder, is passed over without a word."""
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    done = asked(tmp_path, TMPDIR=tmp_path / "file", CALFLOW_DATA=None, COLUMNS="300")
+    assert done.returncode == 0
+    assert b"is full or cannot be written to" in done.stdout
+    assert b"temporary files" in done.stdout.splitlines()[-2]
+
+
 def test_what_must_be_mended_ends_with_1(tmp_path):
     """Fails if scripts cannot see that data would not be found."""
     done = asked(tmp_path, CALFLOW_DATA=tmp_path / "nowhere", COLUMNS="300")

@@ -91,4 +91,4 @@ def _line(one: Deviation) -> str:
         *([] if one.in_sd is None else [f"at most {one.in_sd:.2g} standard deviations"]),
     ]
     more = f" ({', '.join(parts)})" if parts else ""
-    return f"{where}, most in {most}{unit}, {one.absolute:.2g} apart{more}"
+    return f"{where}, {'most in ' if one.row else ''}{most}{unit}, {one.absolute:.2g} apart{more}"

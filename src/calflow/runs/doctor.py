@@ -133,6 +133,10 @@ def _temporary() -> Finding:
         folder = Path(tempfile.gettempdir())
     except OSError as error:
         return Finding("temporary files", "trouble", str(error), "let TMPDIR name a folder that can be written to")
+    asked = os.environ.get("TMPDIR")
+    if asked and folder != Path(asked).absolute():  # Python goes on elsewhere, a compiler does not
+        return Finding("temporary files", "slow", f"TMPDIR={asked} is full or cannot be written to: {folder} is used instead",
+                       "make room there, or let TMPDIR name another folder")  # fmt: skip
     return _folder("temporary files", folder)
 
 
