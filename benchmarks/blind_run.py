@@ -1,11 +1,14 @@
-"""What the blind benchmarks share: cases run in parallel, one bad case not ending the others, and their command line."""
+"""What the blind benchmarks share: cases run by the fleet's engine, one bad case not ending the others, and their command line.
+
+--out FILE.csv keeps the single cases, and in FILE.jobs what each job made: the same command goes on from there after a kill.
+"""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
 import io
-import multiprocessing
+import json
 import os
 import sys
 import tempfile
@@ -19,6 +22,9 @@ import pandas as pd
 from blind_cases import Job
 
 from calflow.files.results import Results
+from calflow.files.writing import write_whole
+from calflow.fleet.engine import Where, check_engine, command, running
+from calflow.runs.lock import locked
 from calflow.runs.run import run
 from calflow.study import Study, load_study
 from hidden.case import Case, write_case
@@ -36,31 +42,58 @@ class Kind:
 
 
 def run_kind(description: str | None, kinds: Mapping[str, Kind]) -> None:
-    """Run the kind of cases that the command line asks for, and print its table."""
+    """Run the kind of cases that the command line asks for and print its table; or, of a job's command line, do the job."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=sorted(kinds))
     parser.add_argument("number", type=int)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--processes", type=int, default=os.cpu_count())
+    parser.add_argument(
+        "--profile", default="", help="of Snakemake's, which says where jobs run; this machine by default"
+    )
+    parser.add_argument("--batch", type=int, default=10, help="cases in a job")
+    parser.add_argument("--job", type=int, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     kind = kinds[asked.what]
-    jobs = list(kind.jobs(asked.number, np.random.default_rng([asked.seed, *asked.what.encode()])))
-    started, rows = time.time(), list[Row]()
-    with multiprocessing.get_context("spawn").Pool(asked.processes) as pool:
-        for row in pool.imap_unordered(kind.work, jobs):
-            rows.append(row)
-            if asked.out:
-                pd.DataFrame(rows).to_csv(asked.out, index=False)
-            if len(rows) % 50 == 0:
-                print(
-                    f"{len(rows)} of {asked.number} cases, {time.time() - started:.0f} s", file=sys.stderr, flush=True
-                )
-    table = pd.DataFrame(rows)
+    if asked.job is not None:
+        _do(kind, asked)
+        return
+    with tempfile.TemporaryDirectory() as apart:
+        folder = asked.out.with_suffix(".jobs").resolve() if asked.out else Path(apart)
+        table = pd.DataFrame(_done(asked, folder))
+    if asked.out:
+        table.to_csv(asked.out, index=False)
     for message in table["failed"].dropna():
         print("failed:", message)
     whole = table[table["failed"].isna()]
     print(kind.tell(whole) if len(whole) else "no case went through")
+
+
+def _do(kind: Kind, asked: argparse.Namespace) -> None:
+    """Work on the cases of a job."""
+    jobs = list(kind.jobs(asked.number, np.random.default_rng([asked.seed, *asked.what.encode()])))
+    rows = [kind.work(job) for job in jobs[asked.job * asked.batch : (asked.job + 1) * asked.batch]]
+    write_whole(asked.out, json.dumps(rows, default=lambda value: value.item()).encode())
+
+
+def _done(asked: argparse.Namespace, folder: Path) -> list[Row]:
+    """Have all jobs done in a folder, and return their rows in the order of the cases."""
+    check_engine()
+    folder.mkdir(parents=True, exist_ok=True)
+    told = {"script": str(Path(sys.argv[0]).resolve())} | {
+        name: getattr(asked, name) for name in ("what", "number", "seed", "batch")
+    }
+    called = command(Path(__file__).with_name("blind.smk"), told, folder, Where(asked.processes, asked.profile))
+    files = [folder / f"job_{k}.json" for k in range(-(-asked.number // asked.batch))]
+    log = folder / "snakemake.log"
+    with locked(folder), running(called, log) as process:
+        if process.wait():
+            missing = sum(not file.exists() for file in files)
+            sys.exit(
+                f"{missing} of {len(files)} jobs were not done:\n{log.read_text(encoding='utf-8', errors='replace')}"
+            )
+    return [row for file in files for row in json.loads(file.read_text(encoding="utf-8"))]
 
 
 def guarded(work: Callable[[Path], Row], job: Job) -> Row:

@@ -52,12 +52,13 @@ def run(
 
     Ends with 0 where every robot is calibrated, with 3 where some are not.
     """
-    from calflow.fleet.engine import Asked, check_engine, command, running
+    from calflow.fleet.engine import Where, check_engine, command, running
     from calflow.fleet.fleet_lines import fleet_lines, why
     from calflow.fleet.jobs import size_for
     from calflow.fleet.standing import arriving, forget_stale, outcomes
     from calflow.fleet.summary import write_summary
     from calflow.runs.lock import locked
+    from calflow.study import workflow_folder
 
     check_engine()
     loaded, folder = _opened(fleet_file, out)
@@ -66,7 +67,9 @@ def run(
     log = folder.path / "snakemake.log"
     with resumable(), locked(folder.path):
         forget_stale(loaded, folder)
-        called = command(loaded, folder, Asked(cores, batch or size_for(len(loaded.robots), cores), profile, options))
+        size = batch or size_for(len(loaded.robots), cores)
+        told = {"fleet": str(loaded.path.resolve()), "out": str(folder.path), "batch": size}
+        called = command(workflow_folder() / "fleet.smk", told, folder.path, Where(cores, profile, options))
         with running(called, log) as process:
             for one in arriving(loaded, folder, lambda: process.poll() is not None):
                 say(f"{one.robot}: {one.verdict or why(one)}")
