@@ -37,6 +37,7 @@ def test_the_worst_robots_stand_first():
     found = [outcome("a", after=0.1, usable=True), outcome("b", after=0.3, usable=True), outcome("c", after=0.2, usable=False),
              outcome("d", "failed"), outcome("e", "not run")]  # fmt: skip
     assert [one.robot for one in worst_first(found)] == ["d", "e", "c", "b", "a"]
+    assert [one.robot for one in worst_first(found, {"a"})] == ["d", "e", "c", "a", "b"]
     assert fleet_lines(found) == [
         "3 of 5 robots calibrated; 1 failed (d); 1 not run (e); 1 with a model that is not to be used (c).",
         "Half of them have a mean position error of 0.200 mm or less (before: 2.00 mm); the worst one, b, is left with 0.300 mm.",

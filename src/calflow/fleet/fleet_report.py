@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from calflow.files.tables import to_frame
 from calflow.fleet.fleet_lines import error, fleet_lines, why
 from calflow.fleet.outcome import Outcome, worst_first
 from calflow.fleet.type_blocks import type_blocks
-from calflow.fleet.types import TypeFindings, type_lines
+from calflow.fleet.types import TypeFindings, type_lines, unlike_parameters
 from calflow.reporting.blocks import Block, Gap, Heading, Paragraph, Part, Plot, RestOfPage, Table
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, plain_decades
 from calflow.reporting.words import first_up, listed, plural, ratio
@@ -16,20 +16,22 @@ from calflow.reporting.words import first_up, listed, plural, ratio
 MOST_TOLD = 18  # robots on the first page
 MOST_ON_TYPES = 3  # sentences on the first page
 LONGEST = 150  # letters of a verdict on the first page
+Odd = Mapping[str, Sequence[str]]  # parameters in which robots are unlike their type
 BAND = 0.6  # of the room between types that a type's robots take
 
 
 def fleet_report(title: str, found: Sequence[Outcome], types: Sequence[TypeFindings]) -> list[Part]:
     """Return the parts of a fleet's report: the page, the table of all robots, and what those of a type tell together."""
-    worst = worst_first(found)
+    odd = unlike_parameters(types)
+    worst = worst_first(found, odd)
     parts: list[Part] = [
-        ("", _page(title, worst, type_lines(types, MOST_ON_TYPES))),
-        ("All robots", [_explained(), _table(worst)]),
+        ("", _page(title, worst, odd, type_lines(types, MOST_ON_TYPES))),
+        ("All robots", [_explained(), _table(worst, odd)]),
     ]
     return [*parts, ("Types", list(type_blocks(types)))] if types else parts
 
 
-def _page(title: str, worst: Sequence[Outcome], on_types: Sequence[str]) -> list[Block]:
+def _page(title: str, worst: Sequence[Outcome], odd: Odd, on_types: Sequence[str]) -> list[Block]:
     types = list(dict.fromkeys(sorted(one.type for one in worst)))
     told = worst[:MOST_TOLD]
     head = (
@@ -37,7 +39,9 @@ def _page(title: str, worst: Sequence[Outcome], on_types: Sequence[str]) -> list
         if len(told) == len(worst)
         else f"The {len(told)} of {len(worst)} robots that need a look first"
     )
-    rows = [(one.robot, one.type, error(one.before_mean_mm), error(one.after_mean_mm), _in_short(one)) for one in told]
+    rows = [
+        (one.robot, one.type, error(one.before_mean_mm), error(one.after_mean_mm), _in_short(one, odd)) for one in told
+    ]
     first, *more = fleet_lines(worst)
     return [
         Paragraph("Fleet report", 10),
@@ -55,9 +59,11 @@ def _page(title: str, worst: Sequence[Outcome], on_types: Sequence[str]) -> list
     ]  # fmt: skip
 
 
-def _in_short(one: Outcome) -> str:
+def _in_short(one: Outcome, odd: Odd) -> str:
     """A robot's verdict as the first page has room for it."""
     said = one.verdict or why(one)
+    if one.robot in odd:
+        said = f"Unlike its type: {listed(odd[one.robot], 3)}. {said}"
     if one.causes:
         said += f" Found: {'; '.join(one.causes)}."
     return said if len(said) <= LONGEST else f"{said[:LONGEST]} …"
@@ -70,17 +76,26 @@ def _explained() -> Block:
     )  # fmt: skip
 
 
-def _table(worst: Sequence[Outcome]) -> Block:
+def _table(worst: Sequence[Outcome], odd: Odd) -> Block:
     header = ("robot", "type", "verdict", "mean before [mm]", "mean after [mm]", "largest before [mm]", "largest after [mm]",
-              "times better", "causes found", "failed: where and why")  # fmt: skip
-    return Table(header, [_row(one) for one in worst], "lllrrrrrll", size=7)
+              "times better", "causes found", "unlike its type", "failed: where and why")  # fmt: skip
+    return Table(header, [_row(one, odd) for one in worst], "lllrrrrrlll", size=7)
 
 
-def _row(one: Outcome) -> tuple[str, ...]:
+def _row(one: Outcome, odd: Odd) -> tuple[str, ...]:
     figures = (one.before_mean_mm, one.after_mean_mm, one.before_max_mm, one.after_max_mm)
     gain = ratio(one.before_mean_mm / one.after_mean_mm) if one.before_mean_mm and one.after_mean_mm else "–"
     verdict, reason = (one.verdict, "") if one.status == "calibrated" else (first_up(one.status), why(one))
-    return (one.robot, one.type, verdict, *map(error, figures), gain, "; ".join(one.causes), reason)
+    return (
+        one.robot,
+        one.type,
+        verdict,
+        *map(error, figures),
+        gain,
+        "; ".join(one.causes),
+        "; ".join(odd.get(one.robot, ())),
+        reason,
+    )
 
 
 def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:

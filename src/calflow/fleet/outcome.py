@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -38,11 +38,12 @@ class Outcome:
     reason: str = column("why it failed, or was not run", default="")
 
 
-def worst_first(outcomes: Iterable[Outcome]) -> list[Outcome]:
-    """Return outcomes in the order in which they need a look: failed, not to be used, and then the largest error first."""
+def worst_first(outcomes: Iterable[Outcome], odd: Container[str] = ()) -> list[Outcome]:
+    """Return outcomes in the order in which they need a look: failed, not to be used, odd, and then the largest error first."""
 
-    def rank(one: Outcome) -> tuple[bool, bool, float, str]:
-        return one.status == "calibrated", one.usable is not False, -(one.after_mean_mm or 0.0), one.robot
+    def rank(one: Outcome) -> tuple[bool, bool, bool, float, str]:
+        error = one.after_mean_mm or 0.0
+        return one.status == "calibrated", one.usable is not False, one.robot not in odd, -error, one.robot
 
     return sorted(outcomes, key=rank)
 

@@ -13,7 +13,7 @@ from calflow.fleet.fleet import Fleet
 from calflow.fleet.fleet_folder import CAUSES, TABLE, TYPES, UNLIKE, FleetFolder
 from calflow.fleet.outcome import Outcome, worst_first
 from calflow.fleet.reason import reason
-from calflow.fleet.types import CommonCauseRow, TypeParameter, UnlikeRow, by_type
+from calflow.fleet.types import CommonCauseRow, TypeParameter, UnlikeRow, by_type, unlike_parameters
 from calflow.runs.kept import write_results
 
 TABLES = {TABLE: Outcome, TYPES: TypeParameter, UNLIKE: UnlikeRow, CAUSES: CommonCauseRow}
@@ -32,7 +32,7 @@ def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]
     known, found = _known(fleet, folder, outcomes)
     types = by_type(known)
     tables = {
-        TABLE: to_frame(worst_first(found), Outcome),
+        TABLE: to_frame(worst_first(found, unlike_parameters(types)), Outcome),
         TYPES: to_frame([row for one in types for row in one.parameters()], TypeParameter),
         UNLIKE: to_frame([row for one in types for row in one.odd_ones()], UnlikeRow),
         CAUSES: to_frame([row for one in types for row in one.common()], CommonCauseRow),

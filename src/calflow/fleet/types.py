@@ -135,6 +135,14 @@ def by_type(robots: Iterable[Collected]) -> list[TypeFindings]:
     return [TypeFindings.of(name, types[name]) for name in sorted(types)]
 
 
+def unlike_parameters(found: Iterable[TypeFindings]) -> dict[str, list[str]]:
+    """Return the parameters in which robots are unlike their type, by robot."""
+    odd: dict[str, list[str]] = {}
+    for one in (one for type_ in found for one in type_.unlike):
+        odd.setdefault(one.robot, []).append(one.parameter.name)
+    return odd
+
+
 def type_lines(found: Sequence[TypeFindings], most: int) -> list[str]:
     """Say what the types' robots tell together, so many sentences at most, what needs a look first."""
     lines = [line for kind in (_odd_line, _common_line) for one in found for line in kind(one)]
