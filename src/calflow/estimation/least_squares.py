@@ -14,7 +14,7 @@ from calflow.compiled import compiled
 from calflow.estimation.noise import Noise
 from calflow.estimation.nuisance import observing
 from calflow.estimation.repeats import standstills
-from calflow.estimation.sharing import Sharing
+from calflow.estimation.sharing import Sharing, parts
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.observations import Observation
@@ -130,18 +130,13 @@ class SeriesBlock:
         )
 
     def parts(self, group: np.ndarray | None = None) -> Iterator[slice]:
-        """Yield the rows in parts of about LINEARISED_ROWS, so that what is made of them does not grow with the data.
+        """Return the rows in parts of about LINEARISED_ROWS, so that what is made of them does not grow with the data.
 
         No part ends between neighbours of one group (n_rows,), which are standstills where rows share errors.
         """
-        n = len(self.rows)
         if group is None:
-            group = self.sharing.standstill if self.sharing else np.arange(n)
-        ends, start = np.append(np.flatnonzero(np.diff(group)) + 1, n), 0
-        while start < n:
-            end = int(ends[np.searchsorted(ends, min(start + LINEARISED_ROWS, n))])
-            yield slice(start, end)
-            start = end
+            group = self.sharing.standstill if self.sharing else np.arange(len(self.rows))
+        return parts(group, LINEARISED_ROWS)
 
     def linearised(
         self, p: np.ndarray, group: np.ndarray | None = None

@@ -10,7 +10,7 @@ import numpy as np
 
 from calflow.diagnosis.screening.correlation import Correlation
 from calflow.estimation.probing import ROWS, Probe
-from calflow.estimation.sharing import group_means
+from calflow.estimation.sharing import group_means, parts
 
 HELD = 100_000_000  # numbers that are kept in memory
 
@@ -103,7 +103,9 @@ class Remade(TallMatrix):
         start = 0
         for number, block in enumerate(self.probe.problem.blocks):
             units = block.n_units
-            for own in _whole_groups(self.poses[block.rows]):
+            order = np.argsort(self.poses[block.rows], kind="stable")
+            for part in parts(self.poses[block.rows[order]], ROWS):
+                own = order[part]
                 out = np.zeros((len(own) * units, self.probe.shape[1]))
                 self.probe.of_rows(number, own, out)
                 x = out[:, self.probe.n_parameters :]
@@ -119,15 +121,3 @@ def counted_once(values: np.ndarray, group: np.ndarray, shared: float) -> np.nda
     if shared >= 1:
         return values
     return np.asarray(values - (1 - shared) * group_means(values, group))
-
-
-def _whole_groups(group: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield the numbers of some rows at a time, ROWS and what completes the last one's group (n_rows,)."""
-    order = np.argsort(group, kind="stable")
-    first = np.flatnonzero(np.diff(group[order], prepend=-1))
-    start = 0
-    while start < len(order):
-        after = np.searchsorted(first, start + ROWS)
-        stop = int(first[after]) if after < len(first) else len(order)
-        yield order[start:stop]
-        start = stop
