@@ -38,6 +38,14 @@ def test_a_robot_that_is_named_has_files_of_its_own(plant):
     assert "D-4  small  would fail: " in plant.fleet("plan").out
 
 
+def test_a_plan_tells_whose_rows_are_at_fault(plant):
+    """Fails if a misspelt column is found out in the night only."""
+    rows = plant.measurements(ROBOTS[1])
+    rows.write_text(rows.read_text(encoding="utf-8").replace("y_mm", "y_mmm", 1), encoding="utf-8")
+    failing = [line.split()[0] for line in plant.fleet("plan").out.splitlines() if "would fail: " in line]
+    assert failing == [ROBOTS[1]]
+
+
 @pytest.mark.parametrize(
     ("pattern", "files", "names"),
     [

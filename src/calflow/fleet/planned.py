@@ -34,9 +34,11 @@ def steps(robot: FleetRobot, folder: FleetFolder) -> list[PlannedStage]:
 def _said(robot: FleetRobot, folder: FleetFolder) -> str:
     try:
         planned_steps = steps(robot, folder)
+        again = [step for step in planned_steps if not step.reuse]
+        if again:
+            load_study(folder.study(robot.name)).measurements()  # what is wrong in their rows is told before the night
     except InputError as error:
         return f"would fail: {reason(error)}"
-    again = [step for step in planned_steps if not step.reuse]
     if not again:
         return f"reuse  {planned_steps[0].reason}"
     return f"run    {', '.join(step.stage.name for step in again)}: {again[0].reason}"
