@@ -16,8 +16,12 @@ def environment() -> dict[str, str]:
 
 
 def machine() -> str:
-    """Return the kind of machine, on which the last bits of numbers may depend."""
-    return f"{platform.system()} {platform.machine()}"
+    """Return the kind of machine, and which processor its linear algebra is for: the last bits of numbers depend on that."""
+    import numpy as np  # noqa: F401  # its linear algebra must be there to be asked
+    from threadpoolctl import threadpool_info
+
+    kernels = sorted({library["architecture"] for library in threadpool_info() if "architecture" in library})
+    return ", ".join([f"{platform.system()} {platform.machine()}", *(f"linear algebra for {name}" for name in kernels)])
 
 
 def changes(was: dict[str, str], now: dict[str, str]) -> list[str]:
