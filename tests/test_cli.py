@@ -200,8 +200,7 @@ def test_a_new_study_can_be_tried(template):
     assert answer.code == 0, answer
     assert answer.out.splitlines()[0].startswith("study mine: my robot, workflow calibrate (select, identify")
     assert f"{template / 'measurements.csv'}: 180 rows, 90 poses, 62 of them to fit" in answer.out
-    assert "35 parameters: geometry, joint-compliance\nidentify will take about" in answer.out
-    assert answer.out.endswith("\nok\n")
+    assert answer.out.endswith("35 parameters: geometry, joint-compliance\nok\n")
     assert template.calflow("run", "--stage", "identify").code == 0
     accuracy = pd.read_csv(template / "runs" / "identify" / "accuracy.csv")
     held = accuracy[accuracy["split"] == "holdout"]["mean_mm"]

@@ -110,7 +110,7 @@ def test_defaults_are_a_robot_that_stands_level_at_the_origin():
 @pytest.mark.parametrize(
     "robot",
     [BUILT, robots.hh800(), robots.hh800_with_bars(0.75, 1.7, 0.9, "crossed"), robots.ur10(), robots.palletiser(),
-     replace(robots.industrial(), base=robots.ASKEW, notes='a "quoted"\nnote\twith \\ and \x7f'),
+     replace(robots.industrial(), base=robots.ASKEW, notes='a "quoted"\nnote\twith \\ and €'),
      replace(BUILT, gravity=(0.1, 0.2, -9.7))],
 )  # fmt: skip
 def test_a_written_robot_reads_back_equal(robot, tmp_path):

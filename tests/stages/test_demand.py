@@ -10,7 +10,7 @@ import pytest
 from calflow.diagnosis.screening.regressors import Regressors
 from calflow.files.problems import InputError
 from calflow.runs import checking, run
-from calflow.stages import STAGES
+from calflow.stages import STAGES, demand
 from calflow.stages.demand import Demand, duration, memory_there, warned
 from calflow.study import load_study
 
@@ -83,8 +83,10 @@ def test_a_run_says_it_before_it_begins(small, monkeypatch):
     assert not (small / "other").exists()
 
 
-def test_check_and_plan_say_what_stages_will_take(small):
-    """Fails if one learns it from the run alone, or a plan says it of what is reused."""
+def test_check_and_plan_say_what_stages_will_take(small, monkeypatch):
+    """Fails if one learns it from the run alone, it is said of what any machine has, or a plan says it of what is reused."""
+    assert "GB" not in small.calflow("check").out + small.calflow("plan").out
+    monkeypatch.setattr(demand, "LITTLE", 0.0)
     told = [
         line
         for line in small.calflow("check").out.splitlines()

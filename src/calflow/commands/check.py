@@ -42,7 +42,8 @@ def check(study: Path) -> None:
         say(f"  {row.split:8} mean {row.mean_mm:.3f} mm, max {row.max_mm:.3f} mm")
     say(f"{checked.n_parameters} parameters: {', '.join(loaded.file.effects)}")
     for name, demand in checked.demands.items():
-        say(f"{name} will take {demand.words}")
+        if demand.words:
+            say(f"{name} will take {demand.words}")
     for warning in checked.warnings:
         say(warning)
     say("ok")

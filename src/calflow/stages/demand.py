@@ -12,6 +12,7 @@ BYTES = 8  # of a number
 GIGA = 1e9
 MUCH = 0.5  # of the machine's memory, from which it is told
 LONG = 15 * 60.0  # s, from which it is told
+LITTLE, SHORT = 1e9, 120.0  # bytes and s, below which nothing is said
 PROGRAM = 0.2e9  # bytes that the program takes for itself
 LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container
 
@@ -43,8 +44,10 @@ class Demand:
 
     @property
     def words(self) -> str:
-        """What is taken, in words; empty where nothing is foreseen."""
-        return f"about {self.memory / GIGA:.1f} GB and {duration(self.seconds)} of one core" if self.rows else ""
+        """What is taken, in words; empty where nobody needs to know, since any machine has it at once."""
+        if self.memory <= LITTLE and self.seconds <= SHORT:
+            return ""
+        return f"about {self.memory / GIGA:.1f} GB and {duration(self.seconds)} of one core"
 
 
 def duration(seconds: float) -> str:
