@@ -147,7 +147,7 @@ def _fonts() -> Finding:
 
     number = len({entry.name for entry in fontManager.ttflist})
     kept = Path(get_cachedir())
-    if kept.is_relative_to(tempfile.gettempdir()) and "MPLCONFIGDIR" not in os.environ:
+    if kept.parent == Path(tempfile.gettempdir()) and "MPLCONFIGDIR" not in os.environ:
         return Finding("fonts", "slow", f"{number} families; their list is made anew for each report: no folder keeps it",
                        "let MPLCONFIGDIR name a folder that can be written to")  # fmt: skip
     return Finding("fonts", "ok", f"{number} families; letters that none has are shown by number")
