@@ -25,5 +25,5 @@ def write_csv(path: Path, table: pd.DataFrame) -> None:
 
 
 def read_csv(path: Path) -> pd.DataFrame:
-    """Read a table that `write_csv` wrote, to the last bit."""
-    return pd.read_csv(path, **EXACT)
+    """Read a table that `write_csv` wrote, to the last bit; a column is of one type, however many rows it has."""
+    return pd.read_csv(path, low_memory=False, **EXACT)
