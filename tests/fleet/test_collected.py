@@ -13,6 +13,7 @@ from calflow.fleet.outcome import Outcome
 from calflow.fleet.standing import forget_stale, outcomes
 from calflow.fleet.summary import write_summary
 from calflow.fleet.work import work
+from calflow.runs.manifest import read_manifest, write_manifest
 from fleet.plant import ROBOTS, broken
 
 
@@ -30,6 +31,18 @@ def test_parameters_and_covariances_are_those_of_the_runs(plant):
         kept = pd.read_csv(folder.run(one.robot) / "identify" / "covariance.csv").set_index("parameter")
         np.testing.assert_array_equal(one.calibration.covariance, kept.loc[names, names])
     assert not np.array_equal(found[0].calibration.estimate, found[1].calibration.estimate)
+
+
+def test_a_diagnosis_of_another_identification_is_not_taken(plant):
+    """Fails if a robot that was identified anew is pooled by what was diagnosed before."""
+    fleet, folder = load_fleet(plant.file), FleetFolder(plant.out)
+    work(fleet, folder, ["A-1"])
+    run = folder.run("A-1")
+    manifest = read_manifest(run)
+    diagnosed = manifest.stages["identify"].model_copy(update={"key": {"after identify": "another"}})
+    write_manifest(run, manifest.model_copy(update={"stages": {**manifest.stages, "diagnose": diagnosed}}))
+    table = pd.read_csv(run / "identify" / "parameters.csv")
+    np.testing.assert_array_equal(collected(fleet.robot("A-1"), folder).calibration.estimate, table["estimate"])
 
 
 def test_a_run_that_was_changed_is_told_and_made_anew(plant):

@@ -11,10 +11,11 @@ import casadi as ca
 import numpy as np
 
 from calflow.compiled import compiled
+from calflow.estimation.groups import parts
 from calflow.estimation.noise import Noise
 from calflow.estimation.nuisance import observing
 from calflow.estimation.repeats import standstills
-from calflow.estimation.sharing import Sharing, parts
+from calflow.estimation.sharing import Sharing
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.observations import Observation

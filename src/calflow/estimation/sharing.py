@@ -6,7 +6,6 @@ their intraclass correlation. It is 1 - r of what they have apart, and 1 + (n - 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -48,15 +47,6 @@ class Sharing:
         counted = r / (1 + (self.size - 1) * r)
         common = np.einsum("g,gus,gus->s", counted, sums, sums)
         return np.asarray(((errors**2).sum(axis=(0, 1)) - common) / (1 - r))
-
-
-def parts(group: np.ndarray, size: int) -> Iterator[slice]:
-    """Yield rows in parts of about a size, none of which ends between neighbours of one group (n_rows,)."""
-    ends, start = np.append(np.flatnonzero(np.diff(group)) + 1, len(group)), 0
-    while start < len(group):
-        end = int(ends[np.searchsorted(ends, min(start + size, len(group)))])
-        yield slice(start, end)
-        start = end
 
 
 def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from calflow.fleet.fleet_folder import FleetFolder
 from calflow.population.common_causes import Shown
 from calflow.population.told import Calibration
 from calflow.runs.manifest import Manifest, read_manifest
-from calflow.runs.reasons import damage
+from calflow.runs.reasons import damage, of_others
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,8 @@ def collected(robot: FleetRobot, folder: FleetFolder) -> Collected:
 def _last_fitted(manifest: Manifest) -> str:
     """The stage that the best model is of."""
     diagnosed = manifest.stages.get("diagnose")
-    return "diagnose" if diagnosed and diagnosed.status == "done" else "identify"
+    stands = diagnosed and diagnosed.status == "done" and not of_others(manifest, "diagnose", ["identify"])
+    return "diagnose" if stands else "identify"
 
 
 def _calibration(made: Path, placed: frozenset[str]) -> Calibration:

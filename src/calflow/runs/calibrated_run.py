@@ -15,10 +15,9 @@ from calflow.files.tables import lacking
 from calflow.files.toml import read_toml
 from calflow.measurements.source import MeasurementSource
 from calflow.robot.robot import Robot
-from calflow.runs.cache_key import after
 from calflow.runs.folder import read_results, run_folder
 from calflow.runs.manifest import Manifest, read_manifest
-from calflow.runs.reasons import damage, outdated
+from calflow.runs.reasons import damage, of_others, outdated
 from calflow.runs.study_files import check_inputs
 from calflow.stages import STAGES
 from calflow.study import FIELD
@@ -143,9 +142,4 @@ def _without_field(manifest: Manifest, folder: Path, robot: Robot, diagnosed: bo
 
 def _unfit(manifest: Manifest, folder: Path, robot: Robot, stage: str, bases: tuple[str, ...]) -> str | None:
     """Return why a stage's results are not of those of its bases, or do not hold for a robot; None where all is well."""
-    reason = outdated(manifest, folder, stage, robot)
-    if reason:
-        return reason
-    made = {name: key for name, key in manifest.stages[stage].key.items() if name.startswith("after ")}
-    same = made == after({name: manifest.stages[name].key for name in bases})
-    return None if same else f"{stage} was made of other results"
+    return outdated(manifest, folder, stage, robot) or of_others(manifest, stage, bases)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from calflow.measurements.reading import sha256
 from calflow.robot.robot import Robot
-from calflow.runs.cache_key import robot_digest
+from calflow.runs.cache_key import after, robot_digest
 from calflow.runs.manifest import Manifest, StageEntry
 
 UNCHANGED = "inputs, settings, upstream results and code are unchanged"
@@ -51,6 +51,13 @@ def outdated(manifest: Manifest, folder: Path, stage: str, robot: Robot) -> str 
     if robot_digest(robot) not in entry.key.values():
         return f"the robot file changed after {stage} ran"
     return damage(entry, folder)
+
+
+def of_others(manifest: Manifest, stage: str, bases: Collection[str]) -> str | None:
+    """Return that a stage's results are of others than those of its bases that are there; None where they are of these."""
+    made = {name: key for name, key in manifest.stages[stage].key.items() if name.startswith("after ")}
+    same = made == after({name: manifest.stages[name].key for name in bases})
+    return None if same else f"{stage} was made of other results"
 
 
 def difference(name: str, old: str | None, new: str | None) -> str:

@@ -9,8 +9,9 @@ from functools import cached_property, reduce
 import numpy as np
 
 from calflow.diagnosis.screening.correlation import Correlation
+from calflow.estimation.groups import parts
 from calflow.estimation.probing import ROWS, Probe
-from calflow.estimation.sharing import group_means, parts
+from calflow.estimation.sharing import group_means
 
 HELD = 100_000_000  # numbers that are kept in memory
 
