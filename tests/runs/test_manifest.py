@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calflow.files.problems import InputError
-from calflow.runs.containment import contained
+from calflow.files.writing import contained
 from calflow.runs.manifest import read_manifest
 
 COMMANDS = {"run": [], "plan": [], "status": ["runs"], "predict": ["runs", "measurements.csv"], "report": []}

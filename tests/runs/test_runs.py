@@ -592,3 +592,14 @@ def test_a_table_of_another_version_is_one_message(finished, name, column):
     (told,) = finished.refused("predict", finished / "runs", finished / "rows.csv")
     assert path in told
     assert "again" in told
+
+
+def test_an_interrupted_stage_goes_on_with_no_link(finished, interrupted, tmp_path):
+    """Fails if a chain that lies outside of the run folder is written to where a link in a work folder names it."""
+    work, outside = interrupted / "runs" / ".partial" / "sample" / "sample", tmp_path / "outside"
+    work.rename(outside)
+    work.symlink_to(outside)
+    before = (outside / "chain.h5").read_bytes()
+    assert interrupted.calflow("run").code == 0
+    assert (outside / "chain.h5").read_bytes() == before
+    assert interrupted.results() == finished.results()

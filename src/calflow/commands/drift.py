@@ -33,11 +33,12 @@ def drift(study_or_run: Path, rows: Path, false_alarm: float, station: Station, 
     Give the run's folder, or its study. Ends with 0 where nothing has moved, 3 where something has, and 4 where the poses are off
     but cannot tell why.
     """
+    from calflow.files.writing import inside
     from calflow.reporting.drifted import drift_lines
     from calflow.runs.drift import drift as drift_of_run
     from calflow.runs.folder import run_folder
 
-    folder = out or run_folder(study_or_run) / "drift" / rows.stem
+    folder = out or inside(run_folder(study_or_run), f"drift/{rows.stem}")
     found = drift_of_run(study_or_run, rows, false_alarm=false_alarm, station=station, out=folder)
     say(*drift_lines(found))
     for note in found.summary.notes:

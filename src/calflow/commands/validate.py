@@ -45,11 +45,12 @@ def validate(
     Give the run's folder, or its study. Ends with 0 where the tolerance is met (or none is asked for), 3 where it is not, and 4
     where these poses cannot tell.
     """
+    from calflow.files.writing import inside
     from calflow.reporting.proof import verdict_lines
     from calflow.runs.folder import run_folder
     from calflow.runs.validate import validate as validate_run
 
-    folder = out or run_folder(study_or_run) / "validate" / rows.stem
+    folder = out or inside(run_folder(study_or_run), f"validate/{rows.stem}")
     tolerance = None if tolerance_mm is None else tolerance_mm / 1e3
     found = validate_run(
         study_or_run, rows, tolerance=tolerance, task=task, confidence=confidence, station=station, out=folder

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from matplotlib.text import Text
 
-from calflow.files.writing import utf8, write_whole
+from calflow.files.writing import inside, utf8, write_whole
 from calflow.reporting.blocks import (
     Block,
     Bullets,
@@ -159,10 +159,13 @@ def write(title: str, parts: Sequence[Part], folder: Path) -> int:
     """Write figures/*.svg and report.pdf into a folder; return the number of figures.
 
     The source goes to typst from memory, so that nothing but the report lies in the folder.
+
+    Raises:
+        InputError: a link leads out of the folder.
     """
     import typst
 
-    figures = folder / "figures"
+    figures = inside(folder, "figures")
     figures.mkdir(parents=True, exist_ok=True)
     drawings = [plot for _, blocks in parts for plot in plots(blocks)]
     text = source(title, parts)

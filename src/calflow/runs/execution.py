@@ -14,10 +14,9 @@ from typing import Any
 
 from calflow.files.plugins import packages
 from calflow.files.results import Results
-from calflow.files.writing import write_whole
+from calflow.files.writing import PART, inside, write_whole
 from calflow.measurements.reading import sha256
 from calflow.runs.cache_key import code_digest, file_hashes, versions
-from calflow.runs.containment import inside
 from calflow.runs.environment import environment, machine
 from calflow.runs.kept import write_results
 from calflow.runs.listener import Listener, onward
@@ -57,7 +56,7 @@ def execute(
         record(study, folder, stage, running.model_copy(update={"status": status}))
         raise
     write_results(work, made, stage.tables)
-    files = [path for path in work.rglob("*") if path.is_file() and path.suffix != ".part"]
+    files = [path for path in work.rglob("*") if path.is_file() and path.suffix != PART]
     outputs = sorted(path.relative_to(work).as_posix() for path in files if path != work / KEY)
     for name in set(running.outputs or {}) - set(outputs):
         inside(folder, name).unlink(missing_ok=True)
@@ -139,12 +138,15 @@ def _work_folder(folder: Path, step: PlannedStage, before: StageEntry | None) ->
 
 
 def _clear(work: Path, kept: set[str]) -> None:
-    """Remove what an interrupted stage left but for these files: what it goes on from, and nothing that it had begun to write."""
+    """Remove what an interrupted stage left but for these files: what it goes on from, and nothing that it had begun to write.
+
+    A link goes whatever its name: what is gone on with is written to.
+    """
     for path in sorted(work.rglob("*"), reverse=True):
-        if path.is_dir():
+        if path.is_dir() and not path.is_symlink():
             with suppress(OSError):  # it holds something that is kept
                 path.rmdir()
-        elif path.relative_to(work).as_posix() not in kept:
+        elif path.is_symlink() or path.relative_to(work).as_posix() not in kept:
             path.unlink()
 
 

@@ -11,7 +11,7 @@ from calflow.files.csv import write_csv
 from calflow.files.problems import refuse
 from calflow.files.results import Results
 from calflow.files.tables import schema
-from calflow.files.writing import write_text
+from calflow.files.writing import inside, write_text
 from calflow.runs.manifest import NAME
 from calflow.stages import STAGES
 
@@ -20,14 +20,18 @@ if TYPE_CHECKING:
 
 
 def write_results(folder: Path, results: Results, tables: Mapping[str, type]) -> None:
-    """Write tables, each with its schema beside it, and documents; tables says of each what its rows are."""
+    """Write tables, each with its schema beside it, and documents; tables says of each what its rows are.
+
+    Raises:
+        InputError: a link leads out of the folder.
+    """
     for name, table in results.tables.items():
-        write_csv(folder / name, table)
+        write_csv(inside(folder, name), table)
         described = json.dumps(schema(table, tables[name]), indent=2, ensure_ascii=False)
         write_text((folder / name).with_suffix(".schema.json"), f"{described}\n")
     for name, document in results.documents.items():
         said = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
-        write_text(folder / name, f"{said}\n")
+        write_text(inside(folder, name), f"{said}\n")
 
 
 def not_of_a_run(folder: Path) -> None:

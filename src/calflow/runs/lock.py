@@ -7,6 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from calflow.files.problems import refuse
+from calflow.files.writing import inside
+
+NAME = ".lock"
 
 
 @contextmanager
@@ -14,11 +17,11 @@ def locked(folder: Path) -> Iterator[None]:
     """Keep a second run out of the folder; the system releases the lock of a process that is gone.
 
     Raises:
-        InputError: another run is at work there.
+        InputError: another run is at work there, or the lock is a link that leads out of it.
     """
     from filelock import FileLock, Timeout
 
-    lock = FileLock(folder / ".lock", timeout=0)
+    lock = FileLock(inside(folder, NAME), timeout=0)
     try:
         lock.acquire()
     except Timeout:
@@ -34,5 +37,5 @@ def wait_until_free(folder: Path) -> None:
     from filelock import FileLock
 
     if folder.is_dir():
-        with FileLock(folder / ".lock"):
+        with FileLock(inside(folder, NAME)):
             pass

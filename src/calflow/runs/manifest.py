@@ -10,8 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from calflow.files.documents import SUM, is_whole, sealed
 from calflow.files.problems import InputError, Problem, refuse
-from calflow.files.writing import write_text
-from calflow.runs.containment import contained
+from calflow.files.writing import contained, write_text
 
 NAME = "manifest.json"
 REMEDY = "delete it to run everything anew"

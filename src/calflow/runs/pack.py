@@ -8,7 +8,7 @@ import zipfile
 from pathlib import Path
 
 from calflow.files.problems import InputError, Problem
-from calflow.runs.containment import inside
+from calflow.files.writing import inside
 from calflow.runs.manifest import NAME, Manifest
 from calflow.runs.reproduce import checked_run, finished
 from calflow.runs.ro_crate import NAME as METADATA

@@ -9,8 +9,7 @@ from pathlib import Path
 from calflow.files.documents import Documents
 from calflow.files.results import Results
 from calflow.files.tables import Tables
-from calflow.files.writing import write_whole
-from calflow.runs.containment import inside
+from calflow.files.writing import inside, write_whole
 from calflow.runs.execution import execute, record_reuse
 from calflow.runs.folder import default_folder, read_results
 from calflow.runs.listener import Listener, Silent
