@@ -24,7 +24,7 @@ from blind_cases import Job
 from blind_run import Kind, Row, guarded, hidden_names, run_case, run_kind
 from scipy.stats import binomtest
 
-from calflow.design.isolability.discrimination import POSES
+from calflow.design.discrimination import POSES
 from calflow.diagnosis.findings.verdict import label
 from calflow.runs.run import run
 from calflow.study import load_study

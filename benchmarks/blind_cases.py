@@ -15,15 +15,15 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import numpy as np
 from scipy.stats import chi2, norm
 
+from calflow.diagnosis.findings.tables import noncentrality
 from calflow.diagnosis.findings.verdict import verdict
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.detection_limit import noncentrality
 from calflow.diagnosis.screening.regressors import Products
 from calflow.diagnosis.screening.screening import Screening
-from calflow.diagnosis.search.acceptance import SHARES
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Finding, Linearisation, Screened
-from calflow.estimation.calibrated import identified
+from calflow.diagnosis.search.trial import SHARES
+from calflow.estimation.calibrated_model import identified
 from calflow.estimation.repeats import averaged
 from calflow.faults import corrected
 from calflow.files.results import Results

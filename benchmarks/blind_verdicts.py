@@ -11,9 +11,9 @@ from blind_cases import begun
 
 from calflow.diagnosis.screening.screening import Screening
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.refinement import finest
+from calflow.diagnosis.search.fitted_trial import finest
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated import calibrated, identified
+from calflow.estimation.calibrated_model import calibrated, identified
 from calflow.files.results import Results
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model

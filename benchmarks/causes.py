@@ -24,19 +24,19 @@ import pandas as pd
 from heavy_robot import EFFECTS, NOISE, HeavyRobot
 
 import calflow as cf
-from calflow.diagnosis.findings.reach import models_in_reach, shown
+from calflow.diagnosis.findings.rivals import models_in_reach, shown
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES, Acceptance
 from calflow.diagnosis.search.extension import Extended, extend
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Linearisation
+from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES, Acceptance
 from calflow.effects.cause import Cause
 from calflow.effects.link_torsion import LinkTorsion
 from calflow.effects.nonlinear_joint_stiffness import NonlinearJointStiffness
 from calflow.estimation.accuracy import error_jacobian
-from calflow.estimation.calibrated import Identified, series_noise
-from calflow.estimation.occam_window import ModelInReach
+from calflow.estimation.calibrated_model import CalibratedModel, series_noise
 from calflow.estimation.repeats import averaged
+from calflow.estimation.rival_models import ModelInReach
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.models import WeighedModels, weighed_models
 from calflow.sampling.posterior import posterior_of
@@ -61,7 +61,7 @@ class Case:
     """What was measured with a hidden cause, and what calflow identified of it, the cause unknown to it."""
 
     hidden: Hidden
-    known: Identified
+    known: CalibratedModel
     data: Measurements
 
 
@@ -74,7 +74,7 @@ def drawn(rng: np.random.Generator) -> Case:
     noise = NOISE * rng.standard_normal((POSES, 3))
     clean = measured_points(robot.real, rows, ())
 
-    def identified(points: np.ndarray) -> tuple[Identified, Measurements]:
+    def identified(points: np.ndarray) -> tuple[CalibratedModel, Measurements]:
         data = cf.Measurements.from_arrays(
             robot.stated, q, points, payload=np.array(PAYLOADS)[payload], pose=np.arange(1, POSES + 1), split="train",
             sigma=np.full(POSES, NOISE),
@@ -90,7 +90,7 @@ def drawn(rng: np.random.Generator) -> Case:
     return Case(cause, *identified(measured_points(robot.real, rows, (cause,)) + noise))
 
 
-def _shown(known: Identified, data: Measurements, moved: np.ndarray) -> float:
+def _shown(known: CalibratedModel, data: Measurements, moved: np.ndarray) -> float:
     """What the identified model cannot imitate of a displacement (n_rows, 3) [m], over the noise."""
     jacobian = error_jacobian(known.model, known.estimate, data).reshape(-1, len(known.estimate)) / NOISE
     information = jacobian.T @ jacobian + np.diag(known.model.prior_sd**-2.0)
@@ -98,7 +98,7 @@ def _shown(known: Identified, data: Measurements, moved: np.ndarray) -> float:
     return float(np.sqrt(shift @ (shift - jacobian @ np.linalg.solve(information, jacobian.T @ shift))))
 
 
-def diagnosed(case: Case, rng: np.random.Generator) -> tuple[Identified, Extended, Catalogue]:
+def diagnosed(case: Case, rng: np.random.Generator) -> tuple[CalibratedModel, Extended, Catalogue]:
     """What the search of diagnose finds among the look-alikes."""
     data = case.data.on(case.known.model.robot)
     catalogue = Catalogue((NonlinearJointStiffness(data.robot), LinkTorsion(data.robot)), {})
@@ -106,7 +106,7 @@ def diagnosed(case: Case, rng: np.random.Generator) -> tuple[Identified, Extende
     found = extend(start, catalogue, Acceptance(SHARES["causes"] * FALSE_ALARM, 10), rng, lambda line: None)
     final = found.fitted
     reached = models_in_reach(final, found.findings, catalogue)
-    extended = Identified(
+    extended = CalibratedModel(
         final.model, final.fit.estimate, final.fit.covariance, final.fit.at_bound, series_noise(case.known.noise(data)),
         final.noise.discrepancy, 0.0, final.loss, in_reach=reached,
     )  # fmt: skip

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated import Identified, calibrated, identified
+from calflow.estimation.calibrated_model import CalibratedModel, calibrated, identified
 from calflow.estimation.certainty import position_variance, unexplained
 from calflow.faults import corrected
 from calflow.measurements.measurements import Measurements
@@ -55,7 +55,7 @@ class Coverage:
         return float(np.nanquantile(np.abs(self.z), 0.95))
 
 
-def coverage(known: Identified, data: Measurements) -> Coverage:
+def coverage(known: CalibratedModel, data: Measurements) -> Coverage:
     """Return that of the held-out rows, by their parameters', discrepancy's and device's variance."""
     own = data.only(data.held_out)
     variance = position_variance(known, own.rows)
@@ -64,7 +64,7 @@ def coverage(known: Identified, data: Measurements) -> Coverage:
     return Coverage(errors(known.model, known.estimate, own) / np.sqrt(variance))
 
 
-def of_run(path: Path, folder: Path) -> dict[str, tuple[Coverage, Identified]]:
+def of_run(path: Path, folder: Path) -> dict[str, tuple[Coverage, CalibratedModel]]:
     """Return that of each model that a run holds: identify's, and diagnose's where it went on."""
     manifest = read_manifest(folder)
     assert manifest is not None, f"{folder} holds no run"

@@ -27,7 +27,7 @@ from scipy.stats import norm
 from calflow.deployment.check_poses import check_poses
 from calflow.deployment.drift_verdict import Drift, drift
 from calflow.deployment.movements import movements
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.measurements.measurements import Measurements
 
 SHIFT, POSES, ALARM, FOUND = 1e-4, 8, 0.01, 0.95
@@ -106,7 +106,7 @@ def lighter(robot: HeavyRobot):
 
 
 def count(
-    robot: HeavyRobot, known: Identified, q: np.ndarray, joint: int, size: float, rng: np.random.Generator, counted: Counted
+    robot: HeavyRobot, known: CalibratedModel, q: np.ndarray, joint: int, size: float, rng: np.random.Generator, counted: Counted
 ) -> Drift:  # fmt: skip
     """Count a day on which the zero of a joint (from 0) was shifted; what the check poses told."""
     shift = size * np.eye(JOINTS)[joint]
@@ -140,7 +140,7 @@ def limits(result: Drift) -> np.ndarray:
     return np.array([one.limits[0] for one in sorted(own, key=lambda one: one.joint)])
 
 
-def least(robot: HeavyRobot, known: Identified, rng: np.random.Generator) -> np.ndarray:
+def least(robot: HeavyRobot, known: CalibratedModel, rng: np.random.Generator) -> np.ndarray:
     """The shift of each joint that a test of it alone finds in 95 of 100 checks, by the poses best for it [rad]."""
     q = robot.poses(400, rng)
     rows: Measurements = robot.measured(q, robot.points(q))

@@ -13,7 +13,7 @@ import pandas as pd
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import calflow as cf
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from hidden.case import COMPLIANCE, Case, draw_poses, robot_file, stated_tables, toml
 from hidden.causes import PAYLOADS, Hidden, measured_points
 from hidden.simulator import Robot, Rows, read, worn
@@ -69,7 +69,7 @@ class HeavyRobot:
 
     def calibrated(
         self, poses: int, rng: np.random.Generator, effects: tuple[str, ...] = EFFECTS
-    ) -> tuple[Identified, cf.Measurements]:
+    ) -> tuple[CalibratedModel, cf.Measurements]:
         """What calflow identifies by poses of its own, every load carried by a third of them; and their rows."""
         q = self.poses(poses, rng)
         blocks = [

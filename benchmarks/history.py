@@ -10,8 +10,8 @@ import argparse
 import numpy as np
 import pandas as pd
 
-from calflow.deployment.changes import changes
-from calflow.estimation.alone import Alone
+from calflow.deployment.history import changes
+from calflow.estimation.difference import Alone
 
 N, RUNS, READINGS, SIGMA = 20, 6, 120, 0.5
 STEP_AFTER, MOVED = 2, 4  # the run after which a parameter moves, and which one

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calflow.estimation.accuracy import error_jacobian
-from calflow.estimation.calibrated import identified
+from calflow.estimation.calibrated_model import identified
 from calflow.files.results import Results
 from calflow.study import Study
 

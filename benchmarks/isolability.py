@@ -32,14 +32,12 @@ import pandas as pd
 from blind_cases import UNITS, Unit
 
 import calflow as cf
-from calflow.design.isolability.isolability import DRAWS, Place, chances, screened
-from calflow.design.isolability.visits import RECORDS, ROOM, Visits
 from calflow.design.planned import Planned
 from calflow.design.selection import select
+from calflow.design.separability import DRAWS, RECORDS, ROOM, Place, Visits, chances, screened
 from calflow.diagnosis.diagnosis import diagnose
-from calflow.diagnosis.screening.family import Family
-from calflow.diagnosis.screening.screening import Screening
-from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES
+from calflow.diagnosis.screening.screening import Family, Screening
+from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES
 from calflow.effects.cause import Cause
 from calflow.estimation.progress import draws
 from calflow.measurements.measurements import Measurements

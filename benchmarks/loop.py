@@ -32,7 +32,7 @@ from blind_run import Kind, Row, guarded, run_kind
 import calflow as cf
 from calflow.diagnosis.diagnosis import diagnose
 from calflow.diagnosis.findings.extended_model import extended_model
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.runs.next_poses import next_poses
 from calflow.runs.run import run
 from calflow.study import load_study
@@ -240,7 +240,7 @@ def fixed_plan(number: int) -> tuple[pd.DataFrame, float]:
         return results.tables["select/poses.csv"], results.documents["select/how_many.json"]["expected_sd_mm"]
 
 
-def true_error(cell: Cell, known: Identified, seed: int) -> float:
+def true_error(cell: Cell, known: CalibratedModel, seed: int) -> float:
     """Root mean square distance [m] of the real tool from the calibrated one at fresh poses of the task."""
     q, sides = cell.fresh(FRESH, np.random.default_rng([seed, 4]))
     rows = cf.Measurements.from_arrays(known.model.robot, q, None, payload="full", marker="E", approach=sides)

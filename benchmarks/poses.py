@@ -18,11 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from calflow.design.candidates import candidates
+from calflow.design.exchange import information
+from calflow.design.optimality import Parameters, ToolError, indices
 from calflow.design.planned import Planned
-from calflow.design.search.exchange import information
-from calflow.design.search.minimax import search_worst
-from calflow.design.search.optimality import Parameters, ToolError, indices
-from calflow.design.search.search import search
+from calflow.design.search import search, search_worst
 from calflow.design.selection import select
 from calflow.design.task import Task
 from calflow.estimation.progress import draws

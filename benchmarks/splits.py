@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.extrapolation import extrapolation
+from calflow.estimation.elsewhere import extrapolation
 from calflow.estimation.registration import registered
 from calflow.estimation.repeats import measured_noise
 from calflow.estimation.reweighting import fit_reweighted

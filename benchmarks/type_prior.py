@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import calflow as cf
 from calflow.design.selection import select
 from calflow.design.task import Task
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.model import build
 from calflow.population.told import Calibration, Told, shared_parameters
 from calflow.population.unlike import unlike
@@ -109,7 +109,7 @@ class Plant:
         return select(model, FEW, aim="tool", task=task, payload=PAYLOADS[-1], of=5000, refine=True).readings
 
 
-def known(robot: cf.Robot, data: cf.Measurements) -> tuple[Identified, float]:
+def known(robot: cf.Robot, data: cf.Measurements) -> tuple[CalibratedModel, float]:
     """What calflow identifies, and its mean error at the held-out poses [m]."""
     fit = cf.identify(robot, data, EFFECTS, starts=1).identification
     held = data.only(~data.train)

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from calflow.design.cell.cell import Box, Cell, Cylinder, Station, checked_pairs, free_links
+from calflow.design.cell import Box, Cell, Cylinder, Station, checked_pairs, free_links
 from robots import ASKEW, industrial, pinocchio_model, ur10
 
 STATION = Station((4.0, 1.0, 1.2), near=1.0, far=6.0, lowest=np.deg2rad(-30), highest=np.deg2rad(25))

@@ -279,7 +279,7 @@ def at_home(finished, tmp_path, monkeypatch):
 
 def test_predict_and_report_take_a_run_or_its_study(at_home, tmp_path, monkeypatch):
     """Fails if a user must know where a run folder is, or which study it is of."""
-    monkeypatch.setattr("calflow.reporting.written.sections", lambda: sections()[:1])  # one page is enough
+    monkeypatch.setattr("calflow.reporting.document.sections", lambda: sections()[:1])  # one page is enough
     at_home.measure(at_home.rows.drop(columns=["x_mm", "y_mm", "z_mm", "sigma_mm"]), "asked.csv")
     ways = (at_home / "runs", at_home.path, at_home / "study.toml", tmp_path / "runs" / "small")
     predicted = [in_process("predict", way, at_home / "asked.csv") for way in ways]

@@ -143,7 +143,7 @@ def test_hh800_measurements_are_what_its_truth_file_describes(tmp_path):
 def test_hh800_poses_reach_more_than_random_ones(hh800):
     """Fails if the selection is no better than chance: as many random poses must tell clearly less."""
     from calflow.design.candidates import candidates
-    from calflow.design.search.optimality import indices
+    from calflow.design.optimality import indices
     from calflow.model import build
     from calflow.stages.select_settings import SelectSettings
     from calflow.study import load_study

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from calflow.effects import Effect, catalogue
-from calflow.effects.needs import NEEDS
+from calflow.effects.base import NEEDS
 from calflow.reporting.words import first_up, part_words
 from made import pictures
 from made.bench import FITTED, Bench, benches

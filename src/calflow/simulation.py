@@ -12,9 +12,9 @@ import pandas as pd
 from pydantic import Field, field_validator, model_validator
 
 from calflow.design.candidates import candidates, pack
-from calflow.design.stated_poses import stated_poses
+from calflow.design.planned import stated_poses
 from calflow.effects import catalogue
-from calflow.effects.needs import unmet
+from calflow.effects.base import unmet
 from calflow.files.problems import InputError, Problem, nearest, shortened, together
 from calflow.files.toml import FileModel, Length, Lengths3, Origin, Unit, read_toml
 from calflow.files.units import LARGEST, spellings

@@ -69,7 +69,7 @@ def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> N
         InputError: they do not.
     """
     from calflow.effects import catalogue
-    from calflow.effects.needs import unmet
+    from calflow.effects.base import unmet
 
     problems = [
         Problem(f"effect '{effect}' needs {lacking}", path)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from calflow.deployment.changes import changes, levels
-from calflow.estimation.alone import Alone
+from calflow.deployment.history import changes, levels
+from calflow.estimation.difference import Alone
 
 N, RUNS, ALARM, CASES = 6, 5, 0.1, 60
 PRIOR = np.array([1e-3, 5e-4, 1e-3, 2e-3, 1e-3, 1e-3])

@@ -10,7 +10,7 @@ from calflow.deployment.check_poses import check_poses, unmoved
 from calflow.deployment.drift_verdict import drift
 from calflow.deployment.movements import movements
 from calflow.design.candidates import candidates
-from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from robots import industrial
@@ -24,7 +24,7 @@ def test_eight_chosen_poses_tell_more_than_any_others_drawn():
     model = build(industrial(), ("geometry",))
     n = len(model.parameters)
     device = (SeriesNoise(NOISE, "file"),)
-    known = Identified(model, model.nominal, 0 * np.eye(n), np.zeros(n, dtype=bool), device, 0.0, 0.0, "linear")
+    known = CalibratedModel(model, model.nominal, 0 * np.eye(n), np.zeros(n, dtype=bool), device, 0.0, 0.0, "linear")
     rng = np.random.default_rng(2)
     q = candidates(model, 60, "load", "E", None, rng)[0]
     payload = np.where(np.arange(60) < 50, "load", "")

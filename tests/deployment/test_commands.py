@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.deployment.clearance import clearance
-from calflow.deployment.commands import compensated
+from calflow.deployment.commands import clearance, compensated
 from calflow.deployment.needed_conditions import needed_conditions
 from calflow.deployment.orientation import not_known
-from calflow.deployment.target_frames import FrameTable, in_measuring_frame
-from calflow.deployment.targets import Targets
+from calflow.deployment.targets import FrameTable, Targets, in_measuring_frame
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.series import Series

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.deployment.clearance import clearance
+from calflow.deployment.commands import clearance
 from calflow.deployment.compensation import landing
 from calflow.deployment.nominal_inverse import nominal_readings
 from calflow.deployment.prediction import beyond_limits

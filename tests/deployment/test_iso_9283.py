@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.deployment.iso_9283 import (
-    angle_repeatability,
-    cube_edge,
-    cube_poses,
-    pose_accuracy,
-    pose_repeatability,
-)
+from calflow.deployment.attained import angle_repeatability, cube_edge, cube_poses, pose_accuracy, pose_repeatability
 
 # Four attained positions about (1000, 0, 500): their barycentre is (1000.3, 0.4, 500), so that AP = 0.5. They lie 0.1, 0.1, 0.3
 # and 0.3 from it: the mean is 0.2 and S = sqrt(4 · 0.01 / 3) = 0.115470, so that RP = 0.2 + 0.346410.

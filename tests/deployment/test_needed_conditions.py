@@ -10,7 +10,7 @@ import calflow as cf
 from calflow.deployment.needed_conditions import needed_conditions
 from calflow.deployment.prediction import predict_positions
 from calflow.deployment.validation import validate
-from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
@@ -32,7 +32,9 @@ def calibrated(effects, values, **conditions):
         estimate[names.index(name)] = value
     n = len(names)
     device = (SeriesNoise(1e-5, "file"),)
-    return Identified(model, estimate, 1e-16 * np.eye(n), np.zeros(n, dtype=bool), device, 0.0, 0.0, "linear"), data
+    return CalibratedModel(
+        model, estimate, 1e-16 * np.eye(n), np.zeros(n, dtype=bool), device, 0.0, 0.0, "linear"
+    ), data
 
 
 def sides(seed=1):

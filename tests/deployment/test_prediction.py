@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from calflow.effects.thermal_growth import ThermalGrowth
-from calflow.estimation.calibrated import identified
+from calflow.estimation.calibrated_model import identified
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
 from calflow.runs.folder import read_results

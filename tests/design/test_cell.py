@@ -9,9 +9,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from calflow.design.candidates import allowed, candidates, pack
-from calflow.design.cell.capsules import between_segments, from_box
-from calflow.design.cell.cell import RULES, Cell, Station, configuration
-from calflow.design.cell.skeleton import Skeleton
+from calflow.design.cell import RULES, Cell, Skeleton, Station, between_segments, configuration, from_box
 from calflow.files.problems import InputError
 from calflow.model import build
 from collisions import BIG, CASES, Outside

@@ -7,9 +7,9 @@ from itertools import combinations, permutations
 import numpy as np
 import pytest
 
-from calflow.design.isolability.discrimination import POSES
-from calflow.design.isolability.t_optimality import Choices, Explanation, TCriterion, propose
+from calflow.design.discrimination import POSES
 from calflow.design.planned import Planned
+from calflow.design.t_optimality import Choices, Explanation, TCriterion, propose
 from calflow.diagnosis.findings.verdict import WITHIN
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.fitted import Fitted

@@ -7,9 +7,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from calflow.design.exchange import information
 from calflow.design.how_many import enough, knee, next_best
-from calflow.design.search.exchange import information
-from calflow.design.search.optimality import ToolError
+from calflow.design.optimality import ToolError
 
 PRIOR = np.eye(4)
 

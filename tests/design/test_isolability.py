@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 from scipy.stats import f as f_distribution
 
-from calflow.design.isolability.isolability import BUILT, chances, isolability
-from calflow.design.isolability.told_apart import isolability_gaps, isolability_summary, isolability_table
-from calflow.design.isolability.visits import Visits
 from calflow.design.planned import Planned
+from calflow.design.separability import (
+    BUILT,
+    Visits,
+    chances,
+    isolability,
+    isolability_gaps,
+    isolability_summary,
+    isolability_table,
+)
 from calflow.diagnosis.linear import Block
-from calflow.diagnosis.screening.family import Family
-from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors
-from calflow.diagnosis.screening.screening import Screening
-from calflow.diagnosis.screening.tall_matrix import Held
+from calflow.diagnosis.screening.regressors import Candidate, Held, Products, Regressors
+from calflow.diagnosis.screening.screening import Family, Screening
 from calflow.measurements.series import Series
 from calflow.observations.position import Position
 from calflow.robot.robot import Robot

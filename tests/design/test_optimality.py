@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.design.search.optimality import Parameters, ToolError, indices
+from calflow.design.optimality import Parameters, ToolError, indices
 
 
 def test_indices_follow_their_definitions():

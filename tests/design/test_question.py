@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calflow.design import discrimination
 from calflow.design.candidates import pack
-from calflow.design.isolability import discrimination
-from calflow.design.isolability.discrimination import THINNEST, NextPose, poses_table, question, separations_table
+from calflow.design.discrimination import THINNEST, NextPose, poses_table, question, separations_table
 from calflow.diagnosis.findings.verdict import Rival, Verdict
-from calflow.diagnosis.screening.family import Family
+from calflow.diagnosis.screening.screening import Family
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Finding
 from calflow.effects import catalogue

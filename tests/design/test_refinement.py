@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from calflow.design.candidates import allowed, candidates, pack
-from calflow.design.cell.cell import Cell, Station
+from calflow.design.cell import Cell, Station
+from calflow.design.exchange import information
+from calflow.design.optimality import Parameters
 from calflow.design.planned import Planned
-from calflow.design.search.exchange import information
-from calflow.design.search.optimality import Parameters
-from calflow.design.search.refinement import refined
+from calflow.design.refinement import refined
 from calflow.design.task import Task
 from calflow.measurements.series import Series
 from calflow.model import build

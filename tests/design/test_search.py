@@ -8,11 +8,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calflow.design.search.exchange import exchange, greedy, information
-from calflow.design.search.minimax import search_worst
-from calflow.design.search.optimality import Parameters, ToolError
-from calflow.design.search.relaxation import relaxed
-from calflow.design.search.search import search
+from calflow.design.exchange import exchange, greedy, information
+from calflow.design.optimality import Parameters, ToolError
+from calflow.design.relaxation import relaxed
+from calflow.design.search import search, search_worst
 
 N, CANDIDATES, CHOSEN = 5, 12, 4
 PRIOR = np.diag([1.0, 2.0, 0.5, 1.0, 3.0])

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import qmc
 
+from calflow.design.measuring_order import TURNS, reached, vias
 from calflow.design.selection import planned_poses
-from calflow.design.vias import TURNS, reached, vias
 from calflow.model import build
 from robots import hh800, industrial
 

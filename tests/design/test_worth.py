@@ -9,10 +9,10 @@ import pytest
 from scipy.stats import qmc
 
 from calflow.design.candidates import pack
+from calflow.design.exchange import information
+from calflow.design.measuring_order import drift_pulls, orders
 from calflow.design.planned import Planned
-from calflow.design.search.exchange import information
 from calflow.design.task import Task
-from calflow.design.trend import drift_pulls, orders
 from calflow.design.worth import ASIDE, PlanInformation
 from calflow.measurements.series import Series
 from calflow.model import build

@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from calflow.diagnosis.linear import Block, diagnose_linear
-from calflow.diagnosis.linear_trial import LinearProblem
+from calflow.diagnosis.linear import Block, LinearProblem, diagnose_linear
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.search.acceptance import Acceptance
 from calflow.diagnosis.search.extension import extend
 from calflow.diagnosis.search.linearisation import Linearisation
+from calflow.diagnosis.search.trial import Acceptance
 from calflow.files.problems import InputError
 from diagnosis.found import cause, hidden, start
 

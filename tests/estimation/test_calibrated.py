@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.estimation.calibrated import Identified, SeriesNoise, observation_table, placed, placement_table
+from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise, observation_table, placed, placement_table
 from calflow.files.results import Results
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
@@ -47,7 +47,7 @@ def test_a_marker_called_tool_is_not_taken_for_the_tool_s_turn():
 def test_rows_that_state_no_noise_have_that_of_the_fit(source, expected):
     """Fails if new rows without a column sigma have a noise that is no number, or one that is stated does not count."""
     model = build(ur10(), ())
-    known = Identified(
+    known = CalibratedModel(
         model,
         np.zeros(0),
         np.zeros((0, 0)),

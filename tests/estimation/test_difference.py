@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import kstest
 
-from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.difference import Difference
 from calflow.model import build
 from robots import ASKEW, ur10
@@ -28,7 +28,9 @@ def calibrations(rng, shift=None):
         covariance = np.linalg.inv(slope.T @ slope + np.diag(sd**-2.0))
         estimate = covariance @ slope.T @ seen
         found.append(
-            Identified(model, estimate, covariance, np.zeros(n, bool), (SeriesNoise(1e-5, "file"),), 0.0, 0.0, "linear")
+            CalibratedModel(
+                model, estimate, covariance, np.zeros(n, bool), (SeriesNoise(1e-5, "file"),), 0.0, 0.0, "linear"
+            )
         )
     return found
 

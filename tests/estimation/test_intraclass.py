@@ -7,9 +7,8 @@ import pytest
 
 from calflow.estimation.fit import fit
 from calflow.estimation.intraclass import MOST, Products, found_alike
-from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.least_squares import LeastSquares, Sharing
 from calflow.estimation.repeats import measured_noise
-from calflow.estimation.sharing import Sharing
 from calflow.sampling.posterior import Posterior, posterior_of
 from sampling.calibrations import SIGMA, Case, Design
 

@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calflow.estimation import certainty, least_squares
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import parameter_variance
 from calflow.estimation.elsewhere import left_out
 from calflow.estimation.fit import Fit, expansion, fit
@@ -110,7 +110,7 @@ def test_no_jacobian_of_all_rows_is_there(small, asked: Callable[..., tuple[np.n
 def test_predictions_take_no_jacobian_of_all_rows(small, monkeypatch):
     """Fails if a file of a million rows to predict is refused by the machine's memory, or its parts are not those of the rows."""
     data, result = small
-    known = Identified(result.model, result.estimate, result.covariance, result.at_bound, (), 0.0, 0.0, "linear")
+    known = CalibratedModel(result.model, result.estimate, result.covariance, result.at_bound, (), 0.0, 0.0, "linear")
     rows = {k: np.tile(data.rows, (1, k)) for k in TIMES}
     monkeypatch.setattr(certainty, "PART_ROWS", ALL)
     whole = parameter_variance(known, rows[TIMES[0]])

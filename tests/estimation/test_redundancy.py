@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import robots
-from calflow.estimation.redundancy import redundant
+from calflow.estimation.identifiability import redundant
 from calflow.files.results import Results
 from calflow.model import build
 from calflow.reporting.blocks import Table

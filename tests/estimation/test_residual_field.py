@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from calflow.estimation.field_gain import Nodes, blocks, gain_of
-from calflow.estimation.field_tables import SUMMARY, pose_table, read_field
-from calflow.estimation.residual_field import learnt
-from calflow.files.documents import to_document
-from calflow.files.results import Results
+from calflow.estimation.residual_field import SUMMARY, learnt, pose_table, read_field
+from calflow.files.results import Results, to_document
 from calflow.stages.residual_field import summary
 from robots import hh800
 

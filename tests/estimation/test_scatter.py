@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.estimation.scatter import pooled, scatter
+from calflow.estimation.noise import pooled, scatter
 
 
 def drawn(rng, poses, times, degrees=0):

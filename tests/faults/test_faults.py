@@ -16,9 +16,9 @@ import pytest
 from calflow import faults
 from calflow.faults import Correction, Fault, as_table, checks, corrected, plain_checks, search
 from calflow.faults.base import correct, lines_in_words
+from calflow.faults.blocks import states
 from calflow.faults.outlier import limit_of
 from calflow.faults.reference import NORMAL_LENGTH, Models, Reference
-from calflow.faults.segments import states
 from calflow.files.csv import EXACT, csv_text
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements

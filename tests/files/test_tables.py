@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.files.documents import from_document, to_document
 from calflow.files.problems import InputError
+from calflow.files.results import from_document, to_document
 from calflow.files.tables import column, from_frame, schema, to_frame, typed
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from calflow.files.problems import InputError
 from calflow.files.toml import read_toml
-from calflow.measurements.acceptance import Acceptance
+from calflow.study_file import Acceptance
 
 
 def read(folder: Path, text: str) -> Acceptance:

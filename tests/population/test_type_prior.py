@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.population.told import Calibration, Told, shared_parameters
 from calflow.population.type_prior import FEWEST, type_prior
 from calflow.population.unlike import unlike
@@ -108,7 +108,7 @@ def test_too_few_robots_are_refused():
         unlike(parameters(), fleet(np.random.default_rng(6), FEWEST - 1)[2])
 
 
-def test_a_fits_own_prior_is_taken_out_of_what_it_tells(calibration: Identified):
+def test_a_fits_own_prior_is_taken_out_of_what_it_tells(calibration: CalibratedModel):
     """Fails if what the study took for granted counts once a robot: a fit with another prior tells the same."""
     fitted = Calibration.of(calibration)
     shared = shared_parameters([fitted])
@@ -121,7 +121,7 @@ def test_a_fits_own_prior_is_taken_out_of_what_it_tells(calibration: Identified)
 
 
 @pytest.fixture(scope="module")
-def calibration() -> Identified:
+def calibration() -> CalibratedModel:
     import calflow as cf
     from calflow.model import build
     from estimation.data import drawn_truth, measured

@@ -10,27 +10,25 @@ import numpy as np
 import pandas as pd
 
 from calflow.design.candidates import candidates
-from calflow.design.isolability.discrimination import NextPose, SeparationRow
+from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.diagnosis.findings.curves import CurvePoint
-from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
+from calflow.diagnosis.findings.extended_model import DiagnosisSummary
 from calflow.diagnosis.findings.misfit import Region
 from calflow.diagnosis.findings.tables import CandidateRow, FindingRow
 from calflow.diagnosis.findings.verdict import label
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.alternative import AlternativeParameter
-from calflow.estimation.calibrated import calibrated, effect_table, identified, with_maps_held
+from calflow.estimation.calibrated_model import calibrated, effect_table, identified, with_maps_held
 from calflow.estimation.fit_summary import FitSummary
-from calflow.estimation.occam_window import CauseInReach
-from calflow.files.documents import to_document
-from calflow.files.results import Results
+from calflow.estimation.rival_models import AlternativeParameter, CauseInReach
+from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
 from calflow.model import Model, build
 from calflow.reporting.material import latest
 from calflow.robot.robot import Robot
-from calflow.sampling.chain_summary import ChainSummary
-from calflow.sampling.model_tables import ONLY, CauseProbability, ModelRow
+from calflow.sampling.models import ONLY, CauseProbability, ModelRow
+from calflow.sampling.posterior_tables import ChainSummary
 from calflow.stages.identify import STAGE as IDENTIFY
 from calflow.stages.stage import Context
 from calflow.study import load_study

@@ -9,18 +9,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.design.isolability.discrimination import NextPose, SeparationRow
-from calflow.design.isolability.told_apart import IsolabilityCell
-from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
+from calflow.design.discrimination import NextPose, SeparationRow
+from calflow.design.separability import IsolabilityCell
+from calflow.diagnosis.findings.extended_model import DiagnosisSummary
 from calflow.diagnosis.findings.tables import CandidateRow, FindingRow
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.fit_summary import Extrapolation, FitSummary, IdentifySummary, Solver
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.noise_doubt import NoiseDoubt
-from calflow.files.documents import to_document
-from calflow.files.results import Results
+from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
-from calflow.reporting.causes import gain, search, separation
+from calflow.reporting.causes import finding as separation
+from calflow.reporting.causes import gain, search
 from calflow.reporting.causes import unexplained as unexplained_part
 from calflow.reporting.causes.first_page import foremost
 from calflow.reporting.material import ModelAccuracy
@@ -39,8 +39,8 @@ from calflow.reporting.sections import (
 )
 from calflow.reporting.sections.further_steps import SECTION as FURTHER_STEPS
 from calflow.reporting.sections.verdict import FEWEST, headline, leftover, next_steps, split_steps
-from calflow.sampling.chain_summary import ChainSummary
-from calflow.sampling.task_tables import TaskSummary
+from calflow.sampling.posterior_tables import ChainSummary
+from calflow.sampling.task_error import TaskSummary
 
 SUMMARY = IdentifySummary(
     noise_sources=("file",), sigma_mm=0.05, discrepancy_mm=0.0, loss="linear", reduced_chi2=1.02, lack_of_fit_p=0.5,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from calflow.reporting.figures.confirmation import two_series
-from calflow.reporting.sections.confirmation import _faults
+from calflow.reporting.sections.confirmation import _faults, two_series
 
 
 def test_a_slides_curve_is_drawn_in_lengths():

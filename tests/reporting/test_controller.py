@@ -7,9 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calflow.reporting.blocks import Table
-from calflow.reporting.controller import base, geometry_alone, links, markers, zeros
 from calflow.reporting.material import Material
-from calflow.reporting.sections.controller_figures import SECTION, write
+from calflow.reporting.sections.controller_figures import SECTION, base, geometry_alone, links, markers, write, zeros
 from reporting.case import Case, context
 
 AXES = {"alpha": "x", "beta": "y", "theta": "z"}

@@ -24,7 +24,6 @@ from calflow.reporting.causes.first_page import lacked, unsure
 from calflow.reporting.causes.gain import gain_words
 from calflow.reporting.causes.search import candidates, untestable
 from calflow.reporting.figures.causes import evidence, explained, gains, in_space, waterfall
-from calflow.reporting.figures.estimates import estimates
 from calflow.reporting.findings import (
     amount,
     cause_name,
@@ -37,6 +36,7 @@ from calflow.reporting.findings import (
 )
 from calflow.reporting.material import Material, ModelAccuracy, gathered, steps
 from calflow.reporting.section import Section, chosen, sections
+from calflow.reporting.sections.parameters import estimates
 from calflow.reporting.style import style
 from calflow.stages.stage import Context
 from reporting.case import (

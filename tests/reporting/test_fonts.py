@@ -13,8 +13,8 @@ from matplotlib.ft2font import FT2Font
 
 from calflow.reporting import document
 from calflow.reporting.blocks import Heading, Table
-from calflow.reporting.figures.estimates import estimates
-from calflow.reporting.fonts import OWN, fonts_for
+from calflow.reporting.document import OWN, fonts_for
+from calflow.reporting.sections.parameters import estimates
 from calflow.reporting.style import style
 from calflow.reporting.words import AXIS, cut
 

@@ -20,9 +20,8 @@ from PIL import Image, ImageColor
 
 from calflow.reporting.blocks import Bullets, Card, Columns, Heading, Paragraph, Part, Plot, RestOfPage, Scene, Table
 from calflow.reporting.html import writing
-from calflow.reporting.html.elements import VOID, Html, element
-from calflow.reporting.html.pictures import pictures
-from calflow.reporting.html.store import packed
+from calflow.reporting.html.page import VOID, Html, element, packed
+from calflow.reporting.html.writing import pictures
 from calflow.reporting.style import DARK, figure, style
 from reporting.browser import CHROMIUM, browser
 

@@ -13,7 +13,7 @@ from reporting.case import BACKLASH, COUPLED, MISFIT, OUTLIERS, context, with_di
 
 @pytest.fixture(scope="module")
 def given(tmp_path_factory):
-    """Identified."""
+    """CalibratedModel."""
     return context(tmp_path_factory.mktemp("study"))
 
 

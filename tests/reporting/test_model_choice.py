@@ -10,7 +10,7 @@ from calflow.files.results import Results
 from calflow.files.tables import to_frame
 from calflow.reporting.blocks import Bullets, Paragraph, Table
 from calflow.reporting.sections.model_choice import SECTION, SHARED
-from calflow.sampling.model_tables import CauseProbability, ModelRow
+from calflow.sampling.models import CauseProbability, ModelRow
 from reporting.case import weighed_models
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import typst
 
-from calflow.design.isolability.told_apart import IsolabilityCell
-from calflow.estimation.alternative import Alternative
+from calflow.design.separability import IsolabilityCell
+from calflow.estimation.rival_models import Alternative
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
 from calflow.reporting import document
@@ -160,7 +160,7 @@ def test_every_section_has_a_place_of_its_own() -> None:
 
 
 def test_the_chain_is_drawn_in_the_parameters_own_units(whole: Context) -> None:
-    from calflow.reporting.chain import Chain
+    from calflow.reporting.sections.posterior import Chain
     from calflow.sampling.posterior import posterior_of
 
     material = Material.of(whole.study, whole.results, whole.run_folder)

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import pytest
 
-from calflow.measurements.acceptance import Acceptance
 from calflow.reporting.blocks import Signatures, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import chosen, sections
 from calflow.reporting.sections import sign_off, verdict
 from calflow.reporting.style import style
 from calflow.reporting.tolerance import Judged
+from calflow.study_file import Acceptance
 from reporting.case import context
 
 

@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 
 from calflow.deployment.needed_conditions import NeededCondition
-from calflow.deployment.programs.filtering import FilteredTarget
 from calflow.files.problems import InputError
 from calflow.files.tables import columns
+from calflow.programs.filtering import FilteredTarget
 from calflow.runs.filter import _check_conditions, filter_program
 
 PAGE = Path(__file__).parents[2] / "docs" / "programs.md"

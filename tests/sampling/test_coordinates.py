@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
-from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.fit import fit
 from calflow.model import build
-from calflow.sampling.coordinates import Coordinates
-from calflow.sampling.posterior import Laplace, Posterior, moves
+from calflow.sampling.posterior import Coordinates, Laplace, Posterior, moves
 from calflow.sampling.posterior_tables import chain_summary, posterior_table
 from calflow.sampling.sample import ChainLength, sample
 from estimation.data import SIGMA, drawn_truth, measured, problem
@@ -164,7 +163,7 @@ def test_the_upright_joints_spring_is_the_half_normal_of_its_prior(tmp_path):
     data = measured(model, drawn_truth(model, rng), 50, rng)
     found, _ = fit(problem(model, data))
     noise = (SeriesNoise(SIGMA, "repeats"),)
-    known = Identified(found.model, found.estimate, found.covariance, found.at_bound, noise, 0.0, 0.0, "linear")
+    known = CalibratedModel(found.model, found.estimate, found.covariance, found.at_bound, noise, 0.0, 0.0, "linear")
     length = replace(ChainLength(), max_steps=150)
     chain = sample(
         known, data, tmp_path / "chain.h5", length, rng=lambda name: np.random.default_rng(zlib.crc32(name.encode()))

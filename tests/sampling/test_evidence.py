@@ -12,13 +12,11 @@ from scipy.stats import norm
 
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
-from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.fit import fit
-from calflow.estimation.occam_window import ModelInReach
+from calflow.estimation.rival_models import ModelInReach
 from calflow.model import Model
-from calflow.sampling.evidence import evidence
-from calflow.sampling.model_tables import cause_table, models_table
-from calflow.sampling.models import WeighedModels, weighed_models
+from calflow.sampling.models import WeighedModels, cause_table, evidence, models_table, weighed_models
 from calflow.sampling.posterior import Laplace, Posterior
 from estimation.data import SIGMA, measured, problem
 from robots import robot
@@ -111,7 +109,7 @@ def weighed(given, *models):
     found, _ = fit(problem(first, given))
     noise = (SeriesNoise(SIGMA, "file"),)
     reached = tuple(ModelInReach(tuple(causes), "found", log_prior, 0.0) for causes, log_prior in models)
-    known = Identified(
+    known = CalibratedModel(
         first, found.estimate, found.covariance, found.at_bound, noise, 0.0, 0.0, "linear", in_reach=reached
     )
     return weighed_models(known, problem(first, given), np.random.default_rng(3), exact=0.01)

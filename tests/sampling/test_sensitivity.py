@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.fit import fit
 from calflow.model import build
-from calflow.sampling.posterior_tables import posterior_table
+from calflow.sampling.posterior_tables import ALPHAS, posterior_table, power_weights, prior_dominates, sensitivity
 from calflow.sampling.sample import ChainLength, sample
-from calflow.sampling.sensitivity import ALPHAS, power_weights, prior_dominates, sensitivity
 from estimation.data import SIGMA, drawn_truth, measured, problem
 from robots import industrial
 
@@ -85,7 +84,7 @@ def test_what_the_data_do_not_tell_is_the_priors(tmp_path):
     data = measured(model, drawn_truth(model, rng), 50, rng)
     found, _ = fit(problem(model, data))
     noise = (SeriesNoise(SIGMA, "repeats"),)
-    known = Identified(found.model, found.estimate, found.covariance, found.at_bound, noise, 0.0, 0.0, "linear")
+    known = CalibratedModel(found.model, found.estimate, found.covariance, found.at_bound, noise, 0.0, 0.0, "linear")
     chain = sample(
         known,
         data,

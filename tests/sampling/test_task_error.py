@@ -12,8 +12,8 @@ from calflow.deployment.orientation import turn_sd
 from calflow.estimation.certainty import position_variance
 from calflow.estimation.progress import draws
 from calflow.sampling.sample import ChainLength, sample
-from calflow.sampling.task_error import Spread, TaskError, task_error
-from calflow.sampling.task_tables import Asked, task_summary, task_table
+from calflow.sampling.task_error import Spread, TaskError, task_error, task_summary, task_table
+from calflow.sampling.task_error import task_tables_Asked as Asked
 from sampling.calibrations import Case, Design
 
 SMALL = Design(joints=3, poses=30, further=12, level=0.0)

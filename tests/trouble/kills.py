@@ -20,7 +20,15 @@ from conftest import SMALL, in_process
 
 STAGES = ("select", "identify", "diagnose", "sample", "report")
 EVERY = SMALL["quick.toml"].replace('"sample"]', '"diagnose", "sample", "report"]')
-LOADED = ("calflow.runs.run", "calflow.reporting.written", "matplotlib.pyplot", "emcee", "h5py", "typst", "arviz_stats")
+LOADED = (
+    "calflow.runs.run",
+    "calflow.reporting.document",
+    "matplotlib.pyplot",
+    "emcee",
+    "h5py",
+    "typst",
+    "arviz_stats",
+)
 SIGNALS = (signal.SIGKILL, signal.SIGTERM)
 
 
@@ -143,7 +151,7 @@ class _Running:
 def _run(study: Path, run: Path, log: Path) -> None:
     """Run a study as the command line does; the report has two sections only, so that it takes no longer than all the rest."""
     from calflow.cli import main
-    from calflow.reporting import written
+    from calflow.reporting import document as written
 
     first = written.sections()[:2]
     written.sections = lambda: first

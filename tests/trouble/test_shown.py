@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-from calflow.files.limits import beyond
+from calflow.files.toml import beyond
 from conftest import Folder, in_process
 from trouble.campaign import unreadable
 

@@ -134,7 +134,7 @@ def workplace(path: Path, workflow: str = EVERY) -> Workplace:
 @contextmanager
 def few_sections() -> Iterator[None]:
     """Let reports have two sections only, so that they take no longer than all the rest."""
-    from calflow.reporting import written
+    from calflow.reporting import document as written
 
     every = written.sections
     written.sections = lambda: every()[:2]  # type: ignore[assignment]

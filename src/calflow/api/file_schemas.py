@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from pydantic import create_model
 
-from calflow.deployment.target_frames import FramesFile
+from calflow.deployment.targets import FramesFile
 from calflow.effects import catalogue
 from calflow.files.json_schema import Schema, draft_4, json_schema
 from calflow.files.problems import nearest, refuse
@@ -18,8 +18,8 @@ from calflow.files.toml import FileModel
 from calflow.fleet.fleet_file import FleetFile
 from calflow.measurements.source import MeasurementSource
 from calflow.observations import catalogue as observation_kinds
+from calflow.robot.formats.robot_file import UrdfRobotFile
 from calflow.robot.formats.robot_toml import RobotFile
-from calflow.robot.formats.urdf_toml import UrdfRobotFile
 from calflow.simulation import Truth
 from calflow.stages import STAGES
 from calflow.study_file import StudyFile, WorkflowFile

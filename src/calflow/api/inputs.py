@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calflow.effects import catalogue
+from calflow.effects.base import unmet
 from calflow.effects.expected import mistaken
-from calflow.effects.needs import unmet
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot

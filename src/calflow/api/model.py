@@ -13,7 +13,7 @@ from calflow.deployment.commands import Compensation, compensated
 from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.prediction import Missing, Prediction, predict_positions
 from calflow.deployment.targets import Targets
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.field_gain import gainful_field
 from calflow.estimation.progress import Say, draws, nobody
 from calflow.estimation.residual_field import NOT_PHYSICAL
@@ -31,7 +31,7 @@ class Model:
     measured are the measurements it is from, as they were given, and data the rows that were used, gross mistakes put right.
     """
 
-    known: Identified
+    known: CalibratedModel
     needed: Sequence[NeededCondition]
     measured: Measurements
     data: Measurements

@@ -30,7 +30,7 @@ def report(found: Fit | Diagnosis | str | Path, path: str | Path, title: str = "
         return _copied(Path(found), name, path)
     if not isinstance(found, Fit | Diagnosis):
         raise TypeError(f"expected a fit, a diagnosis or a run folder, found {type(found).__name__}")
-    from calflow.reporting.written import write_report
+    from calflow.reporting.document import write_report
 
     with TemporaryDirectory() as folder:
         write_report(found.material(title), Path(folder))

@@ -15,9 +15,8 @@ from calflow.api.inputs import check_same
 from calflow.api.model import Model
 from calflow.estimation.progress import Say, draws, nobody
 from calflow.measurements.measurements import Measurements
-from calflow.sampling.chain_summary import ChainSummary
-from calflow.sampling.model_tables import cause_table, models_table
-from calflow.sampling.posterior_tables import chain_summary, posterior_table, predictive_table
+from calflow.sampling.models import cause_table, models_table
+from calflow.sampling.posterior_tables import ChainSummary, chain_summary, posterior_table, predictive_table
 from calflow.sampling.sample import ChainLength, Sampled
 from calflow.sampling.sample import sample as sampled
 

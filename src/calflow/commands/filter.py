@@ -13,7 +13,7 @@ from calflow.commands.output import say
 MOST_TOLD = 20  # of one kind that are printed
 
 if TYPE_CHECKING:
-    from calflow.deployment.programs.filtering import Filtered, FilteredTarget
+    from calflow.programs.filtering import Filtered, FilteredTarget
 
 
 @click.command("filter")
@@ -49,10 +49,10 @@ def filter_targets(
 
     RAPID, KRL, FANUC LS and URScript are read; every byte but the targets' numbers stays. Give the run's folder, or its study.
     """
-    from calflow.deployment.programs.filtering import FilteredTarget
     from calflow.files.csv import csv_text
     from calflow.files.tables import to_frame
     from calflow.files.writing import write_whole
+    from calflow.programs.filtering import FilteredTarget
     from calflow.runs.filter import filter_program
 
     target = out or program.with_name(f"{program.stem}.corrected{program.suffix}")

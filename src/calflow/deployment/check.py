@@ -10,7 +10,7 @@ import pandas as pd
 from calflow.deployment.alignment import Alignment, can_align, rigid_slope
 from calflow.deployment.movements import Movement
 from calflow.deployment.needed_conditions import NeededCondition
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import unexplained
 from calflow.estimation.repeats import conditions
 from calflow.files.problems import refuse
@@ -40,7 +40,7 @@ class Check:
     own: np.ndarray
 
     @staticmethod
-    def of(known: Identified, needed: list[NeededCondition], data: Measurements, fitted: np.ndarray) -> Check:
+    def of(known: CalibratedModel, needed: list[NeededCondition], data: Measurements, fitted: np.ndarray) -> Check:
         """Set it up from rows; fitted (n_rows,) says of which the device's frame, one a session, is to be fitted to them.
 
         Repeats of a session are brought together. The covariance is that of the parameters, of the choice among models, of the

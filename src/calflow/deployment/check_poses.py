@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from calflow.deployment.movements import movements
-from calflow.design.search.exchange import exchange, greedy
-from calflow.design.search.optimality import Parameters
-from calflow.estimation.calibrated import Identified
+from calflow.design.exchange import exchange, greedy
+from calflow.design.optimality import Parameters
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import unexplained
 from calflow.measurements.columns import POSITION
 from calflow.measurements.measurements import Measurements
@@ -18,7 +18,7 @@ from calflow.measurements.measurements import Measurements
 FEWEST = 3  # poses, of fewer nothing can be told apart
 
 
-def check_poses(known: Identified, data: Measurements, number: int) -> Measurements:
+def check_poses(known: CalibratedModel, data: Measurements, number: int) -> Measurements:
     """Return the first rows of so many of data's poses: with the load that most poses carry, every marker seen there once.
 
     They are D-optimal for all that may move, each thing by its usual size (Fedorov's exchange), told of the device's noise and of
@@ -35,7 +35,7 @@ def check_poses(known: Identified, data: Measurements, number: int) -> Measureme
     return there.only(np.isin(pose, chosen))
 
 
-def unmoved(known: Identified, data: Measurements) -> Measurements:
+def unmoved(known: CalibratedModel, data: Measurements) -> Measurements:
     """Return rows as they would be measured where nothing has moved, all in one go and without noise.
 
     What a check of them says is how much it would see.
@@ -47,7 +47,7 @@ def unmoved(known: Identified, data: Measurements) -> Measurements:
     return replace(data, table=data.table.assign(**dict(zip(POSITION, there.T, strict=True))))
 
 
-def _slopes(known: Identified, data: Measurements) -> np.ndarray:
+def _slopes(known: CalibratedModel, data: Measurements) -> np.ndarray:
     """What everything that may move does to rows by its usual size, over what they err by of themselves (n, 3, k)."""
     noise = known.noise(data).sigma if known.noise_known else np.zeros(len(data))
     slopes = [one.slope * one.sd for one in movements(known, data, False)]

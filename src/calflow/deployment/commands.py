@@ -1,26 +1,110 @@
-"""Commands: joint readings that land on targets, each with what is promised of it."""
+"""Commands: joint readings that land on targets, each with what is promised of it.
+
+Clearance: how far commands stay from the joints' limits, and from poses at which the tool cannot be moved in some direction.
+Landing beside a target by what a residual field will add: the field has no part in the model's graph.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 import pandas as pd
 
-from calflow.deployment.clearance import Clearance, clearance
-from calflow.deployment.compensation import Landing
-from calflow.deployment.field_landing import ELSEWHERE_TRIED, field_landing, landing_from_elsewhere
+from calflow.deployment.compensation import Landing, landing
 from calflow.deployment.needed_conditions import NeededCondition
-from calflow.deployment.nominal_inverse import nominal_readings
+from calflow.deployment.nominal_inverse import best_of, near, nominal_readings, room
 from calflow.deployment.orientation import not_known, turn_sd
 from calflow.deployment.prediction import Missing, Told, as_told, of_field
 from calflow.deployment.targets import Targets
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import expected_point, field_correction, position_variance
 from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.sequence import approach_and_travel
+from calflow.model import Model, over_rows
+from calflow.robot.transforms import turning
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """How far poses are from what a robot cannot do.
+
+    joint (n,) is the joint (from 0) nearest to a limit, by share of its travel, and limit (n,) [rad, or m] how far it is from it;
+    singular (n,) [rad, a slide's metre counted as a radian] is how far all joints together are from the nearest singularity.
+    """
+
+    joint: np.ndarray
+    limit: np.ndarray
+    singular: np.ndarray
+
+
+def clearance(model: Model, rows: np.ndarray, oriented: bool) -> Clearance:
+    """Return the clearance of packed rows (n_conditions, n) by the nominal robot.
+
+    The distance to a singularity is that to first order: the least singular value of the tool's Jacobian over its steepest
+    slope. It is right near a singularity, and elsewhere says that there is none near. Where no orientation is asked for,
+    only the Jacobian of the tool's point counts.
+    """
+    robot = model.robot
+    q = rows[: robot.n_joints].T @ robot.reading_matrix.T
+    share = room(robot, q)
+    joint = share.argmin(axis=1)
+    low, high = robot.stops.T
+    limit = np.take_along_axis(np.minimum(q - low, high - q), joint[:, None], axis=1)[:, 0]
+    return Clearance(joint, limit, _to_singularity(Model(robot, (), model.given), rows, oriented))
+
+
+def _to_singularity(rigid: Model, rows: np.ndarray, oriented: bool) -> np.ndarray:
+    p, c, predicted = rigid.symbols
+    readings = c[: rigid.robot.n_joints]
+    moved = np.where(np.isin(np.arange(rigid.robot.n_joints), rigid.robot.external), 0.0, 1.0)
+    mixed = ca.sparsify(ca.DM(rigid.robot.angle_matrix * moved))
+    slope = ca.jacobian(predicted.point, readings) @ mixed
+    if oriented:
+        slope = ca.vertcat(slope, turning(predicted.rotation, readings) @ mixed)
+    u, v = ca.SX.sym("u", slope.shape[0]), ca.SX.sym("v", slope.shape[1])
+    steepest = ca.gradient(ca.dot(u, slope @ v), readings).T @ mixed
+    jacobian = ca.Function("jacobian", [p, c], [ca.densify(slope.T)])
+    change = ca.Function("change", [p, c, ca.vertcat(u, v)], [ca.densify(steepest.T)])
+    none = np.zeros(0)
+    found = over_rows(jacobian, none, rows)[0].T.reshape(rows.shape[1], *slope.shape)
+    left, sizes, right = np.linalg.svd(found, full_matrices=False)
+    directions = np.hstack([left[:, :, -1], right[:, -1]])
+    slopes = np.linalg.norm(over_rows(change, none, rows, directions.T)[0], axis=0)
+    return np.asarray(np.divide(sizes[:, -1], slopes, out=np.full(len(slopes), np.inf), where=slopes > 0))
+
+
+ELSEWHERE_TRIED = 12  # starts of a target that is not reached from its own
+ROUNDS = 4  # each leaves of the field what it changes by over its own correction: a thousandth or so
+
+
+def field_landing(
+    known: CalibratedModel, rows: np.ndarray, targets: Targets, start: np.ndarray, begun: np.ndarray | None = None
+) -> Landing:
+    """Return the readings nearest to a start that land on targets, by the model and its residual field (see `landing`)."""
+    found = landing(known.model, known.estimate, rows, targets, start, begun)
+    if known.field is None:
+        return found
+    for _ in range(ROUNDS):
+        aims = replace(targets, position=targets.position - known.field.correction(found.readings))
+        found = landing(known.model, known.estimate, rows, aims, start, found.readings)
+    return found
+
+
+def landing_from_elsewhere(
+    known: CalibratedModel, rows: np.ndarray, targets: Targets, rng: np.random.Generator
+) -> tuple[Landing, np.ndarray]:
+    """Return the best landing of each target from starts anywhere within the limits, and the nominal robot's readings beside it."""
+    rigid = Model(known.model.robot, (), known.model.given)
+    starts = near(rigid, rows, targets, rng)[:, :ELSEWHERE_TRIED]
+    every = np.repeat(np.arange(len(targets)), starts.shape[1])
+    landed = field_landing(known, rows[:, every], targets.only(every), starts.reshape(len(every), -1))
+    found = landed.only(best_of(known.model.robot, landed, starts.shape[1]))
+    return found, landing(rigid, np.zeros(0), rows, targets, found.readings).readings
+
 
 SAME_TRAVEL = 1e-4  # rad or m
 SETTLES = 5  # rounds in which the ways between commands and the commands must agree
@@ -61,7 +145,7 @@ class Compensation:
 
 
 def compensated(
-    known: Identified, needed: Sequence[NeededCondition], data: Measurements, targets: Targets, *,
+    known: CalibratedModel, needed: Sequence[NeededCondition], data: Measurements, targets: Targets, *,
     start: np.ndarray | None = None, in_order: bool = False, missing: Missing = "refuse", seed: int = 1,
 ) -> Compensation:  # fmt: skip
     """Return joint readings with which the robot lands on targets, nearest to those that the nominal robot would be sent to.

@@ -1,27 +1,188 @@
-"""The verdict of a drift check: what has moved, by how much, since when, and what to do about it."""
+"""The verdict of a drift check: what has moved, by how much, since when, and what to do about it.
+
+Mistaken check poses: where one alone carries the error, or all are off by more than any robot moves, no movement is told.
+Settling: the few further poses that tell what has moved from what else may have, or by how much.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from calflow.deployment.alignment import can_align, rigid_slope
 from calflow.deployment.attained import Attained
-from calflow.deployment.check import Check
+from calflow.deployment.check import ANYWHERE, Check
 from calflow.deployment.drift import FALSE_ALARM, WITHIN, Explained, Step, searched, together, unexplained
-from calflow.deployment.mistaken import mistaken
-from calflow.deployment.movements import Kind, movements
+from calflow.deployment.movements import Kind, Movement, movements
 from calflow.deployment.needed_conditions import NeededCondition
-from calflow.deployment.settling import Settling, settling
-from calflow.deployment.validation import Station, of_sessions, stands
-from calflow.estimation.calibrated import Identified
-from calflow.files.documents import to_document
-from calflow.files.results import Results
+from calflow.deployment.validation import ELSEWHERE, Station, of_sessions, stands
+from calflow.design.candidates import candidates
+from calflow.design.exchange import greedy
+from calflow.design.optimality import Parameters
+from calflow.design.t_optimality import TCriterion, propose
+from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.files.problems import InputError
+from calflow.files.results import Results, to_document
 from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
 from calflow.robot.readings import READINGS, reading_columns, shown_readings
+
+
+def mistaken(
+    known: CalibratedModel, needed: list[NeededCondition], data: Measurements, check: Check, told: Sequence[Step], station: Station,
+    alarm: float,
+) -> str | None:  # fmt: skip
+    """Return what to look at before anything is told to have moved; None where movements may explain the error.
+
+    One pose is to be looked at where nothing having moved leaves less of the others' whitened squares than movements leave of all,
+    by as much as tells two movements apart, and the others are in place, or not far from it while that one is.
+    """
+    far = check.size().mean() > ELSEWHERE
+    if not told and not far and unexplained(check, ()) >= alarm:
+        return None
+    moved = check
+    for step in told:
+        moved = moved.without(step.best.movement, step.best.since)
+    for k in np.argsort(-check.size()):
+        rest = _rest(known, needed, data, check, k, station)
+        if rest is None or not rest.square + 2 * WITHIN < moved.square:
+            continue
+        if unexplained(rest, ()) >= alarm or rest.size().mean() <= ELSEWHERE < check.size()[k]:
+            return _alone(check, int(k))
+    if not far:
+        return None
+    return (
+        f"the check poses are off by more than any calibrated robot, {1e3 * check.size().mean():.3g} mm on average: are these rows "
+        "of the robot, base, tool, units and signs that were calibrated? What moved is told to first order, which holds for small "
+        "movements alone"
+    )
+
+
+def _alone(check: Check, k: int) -> str:
+    labels, session = check.table.iloc[k], check.names[check.session[3 * k]]
+    named = f"pose {labels['pose']}, marker {labels['marker']}{f', session {session}' if session else ''}"
+    return (
+        f"{named} alone carries the error, off by {1e3 * check.size()[k]:.3g} mm: was it another pose, another marker, or a beam "
+        "that was broken? Measure it again, or leave it out"
+    )
+
+
+def _rest(
+    known: CalibratedModel, needed: list[NeededCondition], data: Measurements, check: Check, k: int, station: Station
+) -> Check | None:
+    """The check without a point, as if it had not been measured; None where too few are left."""
+    left = data.only(check.share[k] == 0)
+    same = check.session[::3] == check.session[3 * k]
+    same[k] = False
+    if not same.any() or (station == "fitted" and not can_align(check.points[same])):
+        return None
+    attained = Attained.of(known, left)
+    return Check.of(known, needed, left, attained.of_rows(left, stands(attained, station)[0]))
+
+
+CANDIDATES = 300  # poses to choose from
+FEW = 4  # poses that are proposed
+MOST_RIVALS = 3  # the nearest, of which the poses tell
+
+
+@dataclass(frozen=True)
+class Settling:
+    """Poses to measure next: joint readings (n, n_joints), and the chance that the rivals are excluded after them."""
+
+    readings: np.ndarray
+    payload: str
+    marker: str
+    chance: float
+
+
+@dataclass(frozen=True)
+class _Slopes:
+    """Whitened derivatives by what the calibration left open: of the check's coordinates (n, k), and of candidates (m, 3, k)."""
+
+    seen: np.ndarray
+    new: np.ndarray
+
+
+def settling(
+    known: CalibratedModel, data: Measurements, check: Check, best: Explained, rivals: list[Explained], fitted: bool,
+    rng: np.random.Generator,
+) -> Settling | None:  # fmt: skip
+    """Choose a few poses by which the best explanation is told from its rivals (T-optimality), or known better where it has none.
+
+    None where no poses can be drawn.
+    """
+    payload, marker = (str(data.table[name].iloc[0]) for name in ("payload", "marker"))
+    bare = replace(known, model=replace(known.model, given=()), alternatives=())
+    try:
+        readings, rows = candidates(bare.model, CANDIDATES, payload, marker, None, rng)
+    except InputError:
+        return None
+    model = bare.model
+    new = Measurements.from_arrays(model.robot, readings, None, payload=payload, marker=marker)
+    there = {one.name: one for one in movements(bare, new, not fitted)}
+    sigma = float(np.sqrt(check.own.mean()))
+    if not rivals or best.movement.name not in there:
+        own = there.get(best.movement.name)
+        if own is None:
+            return None
+        slope = own.slope * own.sd / sigma
+        chosen = greedy(slope, np.diag((own.sd / best.sd) ** 2), FEW, Parameters(len(own.sd)))
+        return Settling(readings[chosen], payload, marker, float("nan"))
+    open_ = _left_open(known, data, check, bare, rows, sigma, fitted)
+    every = [best, *rivals[:MOST_RIVALS]]
+    criteria, pairs = {}, []
+    for k, rival in enumerate(every[1:], start=1):
+        if rival.movement.name in there:
+            pairs.append((0, k))
+            for one, other in ((0, k), (k, 0)):
+                criteria[one, other] = _criterion(check, open_, every[one], every[other], there, sigma)
+    if not pairs:
+        return None
+    chosen, after = propose(criteria, pairs, FEW)
+    return Settling(readings[chosen], payload, marker, min(one.chance for one in after.values()))
+
+
+def _left_open(
+    known: CalibratedModel,
+    data: Measurements,
+    check: Check,
+    bare: CalibratedModel,
+    rows: np.ndarray,
+    sigma: float,
+    fitted: bool,
+) -> _Slopes:
+    """The parameters in units of what the calibration knows of them, and the device's frame where it is fitted."""
+    values, vectors = np.linalg.eigh(known.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    before = data.stating(known.model.given).on(known.model.robot).rows
+    slope = np.einsum("nm,mai->nai", check.share, known.model.point_jacobian(known.estimate, before)) @ root
+    seen = slope.reshape(len(check.error), -1) / np.sqrt(np.repeat(check.own, 3))[:, None]
+    new = bare.model.point_jacobian(known.estimate, rows) @ root / sigma
+    if fitted:  # the further poses are measured in a frame of their own
+        frame = rigid_slope(bare.model.point(known.estimate, rows)) * ANYWHERE / sigma
+        seen = np.hstack([seen, np.zeros((len(seen), 6))])
+        new = np.concatenate([new, frame], axis=2)
+    return _Slopes(seen, new)
+
+
+def _criterion(
+    check: Check, open_: _Slopes, true: Explained, other: Explained, there: dict[str, Movement], sigma: float
+) -> TCriterion:
+    """What the true movement does, and how well the other one and what is left open can imitate it."""
+    whitening = np.sqrt(np.repeat(check.own, 3))
+    imitates = check.columns(other.movement, other.since) * other.movement.sd / whitening[:, None]
+    seen = np.hstack([open_.seen, imitates])
+    effect = check.columns(true.movement, true.since) @ true.size / whitening
+    new = there[other.movement.name]
+    further = np.concatenate([open_.new, new.slope * new.sd / sigma], axis=2)
+    return TCriterion.of(
+        np.eye(seen.shape[1]) + seen.T @ seen, seen.T @ effect, float(effect @ effect),
+        there[true.movement.name].slope @ true.size / sigma, further, 0.0,
+    )  # fmt: skip
+
 
 Status = Literal["in place", "moved", "conditions", "cannot be told"]
 MOVEMENTS_SHARE = 0.8  # of the false alarms that are allowed: movements', the rest is for what no movement explains
@@ -144,7 +305,7 @@ class Drift:
 
 
 def drift(
-    known: Identified,
+    known: CalibratedModel,
     needed: list[NeededCondition],
     data: Measurements,
     *,
@@ -205,7 +366,7 @@ def rivals(step: Step) -> list[Explained]:
     return list(found.values())
 
 
-def _given(known: Identified, given: tuple[str, ...]) -> Identified:
+def _given(known: CalibratedModel, given: tuple[str, ...]) -> CalibratedModel:
     return known if known.model.given == given else replace(known, model=replace(known.model, given=given))
 
 
@@ -275,7 +436,7 @@ def _poses(check: Check, left: np.ndarray, fitted: np.ndarray) -> tuple[CheckedP
     )  # fmt: skip
 
 
-def _next(known: Identified, settle: Settling | None) -> tuple[SettlingPose, ...]:
+def _next(known: CalibratedModel, settle: Settling | None) -> tuple[SettlingPose, ...]:
     if settle is None:
         return ()
     names = reading_columns(known.model.robot)

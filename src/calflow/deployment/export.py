@@ -1,25 +1,234 @@
-"""Export: a calibrated robot in the formats that other programs read, and what these cannot hold."""
+"""Export: a calibrated robot in the formats that other programs read, and what these cannot hold.
+
+A calibrated robot: the maker's figures with what was identified of them added, as a robot of its own.
+Controller figures: what a calibration is to be typed into a robot's controller as, in mm and degrees.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
+import casadi as ca
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from calflow.deployment.calibrated_robot import EVERYTHING, Exported, LeftOut, cost, exported
-from calflow.deployment.controller_figures import ControllerFigure, controller_figures
-from calflow.estimation.calibrated import Identified
+from calflow.deployment.conventions import nearest_vector
+from calflow.effects import Effect
+from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.certainty import expected_point
+from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.csv import csv_text
-from calflow.files.tables import to_frame
+from calflow.files.tables import column, to_frame
 from calflow.model import Model
-from calflow.robot.formats.chain_json import json_text
-from calflow.robot.formats.rigid_chain import RigidChain, rigid_chain, said_of_variables
+from calflow.robot.chain import Deflection
+from calflow.robot.conditions import OPTIONAL, Row
+from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads
+from calflow.robot.formats.rigid_chain import RigidChain, json_text, rigid_chain, said_of_variables
 from calflow.robot.formats.urdf_document import Drive
 from calflow.robot.formats.urdf_written import properties_text, said_of_drives, urdf_text
+from calflow.robot.frames import Frame, Step
+from calflow.robot.parts import Vector, vector
 from calflow.robot.robot import Robot
+from calflow.robot.statics import State
+from calflow.robot.transforms import angles, placement
+
+EVERYTHING = "everything that is not a figure of the robot"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeftOut:
+    """What a robot's figures cannot hold, and what is lost without it."""
+
+    effect: str = column("id of the effect, or what else it is")
+    parts: tuple[str, ...] = column("the parts of the robot that it is of")
+    mean_mm: float = column("how far the tool is off without it, mean over the measured rows", "mm")
+    max_mm: float = column("the same, at most", "mm")
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A calibrated robot's own figures, which stand in the place of the maker's, and what they cannot hold.
+
+    nominal is the maker's robot; without is all that is left out together, then each effect alone.
+    """
+
+    robot: Robot
+    nominal: Robot
+    without: tuple[LeftOut, ...]
+
+
+def exported(known: CalibratedModel, rows: np.ndarray) -> Exported:
+    """Return a calibrated model's robot, and what leaving the other effects out costs at packed rows (n_conditions, n)."""
+    model, p = known.model, known.estimate
+    kept = [effect for effect in model.effects if is_of_figures(effect)]
+    others = [effect for effect in model.effects if effect not in kept]
+    robot = _with(model.robot, _dimensions(model, kept, p))
+    every = expected_point(known, rows)
+    bare = Model(robot, (), model.given).point(np.zeros(0), rows)
+    costs = [cost(EVERYTHING, (), every, bare)]
+    for name in dict.fromkeys(effect.id for effect in others):
+        own = [effect for effect in others if effect.id == name]
+        rest = [effect for effect in model.effects if effect not in own]
+        lean = replace(model, effects=tuple(rest))
+        without = lean.point(np.concatenate([p[:0], *(p[model.columns(part)] for part in lean.parts)]), rows)
+        parts = dict.fromkeys(one.part for effect in own for one in effect.declared)
+        costs.append(cost(name, tuple(parts), model.point(p, rows), without))
+    if known.field:
+        costs.append(cost(f"residual field ({NOT_PHYSICAL})", (), every, model.point(p, rows)))
+    lost = tuple(one for one in costs if one.max_mm > 0)  # what only the measuring device does costs nothing
+    return Exported(robot, model.robot, lost if others or known.field else ())
+
+
+def is_of_figures(effect: Effect) -> bool:
+    """Whether an effect only changes lengths and angles of the robot, alike in every row."""
+    robot, p = effect.robot, ca.SX.sym("p", len(effect.declared))
+    conditions = ca.SX.sym("c", sum(Row.sizes(robot, OPTIONAL).values()))
+    row, state = Row.unpack(robot, conditions, OPTIONAL), State.symbols(robot)
+    dims = _packed(effect.dimensions(p, nominal_dimensions(robot), row))
+    moves = effect.deflection(p, state, row, Deflection.zero(robot.n_joints))
+    torque = ca.sparsify(ca.SX(effect.torque(p, state, row)))
+    loads = _packed(effect.loads(p, nominal_loads(robot), row))
+    elsewhere = not moves.is_zero or torque.nnz() > 0 or ca.depends_on(loads, p)
+    return bool(ca.depends_on(dims, p) and not ca.depends_on(dims, conditions) and not elsewhere)
+
+
+def _packed(parts: Dimensions | Loads) -> ca.SX:
+    return ca.vertcat(*(ca.vec(ca.SX(part)) for part in vars(parts).values()))
+
+
+def cost(name: str, parts: Sequence[str], every: np.ndarray, without: np.ndarray) -> LeftOut:
+    """Return what leaving something out costs, from points (n, 3) [m] with it and without."""
+    off = 1e3 * np.linalg.norm(every - without, axis=1)
+    return LeftOut(effect=name, parts=tuple(parts), mean_mm=float(off.mean()), max_mm=float(off.max()))
+
+
+def _dimensions(model: Model, kept: Sequence[Effect], p: np.ndarray) -> dict[str, np.ndarray]:
+    """The dimensions as these effects have them, by field of `Dimensions`."""
+    dims, row = nominal_dimensions(model.robot), Row.symbols(model.robot)
+    for effect in kept:
+        dims = effect.dimensions(ca.SX(p[model.columns(effect)]), dims, row)
+    return {name: np.array(ca.DM(ca.evalf(ca.densify(ca.SX(value))))) for name, value in vars(dims).items()}
+
+
+def _with(robot: Robot, dims: dict[str, np.ndarray]) -> Robot:
+    """The robot with these dimensions for its own."""
+    steps = iter(dims["steps"].ravel())
+    frames = [_frame(joint.frame, [float(next(steps)) for _ in joint.frame.steps]) for joint in robot.joints]
+    joints = tuple(replace(joint, frame=frame) for joint, frame in zip(robot.joints, frames, strict=True))
+    stands = _matrix([*robot.base.origin, *robot.base.rotation]) @ _matrix(dims["base"].ravel())
+    base = replace(robot.base, origin=vector(stands[:3, 3]), rotation=_angles(stands), known=True)
+    markers = {
+        name: replace(marker, point=vector(point), known=True)
+        for (name, marker), point in zip(robot.markers.items(), dims["markers"].T, strict=True)
+    }
+    turn = dims["tool_rotation"].ravel()
+    tool = robot.tool_rotation
+    if tool is not None:
+        tool = _angles(_matrix([0, 0, 0, *tool]) @ _matrix([0, 0, 0, *turn]))
+    loop = robot.loop
+    if loop is not None:
+        crank, rod, rocker = map(float, dims["bars"].ravel())
+        loop = replace(loop, crank=replace(loop.crank, length=crank), rod=replace(loop.rod, length=rod), rocker=rocker)
+    return replace(robot, joints=joints, base=base, markers=markers, tool_rotation=tool, loop=loop)
+
+
+def _frame(frame: Frame, values: Sequence[float]) -> Frame:
+    """The frame with other values of its steps, in their order."""
+    left = iter(values)
+
+    def own(steps: Sequence[Step]) -> tuple[Step, ...]:
+        return tuple(replace(step, value=next(left)) for step in steps)
+
+    reach, mount = own(frame.reach), own(frame.mount)
+    (turn,) = own([frame.turn])
+    return replace(frame, reach=reach, mount=mount, turn=turn, body=own(frame.body))
+
+
+def _matrix(six: Sequence[float] | np.ndarray) -> np.ndarray:
+    return np.array(ca.DM(ca.evalf(placement(ca.DM(list(map(float, six)))))))
+
+
+def _angles(stands: np.ndarray) -> Vector:
+    return vector(angles(Rotation.from_matrix(stands[:3, :3])))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControllerFigure:
+    """A figure of a controller: as the maker has it, as calibrated, and their difference."""
+
+    part: str = column("joint 1 …, loop, base (in the measuring frame), tool, or a marker (in the flange's frame)")
+    figure: str = column(
+        "symbol; of a base and tool besides A B C (KUKA: about z, y, x in turn), W P R (FANUC: about fixed x, y, z), q1 … q4 "
+        "(ABB: w, x, y, z) and vx vy vz (Universal Robots: axis times angle)"
+    )
+    unit: str = column("mm, deg, rad, or 1")
+    nominal: float = column("as the robot file has it")
+    calibrated: float = column("as calibrated")
+    difference: float = column("calibrated minus nominal; of angles the shorter way round")
+
+
+def controller_figures(nominal: Robot, calibrated: Robot) -> list[ControllerFigure]:
+    """Return the figures of a calibrated robot beside those of the maker's.
+
+    Of the ways in which a quaternion or a rotation vector states the same turn, the calibrated robot has the one near the maker's.
+    """
+    return [
+        ControllerFigure(
+            part=part, figure=name, unit=unit, nominal=before, calibrated=after, difference=_apart(unit, before, after)
+        )
+        for (part, name, unit, before), (_, _, _, after) in zip(
+            _every(nominal, nominal), _every(calibrated, nominal), strict=True
+        )
+    ]
+
+
+def _apart(unit: str, before: float, after: float) -> float:
+    """A figure's difference, of an angle between -180 and 180 degrees."""
+    return (after - before + 180.0) % 360.0 - 180.0 if unit == "deg" and abs(after - before) > 180.0 else after - before
+
+
+def _every(robot: Robot, beside: Robot) -> Iterator[tuple[str, str, str, float]]:
+    for i, joint in enumerate(robot.joints):
+        for step in joint.frame.every:
+            yield (f"joint {i + 1}", step.symbol, *_shown(step))
+    if robot.loop:
+        bars = {"crank": robot.loop.crank.length, "rod": robot.loop.rod.length, "rocker": robot.loop.rocker}
+        yield from (("loop", name, "mm", 1e3 * length) for name, length in bars.items())
+    yield from (("base", axis, "mm", 1e3 * value) for axis, value in zip("xyz", robot.base.origin, strict=True))
+    yield from _turn("base", robot.base.rotation, beside.base.rotation)
+    if robot.tool_rotation is not None:
+        yield from _turn("tool", robot.tool_rotation, beside.tool_rotation or (0.0, 0.0, 0.0))
+    for name, marker in robot.markers.items():
+        yield from (
+            (f"marker {name}", axis, "mm", 1e3 * value) for axis, value in zip("xyz", marker.point, strict=True)
+        )
+
+
+def _turn(part: str, rotation: Sequence[float], beside: Sequence[float]) -> Iterator[tuple[str, str, str, float]]:
+    """A rotation (about x, y and z in turn) as makers count it, in figures near another's where there are several ways."""
+    turn, other = (Rotation.from_euler("XYZ", one) for one in (rotation, beside))
+    ways = {("rx", "ry", "rz"): "XYZ", ("A", "B", "C"): "ZYX", ("W", "P", "R"): "xyz"}
+    for names, order in ways.items():
+        yield from (
+            (part, name, "deg", float(np.rad2deg(angle)))
+            for name, angle in zip(names, angles(turn, order), strict=True)
+        )
+    near = other.as_quat(canonical=True, scalar_first=True)
+    quaternion = turn.as_quat(scalar_first=True)
+    quaternion = quaternion if quaternion @ near >= 0 else -quaternion
+    yield from ((part, f"q{k + 1}", "1", float(value)) for k, value in enumerate(quaternion))
+    yield from (
+        (part, f"v{axis}", "rad", float(v))
+        for axis, v in zip("xyz", nearest_vector(turn.as_rotvec(), other.as_rotvec()), strict=True)
+    )
+
+
+def _shown(step: Step) -> tuple[str, float]:
+    return ("mm", 1e3 * step.value) if step.is_length else ("deg", float(np.rad2deg(step.value)))
+
 
 Format = Literal["urdf", "xacro-properties", "dh", "json", "controller"]
 ALL_BUT_ZEROS = "lengths and twists, where only joint zeros, base and tool can be typed in"
@@ -35,7 +244,7 @@ class Export:
 
 
 def export(
-    known: Identified, rows: np.ndarray, to: Format, maker: Robot | None = None, drives: Mapping[str, Drive] | None = None
+    known: CalibratedModel, rows: np.ndarray, to: Format, maker: Robot | None = None, drives: Mapping[str, Drive] | None = None
 ) -> Export:  # fmt: skip
     """Return a calibrated model in a format.
 
@@ -66,7 +275,7 @@ def export(
     return Export(_written(chain, known, found, notes, to), notes, found.without)
 
 
-def _written(chain: RigidChain, known: Identified, found: Exported, notes: Sequence[str], to: Format) -> str:
+def _written(chain: RigidChain, known: CalibratedModel, found: Exported, notes: Sequence[str], to: Format) -> str:
     if to == "json":
         parameters = [
             {"parameter": one.name, "effect": one.effect, "unit": one.unit, "estimate": float(value), "sd": float(sd)}
@@ -84,7 +293,7 @@ def _heading(notes: Sequence[str]) -> str:
     return "; ".join(("calibrated figures, SI units", *notes))
 
 
-def _zeros_alone(known: Identified, found: Exported, rows: np.ndarray) -> LeftOut:
+def _zeros_alone(known: CalibratedModel, found: Exported, rows: np.ndarray) -> LeftOut:
     """What is lost where a controller takes joint zeros, base and tool, and has its own lengths and twists."""
     joints = tuple(
         replace(mine, frame=replace(mine.frame, turn=theirs.frame.turn))

@@ -11,9 +11,9 @@ import numpy as np
 
 from calflow.deployment.alignment import rigid_slope
 from calflow.effects import catalogue
-from calflow.effects.needs import unmet
+from calflow.effects.base import unmet
 from calflow.effects.warming import REFERENCE
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import over_rows
 from calflow.robot.parameter import Parameter
@@ -55,7 +55,7 @@ class Movement:
         return self.kind == "condition"
 
 
-def movements(known: Identified, data: Measurements, station: bool) -> tuple[Movement, ...]:
+def movements(known: CalibratedModel, data: Measurements, station: bool) -> tuple[Movement, ...]:
     """Return what may have moved, with what it does to the rows' points.
 
     Args:
@@ -71,7 +71,7 @@ def movements(known: Identified, data: Measurements, station: bool) -> tuple[Mov
     return (*found, *_conditions(known, data))
 
 
-def _zeros(known: Identified, rows: np.ndarray) -> Iterator[Movement]:
+def _zeros(known: CalibratedModel, rows: np.ndarray) -> Iterator[Movement]:
     """The zero of each joint's reading, which couplings and loops carry on to where they lead."""
     model, n = known.model, known.model.robot.n_joints
     if ZEROS not in model.made:
@@ -84,7 +84,7 @@ def _zeros(known: Identified, rows: np.ndarray) -> Iterator[Movement]:
                        np.array([ZERO_SD]))  # fmt: skip
 
 
-def _tool(known: Identified, data: Measurements, rows: np.ndarray) -> Iterator[Movement]:
+def _tool(known: CalibratedModel, data: Measurements, rows: np.ndarray) -> Iterator[Movement]:
     """The place of all markers on the tool, in the flange's axes, and of each alone where there are several."""
     model = known.model
     if FLANGE not in model.made:
@@ -117,7 +117,7 @@ def _station(points: np.ndarray) -> Movement:
     )
 
 
-def _parameters(known: Identified, rows: np.ndarray) -> Iterator[Movement]:
+def _parameters(known: CalibratedModel, rows: np.ndarray) -> Iterator[Movement]:
     """Every dimension of a link, and every cause that the model has; where robot and tool stand is told otherwise."""
     model = known.model
     slope = model.point_jacobian(known.estimate, rows)
@@ -148,7 +148,7 @@ def _of(parameters: list[Parameter], slope: np.ndarray, kind: Kind, odds: float)
     )
 
 
-def _conditions(known: Identified, data: Measurements) -> Iterator[Movement]:
+def _conditions(known: CalibratedModel, data: Measurements) -> Iterator[Movement]:
     """What is no drift: warmth of all links, and a payload that is not as heavy as stated."""
     robot, plain = known.model.robot, data.on(known.model.robot).stating(known.model.given)
     rows = replace(plain, table=plain.table.assign(temperature=REFERENCE + WARMER))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.files.problems import InputError, Problem
 from calflow.files.tables import column
 from calflow.files.units import SUFFIXES
@@ -33,7 +33,7 @@ class NeededCondition:
     )
 
 
-def needed_conditions(known: Identified, data: Measurements) -> tuple[NeededCondition, ...]:
+def needed_conditions(known: CalibratedModel, data: Measurements) -> tuple[NeededCondition, ...]:
     """Return the optional conditions on which the markers' places depend, and what each does over the rows fitted.
 
     It is read off the graph, so that an effect need not say what it looks at. What only the measuring device depends on is
@@ -69,7 +69,7 @@ def check_stated(needed: Iterable[NeededCondition], given: Sequence[str], instea
         raise InputError(problems)
 
 
-def _points(known: Identified, given: tuple[str, ...], rows: Measurements) -> np.ndarray:
+def _points(known: CalibratedModel, given: tuple[str, ...], rows: Measurements) -> np.ndarray:
     """Where the markers are by what a row states of given alone, shape (n_rows, 3) [m]; not compiled: it is asked once."""
     p, c, predicted = replace(known.model, given=given).symbols
     point = ca.Function("point", [p, c], [ca.densify(predicted.point)])

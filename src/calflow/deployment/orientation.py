@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import rotation_variance, untold_turns
 from calflow.observations.pose import Pose
 
@@ -12,12 +12,12 @@ MOST = 0.5  # share of the variance of a turn that no measurement told of, from 
 ROWS = 100  # of which that is worked out
 
 
-def turn_sd(known: Identified, rows: np.ndarray) -> np.ndarray:
+def turn_sd(known: CalibratedModel, rows: np.ndarray) -> np.ndarray:
     """Return the standard deviations of the tool's turn about its own axes (n_rows, 3) [rad]."""
     return np.sqrt(rotation_variance(known, rows))
 
 
-def not_known(known: Identified, rows: np.ndarray) -> list[str]:
+def not_known(known: CalibratedModel, rows: np.ndarray) -> list[str]:
     """Say what nobody measured of the orientation in rows (n_conditions, n_rows)."""
     if any(isinstance(observation, Pose) for observation in known.model.observations):
         return []

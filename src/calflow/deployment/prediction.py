@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from calflow.deployment.needed_conditions import HOW_TO_GO_ON, NeededCondition, check_stated
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import expected_point, field_correction, position_variance, readings
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.measurements.measurements import Measurements
@@ -31,7 +31,7 @@ class Prediction:
 
 
 def predict_positions(
-    known: Identified, needed: Sequence[NeededCondition], data: Measurements, missing: Missing = "refuse"
+    known: CalibratedModel, needed: Sequence[NeededCondition], data: Measurements, missing: Missing = "refuse"
 ) -> Prediction:
     """Return where the rows' markers will be.
 
@@ -56,7 +56,7 @@ def predict_positions(
     return Prediction(position, np.sqrt(variance), notes, field_correction(known, rows) if known.field else None)
 
 
-def of_field(known: Identified, rows: np.ndarray) -> list[str]:
+def of_field(known: CalibratedModel, rows: np.ndarray) -> list[str]:
     """Say what a residual field does at packed rows (n_conditions, n_rows); nothing where the model has none."""
     if known.field is None:
         return []
@@ -72,7 +72,7 @@ def of_field(known: Identified, rows: np.ndarray) -> list[str]:
     ]
 
 
-def standing(known: Identified) -> list[str]:
+def standing(known: CalibratedModel) -> list[str]:
     """Say what the measuring frame is where no device saw the robot from outside."""
     unseen = "no device saw the robot from outside: what stands for the measuring frame is the robot's own base"
     return [unseen] if known.model.robot.base.fixed else []
@@ -85,13 +85,13 @@ class Told:
     widened [m²] is what is not known besides of a position along any axis, because a condition is missing; notes say which.
     """
 
-    known: Identified
+    known: CalibratedModel
     data: Measurements
     widened: float
     notes: tuple[str, ...]
 
 
-def as_told(known: Identified, needed: Sequence[NeededCondition], data: Measurements, missing: Missing) -> Told:
+def as_told(known: CalibratedModel, needed: Sequence[NeededCondition], data: Measurements, missing: Missing) -> Told:
     """Return the model for what rows state (see `predict_positions` for the arguments).
 
     Raises:

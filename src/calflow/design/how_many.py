@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calflow.design.search.exchange import greedy
-from calflow.design.search.optimality import ToolError
-from calflow.design.search.relaxation import relaxed, sensitivities
-from calflow.design.search.search import SHORTLIST, search
+from calflow.design.exchange import greedy
+from calflow.design.optimality import ToolError
+from calflow.design.relaxation import relaxed, sensitivities
+from calflow.design.search import SHORTLIST, search
 from calflow.files.tables import column
 
 FURTHER = 10  # poses more, of which the worth is told

@@ -1,4 +1,7 @@
-"""Selection: which poses to measure so that they tell the most, and what every number of them is worth."""
+"""Selection: which poses to measure so that they tell the most, and what every number of them is worth.
+
+Observability: what every number of poses is worth, the most telling first.
+"""
 
 from __future__ import annotations
 
@@ -10,27 +13,70 @@ import numpy as np
 import pandas as pd
 
 from calflow.design.candidates import allowed, candidates, pack
-from calflow.design.cell.cell import Cell
+from calflow.design.cell import Cell
+from calflow.design.exchange import greedy, information
 from calflow.design.how_many import HowMany, enough, knee, next_best
-from calflow.design.observability import observability
+from calflow.design.measuring_order import USUAL_DRIFT, DriftPull, Order, drift_pulls, orders, reached, vias
+from calflow.design.optimality import Criterion, Parameters, ToolError, indices
 from calflow.design.planned import Planned
-from calflow.design.search.exchange import greedy, information
-from calflow.design.search.minimax import search_worst
-from calflow.design.search.optimality import Criterion, Parameters
-from calflow.design.search.refinement import refined
-from calflow.design.search.search import Found, search
+from calflow.design.refinement import refined
+from calflow.design.search import Found, search, search_worst
 from calflow.design.task import Task
-from calflow.design.tour import Order
-from calflow.design.trend import USUAL_DRIFT, DriftPull, drift_pulls, orders
-from calflow.design.vias import reached, vias
 from calflow.design.worth import PlanInformation, Worth
+from calflow.estimation.identifiability import NULL
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.problems import refuse
-from calflow.files.tables import column, typed
+from calflow.files.tables import column, to_frame, typed
 from calflow.measurements.series import Series
 from calflow.model import Model
 from calflow.observations.position import Position
 from calflow.robot.readings import READINGS, VIAS, reading_columns, shown_readings
+
+CURVE = 30  # numbers of poses of which the worth is told
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observability:
+    """What a number of poses, the most telling first, is worth."""
+
+    n_poses: int = column("number of poses, besides those that were measured already and count")
+    indices: Mapping[str, float] = column(
+        "observability indices O1 to O5 of these poses, parameters scaled by their priors", name="O{1|2|3|4|5}"
+    )
+    expected_sd_mm: float = column(
+        "root mean square over the task (the workspace, where the study names none) of the predicted position's standard "
+        "deviation",
+        "mm",
+    )
+    worst_sd_mm: float = column("the largest of these standard deviations", "mm")
+
+
+def observability(whitened: np.ndarray, prior: np.ndarray, tool: ToolError, added: bool) -> pd.DataFrame:
+    """Return indices and the tool's expected standard deviation against the number of poses.
+
+    whitened (n_poses, n_axes, n_parameters) are in order, prior is the information before them. Parameters are scaled by their
+    priors, so an index compares what the data say with what was known before. The standard deviation is the root mean square
+    over the task's poses of the predicted position's, all three axes. Poses that are added to others are told from the first.
+    """
+    n_parameters = whitened.shape[2]
+    singular = np.linalg.svd(whitened.reshape(-1, n_parameters), compute_uv=False)
+    rank = int((singular > NULL * singular[0]).sum())
+    first = 0 if added else min(len(whitened), -(-rank // whitened.shape[1]))
+    rows = []
+    for n in sorted({*range(first, len(whitened) + 1, max(1, (len(whitened) - first) // CURVE)), len(whitened)}):
+        part = whitened[:n]
+        variances = tool.variances(np.linalg.inv(information(part, prior)))
+        own = indices(part.reshape(-1, n_parameters), rank)
+        rows.append(
+            Observability(
+                n_poses=n,
+                indices={f"O{k}": value for k, value in enumerate(own, start=1)},
+                expected_sd_mm=1e3 * float(np.sqrt(tool.shares @ variances)),
+                worst_sd_mm=1e3 * float(np.sqrt(variances.max())),
+            )
+        )
+    return to_frame(rows, Observability)
+
 
 USUAL_SIGMA = 5e-5  # m, of a laser tracker on a large robot
 TASK_POSES = 400  # poses of the task where nobody says which

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calflow.design.candidates import candidates, pack
-from calflow.design.search.optimality import ToolError
+from calflow.design.optimality import ToolError
 from calflow.model import Model
 
 

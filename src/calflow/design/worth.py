@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from calflow.design.candidates import pack
+from calflow.design.exchange import information
+from calflow.design.optimality import ToolError
 from calflow.design.planned import Planned
-from calflow.design.search.exchange import information
-from calflow.design.search.optimality import ToolError
 from calflow.files.tables import column
 from calflow.measurements.series import Series, Station
 from calflow.model import Model, build

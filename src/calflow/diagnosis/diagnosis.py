@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from calflow.diagnosis.findings.alternatives import fitted_alternatives
-from calflow.diagnosis.findings.misfit import misfit
-from calflow.diagnosis.findings.reach import models_in_reach
-from calflow.diagnosis.findings.remainder import remainder
+from calflow.diagnosis.findings.misfit import misfit, remainder
+from calflow.diagnosis.findings.rivals import fitted_alternatives, models_in_reach
 from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.diagnosis.findings.verdict import verdict
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES, Acceptance
 from calflow.diagnosis.search.extension import extend, weighed_against
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.noise_growth import growth_of_repeats, growth_of_residuals
+from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES, Acceptance
 from calflow.diagnosis.search.weighing import weighed
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.repeats import averaged, repeats_scatter
 from calflow.measurements.measurements import Measurements
@@ -26,7 +24,7 @@ BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
 
 
 def diagnose(
-    known: Identified,
+    known: CalibratedModel,
     data: Measurements,
     *,
     false_alarm: float = FALSE_ALARM,

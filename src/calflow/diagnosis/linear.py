@@ -2,23 +2,249 @@
 
 It is the robot's own: the same screening, family of tests, gate, stepwise search with exchanges, and verdict. Only what that
 does by another fit is exact here, since the problem is linear; and residuals far off the others are not weighed down.
+
+A linear problem with some of its blocks in the model, solved exactly: a trial of the search without a robot.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
+from scipy.optimize import lsq_linear
+from scipy.stats import chi2 as chi2_distribution
 
 from calflow.diagnosis.findings.verdict import verdict
-from calflow.diagnosis.linear_trial import Block, LinearProblem, LinearTrial
-from calflow.diagnosis.screening.family import Family
-from calflow.diagnosis.search.acceptance import FALSE_ALARM, Acceptance
-from calflow.diagnosis.search.linearisation import Finding
+from calflow.diagnosis.screening.regressors import Candidate, Held, Products, Regressors, counted_once, shared_error
+from calflow.diagnosis.screening.score import Score
+from calflow.diagnosis.screening.screening import Family
+from calflow.diagnosis.search.linearisation import Finding, Linearisation
 from calflow.diagnosis.search.stepwise import Stepwise
+from calflow.diagnosis.search.trial import FALSE_ALARM, Acceptance, Trial, bic, relief
 from calflow.diagnosis.search.verification import verified
 from calflow.files.problems import InputError, Problem
+
+LACK_OF_FIT = 0.01  # significance from which a model leaves more than noise that is known
+LEVELS = 20  # rounds in which noise that is not known settles, at most
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A possible cause in one variant, which is a hypothesis of the screening: what its parameters do to the residuals.
+
+    name says what and where it is, the same for all variants; variant which form this is. matrix (n, n_parameters) is the
+    derivative of the residuals by its parameters, in the residuals' unit a parameter's unit. prior_sd (n_parameters,), or one
+    for all, is the usual size of the parameters about zero; lower and upper, likewise, are what they cannot exceed.
+    """
+
+    name: str
+    matrix: np.ndarray
+    prior_sd: np.ndarray | float
+    variant: str = ""
+    lower: np.ndarray | float = -np.inf
+    upper: np.ndarray | float = np.inf
+
+    part = ""
+    joint = 0
+    family = ""
+    alike = ()
+
+    @property
+    def id(self) -> str:
+        """Its name."""
+        return self.name
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """What stays the same in all its variants."""
+        return self.name, ""
+
+    @property
+    def detail(self) -> str:
+        """Its variant."""
+        return self.variant
+
+    @property
+    def n_parameters(self) -> int:
+        """How many parameters it has."""
+        return int(self.matrix.shape[1])
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Least and largest values of its parameters, shape (2, n_parameters)."""
+        return np.array([np.broadcast_to(bound, self.n_parameters) for bound in (self.lower, self.upper)], dtype=float)
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Its parameters' prior standard deviations, shape (n_parameters,)."""
+        return np.array(np.broadcast_to(self.prior_sd, self.n_parameters), dtype=float)
+
+    def same_form(self, other: Block) -> bool:
+        """Whether another is a variant of the same."""
+        return self.name == other.name
+
+
+@dataclass(frozen=True, eq=False)
+class LinearProblem:
+    """What is left of measurements, what is fitted to them, and what else there may be; all over sigma.
+
+    residual (n,) is at the means of the fitted parameters' priors, jacobian (n, n_fitted) its derivative by them, prior_sd
+    (n_fitted,) their standard deviations. group (n,) numbers residuals that share an error; noise_known says whether sigma is
+    the noise rather than only its proportions.
+    """
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    prior_sd: np.ndarray
+    blocks: tuple[Block, ...]
+    matrix: np.ndarray
+    noise_known: bool
+    group: np.ndarray | None
+
+    @cached_property
+    def candidates(self) -> tuple[Candidate[Block], ...]:
+        """Each block with its columns of matrix."""
+        ends = np.cumsum([0, *(block.n_parameters for block in self.blocks)])
+        return tuple(Candidate(b, np.arange(i, j)) for b, i, j in zip(self.blocks, ends[:-1], ends[1:], strict=True))
+
+    def columns(self, blocks: Sequence[Block]) -> np.ndarray:
+        """Return the columns of matrix that are some blocks'."""
+        found = {candidate.cause: candidate.columns for candidate in self.candidates}
+        return np.concatenate([np.zeros(0, dtype=int), *(found[block] for block in blocks)])
+
+    def solved(self, blocks: Sequence[Block]) -> Solution:
+        """Return the most probable parameters with some blocks in the model, within the bounds."""
+        sd = np.concatenate([self.prior_sd, *(block.sd for block in blocks)])
+        free = np.full((2, len(self.prior_sd)), [[-np.inf], [np.inf]])
+        bounds = np.hstack([free, *(block.bounds for block in blocks)])
+        design = np.hstack([self.jacobian, self.matrix[:, self.columns(blocks)]])
+        level = 1.0 if self.noise_known else float(np.sqrt(np.mean(self.residual**2)))
+        found = _solved(self.residual, design, sd, bounds, level)
+        for _ in range(LEVELS):
+            before, level = level, self._level(found)
+            if np.isclose(level, before, rtol=1e-6):
+                break
+            found = _solved(self.residual, design, sd, bounds, level)
+        return found
+
+    def _level(self, found: Solution) -> float:
+        """What is left over sigma, per degree of freedom; 1 where the noise is known and that is no significant lack of fit."""
+        left = float((found.residual**2).sum()) * found.level**2
+        degrees_of_freedom = max(1.0, len(found.residual) - found.effective_parameters)
+        if self.noise_known and chi2_distribution.sf(left, degrees_of_freedom) > LACK_OF_FIT:
+            return 1.0
+        return float(np.sqrt(left / degrees_of_freedom))
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The parameters (n_parameters,) of what is fitted, then of the blocks; residual (n,) and design are in units of level.
+
+    level is the noise in units of sigma; at_bound (n_parameters,) says which parameters are held by a bound.
+    """
+
+    level: float
+    estimate: np.ndarray
+    prior_sd: np.ndarray
+    at_bound: np.ndarray
+    residual: np.ndarray
+    design: np.ndarray
+
+    @cached_property
+    def effective_parameters(self) -> float:
+        """How many parameters the data determine."""
+        scaled = (self.design * self.prior_sd)[:, ~self.at_bound]
+        shown = np.linalg.svd(scaled, compute_uv=False) ** 2
+        return float((shown / (shown + 1)).sum())
+
+    @property
+    def misfit(self) -> float:
+        """Chi², and the priors'."""
+        return float(self.residual @ self.residual + ((self.estimate / self.prior_sd) ** 2).sum())
+
+
+def _solved(residual: np.ndarray, design: np.ndarray, sd: np.ndarray, bounds: np.ndarray, level: float) -> Solution:
+    left, scaled = residual / level, design * sd / level
+    factor = np.linalg.cholesky(scaled.T @ scaled + np.eye(len(sd)))
+    target = np.linalg.solve(factor, -scaled.T @ left)
+    found, (lower, upper) = np.linalg.solve(factor.T, target), bounds / sd
+    held = np.zeros(len(sd), dtype=bool)
+    if ((found < lower) | (found > upper)).any():
+        inside = lsq_linear(factor.T, target, (lower, upper), method="bvls")
+        found, held = inside.x, inside.active_mask != 0
+    return Solution(level, found * sd, sd, held, left + scaled @ found, design / level)
+
+
+@dataclass(frozen=True)
+class LinearTrial(Trial[Block]):
+    """The problem with some blocks in the model."""
+
+    problem: LinearProblem
+    blocks: tuple[Block, ...] = ()
+
+    @property
+    def causes(self) -> tuple[Block, ...]:
+        """The blocks."""
+        return self.blocks
+
+    @property
+    def n_residuals(self) -> int:
+        """How many residuals there are."""
+        return len(self.problem.residual)
+
+    @cached_property
+    def solution(self) -> Solution:
+        """The problem's solution with the blocks."""
+        return self.problem.solved(self.blocks)
+
+    def with_causes(self, causes: Sequence[Block], added: Score[Block] | None = None) -> LinearTrial:
+        """Solve the problem with these blocks instead."""
+        return replace(self, blocks=tuple(causes))
+
+    @cached_property
+    def bic(self) -> float:
+        """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
+        found, own = self.solution, self._own
+        pulled = sum(relief(found.estimate[columns], found.prior_sd[columns]) for columns in own)
+        parameters = found.effective_parameters + float(found.at_bound.sum())
+        variants = [sum(block.name == other.name for other in self.problem.blocks) for block in self.blocks]
+        return bic((found.misfit - pulled) * found.level**2, self.n_residuals, parameters, variants)
+
+    @cached_property
+    def linearisation(self) -> Linearisation[Block]:
+        """The solved problem with the regressors of all blocks, those in the model too."""
+        found, problem, n = self.solution, self.problem, self.solution.design.shape[1]
+        residual, both = found.residual, np.hstack([found.design, problem.matrix / found.level])
+        if problem.group is not None:
+            shared, _ = shared_error(residual, problem.group, found.effective_parameters)
+            residual, both = (counted_once(values, problem.group, shared) for values in (residual, both))
+        free = np.flatnonzero(~found.at_bound)
+        precision = found.prior_sd**-2.0
+        jacobian, matrix = both[:, free], Held(both[:, n:])
+        regressors = Regressors(
+            residual=residual,
+            jacobian=jacobian,
+            precision=precision[free],
+            pull=(precision * found.estimate)[free],
+            prior_rss=float(precision @ found.estimate**2),
+            matrix=matrix,
+            prior_sd=np.concatenate([block.sd for block in problem.blocks]),
+            candidates=problem.candidates,
+            products=Products.of(residual, jacobian, matrix, problem.candidates),
+            determined=found.effective_parameters,
+        )
+        columns = tuple(np.flatnonzero(np.isin(free, own)) for own in self._own)
+        return Linearisation(self.blocks, regressors, found.estimate[free], columns)
+
+    @property
+    def _own(self) -> list[np.ndarray]:
+        """Each block's columns of the design."""
+        ends = len(self.problem.prior_sd) + np.cumsum([0, *(block.n_parameters for block in self.blocks)])
+        return [np.arange(i, j) for i, j in pairwise(ends)]
+
 
 __all__ = ["Block", "LinearDiagnosis", "LinearFinding", "LinearRival", "diagnose_linear"]
 

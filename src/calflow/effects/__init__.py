@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from calflow.effects.base import Effect
-from calflow.effects.needs import NEEDS
+from calflow.effects.base import NEEDS, Effect
 from calflow.files import plugins
 from calflow.files.problems import nearest
 

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Words
+from calflow.effects.base import Words, unmet
 from calflow.effects.joint_error import TRANSMISSION, JointError, Term, phases
-from calflow.effects.needs import unmet
 from calflow.effects.warming import REFERENCE, temperature_measured
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot

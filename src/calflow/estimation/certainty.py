@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from calflow.estimation.alternative import choice_variance
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.rival_models import choice_variance
 
 PART_ROWS = 100_000  # whose Jacobian is there at once: enough for machine code to pay
 UNTOLD = 0.5  # of a direction's prior variance: what is left above it was hardly measured
 
 
-def position_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
+def position_variance(known: CalibratedModel, rows: np.ndarray) -> np.ndarray:
     """Return the variance of each row's predicted position per axis, shape (n_rows, 3) [m²].
 
     It holds what is not known of the parameters, the choice of the model, and the model's own discrepancy, which no further
@@ -23,36 +23,36 @@ def position_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
     return np.asarray(told + of_choice + left_variance(known, rows))
 
 
-def parameter_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
+def parameter_variance(known: CalibratedModel, rows: np.ndarray) -> np.ndarray:
     """Return the variance of each row's predicted position per axis that is the parameters' (n_rows, 3) [m²], part by part."""
     parts = np.array_split(rows, range(PART_ROWS, rows.shape[1], PART_ROWS), axis=1)
     slopes = (known.model.point_jacobian(known.estimate, part) for part in parts)
     return np.concatenate([of_parameters(slope, known.covariance) for slope in slopes])
 
 
-def left_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
+def left_variance(known: CalibratedModel, rows: np.ndarray) -> np.ndarray:
     """Return the variance of what positions err by beside parameters and choice of model, alike along all axes (n_rows, 1) [m²]."""
     if known.field:
         return np.asarray(known.field.variance(readings(known, rows))[:, None])
     return np.full((rows.shape[1], 1), unexplained(known) ** 2)
 
 
-def expected_point(known: Identified, rows: np.ndarray) -> np.ndarray:
+def expected_point(known: CalibratedModel, rows: np.ndarray) -> np.ndarray:
     """Return where the markers are to be expected, shape (n_rows, 3) [m]: by the model, and its residual field if it has one."""
     return known.model.point(known.estimate, rows) + field_correction(known, rows)
 
 
-def field_correction(known: Identified, rows: np.ndarray) -> np.ndarray:
+def field_correction(known: CalibratedModel, rows: np.ndarray) -> np.ndarray:
     """Return what the residual field adds to the model's points, shape (n_rows, 3) [m]: nothing where there is none."""
     return known.field.correction(readings(known, rows)) if known.field else np.zeros((rows.shape[1], 3))
 
 
-def readings(known: Identified, rows: np.ndarray) -> np.ndarray:
+def readings(known: CalibratedModel, rows: np.ndarray) -> np.ndarray:
     """Return the joint readings (n_rows, n_joints) of packed rows."""
     return np.asarray(rows[: known.model.robot.n_joints].T)
 
 
-def rotation_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
+def rotation_variance(known: CalibratedModel, rows: np.ndarray) -> np.ndarray:
     """Return the variance of each row's predicted orientation about the tool's own axes, shape (n_rows, 3) [rad²].
 
     What no measurement told of is as sure as its prior says (see `untold_turns`).
@@ -61,7 +61,7 @@ def rotation_variance(known: Identified, rows: np.ndarray) -> np.ndarray:
     return of_parameters(jacobian, known.covariance) + known.rotation_discrepancy**2
 
 
-def untold_turns(known: Identified, rows: np.ndarray) -> np.ndarray:
+def untold_turns(known: CalibratedModel, rows: np.ndarray) -> np.ndarray:
     """Return the share (3,) of the variance of the tool's turn about each own axis that no measurement told anything of.
 
     It comes from the directions of the parameters, scaled by their priors, whose variance the data left above UNTOLD of
@@ -75,7 +75,7 @@ def untold_turns(known: Identified, rows: np.ndarray) -> np.ndarray:
     return np.asarray(np.divide(parts[:, left > UNTOLD].sum(axis=1), total, out=np.zeros(3), where=total > 0))
 
 
-def unexplained(known: Identified) -> float:
+def unexplained(known: CalibratedModel) -> float:
     """Return the standard deviation per axis [m] of what the model errs by beside its parameters' errors, at any pose."""
     left = known.discrepancy if known.noise_known else known.device[0].at_rows
     return float(np.hypot(left, known.elsewhere))

@@ -1,4 +1,7 @@
-"""The difference of two calibrations: whether their parameters differ by more than both leave open."""
+"""The difference of two calibrations: whether their parameters differ by more than both leave open.
+
+What measurements say alone: an estimate and its covariance once the prior is taken out of them.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.stats import chi2
 
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.robot.parameter import Parameter
 
 TELLING = 1e-7  # share of both variances that a difference has, below which two calibrations say the same: nothing
@@ -28,7 +31,7 @@ class Difference:
     apart: np.ndarray
 
     @staticmethod
-    def of(first: Identified, second: Identified) -> Difference:
+    def of(first: CalibratedModel, second: CalibratedModel) -> Difference:
         """Compare the parameters that are `comparable`.
 
         Estimates from independent measurements that were drawn to priors of the same precision P differ by chance with
@@ -63,7 +66,7 @@ def _prior(parameter: Parameter) -> tuple[float, float]:
     return parameter.prior_mean, parameter.prior_sd
 
 
-def comparable(first: Identified, second: Identified) -> list[tuple[int, int]]:
+def comparable(first: CalibratedModel, second: CalibratedModel) -> list[tuple[int, int]]:
     """Return the indices in each of parameters of one name, figure and prior that are off their bounds in both.
 
     What base and tool are off counts from where each calibration placed them: they are compared where that is the same place.
@@ -78,8 +81,48 @@ def comparable(first: Identified, second: Identified) -> list[tuple[int, int]]:
     ]  # fmt: skip
 
 
-def _elsewhere(first: Identified, second: Identified) -> set[str]:
+def _elsewhere(first: CalibratedModel, second: CalibratedModel) -> set[str]:
     """The parts that two calibrations placed apart."""
     one, other = first.model.robot, second.model.robot
     same = {"base": one.base == other.base, "tool": one.tool_rotation == other.tool_rotation}
     return {part for part, agrees in same.items() if not agrees}
+
+
+NOTHING = 1e-10  # information, in the prior's, below which measurements say nothing along a direction
+
+
+@dataclass(frozen=True)
+class Alone:
+    """Values (n,) and covariance (n, n) that measurements alone give; prior_sd (n,) is what was known before them.
+
+    Along a direction that the measurements do not determine the variance is NOTHING's inverse in units of the prior's.
+    """
+
+    value: np.ndarray
+    covariance: np.ndarray
+    prior_sd: np.ndarray
+
+    @staticmethod
+    def of(estimate: np.ndarray, covariance: np.ndarray, prior_mean: np.ndarray, prior_sd: np.ndarray) -> Alone:
+        """Take a normal prior, independent by parameter, out of a normal posterior.
+
+        Its information is the posterior's less the prior's, and what it is weighted with is the posterior's information times
+        the estimate less that of the prior (the product of two normal densities, backwards).
+        """
+        scale = np.outer(prior_sd, prior_sd)
+        variance, vectors = eigh(covariance / scale)
+        posterior = 1 / np.maximum(variance, np.finfo(float).tiny)
+        information = np.maximum(posterior - 1, NOTHING)
+        along = vectors.T @ ((estimate - prior_mean) / prior_sd)
+        value = prior_mean + prior_sd * (vectors @ (posterior / information * along))
+        return Alone(value, scale * ((vectors / information) @ vectors.T), prior_sd)
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard deviations (n,), whatever the other parameters are."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def told(self) -> np.ndarray:
+        """Which parameters (n,) the measurements know better by themselves than the prior did."""
+        return self.sd < self.prior_sd

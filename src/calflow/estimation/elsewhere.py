@@ -4,6 +4,8 @@ Where a model lacks something, its parameters make up for it at the poses that t
 few others. What is left there tells too little of other poses; errors of poses that were left out tell it (Stone 1974). They
 come from one Jacobian, without a refit (Allen's PRESS 1974): with H a pose's share in its own prediction they are
 (I - H)⁻¹ times the residual, and (I - H)⁻¹ is their covariance, over the noise, where the model lacks nothing.
+
+Extrapolation: joints whose held-out readings lie beyond what was fitted.
 """
 
 from __future__ import annotations
@@ -15,6 +17,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from calflow.estimation.fit import Fit
+from calflow.estimation.fit_summary import Extrapolation
+from calflow.measurements.measurements import Measurements
 
 BY_CHANCE = 0.05  # chance of errors as large where nothing is lacking, above which they show no excess
 
@@ -102,3 +106,26 @@ def _left_out(residual: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray
     covered = np.linalg.inv(np.eye(size) - jacobian @ covariance @ jacobian.transpose(0, 2, 1))
     missed = (covered @ residual[:, :, None])[:, :, 0]
     return np.array([np.vecdot(missed, missed), np.trace(covered, axis1=1, axis2=2), np.full(n_poses, float(size))])
+
+
+BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted ones
+
+
+def extrapolation(data: Measurements) -> tuple[Extrapolation, ...]:
+    """Return the joints whose held-out readings lie beyond what was fitted: their accuracy is a guess, good or bad."""
+    train, heldout = data.joints[data.train], data.joints[data.held_out]
+    if not len(heldout):
+        return ()
+    low, high = train.min(axis=0), train.max(axis=0)
+    margin = BEYOND * np.maximum(high - low, np.ptp(data.joints[data.train | data.held_out], axis=0))
+    beyond = (heldout < low - margin) | (heldout > high + margin)
+    return tuple(
+        Extrapolation(joint=int(i) + 1, rows=int(beyond[:, i].sum())) for i in np.flatnonzero(beyond.any(axis=0))
+    )
+
+
+def beyond(readings: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Return which joint readings (n_rows, n_joints) lie outside those measured (n_measured, n_joints) by a tenth of the range."""
+    low, high = measured.min(axis=0), measured.max(axis=0)
+    margin = BEYOND * (high - low)
+    return np.asarray((readings < low - margin) | (readings > high + margin))

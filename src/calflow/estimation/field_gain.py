@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.progress import SAME, Draws
 from calflow.estimation.repeats import conditions
 from calflow.estimation.residual_field import NOT_PHYSICAL, STILL, ResidualField, learnt
@@ -82,7 +82,7 @@ class Nodes:
     spent: float
 
     @staticmethod
-    def of(known: Identified, data: Measurements, rng: np.random.Generator) -> Nodes:
+    def of(known: CalibratedModel, data: Measurements, rng: np.random.Generator) -> Nodes:
         """Bring rows of the same readings together; of very many poses some are drawn."""
         train = data.only(data.train)
         left = -errors(known.model, known.estimate, train)
@@ -99,7 +99,9 @@ class Nodes:
         return Nodes(ALIKE * readings[some], mean[some], float(noise), _spent(known, train))
 
 
-def gainful_field(known: Identified, data: Measurements, rng: Draws = SAME) -> tuple[ResidualField | None, FieldGain]:
+def gainful_field(
+    known: CalibratedModel, data: Measurements, rng: Draws = SAME
+) -> tuple[ResidualField | None, FieldGain]:
     """Return the residual field of what a model leaves of its training rows, and what it gains; None where it gains nothing."""
     nodes = Nodes.of(known, data, rng("nodes"))
     gain = gain_of(nodes, rng("blocks"))
@@ -147,7 +149,7 @@ def _halves(scaled: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return order[: len(order) // 2], order[len(order) // 2 :]
 
 
-def _spent(known: Identified, train: Measurements) -> float:
+def _spent(known: CalibratedModel, train: Measurements) -> float:
     """The share of what is independent in the rows that the parameters took up."""
     free = ~known.at_bound
     kept = np.diag(known.covariance)[free] / known.model.prior_sd[free] ** 2

@@ -12,7 +12,7 @@ def members(group: np.ndarray) -> list[np.ndarray]:
     return np.split(np.argsort(group, kind="stable"), np.cumsum(np.bincount(group))[:-1])
 
 
-def parts(group: np.ndarray, size: int) -> Iterator[slice]:
+def whole_groups(group: np.ndarray, size: int) -> Iterator[slice]:
     """Yield rows in parts of about a size, none of which ends between neighbours of one group (n_rows,)."""
     ends, start = np.append(np.flatnonzero(np.diff(group)) + 1, len(group)), 0
     while start < len(group):

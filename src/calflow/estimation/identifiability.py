@@ -1,4 +1,7 @@
-"""Identifiability: what the data determine, what trades against what, and what they say nothing about."""
+"""Identifiability: what the data determine, what trades against what, and what they say nothing about.
+
+Redundancy: figures of full origins that are no parameters, since others do the same whatever the pose.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from scipy.linalg import qr
 from calflow.effects.geometry import Geometry
 from calflow.estimation.fit import Fit
 from calflow.files.tables import column, to_frame, typed
+from calflow.robot.robot import Robot
 
 NULL = 1e-9  # singular values below this share of the largest are zero but for rounding
 KNOWN = 3.0  # a direction is determined where the data know it this many times better than the prior does
@@ -231,3 +235,35 @@ def _echelon(basis: np.ndarray) -> np.ndarray:
             if other != pivot:
                 rows[other] -= rows[other, column] * rows[pivot]
     return rows / np.abs(rows).max(axis=1, keepdims=True) if len(rows) else rows
+
+
+BASE = "the base's place and turn"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Redundant:
+    """A figure of a joint's origin that is no parameter: no pose tells its error from those of others, which stand for it."""
+
+    figure: str = column("its name, as a parameter would be called")
+    joint: int = column("number of its joint")
+    symbol: str = column("its symbol")
+    same: str = column("what moves the tool in exactly the same way whatever the pose, with the joint's own parameters")
+
+
+def redundant(robot: Robot) -> pd.DataFrame:
+    """Return the figures that are left out, as a table of `Redundant`; without rows where joints are stated otherwise."""
+    rows = []
+    for figure in Geometry(robot).left_out:
+        part, symbol = figure.split(".")
+        joint = int(part.removeprefix("joint"))
+        rows.append(Redundant(figure=figure, joint=joint, symbol=symbol, same=_same(robot, joint)))
+    return to_frame(rows, Redundant)
+
+
+def _same(robot: Robot, joint: int) -> str:
+    """What does the same as the figures left out of a joint, counted from 1."""
+    if joint == 1:
+        return BASE
+    slides = robot.joints[joint - 2].kind == "prismatic"
+    shifts = "shifts of slide" if slides else "a shift along and a turn about the axis of joint"
+    return f"{shifts} {joint - 1}{' and a turn about its axis' if slides else ''}"

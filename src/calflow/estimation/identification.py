@@ -11,9 +11,8 @@ from typing import Literal
 import numpy as np
 
 from calflow.estimation.accuracy import Accuracy, accuracy, errors
-from calflow.estimation.calibrated import Identified, series_noise
-from calflow.estimation.elsewhere import elsewhere
-from calflow.estimation.extrapolation import extrapolation
+from calflow.estimation.calibrated_model import CalibratedModel, series_noise
+from calflow.estimation.elsewhere import elsewhere, extrapolation
 from calflow.estimation.fit import Fit, draw_starts
 from calflow.estimation.fit_summary import IdentifySummary, Solver
 from calflow.estimation.identifiability import Identifiability, identifiability
@@ -70,9 +69,9 @@ class Identification:
         return elsewhere(self.fit, np.unique(poses, return_inverse=True)[1])
 
     @cached_property
-    def known(self) -> Identified:
+    def known(self) -> CalibratedModel:
         """What the stages after it start from."""
-        return Identified(
+        return CalibratedModel(
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
             self.noise.discrepancy, self.noise.rotation_discrepancy, self.loss, self.elsewhere,
             intraclass=self.noise.intraclass,

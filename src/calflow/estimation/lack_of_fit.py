@@ -8,8 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import chi2, f
 
-from calflow.estimation.noise import Noise
-from calflow.estimation.scatter import NORMAL_MEDIAN
+from calflow.estimation.noise import NORMAL_MEDIAN, Noise
 from calflow.measurements.measurements import Measurements
 
 SIGNIFICANT = 0.01  # p-value below which a lack of fit is believed

@@ -1,4 +1,10 @@
-"""Least squares: the data in the shape that the graph wants, as stacked whitened residuals and their Jacobian."""
+"""Least squares: the data in the shape that the graph wants, as stacked whitened residuals and their Jacobian.
+
+Sharing: errors that the rows of one standstill have in common, as its markers have the robot's error of repeating a pose.
+
+Whitened errors of a standstill's n rows have, axis by axis, the covariance (1 - r) I + r 1 1ᵀ (compound symmetry), r being
+their intraclass correlation. It is 1 - r of what they have apart, and 1 + (n - 1) r of their mean, n times.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +17,61 @@ import casadi as ca
 import numpy as np
 
 from calflow.compiled import compiled
-from calflow.estimation.groups import parts
+from calflow.estimation.groups import whole_groups
 from calflow.estimation.noise import Noise
 from calflow.estimation.nuisance import observing
 from calflow.estimation.repeats import standstills
-from calflow.estimation.sharing import Sharing
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.observations import Observation
+
+
+@dataclass(frozen=True, eq=False)
+class Sharing:
+    """The number of each row's standstill (n_rows,), from 0 without gaps, and the intraclass correlation of its rows."""
+
+    standstill: np.ndarray
+    correlation: float
+
+    def only(self, rows: np.ndarray | slice) -> Sharing:
+        """Return that of some rows, whole standstills."""
+        return Sharing(np.unique(self.standstill[rows], return_inverse=True)[1], self.correlation)
+
+    @cached_property
+    def size(self) -> np.ndarray:
+        """Number of rows of each standstill."""
+        return np.bincount(self.standstill)
+
+    @cached_property
+    def _sorted(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.argsort(self.standstill, kind="stable"), np.append(0, np.cumsum(self.size)[:-1])
+
+    def decorrelated(self, values: np.ndarray) -> np.ndarray:
+        """Return whitened errors, or their derivatives (n_rows, …), whose rows are independent and of variance 1."""
+        r = self.correlation
+        kept = np.sqrt((1 - r) / (1 + (self.size - 1) * r))[self.standstill]
+        shape = (-1, *[1] * (values.ndim - 1))
+        return np.asarray((values - (1 - kept).reshape(shape) * group_means(values, self.standstill)) / np.sqrt(1 - r))
+
+    def squares(self, errors: np.ndarray) -> np.ndarray:
+        """Return the sum of squares of what is independent in whitened errors (n_rows, n_units, n_sets), shape (n_sets,)."""
+        r = self.correlation
+        order, starts = self._sorted
+        sums = np.add.reduceat(errors[order], starts)
+        counted = r / (1 + (self.size - 1) * r)
+        common = np.einsum("g,gus,gus->s", counted, sums, sums)
+        return np.asarray(((errors**2).sum(axis=(0, 1)) - common) / (1 - r))
+
+
+def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Return the mean over the values (n, …) of each group (n,) in every one's place."""
+    count = np.bincount(group)
+    if (count <= 1).all():
+        return values
+    total = np.zeros((len(count), *values.shape[1:]))
+    np.add.at(total, group, values)
+    return np.asarray((total.T / np.maximum(count, 1)).T[group])
+
 
 Loss = Literal["linear", "soft_l1", "cauchy"]
 LINEARISED_ROWS = 4096  # rows whose Jacobian is handed out at once
@@ -137,7 +190,7 @@ class SeriesBlock:
         """
         if group is None:
             group = self.sharing.standstill if self.sharing else np.arange(len(self.rows))
-        return parts(group, LINEARISED_ROWS)
+        return whole_groups(group, LINEARISED_ROWS)
 
     def linearised(
         self, p: np.ndarray, group: np.ndarray | None = None

@@ -1,4 +1,7 @@
-"""The noise of a measurement, beside the discrepancy that the model leaves beyond it."""
+"""The noise of a measurement, beside the discrepancy that the model leaves beyond it.
+
+Scatter: what repeats of one pose say of a device's noise, and which of them are gross errors.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,136 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.stats import chi, norm, t
 
-from calflow.estimation.scatter import Scatter
+from calflow.estimation.groups import members
+
+NORMAL_MEDIAN = 0.6745  # median of |x| of a standard normal
+FALSE_REMOVAL = 0.01  # chance that any repeat of a whole series looks gross where all are normal
+TAILS = (2.5, 3.0, 4.0, 6.0, 10.0, 30.0)  # degrees of freedom of the heavy tails that gross errors are held against
+SHARES = (0.01, 0.02, 0.05, 0.1, 0.2)  # of rows that are grossly wrong
+TIMES = (5.0, 10.0, 20.0, 40.0, 100.0)  # by which these scatter more
+CLEARLY = 5.0  # in logarithms of likelihood, by which gross errors must explain the scatter better than heavy tails
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """Repeats about their means: each row's sum of squares (n_rows,) [m²], its degrees of freedom, and which rows are gross."""
+
+    squared: np.ndarray
+    freedom: np.ndarray
+    gross: np.ndarray
+
+    def only(self, rows: np.ndarray) -> Scatter:
+        """Return that of some rows, given by a mask or by their numbers."""
+        return Scatter(self.squared[rows], self.freedom[rows], self.gross[rows])
+
+    def gathered(self, group: np.ndarray) -> Scatter:
+        """Return that of groups of rows, numbered from 0 by group (n_rows,)."""
+        squared, freedom, gross = (np.bincount(group, weights=own) for own in (self.squared, self.freedom, self.gross))
+        return Scatter(squared, freedom, gross > 0)
+
+    @property
+    def pooled(self) -> float:
+        """Standard deviation per axis of all rows [m]; nan where nothing was repeated."""
+        return float(np.sqrt(self.squared.sum() / self.freedom.sum())) if self.freedom.sum() else float("nan")
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """Standard deviation per axis [m] of repeats without gross errors, degrees of freedom, and which rows are gross."""
+
+    sigma: float
+    freedom: float
+    gross: np.ndarray
+
+
+def scatter(error: np.ndarray, group: np.ndarray) -> Scatter:
+    """Return the scatter of errors (n_rows, n_axes) [m] about the means of their groups (n_rows,), gross ones marked."""
+    apart, count = _apart(error, group, np.ones(len(error), dtype=bool))
+    squared = (apart**2).sum(axis=1)
+    freedom = error.shape[1] * (1 - 1 / count[group])
+    return Scatter(squared, freedom, pooled(error, group).gross)
+
+
+def pooled(error: np.ndarray, group: np.ndarray) -> Pooled:
+    """Pool the scatter of errors (n_rows, n_axes) [m] about the means of their groups, numbered from 0.
+
+    Where all scatter is normal that is the classical estimate. Rows that a normal device of the others' scatter would show
+    once in a hundred series are left out, if gross errors explain them clearly better than heavy tails do: those
+    belong to the noise. Of two repeats that contradict each other neither is believed.
+    """
+    n, axes = error.shape
+    kept = np.ones(n, dtype=bool)
+    apart, count = _apart(error, group, kept)
+    several = count[group] > 1
+    if not several.any():
+        return Pooled(float("nan"), 0.0, ~kept)
+    spread = np.sqrt(1 - 1 / np.maximum(count, 2))[group]
+    middle = float(np.median(np.abs(apart[several]) / spread[several, None])) / NORMAL_MEDIAN
+    limit = float(chi.isf(FALSE_REMOVAL / n, axes)) * middle
+    while middle > 0:
+        apart, count = _apart(error, group, kept)
+        size = np.where(kept & (count[group] > 1), np.sqrt((apart**2).sum(axis=1)), 0.0)
+        size /= np.sqrt(1 - 1 / np.maximum(count, 2))[group]
+        wild = np.unique(group[size > limit])
+        if not len(wild):
+            break
+        together = members(group)
+        for k in wild:
+            own = together[k][kept[together[k]]]
+            far = np.linalg.norm(error[own] - np.median(error[own], axis=0), axis=1)
+            kept[own if len(own) == 2 else own[np.argmax(far)]] = False
+    if not kept.all() and not _are_errors(error, group, kept):
+        kept[:] = True
+    apart, count = _apart(error, group, kept)
+    freedom = axes * float(np.maximum(count - 1, 0).sum())
+    sigma = float(np.sqrt((apart[kept] ** 2).sum() / freedom)) if freedom else float("nan")
+    return Pooled(sigma, freedom, ~kept)
+
+
+def _apart(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what each row (n_rows, n_axes) is from the mean of its group's kept rows, and how many these are, by group."""
+    size = int(group.max()) + 1
+    count = np.bincount(group, weights=kept, minlength=size)
+    sums = np.stack([np.bincount(group, weights=axis * kept, minlength=size) for axis in error.T], axis=1)
+    return error - (sums / np.maximum(count, 1)[:, None])[group], count
+
+
+def _are_errors(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> bool:
+    """Whether gross errors of some rows explain the scatter clearly better than heavy tails of all (Student's t)."""
+    apart, count = _apart(error, group, kept)
+    here = count[group]
+    believed, doubted, alone = kept & (here > 1), ~kept & (here > 0), np.unique(group[~kept & (here == 0)])
+    together = members(group) if len(alone) else []
+    if not believed.any():  # nothing is left that would say how the others should scatter
+        return False
+    value = np.concatenate([
+        apart[believed] / np.sqrt(1 - 1 / here[believed])[:, None],
+        apart[doubted] / np.sqrt(1 + 1 / here[doubted])[:, None],
+        *(np.diff(error[together[k]], axis=0) / np.sqrt(2) for k in alone),
+    ])  # fmt: skip
+    weight = np.ones(len(value))
+    weight[: believed.sum()] = 1 - 1 / here[believed]
+    scale = float(np.median(np.abs(value))) / NORMAL_MEDIAN
+
+    def tailed(degrees: float) -> float:
+        def cost(log_s: float) -> float:
+            s = np.exp(log_s)
+            return -float(weight @ (t.logpdf(value / s, degrees) - log_s).sum(axis=1))
+
+        return -float(minimize_scalar(cost, bracket=(np.log(scale) - 0.5, np.log(scale))).fun)
+
+    sigma = float(np.sqrt(np.average((value[: believed.sum()] ** 2).mean(axis=1), weights=weight[: believed.sum()])))
+    normal = norm.logpdf(value, scale=sigma).sum(axis=1)
+    mixed = max(
+        float(weight @ np.logaddexp(np.log(1 - share) + normal,
+                                    np.log(share) + norm.logpdf(value, scale=times * sigma).sum(axis=1)))
+        for share in SHARES for times in TIMES
+    )  # fmt: skip
+    return mixed > max(tailed(degrees) for degrees in TAILS) + CLEARLY
+
 
 LEAST_SCATTER = 1e-7  # m; repeats that scatter less are one reading written twice, and no robot leaves less
 

@@ -10,13 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from calflow.estimation.accuracy import errors
 from calflow.estimation.groups import members
-from calflow.estimation.noise import LEAST_SCATTER, Noise, Source
+from calflow.estimation.noise import LEAST_SCATTER, Noise, Pooled, Scatter, Source, pooled, scatter
 from calflow.estimation.nuisance import observing
-from calflow.estimation.scatter import Pooled, Scatter, pooled, scatter
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
-from calflow.robot.angles import angles
+from calflow.robot.transforms import angles
 
 ESTIMATE_START = 1e-4  # m; only the weight of the data against the priors in the very first fit
 MIN_REPEATS = 10  # degrees of freedom below which repeats say too little

@@ -9,7 +9,7 @@ from calflow.effects.geometry import PLACED_BOUND
 from calflow.faults.nominal_misfit import FEWEST, ROWS
 from calflow.faults.reference import Models, chosen, lengths, motion, rough
 from calflow.measurements.measurements import Measurements
-from calflow.robot.angles import angles
+from calflow.robot.transforms import angles
 
 FAR_BETTER = 3.0  # times by which the positions must be met better than with the base as stated
 

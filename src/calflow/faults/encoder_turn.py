@@ -8,9 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import Check, Correction, Fault, correct, fault
-from calflow.faults.blocks import Block, Linear
+from calflow.faults.blocks import Block, Linear, cost, states
 from calflow.faults.reference import Reference, changed, chosen, lengths
-from calflow.faults.segments import cost, states
 from calflow.measurements.measurements import Measurements
 
 TURN = 2 * np.pi

@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import Check, Correction, Fault, correct, fault
+from calflow.faults.blocks import cost, states
 from calflow.faults.reference import Reference, Rough, best_turn, motion
-from calflow.faults.segments import cost, states
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from calflow.files.documents import from_document, is_whole, sealed, to_document
 from calflow.files.problems import refuse
+from calflow.files.results import from_document, is_whole, sealed, to_document
 from calflow.files.tables import column
 from calflow.files.writing import write_text
 

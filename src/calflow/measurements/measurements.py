@@ -13,10 +13,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from calflow.measurements.arrays import rows_of
 from calflow.measurements.columns import ANGLES, POSITION, QUATERNION, TARGETS, blocks_of, condition_columns, numbered
 from calflow.measurements.layout import Layout
-from calflow.measurements.rows import Rows, read_rows
+from calflow.measurements.rows import Rows, read_rows, rows_of
 from calflow.measurements.series import Series
 from calflow.robot.conditions import OPTIONAL, Row, session_number
 from calflow.robot.robot import Robot

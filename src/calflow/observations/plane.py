@@ -15,9 +15,8 @@ from calflow.files.toml import FileModel, Lengths3
 from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
-from calflow.robot.angles import angles
 from calflow.robot.parameter import Parameter
-from calflow.robot.transforms import placement
+from calflow.robot.transforms import angles, placement
 
 NOWHERE = (0.0,) * 6
 LAID = 10  # turns in which feet and normal settle: heights of millimetres tilt a plane of a metre by little

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.robot.parameter import Parameter
 
 
@@ -25,7 +25,7 @@ class Calibration:
     placed: frozenset[str]
 
     @staticmethod
-    def of(known: Identified) -> Calibration:
+    def of(known: CalibratedModel) -> Calibration:
         """Return the parameters of a fitted model."""
         placed = frozenset({"base", *known.model.robot.markers})
         return Calibration(known.model.parameters, known.estimate, known.covariance, known.at_bound, placed)

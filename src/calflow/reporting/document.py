@@ -1,15 +1,23 @@
-"""The PDF: a report's blocks as typst markup with their drawings."""
+"""The PDF: a report's blocks as typst markup with their drawings.
+
+Letters that the report's own fonts lack: a font of this machine that has them, else their numbers.
+The report, written: its sections with their figures as one PDF and as one page.
+"""
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Sequence
-from functools import singledispatch
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache, singledispatch
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from matplotlib.text import Text
 
+from calflow.estimation.progress import Advance, Say, nobody
 from calflow.files.writing import inside, utf8, write_whole
 from calflow.reporting.blocks import (
     Block,
@@ -26,7 +34,71 @@ from calflow.reporting.blocks import (
     Table,
     plots,
 )
-from calflow.reporting.fonts import Fonts, fonts_for
+from calflow.reporting.html import writing
+from calflow.reporting.material import Material
+from calflow.reporting.section import chosen, sections
+from calflow.reporting.style import style
+
+if TYPE_CHECKING:
+    from matplotlib.font_manager import FontEntry
+
+OWN = "DejaVu Sans"  # which Matplotlib brings along
+BOXES = (".LastResort", "Last Resort")  # fonts that have every letter, as a box
+USUAL = 400  # weight
+
+
+@dataclass(frozen=True)
+class Fonts:
+    """Fonts by family, the folders that they are in, and the letters that none of them has."""
+
+    families: tuple[str, ...]
+    folders: tuple[Path, ...]
+    lacking: frozenset[str] = frozenset()
+
+    def legible(self, text: str) -> str:
+        """Return text with the number of every letter that would be an empty box: two names stay two names."""
+        return "".join(f"[U+{ord(letter):04X}]" if letter in self.lacking else letter for letter in text)
+
+
+def fonts_for(text: Iterable[str]) -> Fonts:
+    """Return the own font, and as few of this machine's as have the letters that it lacks."""
+    from matplotlib import get_data_path
+
+    own = str(Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
+    families, folders = [OWN], [Path(own).parent]
+    lacking = {letter for letter in text if letter.isprintable() and not letter.isspace()} - _letters(own)
+    others = _of_the_machine() if lacking else []
+    while lacking and others:
+        best = max(others, key=lambda other: len(lacking & _letters(other.fname)))
+        if not lacking & _letters(best.fname):
+            break
+        lacking -= _letters(best.fname)
+        families.append(best.name)
+        folders.append(Path(best.fname).parent)
+    return Fonts(tuple(families), tuple(dict.fromkeys(folders)), frozenset(lacking))
+
+
+def _of_the_machine() -> list[FontEntry]:
+    """Return this machine's upright fonts, those of usual weight first; with what was installed since Matplotlib made its list."""
+    from matplotlib.font_manager import findSystemFonts, fontManager
+
+    for file in sorted(set(findSystemFonts()) - {entry.fname for entry in fontManager.ttflist}):
+        with suppress(OSError, RuntimeError):
+            fontManager.addfont(file)
+    upright = [entry for entry in fontManager.ttflist if entry.style == "normal" and not entry.name.startswith(BOXES)]
+    return sorted(upright, key=lambda entry: (entry.weight != USUAL, "Serif" in entry.name, entry.name, entry.fname))
+
+
+@lru_cache
+def _letters(file: str) -> frozenset[str]:
+    """Return the letters that a font has; none where it cannot be read."""
+    from matplotlib.ft2font import FT2Font
+
+    try:
+        return frozenset(map(chr, FT2Font(file).get_charmap()))
+    except (OSError, RuntimeError):
+        return frozenset()
+
 
 LONG = re.compile(r"(\S{24})(?=\S{8})")  # so many letters without a space, after which a line may end
 SERIF = "Libertinus Serif"  # which typst brings along
@@ -196,3 +268,16 @@ def _fonts(text: str, drawings: Sequence[Plot]) -> Fonts:
             said.set_text(fonts.legible(said.get_text()))
             said.set_fontfamily(list(fonts.families))
     return fonts
+
+
+def write_report(material: Material, folder: Path, say: Say = nobody, advance: Advance = nobody) -> None:
+    """Write report.pdf, report.html and figures/*.svg into a folder."""
+    with style():
+        parts = []
+        there = chosen(sections(), material)
+        for k, section in enumerate(there):
+            parts.append((section.title, section.write(material)))
+            advance(0.7 * (k + 1) / len(there))
+        n_figures = write(material.title, parts, folder)
+        writing.write(material.title, parts, folder)
+    say(f"report.pdf, report.html: {n_figures} figures, {len(parts)} sections")

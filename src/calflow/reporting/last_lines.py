@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
+from calflow.diagnosis.findings.extended_model import DiagnosisSummary
 from calflow.estimation.accuracy import Accuracy
 from calflow.files.results import Results
 from calflow.files.tables import from_frame

@@ -11,7 +11,7 @@ import pandas as pd
 
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy, errors
-from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
+from calflow.estimation.calibrated_model import CalibratedModel, calibrated, with_maps_held
 from calflow.estimation.certainty import parameter_variance, position_variance
 from calflow.estimation.fit_summary import FitSummary
 from calflow.estimation.registration import in_measuring_frame
@@ -54,7 +54,7 @@ class Calibration:
     """Measurements without the rows that are left out, and the best model that was found."""
 
     data: Measurements
-    known: Identified
+    known: CalibratedModel
 
     @staticmethod
     def of(study: Study, results: Results) -> Calibration:
@@ -86,7 +86,7 @@ class Material:
         return self.calibration.data
 
     @property
-    def known(self) -> Identified:
+    def known(self) -> CalibratedModel:
         """The best model that was found."""
         assert self.calibration is not None
         return self.calibration.known
@@ -97,7 +97,7 @@ class Material:
         return self.results.tables
 
     @cached_property
-    def sampled(self) -> tuple[Identified, tuple[Cause, ...]]:
+    def sampled(self) -> tuple[CalibratedModel, tuple[Cause, ...]]:
         """The model of which the stage sample drew, and the causes that it held at their estimates."""
         return with_maps_held(self.known)
 

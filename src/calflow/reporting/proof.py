@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 from scipy.stats import norm
 
-from calflow.deployment.iso_9283 import CYCLES
+from calflow.deployment.attained import CYCLES
 from calflow.deployment.validation import Status, ValidatedModel, ValidatedPose, Validation, ValidationSummary
 from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Paragraph, Plot, Table
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure

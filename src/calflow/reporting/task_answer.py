@@ -1,10 +1,24 @@
-"""What the report says of the task: whether the robot is accurate enough where it works."""
+"""What the report says of the task: whether the robot is accurate enough where it works.
+
+Figures of the task: how far off the tool may be, where in space and along a path.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+
 from calflow.files.results import Results
+from calflow.reporting.style import ALONE, crowded, figure
 from calflow.reporting.words import mm
-from calflow.sampling.task_tables import LIKELY, TaskSummary
+from calflow.sampling.task_error import LIKELY, TaskSummary
 
 SURE = 0.999  # probability from which no further digits are told
 
@@ -69,3 +83,61 @@ def chance(probability: float) -> str:
     if probability < 1 - SURE:
         return f"less than {100 * (1 - SURE):.1f} %"
     return f"{100 * probability:.0f} %" if 0.01 < probability < 0.99 else f"{100 * probability:.1f} %"
+
+
+VIEWS = (((0, 1), "from above"), ((0, 2), "from the side"), ((1, 2), "from the front"))
+CELLS = 14  # across a map
+DENSE = 150  # points from which a map has cells in the place of dots
+
+
+def task_map(place: np.ndarray, radius: np.ndarray, groups: Sequence[tuple[str, np.ndarray]]) -> Figure:
+    """Draw the radius (n_points,) [mm] over places (n_points, 3) [m] from three sides; the darker, the larger.
+
+    groups are payloads and which points (n_points,) are under them, a line of maps each. Where points are many, a cell shows the
+    largest radius of those that lie behind each other in it.
+    """
+    dark = ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(0.1, 1, 256)))
+    norm = Normalize(radius.min(), radius.max() if np.ptp(radius) > 0 else radius.min() + 1e-6)
+    drawn = figure(2.1 * len(groups) + 0.3)
+    grid = drawn.subplots(len(groups), len(VIEWS), squeeze=False)
+    for line, (name, own) in zip(grid, groups, strict=True):
+        for axes, ((i, j), title) in zip(line, VIEWS, strict=True):
+            _seen(axes, place[own][:, [i, j]], radius[own], dark, norm)
+            axes.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=f"{name}, {title}" if name else title)
+            axes.set_aspect("equal", adjustable="datalim")
+    drawn.colorbar(ScalarMappable(norm, dark), ax=grid, shrink=0.8, aspect=30, label="95 % radius [mm]")
+    return drawn
+
+
+def _seen(axes: Axes, place: np.ndarray, radius: np.ndarray, colours: ListedColormap, norm: Normalize) -> None:
+    if len(place) >= DENSE:
+        x, y = place.T
+        axes.hexbin(x, y, radius, reduce_C_function=np.max, gridsize=CELLS, cmap=colours, norm=norm, linewidths=0.2)
+    else:
+        size = 3 * crowded(len(place))
+        axes.scatter(place[:, 0], place[:, 1], size, radius, cmap=colours, norm=norm, linewidths=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A quantity along a path (n_points,): an axis' words, and the tolerance in the same unit, None where none is asked."""
+
+    words: str
+    limit: np.ndarray
+    tolerance: float | None
+
+
+def along(courses: Sequence[Course], groups: Sequence[tuple[str, np.ndarray]]) -> Figure:
+    """Draw quantities in the order of a path's points, below each other; groups are as for `task_map`, a line each."""
+    drawn = figure(1.9 * len(courses) + 0.2)
+    grid = drawn.subplots(len(courses), 1, squeeze=False, sharex=True)[:, 0]
+    for axes, course in zip(grid, courses, strict=True):
+        for (name, own), (colour, dashes, _) in zip(groups, ALONE, strict=False):
+            number = np.arange(1, int(own.sum()) + 1)
+            axes.plot(number, course.limit[own], color=colour, linestyle=dashes, label=name or "95 %")
+        if course.tolerance is not None:
+            axes.axhline(course.tolerance, color="#000000", linewidth=1.8, linestyle=(0, (1, 1)), label="tolerance")
+        axes.set(ylabel=course.words, ylim=(0, None))
+    grid[-1].set_xlabel("point of the path")
+    drawn.legend(*grid[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
+    return drawn

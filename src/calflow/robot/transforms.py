@@ -1,10 +1,20 @@
-"""Homogeneous transforms as CasADi expressions (4x4, lengths in m, angles in rad)."""
+"""Homogeneous transforms as CasADi expressions (4x4, lengths in m, angles in rad).
+
+Angles: a rotation as turns about three axes, in the order that files and makers have them.
+"""
 
 from __future__ import annotations
 
+import warnings
+from typing import TYPE_CHECKING
+
 import casadi as ca
+import numpy as np
 
 from calflow.robot.frames import Motion
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Scalar = ca.SX | ca.DM | float
 
@@ -62,3 +72,13 @@ def turning(rotation: ca.SX, by: ca.SX) -> ca.SX:
 def apply(transform: ca.SX, point: ca.SX) -> ca.SX:
     """Return the point (3,) moved by the transform."""
     return transform[:3, :3] @ point + transform[:3, 3]
+
+
+def angles(turn: Rotation, order: str = "XYZ") -> np.ndarray:
+    """Return the turns [rad] that make up a rotation, about axes in an order that is named as SciPy does.
+
+    Where the middle one is a right angle the other two turn about the same line: then all of that is said by the first.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Gimbal lock")  # which is said above, and no trouble: tools often stand so
+        return np.asarray(turn.as_euler(order))

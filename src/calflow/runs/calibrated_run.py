@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calflow.deployment.needed_conditions import NeededCondition
-from calflow.estimation.calibrated import Identified, calibrated
+from calflow.estimation.calibrated_model import CalibratedModel, calibrated
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.faults.base import FaultyRow
 from calflow.files.problems import refuse
@@ -69,7 +69,7 @@ class CalibratedRun:
         )
         return CalibratedRun(folder, manifest, robot, file, results, without)
 
-    def known(self, given: tuple[str, ...]) -> Identified:
+    def known(self, given: tuple[str, ...]) -> CalibratedModel:
         """Return the best model there is, for rows with these optional conditions."""
         return calibrated(self.robot, self.results, given)
 

@@ -10,8 +10,7 @@ import pandas as pd
 from calflow.deployment.command_table import command_table
 from calflow.deployment.commands import compensated
 from calflow.deployment.prediction import Missing, beyond_limits, standing
-from calflow.deployment.target_frames import in_measuring_frame, read_frames
-from calflow.deployment.targets import Targets
+from calflow.deployment.targets import Targets, in_measuring_frame, read_frames
 from calflow.estimation.plausibility import plausible
 from calflow.files.problems import InputError, Problem
 from calflow.measurements.columns import FRAME, numbered

@@ -9,7 +9,7 @@ import numpy as np
 
 from calflow.deployment.export import Export, Format, export
 from calflow.design.candidates import candidates
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.robot.formats.robot_file import drives
@@ -51,7 +51,7 @@ def _measured(run: CalibratedRun) -> tuple[Measurements | None, tuple[str, ...]]
     return data, ()
 
 
-def _anywhere(run: CalibratedRun) -> tuple[Identified, np.ndarray]:
+def _anywhere(run: CalibratedRun) -> tuple[CalibratedModel, np.ndarray]:
     """The calibrated model, and packed rows (n_conditions, n) at random poses under the heaviest payload."""
     known = run.known(())
     payloads = run.robot.payloads

@@ -10,13 +10,12 @@ import numpy as np
 
 from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.prediction import Missing
-from calflow.deployment.programs.calibrated_robot import CalibratedRobot
-from calflow.deployment.programs.filtering import Choices, Filtered, filtered
-from calflow.deployment.programs.formats import read_program
-from calflow.deployment.programs.stated_frames import stated_frame, stated_frames
 from calflow.files.problems import InputError, Problem, nearest, refuse
 from calflow.files.units import split_unit, to_si
 from calflow.measurements.measurements import Measurements
+from calflow.programs.calibrated_robot import CalibratedRobot
+from calflow.programs.filtering import Choices, Filtered, filtered, stated_frame, stated_frames
+from calflow.programs.formats import read_program
 from calflow.robot.robot import Robot
 from calflow.runs.calibrated_run import CalibratedRun
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from calflow.deployment.history import FALSE_ALARM, TABLES, History
 from calflow.deployment.history import history as told_history
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.problems import InputError, Problem, refuse
@@ -65,7 +65,7 @@ def history(*studies_or_runs: str | Path, false_alarm: float = FALSE_ALARM, out:
     return found
 
 
-def _with_what_is_left(run: CalibratedRun) -> Identified:
+def _with_what_is_left(run: CalibratedRun) -> CalibratedModel:
     """A run's model, its covariance as wide as its table says: after diagnose with what may be left in errors that rows share."""
     known = run.known(())
     stated = {one.parameter: one.sd for one in run.results.rows(f"{run.stage}/parameters.csv", FittedParameter)}

@@ -8,8 +8,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from calflow.files.documents import SUM, is_whole, sealed
 from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.results import SUM, is_whole, sealed
 from calflow.files.writing import contained, write_text
 
 NAME = "manifest.json"

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from calflow.deployment.attained import TARGET
-from calflow.estimation.calibrated import ModelObservation
+from calflow.estimation.calibrated_model import ModelObservation
 from calflow.estimation.plausibility import plausible
 from calflow.files.problems import refuse
 from calflow.measurements.cells import read_cells

@@ -12,31 +12,29 @@ import numpy as np
 import pandas as pd
 
 from calflow.design.candidates import allowed, candidates
-from calflow.design.isolability.discrimination import fitted_share, planned_like, questions, rows_like
-from calflow.design.isolability.t_optimality import Choices
+from calflow.design.discrimination import fitted_share, planned_like, questions, rows_like
 from calflow.design.measuring.further_poses import SURER, Chosen, doubts, further_poses
 from calflow.design.measuring.lacks import Lacks
 from calflow.design.measuring.measuring_verdict import CONFIDENCE, MeasuringVerdict, NextMeasurement, Status, Suspect
 from calflow.design.measuring.task_error import Measure, Site, TaskError, task_error
-from calflow.design.planned import Planned
+from calflow.design.measuring_order import shortest_tour
+from calflow.design.planned import Planned, stated_poses
 from calflow.design.selection import TASK_POSES, planned_poses, select
-from calflow.design.stated_poses import stated_poses
+from calflow.design.t_optimality import Choices
 from calflow.design.task import Task
-from calflow.design.tour import shortest_tour
 from calflow.diagnosis.diagnosis import diagnose
 from calflow.diagnosis.findings.extended_model import extended_model
 from calflow.diagnosis.findings.tables import Diagnosis, findings_table
 from calflow.diagnosis.findings.verdict import UNEXPLAINED, label
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.estimation.accuracy import distances, errors
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.elsewhere import left_out
 from calflow.estimation.identification import identify, too_few_equations
 from calflow.estimation.progress import Draws, Say, draws, nobody
 from calflow.faults import as_table, examined
-from calflow.files.documents import to_document
 from calflow.files.problems import InputError, refuse
-from calflow.files.results import Results
+from calflow.files.results import Results, to_document
 from calflow.files.tables import typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
@@ -61,7 +59,7 @@ class NextStep:
 
     verdict: MeasuringVerdict
     poses: pd.DataFrame
-    calibrated: Identified | None = None
+    calibrated: CalibratedModel | None = None
 
     def write(self, folder: Path) -> None:
         """Write poses.csv and verdict.json, each whole, into a folder of their own.

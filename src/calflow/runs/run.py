@@ -6,8 +6,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from calflow.files.documents import Documents
-from calflow.files.results import Results
+from calflow.files.results import Documents, Results
 from calflow.files.tables import Tables
 from calflow.files.writing import inside, write_whole
 from calflow.runs.execution import execute, record_reuse

@@ -1,4 +1,10 @@
-"""The models that may be right: how probable each of them is, and each cause, by the evidence of the same data."""
+"""The models that may be right: how probable each of them is, and each cause, by the evidence of the same data.
+
+Evidence: the probability of the data under a model, all its parameters integrated out, by importance sampling.
+
+The draws are those of a Student t in the coordinates in which the posterior is round and has no bounds, so that few are enough.
+What the weighed models say: each model's probability, and each cause's.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +13,67 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import softmax
+import pandas as pd
+from scipy.special import logsumexp, softmax
+from scipy.stats import norm
 
 from calflow.effects.cause import Carried, Cause
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.occam_window import ModelInReach
 from calflow.estimation.progress import Advance, nobody
+from calflow.estimation.rival_models import Change, ModelInReach
+from calflow.files.tables import column, to_frame
 from calflow.model import Model
-from calflow.sampling.evidence import BATCH, EXACT, Evidence, evidence
-from calflow.sampling.posterior import Laplace, Posterior
+from calflow.sampling.posterior import LOG_NOISE_SD, Laplace, Posterior, drawn_student, log_student
+
+BATCH, MOST_BATCHES = 1000, 8  # draws of a model
+EXACT = 0.05  # of the evidence, relative: with less error no more draws are made
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """The logarithm of a model's evidence, its standard error, and weighted draws of its posterior.
+
+    The evidence is up to a constant that is the same for all models of the same data and weights. values (n, n_parameters + 1)
+    are parameters and the log of the noise, weights (n,) add up to 1.
+    """
+
+    log: float
+    error: float
+    values: np.ndarray
+    weights: np.ndarray
+
+    def draws(self, number: int, rng: np.random.Generator) -> np.ndarray:
+        """Return so many draws of the posterior, (number, n_parameters + 1)."""
+        return self.values[rng.choice(len(self.weights), size=number, p=self.weights)]
+
+
+def evidence(posterior: Posterior, rng: np.random.Generator, exact: float = EXACT) -> Evidence:
+    """Integrate the posterior of a model over all its parameters and the noise level, until the relative error is below exact."""
+    drawn, logs = [], np.zeros(0)
+    for _ in range(MOST_BATCHES):
+        u = drawn_student((BATCH, posterior.n_dimensions), rng)
+        drawn.append(u)
+        logs = np.append(logs, posterior.log_probability(u) - log_student(u))
+        if _error(logs) < exact:
+            break
+    level = posterior.coordinates.log_scale - _log_mass(posterior.problem.model)
+    weights = np.exp(logs - logsumexp(logs))
+    values = posterior.parameters(np.concatenate(drawn))
+    return Evidence(float(logsumexp(logs) - np.log(len(logs)) + level), _error(logs), values, weights)
+
+
+def _error(logs: np.ndarray) -> float:
+    """Relative standard error of a mean of weights with these logarithms (n,)."""
+    share = np.exp(logs - logsumexp(logs))
+    return float(np.sqrt(max((share**2).sum() - 1 / len(share), 0.0)))
+
+
+def _log_mass(model: Model) -> float:
+    """Logarithm of what the prior densities, as the posterior has them, add up to within the bounds."""
+    below, above = norm.cdf((model.bounds - model.nominal[:, None]) / model.prior_sd[:, None]).T
+    return float(np.log(np.sqrt(2 * np.pi) * np.append(model.prior_sd * (above - below), LOG_NOISE_SD)).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +127,7 @@ class WeighedModels:
 
 
 def weighed_models(
-    known: Identified,
+    known: CalibratedModel,
     problem: LeastSquares,
     rng: np.random.Generator,
     advance: Advance = nobody,
@@ -90,7 +146,7 @@ def weighed_models(
     return WeighedModels(tuple(found))
 
 
-def _with_causes(known: Identified, causes: Sequence[Cause]) -> Model:
+def _with_causes(known: CalibratedModel, causes: Sequence[Cause]) -> Model:
     """The model with these causes; those that are held at their estimates stay as they are."""
     plain = [effect for effect in known.model.effects if not isinstance(effect, Cause)]
     held = [effect.cause for effect in plain if isinstance(effect, Carried)]
@@ -98,7 +154,7 @@ def _with_causes(known: Identified, causes: Sequence[Cause]) -> Model:
     return replace(known.model, effects=(*plain, *free))
 
 
-def _about_its_fit(problem: LeastSquares, known: Identified) -> Posterior:
+def _about_its_fit(problem: LeastSquares, known: CalibratedModel) -> Posterior:
     there = dict(zip((one.identity for one in known.model.parameters), known.estimate, strict=True))
     start = np.array([there.get(one.identity, one.nominal) for one in problem.model.parameters])
     found, _ = fit(problem, start[None])
@@ -107,3 +163,75 @@ def _about_its_fit(problem: LeastSquares, known: Identified) -> Posterior:
 
 def _shares(logs: Sequence[float]) -> np.ndarray:
     return np.asarray(softmax(logs)) if logs else np.zeros(0)
+
+
+ONLY = "-"  # instead of the form of a cause that has no other
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelRow:
+    """A model that may be right, by its causes, the likeliest first. No row: diagnose found nothing that may be something else."""
+
+    model: int = column("its number in `diagnose/models_in_reach.csv`; 1 is what diagnose found")
+    change: Change = column(
+        "what makes it: as found, without a cause, with one instead of another, or with one besides"
+    )
+    causes: tuple[str, ...] = column("ids of its causes; empty: none")
+    joints: tuple[int, ...] = column("the joint or link of each; 0: none")
+    parts: tuple[str, ...] = column("the part of the robot that each is a cause of")
+    details: tuple[str, ...] = column("the form of each, in words; -: it has only one", separator="; ")
+    log_evidence: float = column(
+        "logarithm of the data's probability under it, over that of what diagnose found; empty: errors are not independent"
+    )
+    error: float = column("standard error of the logarithm of its evidence; empty with it")
+    log_prior: float = column("logarithm of its prior probability, over that of a model without causes")
+    probability: float = column(
+        "that it is right, if one of these models is: by its evidence, or where errors are not independent by the tests of diagnose"
+    )
+    by_tests: float = column("the same by the linear tests of diagnose (BIC)")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CauseProbability:
+    """A cause of any of these models, the likeliest first."""
+
+    cause: str = column("id of the effect")
+    joint: int | None = column("number of its joint or link; empty: none")
+    part: str = column("the part of the robot")
+    probability: float = column(
+        "that it acts, in whatever form and beside whatever else, if one of these models is right"
+    )
+    by_tests: float = column("the same by the linear tests of diagnose (BIC)")
+    found: bool = column("whether diagnose put it into the model")
+
+
+def models_table(weighed: WeighedModels) -> pd.DataFrame:
+    """Return the table of `ModelRow`s."""
+    rows = [
+        ModelRow(
+            model=number, change=one.reached.change, causes=tuple(cause.id for cause in one.reached.causes),
+            joints=tuple(cause.joint for cause in one.reached.causes), parts=tuple(cause.part for cause in one.reached.causes),
+            details=tuple(cause.detail or ONLY for cause in one.reached.causes),
+            log_evidence=one.evidence.log - weighed.models[0].evidence.log if weighed.independent else np.nan,
+            error=one.evidence.error if weighed.independent else np.nan,
+            log_prior=one.reached.log_prior, probability=float(probability), by_tests=float(by_tests),
+        )
+        for number, (one, probability, by_tests) in enumerate(
+            zip(weighed.models, weighed.probabilities, weighed.by_tests, strict=True), start=1
+        )
+    ]  # fmt: skip
+    return to_frame(sorted(rows, key=lambda row: -row.probability), ModelRow)
+
+
+def cause_table(weighed: WeighedModels) -> pd.DataFrame:
+    """Return the table of `CauseProbability`s."""
+    rows = []
+    for place, cause in weighed.places.items():
+        own = weighed.with_a_cause_at(place)
+        rows.append(
+            CauseProbability(
+                cause=cause.id, joint=cause.joint or None, part=cause.part, probability=float(weighed.probabilities[own].sum()),
+                by_tests=float(weighed.by_tests[own].sum()), found=bool(own[0]),
+            )
+        )  # fmt: skip
+    return to_frame(sorted(rows, key=lambda row: -row.probability), CauseProbability)

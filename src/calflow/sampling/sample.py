@@ -9,7 +9,7 @@ from pathlib import Path
 import emcee
 import numpy as np
 
-from calflow.estimation.calibrated import Identified, with_maps_held
+from calflow.estimation.calibrated_model import CalibratedModel, with_maps_held
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
@@ -48,7 +48,7 @@ class Sampled:
     the share of independent proposals that are, None where there are none. models are those that may be right as well.
     """
 
-    known: Identified
+    known: CalibratedModel
     data: Measurements
     posterior: Posterior
     laplace: Laplace
@@ -69,7 +69,7 @@ class Sampled:
 
 
 def sample(
-    known: Identified,
+    known: CalibratedModel,
     data: Measurements,
     path: Path,
     length: ChainLength = ChainLength(),

@@ -2,6 +2,8 @@
 
 Draws of the parameters, and of the causes that explain the data as well, go through the graph; what the model lacks beside its
 parameters is added to each, as large as the fit found it at poses that it had not seen.
+
+What is told of a task: a row a point, and a summary.
 """
 
 from __future__ import annotations
@@ -10,10 +12,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 
-from calflow.estimation.calibrated import Identified
-from calflow.estimation.certainty import left_variance, of_parameters
+from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.certainty import expected_point, left_variance, of_parameters
+from calflow.estimation.elsewhere import beyond
+from calflow.files.tables import column, to_frame
+from calflow.measurements.measurements import Measurements
 from calflow.model import Model
+from calflow.observations.pose import Pose
 from calflow.sampling.sample import Sampled
 
 Asked = Callable[[Model, np.ndarray, np.ndarray], np.ndarray]  # of a model at an estimate, of packed rows
@@ -82,7 +89,7 @@ class TaskError:
 
 
 def task_error(
-    sampled: Sampled, known: Identified, rows: np.ndarray, rng: np.random.Generator, widened: float = 0.0
+    sampled: Sampled, known: CalibratedModel, rows: np.ndarray, rng: np.random.Generator, widened: float = 0.0
 ) -> TaskError:
     """Return what draws say of the robot's errors at a task's points, against the model as it was fitted.
 
@@ -115,7 +122,7 @@ def task_error(
     )
 
 
-def _turn_from(known: Identified, rows: np.ndarray) -> Asked:
+def _turn_from(known: CalibratedModel, rows: np.ndarray) -> Asked:
     """Return how a model's tool is turned from the fitted one's, about its own axes (n_points, 3) [rad]; small."""
     fitted = known.model.rotation(known.estimate, rows)
 
@@ -127,9 +134,144 @@ def _turn_from(known: Identified, rows: np.ndarray) -> Asked:
     return turn
 
 
-def _held(known: Identified, lean: Identified, rows: np.ndarray, slope: Asked) -> np.ndarray:
+def _held(known: CalibratedModel, lean: CalibratedModel, rows: np.ndarray, slope: Asked) -> np.ndarray:
     """Variance (n_points, 3) of what was held at its estimate while the rest was sampled."""
     if len(known.estimate) == len(lean.estimate):
         return np.zeros((rows.shape[1], 3))
     whole = of_parameters(slope(known.model, known.estimate, rows), known.covariance)
     return np.maximum(whole - of_parameters(slope(lean.model, lean.estimate, rows), lean.covariance), 0.0)
+
+
+LIKELY = 0.95  # probability from which a point counts as within
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskPoint:
+    """A point of the task: where the calibrated robot says its tool is, and how far off it may be."""
+
+    point: str = column("as in the task's file; else a number")
+    payload: str = column("what the robot carries")
+    marker: str = column("whose position it is")
+    x_mm: float = column("where the model says it is, in the measuring frame", "mm")
+    y_mm: float = column("the same along y", "mm")
+    z_mm: float = column("the same along z", "mm")
+    nominal_mm: float = column("how far from there the nominal robot says it is: the error without calibration", "mm")
+    expected_mm: float = column("mean length of the error that is left", "mm")
+    sd_x_mm: float = column("root mean square of that error along the measuring frame's x", "mm")
+    sd_y_mm: float = column("the same along y", "mm")
+    sd_z_mm: float = column("the same along z", "mm")
+    radius95_mm: float = column("length below which the error is with 95 % probability", "mm")
+    turn_mrad: float = column("mean angle by which the tool is turned otherwise than the model says", "mrad")
+    sd_turn_x_mrad: float = column("root mean square of that turn about the tool's own x", "mrad")
+    sd_turn_y_mrad: float = column("the same about y", "mrad")
+    sd_turn_z_mrad: float = column("the same about z", "mrad")
+    turn95_mrad: float = column("angle below which it is with 95 % probability", "mrad")
+    within: float = column("probability that the point meets the tolerances; empty: none was asked")
+    beyond: str = column("what of it is not like anything that was measured: joints, payload; empty: nothing")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskSummary:
+    """How accurate the robot is where it works."""
+
+    points: int = column("of the task, under all its payloads")
+    in_order: bool = column("whether they are a path, in the order of their rows")
+    tolerance_mm: float | None = column("asked of the position; null: none", "mm")
+    turn_tolerance_mrad: float | None = column("asked of the orientation; null: none", "mrad")
+    nominal_mm: float = column("mean error of the nominal robot", "mm")
+    expected_mm: float = column("mean error that is left", "mm")
+    worst_radius95_mm: float = column("the largest of the points' 95 % radii", "mm")
+    worst_turn95_mrad: float = column("the largest of the points' 95 % angles", "mrad")
+    likely_points: int | None = column(
+        "points that meet the tolerances with at least 95 % probability; null: none asked"
+    )
+    likely_positions: int | None = column("points whose position alone does; null: none asked of it")
+    likely_turns: int | None = column("points whose orientation alone does; null: none asked of it")
+    orientation_measured: bool = column(
+        "whether any orientation was measured; else turns are as sure as their priors say"
+    )
+    least_within: float | None = column("the least probability of a point; null: none asked")
+    all_within: float | None = column(
+        "probability that all points meet the tolerances, where what the model lacks differs from pose to pose; null: none asked"
+    )
+    all_within_alike: float | None = column(
+        "the same where what the model lacks is one error at all poses: the truth is between the two; null: none asked"
+    )
+    beyond_measured: int = column("points that are not like anything that was measured")
+    notes: tuple[str, ...] = column("what has to be known to read all this", default=())
+
+
+@dataclass(frozen=True, kw_only=True)
+class AskedSpread:
+    """What is asked of a task [m, rad], None for nothing, and whether its points are a path."""
+
+    tolerance: float | None = None
+    turn_tolerance: float | None = None
+    in_order: bool = False
+
+    @property
+    def anything(self) -> bool:
+        """Whether there is a tolerance."""
+        return self.tolerance is not None or self.turn_tolerance is not None
+
+
+def task_table(
+    known: CalibratedModel, task: Measurements, measured: Measurements, found: TaskError, asked: AskedSpread
+) -> pd.DataFrame:
+    """Return a row a point of the task; measured are the rows that were fitted."""
+    place = expected_point(known, task.rows)
+    nominal = known.model.point(known.model.nominal, task.rows)
+    within = found.within(asked.tolerance, asked.turn_tolerance).mean(axis=0)
+    position, turn, table = found.position, found.turn, task.table
+    strange = _strange(task, measured)
+    rows = [
+        TaskPoint(
+            point=str(table["pose"].iloc[k]), payload=str(table["payload"].iloc[k]), marker=str(table["marker"].iloc[k]),
+            x_mm=1e3 * place[k, 0], y_mm=1e3 * place[k, 1], z_mm=1e3 * place[k, 2],
+            nominal_mm=1e3 * float(np.linalg.norm(nominal[k] - place[k])),
+            expected_mm=1e3 * position.expected[k], sd_x_mm=1e3 * position.sd[k, 0], sd_y_mm=1e3 * position.sd[k, 1],
+            sd_z_mm=1e3 * position.sd[k, 2], radius95_mm=1e3 * position.radius[k],
+            turn_mrad=1e3 * turn.expected[k], sd_turn_x_mrad=1e3 * turn.sd[k, 0], sd_turn_y_mrad=1e3 * turn.sd[k, 1],
+            sd_turn_z_mrad=1e3 * turn.sd[k, 2], turn95_mrad=1e3 * turn.radius[k],
+            within=float(within[k]) if asked.anything else float("nan"), beyond=strange[k],
+        )
+        for k in range(len(task))
+    ]  # fmt: skip
+    return to_frame(rows, TaskPoint)
+
+
+def task_summary(
+    known: CalibratedModel, table: pd.DataFrame, found: TaskError, asked: AskedSpread, notes: tuple[str, ...]
+) -> TaskSummary:
+    """Say how accurate the robot is over the whole task."""
+    together = [
+        float(found.within(asked.tolerance, asked.turn_tolerance, alike).all(axis=1).mean()) if asked.anything else None
+        for alike in (False, True)
+    ]
+    return TaskSummary(
+        points=len(table), in_order=asked.in_order,
+        tolerance_mm=None if asked.tolerance is None else 1e3 * asked.tolerance,
+        turn_tolerance_mrad=None if asked.turn_tolerance is None else 1e3 * asked.turn_tolerance,
+        nominal_mm=table["nominal_mm"].mean(), expected_mm=table["expected_mm"].mean(),
+        worst_radius95_mm=table["radius95_mm"].max(), worst_turn95_mrad=table["turn95_mrad"].max(),
+        likely_points=int((table["within"] >= LIKELY).sum()) if asked.anything else None,
+        likely_positions=_likely(found.position, asked.tolerance), likely_turns=_likely(found.turn, asked.turn_tolerance),
+        orientation_measured=any(isinstance(one, Pose) for one in known.model.observations),
+        least_within=float(table["within"].min()) if asked.anything else None,
+        all_within=together[0], all_within_alike=together[1],
+        beyond_measured=int((table["beyond"] != "").sum()), notes=notes,
+    )  # fmt: skip
+
+
+def _likely(spread: Spread, tolerance: float | None) -> int | None:
+    """How many points meet a tolerance with enough probability."""
+    return None if tolerance is None else int((spread.within(tolerance).mean(axis=0) >= LIKELY).sum())
+
+
+def _strange(task: Measurements, measured: Measurements) -> list[str]:
+    """Say of each point what of it was not measured: joints beyond their readings, and a payload that was not carried."""
+    outside = beyond(task.joints, measured.joints)
+    carried = set(measured.table["payload"])
+    joints = [", ".join(f"joint {i + 1}" for i in np.flatnonzero(row)) for row in outside]
+    loads = ["" if payload in carried else f"payload {payload or 'none'}" for payload in task.table["payload"]]
+    return ["; ".join(filter(None, pair)) for pair in zip(joints, loads, strict=True)]

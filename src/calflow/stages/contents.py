@@ -13,16 +13,22 @@ from pydantic.fields import FieldInfo
 
 from calflow.deployment import comparison, drift_verdict, history, validation
 from calflow.deployment.command_table import Command
-from calflow.deployment.controller_figures import ControllerFigure
+from calflow.deployment.export import ControllerFigure
 from calflow.design.measuring.measuring_verdict import MeasuringVerdict, NextMeasurement
 from calflow.files.deviations import Deviation
 from calflow.files.tables import Column, columns
 from calflow.files.toml import FileModel
-from calflow.measurements.acceptance import Acceptance
 from calflow.stages import STAGES
-from calflow.stages.cell_settings import BoxSettings, CellSettings, CylinderSettings, StationSettings
-from calflow.stages.select_settings import SelectSettings, TaskSettings
+from calflow.stages.select_settings import (
+    BoxSettings,
+    CellSettings,
+    CylinderSettings,
+    SelectSettings,
+    StationSettings,
+    TaskSettings,
+)
 from calflow.stages.task_settings import WorkSettings
+from calflow.study_file import Acceptance
 
 KINDS = {str: "text", int: "integer", float: "number", bool: "true or false"}
 ANSWERS: Mapping[str, type] = {  # the tables that commands other than run write

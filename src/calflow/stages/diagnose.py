@@ -8,37 +8,33 @@ import pandas as pd
 from pydantic import Field, field_validator
 
 from calflow.deployment.needed_conditions import NeededCondition, needed_conditions
-from calflow.design.isolability.discrimination import (
-    NextPose,
-    Question,
-    SeparationRow,
-    poses_table,
-    questions,
-    separations_table,
-)
+from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
 from calflow.diagnosis.diagnosis import diagnose
-from calflow.diagnosis.findings.alternatives import alternatives_table
 from calflow.diagnosis.findings.curves import CurvePoint, curves
-from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
-from calflow.diagnosis.findings.extended_model import accuracy_table, extended_model, extended_noise, summary
+from calflow.diagnosis.findings.extended_model import (
+    DiagnosisSummary,
+    accuracy_table,
+    extended_model,
+    extended_noise,
+    summary,
+)
 from calflow.diagnosis.findings.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint, confirm
+from calflow.diagnosis.findings.rivals import alternatives_table
 from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, FindingRow, candidates_table, findings_table
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.tall_matrix import HELD
-from calflow.diagnosis.search.acceptance import FALSE_ALARM
+from calflow.diagnosis.screening.regressors import HELD
 from calflow.diagnosis.search.background import MODES
 from calflow.diagnosis.search.fitted import FAR, Fitted
+from calflow.diagnosis.search.trial import FALSE_ALARM
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.alternative import AlternativeParameter
-from calflow.estimation.calibrated import DeviceNoise, Identified, ModelEffect, effect_table, identified
+from calflow.estimation.calibrated_model import CalibratedModel, DeviceNoise, ModelEffect, effect_table, identified
 from calflow.estimation.judgement import JudgedResidual, Studentised, judged_table
-from calflow.estimation.occam_window import CauseInReach, in_reach_table
 from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
 from calflow.estimation.progress import Draws, Say
+from calflow.estimation.rival_models import AlternativeParameter, CauseInReach, in_reach_table
 from calflow.faults import FaultyRow, as_table, corrected, examined
 from calflow.faults.odd_row import odd_rows
-from calflow.files.documents import to_document
-from calflow.files.results import Results
+from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
@@ -84,7 +80,7 @@ def run(context: Context) -> Results:
 
 
 def results(
-    found: Diagnosis, known: Identified, data: Measurements, asked: Sequence[Question], before: Results, rng: Draws
+    found: Diagnosis, known: CalibratedModel, data: Measurements, asked: Sequence[Question], before: Results, rng: Draws
 ) -> Results:
     """Return what was found as the run folder keeps it; before are the results of identify, known what these say."""
     final = found.extended.fitted

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from calflow.deployment.needed_conditions import NeededCondition, needed_conditions
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated import (
+from calflow.estimation.calibrated_model import (
     DeviceNoise,
     ModelEffect,
     ModelObservation,
@@ -17,17 +17,23 @@ from calflow.estimation.calibrated import (
     placement_table,
 )
 from calflow.estimation.fit_summary import IdentifySummary
-from calflow.estimation.identifiability import Correlation, Counted, Statement, best_subset, correlations
+from calflow.estimation.identifiability import (
+    Correlation,
+    Counted,
+    Redundant,
+    Statement,
+    best_subset,
+    correlations,
+    redundant,
+)
 from calflow.estimation.identification import Identification, NoiseSource, identify, too_few_equations
 from calflow.estimation.judgement import JudgedResidual, judged
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
-from calflow.estimation.redundancy import Redundant, redundant
 from calflow.estimation.repeats import measured_noise
 from calflow.faults import Fault, FaultyRow, as_table, examined
-from calflow.files.documents import to_document
 from calflow.files.problems import InputError, Problem, nearest
-from calflow.files.results import Results
+from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements

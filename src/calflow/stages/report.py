@@ -13,8 +13,8 @@ class ReportSettings(FileModel):
 
 def run(context: Context) -> Results:
     """Write report.pdf, report.html and figures/*.svg into the stage's folder; the report has no tables of its own."""
+    from calflow.reporting.document import write_report
     from calflow.reporting.material import Material  # drawing and typesetting are loaded only where a report is made
-    from calflow.reporting.written import write_report
 
     material = Material.of(context.study, context.results, context.run_folder)
     write_report(material, context.folder, context.say, context.advance)

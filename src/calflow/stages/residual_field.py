@@ -8,14 +8,20 @@ import numpy as np
 import pandas as pd
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated import Identified, calibrated
+from calflow.estimation.calibrated_model import CalibratedModel, calibrated
 from calflow.estimation.certainty import field_correction, position_variance
 from calflow.estimation.field_gain import CERTAIN, FieldGain, gainful_field
-from calflow.estimation.field_tables import POSES, SUMMARY, FieldAccuracy, FieldPose, FieldSummary, pose_table
-from calflow.estimation.residual_field import ResidualField
+from calflow.estimation.residual_field import (
+    POSES,
+    SUMMARY,
+    FieldAccuracy,
+    FieldPose,
+    FieldSummary,
+    ResidualField,
+    pose_table,
+)
 from calflow.faults import corrected
-from calflow.files.documents import to_document
-from calflow.files.results import Results
+from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
@@ -53,7 +59,7 @@ def summary(field: ResidualField | None, gain: FieldGain) -> FieldSummary:
     )  # fmt: skip
 
 
-def accuracy(known: Identified, field: ResidualField | None, gain: FieldGain, data: Measurements) -> pd.DataFrame:
+def accuracy(known: CalibratedModel, field: ResidualField | None, gain: FieldGain, data: Measurements) -> pd.DataFrame:
     """Return the table of `FieldAccuracy`: of left-out blocks, and of held-out rows where the field is applied."""
     rows = []
     if gain.blocks:
@@ -69,7 +75,7 @@ def accuracy(known: Identified, field: ResidualField | None, gain: FieldGain, da
     return to_frame(rows, FieldAccuracy)
 
 
-def _judged(correction: str, known: Identified, data: Measurements, error: np.ndarray) -> FieldAccuracy:
+def _judged(correction: str, known: CalibratedModel, data: Measurements, error: np.ndarray) -> FieldAccuracy:
     """How far a model with or without its field is from held-out rows; error (n, 3) [m] is the model's alone."""
     off = error + field_correction(known, data.rows)
     noise = known.noise(data).sigma if known.noise_known else np.zeros(len(data))

@@ -11,21 +11,20 @@ from pydantic import Field
 from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.orientation import not_known
 from calflow.deployment.prediction import as_told, beyond_limits
-from calflow.estimation.calibrated import Identified, calibrated, with_maps_held
+from calflow.estimation.calibrated_model import CalibratedModel, calibrated, with_maps_held
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.repeats import conditions
 from calflow.faults import corrected
-from calflow.files.documents import to_document
 from calflow.files.problems import Problem, refuse
-from calflow.files.results import Results
+from calflow.files.results import Results, to_document
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated
 from calflow.observations import observations
-from calflow.sampling.chain_summary import ChainSummary
-from calflow.sampling.model_tables import CauseProbability, ModelRow, cause_table, models_table
+from calflow.sampling.models import CauseProbability, ModelRow, cause_table, models_table
 from calflow.sampling.posterior_tables import (
     DRAWS,
+    ChainSummary,
     PosteriorRow,
     PredictedError,
     chain_summary,
@@ -33,8 +32,7 @@ from calflow.sampling.posterior_tables import (
     predictive_table,
 )
 from calflow.sampling.sample import ChainLength, Sampled, sample, too_few_walkers
-from calflow.sampling.task_error import task_error
-from calflow.sampling.task_tables import TaskPoint, TaskSummary, task_summary, task_table
+from calflow.sampling.task_error import TaskPoint, TaskSummary, task_error, task_summary, task_table
 from calflow.stages.demand import BYTES, Demand
 from calflow.stages.stage import Context, Stage
 from calflow.stages.task_settings import WorkSettings
@@ -84,7 +82,7 @@ def run(context: Context) -> Results:
 
 
 def _task(
-    context: Context, settings: WorkSettings, known: Identified, sampled: Sampled
+    context: Context, settings: WorkSettings, known: CalibratedModel, sampled: Sampled
 ) -> tuple[pd.DataFrame, TaskSummary]:
     """Say how accurate the robot is where it works."""
     asked, results = settings.asked(context.study), context.results

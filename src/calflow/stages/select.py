@@ -8,25 +8,22 @@ import pandas as pd
 
 from calflow.design.candidates import candidates
 from calflow.design.how_many import HowMany
-from calflow.design.isolability.isolability import Isolability, isolability
-from calflow.design.isolability.told_apart import (
+from calflow.design.measuring_order import DriftPull, drift_words, sides_words
+from calflow.design.planned import Planned, stated_poses
+from calflow.design.selection import Certificate, Observability, PlannedPose, Selection, select
+from calflow.design.separability import (
+    Isolability,
     IsolabilityCell,
+    Visits,
+    isolability,
     isolability_gaps,
     isolability_summary,
     isolability_table,
 )
-from calflow.design.isolability.visits import Visits
-from calflow.design.observability import Observability
-from calflow.design.planned import Planned
-from calflow.design.selection import Certificate, PlannedPose, Selection, select
-from calflow.design.stated_poses import stated_poses
-from calflow.design.trend import DriftPull, drift_words
-from calflow.design.vias import sides_words
 from calflow.design.worth import Worth, worth_words
-from calflow.diagnosis.search.acceptance import FALSE_ALARM
-from calflow.files.documents import to_document
+from calflow.diagnosis.search.trial import FALSE_ALARM
 from calflow.files.problems import InputError
-from calflow.files.results import Results
+from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
 from calflow.model import Model, build
 from calflow.robot.parts import Base

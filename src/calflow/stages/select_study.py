@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.design.isolability.visits import Record
-from calflow.design.stated_poses import stated_poses
+from calflow.design.planned import stated_poses
+from calflow.design.separability import Record
 from calflow.design.task import Task
 from calflow.effects import catalogue
-from calflow.effects.needs import unmet
+from calflow.effects.base import unmet
 from calflow.files.problems import Problem, nearest
 from calflow.files.toml import Origin
 from calflow.measurements.measurements import Measurements

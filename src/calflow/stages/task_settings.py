@@ -16,8 +16,8 @@ from calflow.files.toml import Angle, Length
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.robot import Robot
-from calflow.sampling.task_tables import Asked
-from calflow.stages.region import Region
+from calflow.sampling.task_error import AskedSpread as Asked
+from calflow.stages.select_settings import Region
 from calflow.study import Study
 
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calflow.deployment.programs.axes import Axes
-from calflow.deployment.programs.configuration import Posture
-from calflow.deployment.programs.correction import Correction
-from calflow.deployment.programs.filtering import Choices
+from calflow.programs.axes import Axes, Correction
+from calflow.programs.configuration import Posture
+from calflow.programs.filtering import Choices
 
 RAPID = """%%%
   VERSION:1

@@ -10,15 +10,15 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from calflow.deployment.conventions import angle_between, inverse, pose_matrix, pose_values
 from calflow.deployment.needed_conditions import NeededCondition
-from calflow.deployment.programs.calibrated_robot import CalibratedRobot
-from calflow.deployment.programs.configuration import KrlConfiguration, RapidConfiguration
-from calflow.deployment.programs.filtering import Choices, filtered
-from calflow.deployment.programs.formats import parsed
-from calflow.deployment.programs.orientation import angle_between, inverse, pose_matrix, pose_values
-from calflow.estimation.calibrated import Identified, SeriesNoise
+from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
+from calflow.programs.calibrated_robot import CalibratedRobot
+from calflow.programs.configuration import KrlConfiguration, RapidConfiguration
+from calflow.programs.filtering import Choices, filtered
+from calflow.programs.formats import parsed
 from robots import ASKEW, industrial, robot, ur10
 
 TOOL = pose_matrix([0.0974, 0.0, 0.2231, 0.924, 0.0, 0.383, 0.0], "quaternion")
@@ -37,7 +37,7 @@ def calibrated(of, effects=("geometry",), sizes=0.0, **conditions):
     model = build(robot, effects, tuple(conditions))
     rng = np.random.default_rng(3)
     p = np.clip(model.nominal + sizes * model.prior_sd * rng.standard_normal(len(model.nominal)), *model.bounds.T)
-    known = Identified(
+    known = CalibratedModel(
         model, p, 1e-16 * np.eye(len(p)), np.zeros(len(p), bool), (SeriesNoise(1e-5, "file"),), 0.0, 0.0, "linear"
     )  # fmt: skip
     return CalibratedRobot(known, [], rows)

@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.deployment.programs.configuration import (
-    FanucConfiguration,
-    Flag,
-    KrlConfiguration,
-    Posture,
-    RapidConfiguration,
-)
+from calflow.programs.configuration import FanucConfiguration, Flag, KrlConfiguration, Posture, RapidConfiguration
 
 
 def posture(*degrees, front=True, elbow=True):

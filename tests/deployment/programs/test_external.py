@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calflow.deployment.programs.axes import Axes
-from calflow.deployment.programs.configuration import RapidConfiguration
-from calflow.deployment.programs.filtering import Choices, filtered
-from calflow.deployment.programs.formats import parsed
-from calflow.deployment.programs.orientation import angle_between, inverse, pose_matrix, pose_values
-from calflow.deployment.programs.target import External
+from calflow.deployment.conventions import angle_between, inverse, pose_matrix, pose_values
+from calflow.programs.axes import Axes
+from calflow.programs.configuration import RapidConfiguration
+from calflow.programs.filtering import Choices, filtered
+from calflow.programs.formats import parsed
+from calflow.programs.target import External
 from calflow.robot.frames import modified_dh
 from calflow.robot.parts import Joint
 from deployment.programs.samples import FILES, Hand

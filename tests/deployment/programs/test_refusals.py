@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from calflow.deployment.programs.formats import parsed, read_program
 from calflow.files.problems import InputError
+from calflow.programs.formats import parsed, read_program
 from deployment.programs.samples import FILES
 
 BROKEN = [

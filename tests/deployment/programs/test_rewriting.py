@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calflow.deployment.programs.orientation import pose_matrix, pose_values
-from calflow.deployment.programs.rewriting import PLACE_STEP, TURN_STEP, spelled
-from calflow.deployment.programs.target import Number
+from calflow.deployment.conventions import pose_matrix, pose_values
+from calflow.programs.filtering import PLACE_STEP, TURN_STEP, spelled
+from calflow.programs.target import Number
 
 MM, DEG = 1e-3, np.pi / 180
 

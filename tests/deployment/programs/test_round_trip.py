@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calflow.deployment.programs.filtering import filtered
-from calflow.deployment.programs.formats import parsed
 from calflow.files.problems import InputError
+from calflow.programs.filtering import filtered
+from calflow.programs.formats import parsed
 from deployment.programs.samples import FILES, Hand
 
 SHIFT = (0.0012, -0.0023, 0.0034, 0.0, 0.0, 0.0)

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings.alternatives import MOST, alternatives_table, fitted_alternatives
+from calflow.diagnosis.findings.rivals import MOST, alternatives_table, fitted_alternatives
 from calflow.diagnosis.findings.verdict import UNEXPLAINED, Rival, verdict
-from calflow.diagnosis.screening.family import Family
+from calflow.diagnosis.screening.screening import Family
 from calflow.diagnosis.search.linearisation import Finding
 from calflow.effects.cause import Cause
-from calflow.estimation.alternative import Alternative, AlternativeParameter, choice_variance
-from calflow.estimation.calibrated import _alternatives
+from calflow.estimation.calibrated_model import _alternatives
+from calflow.estimation.rival_models import Alternative, AlternativeParameter, choice_variance
 from calflow.files.tables import from_frame
 from diagnosis.findings.test_verdict import score
 from diagnosis.found import cause, hidden, start

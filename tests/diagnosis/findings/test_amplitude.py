@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings.amplitude import amplitude, found_amplitude, same_quantities
+from calflow.diagnosis.findings.tables import amplitude, found_amplitude, same_quantities
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.linearisation import Linearisation
 from diagnosis.found import cause, hidden, start

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.diagnosis.findings.gain import Gain, gain
+from calflow.diagnosis.findings.tables import Gain, gain
 from calflow.measurements.measurements import Measurements
 from robots import industrial
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings.gaussian_process import SIZES, predicted
+from calflow.diagnosis.findings.tables import SIZES, predicted
 from calflow.diagnosis.search.decoys import Shift
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import errors

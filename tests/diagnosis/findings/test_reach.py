@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings.reach import models_in_reach, shown
+from calflow.diagnosis.findings.rivals import models_in_reach, shown
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.family import Family
+from calflow.diagnosis.screening.screening import Family
 from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.effects import catalogue
 from diagnosis.found import cause, hidden, start

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings.remainder import remainder
+from calflow.diagnosis.findings.misfit import remainder
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.noise_growth import growth_of_residuals
 from calflow.estimation.reweighting import fit_reweighted
@@ -59,7 +59,7 @@ def test_what_is_certain_and_of_no_use_is_not_told(monkeypatch):
     noise = SIGMA**2 * len(known.data) * 3
     added = float((2e-4 * np.sin(3 * known.data.table["q1"])).pow(2).sum())
     assert one.share == pytest.approx(added / (added + noise), abs=0.15)
-    monkeypatch.setattr("calflow.diagnosis.findings.remainder.MATERIAL", one.share * 1.01)
+    monkeypatch.setattr("calflow.diagnosis.findings.misfit.MATERIAL", one.share * 1.01)
     assert one not in remainder(known, 0.01, np.random.default_rng(1), lambda _: None)
 
 

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.findings.verdict import WITHIN, verdict
-from calflow.diagnosis.screening.family import Family
 from calflow.diagnosis.screening.regressors import Candidate
 from calflow.diagnosis.screening.score import Score
-from calflow.diagnosis.screening.screening import by_place
+from calflow.diagnosis.screening.screening import Family, by_place
 from calflow.diagnosis.search.linearisation import Finding
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause

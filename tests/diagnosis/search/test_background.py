@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.search.background import Basis, Sizes, background, possible
-from calflow.diagnosis.search.unnamed import evidence, unnamed
+from calflow.diagnosis.search.weighing import evidence, unnamed
 from calflow.effects.cause import Cause
 from diagnosis.findings.test_remainder import fitted
 from diagnosis.found import cause, hidden, start

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calflow.diagnosis.search.cross_validation import carried_over, left_out
+from calflow.diagnosis.search.weighing import carried_over, left_out
 from diagnosis.found import cause, hidden, start
 
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.screening.detection_limit import detection_limit, noncentrality
-from calflow.diagnosis.screening.family import Family
-from calflow.diagnosis.screening.regressors import Candidate, Products, Regressors
-from calflow.diagnosis.screening.screening import Screening
-from calflow.diagnosis.screening.tall_matrix import Held
+from calflow.diagnosis.findings.tables import detection_limit, noncentrality
+from calflow.diagnosis.screening.regressors import Candidate, Held, Products, Regressors
+from calflow.diagnosis.screening.screening import Family, Screening
 from calflow.diagnosis.search.exchange import Exchange
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause

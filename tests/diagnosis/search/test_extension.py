@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.search.acceptance import Acceptance
 from calflow.diagnosis.search.extension import extend
 from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.diagnosis.search.stepwise import second_thoughts
+from calflow.diagnosis.search.trial import Acceptance
 from calflow.model import Model
 from diagnosis.found import cause, hidden, start
 

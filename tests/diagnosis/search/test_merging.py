@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from calflow.diagnosis.linear_trial import Block, LinearProblem, LinearTrial
-from calflow.diagnosis.screening.family import Family
-from calflow.diagnosis.search.acceptance import Acceptance
+from calflow.diagnosis.linear import Block, LinearProblem, LinearTrial
+from calflow.diagnosis.screening.screening import Family
 from calflow.diagnosis.search.merging import kindred, merged
 from calflow.diagnosis.search.stepwise import Stepwise
+from calflow.diagnosis.search.trial import Acceptance
 
 N = 150
 TIME = np.linspace(0.0, 1.0, N)

@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.linear_trial import Block
-from calflow.diagnosis.screening.family import Family
-from calflow.diagnosis.search.acceptance import Acceptance
+from calflow.diagnosis.linear import Block
+from calflow.diagnosis.screening.screening import Family
 from calflow.diagnosis.search.exchange import COLUMNS
 from calflow.diagnosis.search.linearisation import Screened
 from calflow.diagnosis.search.stepwise import MOST_TRIALS, Stepwise
-from calflow.diagnosis.search.trial import PATIENCE, Trial
+from calflow.diagnosis.search.trial import PATIENCE, Acceptance, Trial
 
 FAMILY = Family({}, 1.0)
 Path = Callable[[int], tuple[tuple[str, ...], float]]

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.findings.verdict import verdict
-from calflow.diagnosis.screening.family import Family
-from calflow.diagnosis.screening.screening import by_place
+from calflow.diagnosis.screening.screening import Family, by_place
 from calflow.diagnosis.search.linearisation import Finding
 from calflow.diagnosis.search.verification import corrected, doubted, doubtful, verified
 from diagnosis.findings.test_verdict import score

@@ -12,16 +12,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from calflow.design.isolability.discrimination import Question
-from calflow.design.isolability.t_optimality import Choices
+from calflow.design.discrimination import Question
+from calflow.design.exchange import greedy, information
 from calflow.design.measuring.lacks import Lack, Lacks
 from calflow.design.measuring.task_error import Measure, Site, TaskError
+from calflow.design.optimality import ToolError
 from calflow.design.planned import Planned
-from calflow.design.search.exchange import greedy, information
-from calflow.design.search.optimality import ToolError
+from calflow.design.t_optimality import Choices
 from calflow.diagnosis.findings.verdict import label
-from calflow.estimation.alternative import Alternative
 from calflow.estimation.probing import probed
+from calflow.estimation.rival_models import Alternative
 
 MOST_LACKS, DIRECTIONS = 4, 10  # names of what may be lacking that poses are chosen for, and directions of each
 PARAMETERS, SURER = "parameters", "surer tool over the task"

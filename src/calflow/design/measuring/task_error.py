@@ -14,15 +14,15 @@ from typing import Literal
 
 import numpy as np
 
-from calflow.design.isolability.discrimination import rows_like
+from calflow.design.discrimination import rows_like
 from calflow.design.measuring.lacks import Form, Lacks
 from calflow.design.planned import Planned
 from calflow.design.task import Task
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import Effect
-from calflow.estimation.alternative import Alternative
 from calflow.estimation.elsewhere import left_out
 from calflow.estimation.probing import probed
+from calflow.estimation.rival_models import Alternative
 from calflow.measurements.series import Series
 from calflow.model import Model
 from calflow.observations.position import Position

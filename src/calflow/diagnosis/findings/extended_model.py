@@ -1,27 +1,54 @@
-"""The extended model as a table and a document tell it: its accuracy, its noise, and how the search ended."""
+"""The extended model as a table and a document tell it: its accuracy, its noise, and how the search ended.
+
+The summary of diagnose: what was searched, and what the extended model leaves.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
-from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
+from calflow.diagnosis.findings.misfit import Region
 from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.estimation.accuracy import Accuracy, accuracy, errors
-from calflow.estimation.calibrated import Identified, noise_table, series_noise
-from calflow.estimation.fit_summary import Solver
+from calflow.estimation.calibrated_model import CalibratedModel, noise_table, series_noise
+from calflow.estimation.fit_summary import FitSummary, Solver
 from calflow.estimation.noise import Noise
-from calflow.files.tables import to_frame
+from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
 
 
-def extended_model(found: Diagnosis, known: Identified, data: Measurements) -> Identified:
+@dataclass(frozen=True, kw_only=True)
+class DiagnosisSummary(FitSummary):
+    """How diagnose ended: noise and lack of fit of the extended model, and how much was searched."""
+
+    reduced_chi2_before: float | None = column("of the study's own model; null: cannot be told")
+    causes_tested: int = column("places of effects that were tested")
+    tests: float = column("independent tests that these are worth")
+    worst: Region | None = column(
+        "where the extended model's lack of fit is largest; null: no lack of fit, or about alike everywhere",
+        default=None,
+    )
+    capped: bool = column("whether as many causes were found as were allowed, so that there may be more", default=False)
+
+    @property
+    def unseen(self) -> str:
+        """Say what no test could see because the noise is not known apart from the fit; empty where it is known."""
+        if self.noise_known:
+            return ""
+        return (
+            "the noise was estimated from the fit, so a lack of fit cannot be told from it: what depends on no joint, pair of "
+            "joints, place or time that was tried could not be seen"
+        )
+
+
+def extended_model(found: Diagnosis, known: CalibratedModel, data: Measurements) -> CalibratedModel:
     """Return the extended model as the stages after it start from it; known is what it was extended from."""
     final = found.extended.fitted
-    return Identified(
+    return CalibratedModel(
         final.model, final.fit.estimate, final.fit.covariance, final.fit.at_bound,
         series_noise(_noise(found, known, data), _growth(found)), final.noise.discrepancy,
         final.noise.rotation_discrepancy, final.loss, final.elsewhere, tuple(one.alternative for one in found.alternatives),
@@ -39,12 +66,12 @@ def accuracy_table(found: Diagnosis, data: Measurements, before: Sequence[Accura
     return to_frame(rows, Accuracy)
 
 
-def extended_noise(found: Diagnosis, known: Identified, data: Measurements) -> pd.DataFrame:
+def extended_noise(found: Diagnosis, known: CalibratedModel, data: Measurements) -> pd.DataFrame:
     """Return the table of each series' noise as the extended model leaves it."""
     return noise_table(_noise(found, known, data), found.extended.fitted.model.observations, _growth(found))
 
 
-def summary(found: Diagnosis, known: Identified) -> DiagnosisSummary:
+def summary(found: Diagnosis, known: CalibratedModel) -> DiagnosisSummary:
     """Say how the search ended."""
     final, first = found.extended.fitted, found.start
     sigma = found.growth.floor if found.growth else known.sigma
@@ -71,7 +98,7 @@ def summary(found: Diagnosis, known: Identified) -> DiagnosisSummary:
     )
 
 
-def _noise(found: Diagnosis, known: Identified, data: Measurements) -> Noise:
+def _noise(found: Diagnosis, known: CalibratedModel, data: Measurements) -> Noise:
     final = found.extended.fitted
     noise = known.noise(data)
     sigma = noise.sigma.copy()

@@ -1,4 +1,14 @@
-"""The tables of a diagnosis: findings, best first, and every candidate that was tested."""
+"""The tables of a diagnosis: findings, best first, and every candidate that was tested.
+
+The amplitude: one figure for what a cause does, and how sure it is, over all forms that explain the data as well.
+The gain: what an extension is worth on rows that no fit has seen, with an interval.
+A Gaussian process for what no cause explains: it predicts, without a physical meaning, and is never part of the model.
+
+A decoy's waves with independent normal amplitudes of one size are a Gaussian process over its inputs that acts where the decoy
+does (the weight-space view: Rasmussen and Williams 2006, 2.1). The size is that of the greatest marginal likelihood, the
+noise's level integrated out.
+The detection limit: how large a cause must be for these very data to show it.
+"""
 
 from __future__ import annotations
 
@@ -6,30 +16,171 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import casadi as ca
 import numpy as np
 import pandas as pd
+from scipy.optimize import brentq
+from scipy.stats import f as f_distribution
+from scipy.stats import ncf
 
-from calflow.diagnosis.findings.alternatives import FittedAlternative
-from calflow.diagnosis.findings.amplitude import amplitude, found_amplitude
-from calflow.diagnosis.findings.gain import gain
-from calflow.diagnosis.findings.gaussian_process import predicted
-from calflow.diagnosis.findings.misfit import Misfit
-from calflow.diagnosis.findings.remainder import POSE, Remainder
+from calflow.diagnosis.findings.misfit import POSE, Misfit, Remainder
+from calflow.diagnosis.findings.rivals import FittedAlternative
 from calflow.diagnosis.findings.verdict import Rival, Verdict, label
-from calflow.diagnosis.screening.detection_limit import detection_limit
 from calflow.diagnosis.screening.score import Score
-from calflow.diagnosis.screening.screening import by_place
+from calflow.diagnosis.screening.screening import Family, Screening, by_place
 from calflow.diagnosis.search.extension import Extended
 from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.linearisation import Finding
 from calflow.diagnosis.search.merging import kindred
 from calflow.diagnosis.search.noise_growth import RANGE, Growth
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Cause
-from calflow.estimation.accuracy import distances, errors
-from calflow.estimation.occam_window import ModelInReach
+from calflow.estimation.accuracy import distances, error_jacobian, errors
 from calflow.estimation.parameters import UNIT
+from calflow.estimation.rival_models import ModelInReach
 from calflow.files.tables import column, to_frame
+from calflow.measurements.columns import blocks_of
 from calflow.measurements.measurements import Measurements
+
+
+def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+    """Return one figure for a cause's parameters, and its standard deviation; a single parameter keeps its sign."""
+    if len(values) == 1:
+        return float(values[0]), float(np.sqrt(covariance[0, 0]))
+    p = ca.SX.sym("p", len(values))
+    size = cause.effect.size(p)
+    figure, slope = (np.array(one).ravel() for one in ca.Function("size", [p], [size, ca.gradient(size, p)])(values))
+    return float(figure[0]), float(np.sqrt(slope @ covariance @ slope))
+
+
+def found_amplitude(finding: Finding, fitted: Fitted) -> tuple[float, float]:
+    """Return a found cause's amplitude in the final model, and its standard deviation whatever its form may be.
+
+    Another form in its place (another order, say) can explain the data as well with another amplitude. Each form counts by its
+    evidence (Bayesian model averaging: Hoeting et al. 1999), about the estimate of the best one.
+    """
+    cause = finding.cause
+    own = fitted.model.columns(cause)
+    estimate, sd = amplitude(cause, fitted.fit.estimate[own], fitted.covariance[np.ix_(own, own)])
+    if sd == 0:
+        return estimate, sd  # at a bound
+    forms = [score for score in finding.scores if score.cause.place == cause.place]
+    others = [s for s in forms if s.cause != cause and same_quantities(s.cause, cause)]
+    least = min(score.delta_bic for score in forms)
+    variances, weights = [sd**2], [np.exp((least - finding.own.delta_bic) / 2)]
+    for score in others:
+        other, other_sd = amplitude(score.cause, score.estimate, score.covariance)
+        variances.append(other_sd**2 + (other - estimate) ** 2)
+        weights.append(np.exp((least - score.delta_bic) / 2))
+    return estimate, float(np.sqrt(np.average(variances, weights=weights)))
+
+
+def same_quantities(one: Cause, other: Cause) -> bool:
+    """Whether the parameters of two forms of a cause mean the same."""
+    first, second = ([(parameter.symbol, parameter.unit) for parameter in cause.declared] for cause in (one, other))
+    return first == second
+
+
+RESAMPLES = 2000
+INTERVAL = (0.025, 0.975)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """By how much the mean position error falls [m], and its 95 % interval; nan where nothing is held out."""
+
+    mean: float
+    low: float
+    high: float
+
+
+def gain(before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator) -> Gain:
+    """Compare two models' errors (n_rows, 3) [m] on held-out rows, resampling whole poses (within payload and session)."""
+    if not len(heldout):
+        return Gain(np.nan, np.nan, np.nan)
+    fallen = distances(before) - distances(after)
+    blocks = blocks_of(heldout.table)
+    table = heldout.table[["pose", *blocks]].assign(fallen=fallen)
+    poses = table.groupby("pose", sort=True).agg(
+        total=("fallen", "sum"), n=("fallen", "size"), **{name: (name, "first") for name in blocks}
+    )
+    total, count = np.zeros(RESAMPLES), np.zeros(RESAMPLES)
+    for _, group in poses.groupby(blocks, sort=True):
+        drawn = rng.integers(len(group), size=(RESAMPLES, len(group)))
+        total += group["total"].to_numpy()[drawn].sum(axis=1)
+        count += group["n"].to_numpy()[drawn].sum(axis=1)
+    low, high = np.quantile(total / count, INTERVAL)
+    return Gain(float(fallen.mean()), float(low), float(high))
+
+
+SIZES = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 61)])  # over the prior's, that are tried
+
+
+def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> np.ndarray:
+    """Return by how much the process moves what is predicted of rows, shape (n_rows, 3) [m]: see `errors`.
+
+    The model's own parameters settle beside it, as far as their priors let them.
+    """
+    regressors = replace(fitted, background=None).regressors(decoys)
+    amplitudes = _amplitudes(Screening(regressors)) * regressors.prior_sd
+    own = regressors.jacobian
+    imitated = own.T @ regressors.matrix.times(amplitudes)
+    settled = -np.linalg.solve(own.T @ own + np.diag(regressors.precision), imitated)
+    model, fit = fitted.model, fitted.fit
+    both = replace(model, probes=tuple(decoys))
+    change = np.zeros(len(both.parameters))
+    change[np.flatnonzero(~fit.at_bound)] = settled
+    change[len(fit.estimate) :] = amplitudes
+    at = np.append(fit.estimate, both.nominal[len(fit.estimate) :])
+    return error_jacobian(both, at, data) @ change
+
+
+def _amplitudes(screening: Screening) -> np.ndarray:
+    """The most probable amplitudes of all columns, over their priors."""
+    sd = screening.regressors.prior_sd
+    shown = screening.information(np.arange(len(sd))) * sd[:, None] * sd
+    values, vectors = np.linalg.eigh(shown)
+    values = np.maximum(values, 0.0)
+    score = vectors.T @ (screening.score * sd)
+    square = SIZES[:, None] ** 2
+    kept = square / (1 + square * values)  # (n_sizes, n_columns)
+    drop = kept @ score**2
+    evidence = -0.5 * (
+        screening.degrees_of_freedom * np.log1p(-np.minimum(drop / screening.chi2, 1 - 1e-12))
+        + np.log1p(square * values).sum(axis=1)
+    )
+    return np.asarray(-vectors @ (kept[int(np.argmax(evidence))] * score))
+
+
+POWER = 0.95
+MOST = 1e5  # squared sigmas
+
+
+def noncentrality(false_alarm: float, tests: float, degrees_of_freedom: int, left: float) -> float:
+    """Return the squared sigmas that an effect must show for its F test to pass 95 times in 100.
+
+    tests is how many it pays for at the family's false_alarm, freedom and left the degrees of freedom. nan where so few are
+    left that no effect would.
+    """
+    single = -np.expm1(np.log1p(-false_alarm) / tests)
+    threshold = f_distribution.isf(single, degrees_of_freedom, left)
+    if not ncf.sf(threshold, degrees_of_freedom, left, MOST) > POWER:
+        return float("nan")
+    return float(brentq(lambda shown: ncf.sf(threshold, degrees_of_freedom, left, shown) - POWER, 1e-3, MOST))
+
+
+def detection_limit(score: Score[Cause], family: Family, false_alarm: float) -> float:
+    """Return the least size of a cause, in the unit of its first parameter, that is found 95 times in 100.
+
+    Several parameters are taken in proportion to their priors, in directions that the data show on average.
+    """
+    declared = score.cause.declared
+    sd = np.array([parameter.prior_sd for parameter in declared])
+    same = np.array([parameter.unit == declared[0].unit for parameter in declared])
+    shown = float(np.diag(score.information) @ sd**2 / (sd[same] @ sd[same]))
+    needed = noncentrality(false_alarm, family.tests(score), score.shown, score.left)
+    return float(np.sqrt(needed / shown))
+
 
 NAN = float("nan")
 UNEXPLAINED = "unexplained"  # what a cause is not told from where something without a name depends on the same input

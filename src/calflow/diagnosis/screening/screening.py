@@ -3,6 +3,9 @@
 The whitened residual e is a point where the fit's objective is least. For a candidate with whitened regressors X, the fit's
 Jacobian J and the priors' precision P, what J cannot imitate of it has the information S = XᵀX - XᵀJ (JᵀJ + P)⁻¹ JᵀX, and
 the score u = Xᵀe - XᵀJ (JᵀJ + P)⁻¹ (Jᵀe + P δ): uᵀ(S + prior)⁻¹u is the drop of chi² that a refit would bring.
+
+Trials: candidates tested against many residuals at once, as a simulation asks for.
+A family of tests: what the number of those that were made costs each of them.
 """
 
 from __future__ import annotations
@@ -18,11 +21,59 @@ from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 from scipy.stats import f as f_distribution
 
-from calflow.diagnosis.screening.family import Family, worth
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.regressors import Regressors
 from calflow.diagnosis.screening.score import Score
-from calflow.diagnosis.screening.trials import Trials
+
+BOOTSTRAP_SIGNIFICANCE = (
+    0.05  # of the smallest p-value, at which the bootstrap counts how many tests the family is worth
+)
+
+
+@dataclass(frozen=True)
+class Family:
+    """What the number of tests costs: scans is how many each place's variants are worth, places all places together.
+
+    A place pays for its own scan first, so that a cause without variants need not pay for the others'.
+    """
+
+    scans: dict[tuple[str, str], float]
+    places: float
+
+    def tests(self, score: Score) -> float:
+        """Return how many tests a candidate pays for: its place's scan times all places."""
+        return self.scans.get(score.cause.place, 1.0) * self.places
+
+    def p(self, score: Score) -> float:
+        """Return the chance that anything in the family looks like this where nothing is hidden."""
+        return float(-np.expm1(self.tests(score) * np.log1p(-min(score.p, 1 - 1e-16))))
+
+
+def worth(smallest: np.ndarray) -> float:
+    """How many independent tests have a smallest p-value that is distributed like this, on the safe side of so few draws."""
+    error = float(np.sqrt(BOOTSTRAP_SIGNIFICANCE * (1 - BOOTSTRAP_SIGNIFICANCE) / len(smallest)))
+    quantile = float(np.quantile(smallest, BOOTSTRAP_SIGNIFICANCE - error))
+    return float(max(1.0, np.log1p(-BOOTSTRAP_SIGNIFICANCE) / np.log1p(-min(quantile, BOOTSTRAP_SIGNIFICANCE))))
+
+
+@dataclass(frozen=True, eq=False)
+class Trials(Generic[H]):
+    """Visible candidates, the BIC that each would gain (n_candidates, n_draws), and whether it would be found, likewise."""
+
+    causes: tuple[H, ...]
+    bic: np.ndarray
+    passed: np.ndarray
+
+    def by_place(self) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
+        """Return each place's BIC (n_draws,), averaged over its variants as evidence is, and whether any would be found."""
+        members: dict[tuple[str, str], list[int]] = {}
+        for k, cause in enumerate(self.causes):
+            members.setdefault(cause.place, []).append(k)
+        return {
+            place: (-2 * np.logaddexp.reduce(-self.bic[own] / 2, axis=0), np.asarray(self.passed[own].any(axis=0)))
+            for place, own in members.items()
+        }
+
 
 MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
 INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size

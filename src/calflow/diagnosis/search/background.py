@@ -16,9 +16,8 @@ import numpy as np
 from scipy.stats import norm
 
 from calflow.diagnosis.screening.correlation import Background
-from calflow.diagnosis.screening.regressors import Products, Regressors
+from calflow.diagnosis.screening.regressors import Held, Products, Regressors
 from calflow.diagnosis.screening.screening import Screening
-from calflow.diagnosis.screening.tall_matrix import Held
 from calflow.diagnosis.search.decoys import Decoy, InTime, JointField, Shift, placed, under_payloads
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects.cause import Cause

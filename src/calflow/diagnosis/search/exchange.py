@@ -15,10 +15,9 @@ from typing import Generic
 import numpy as np
 from scipy.special import fdtrc
 
-from calflow.diagnosis.screening.family import Family
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.score import Score
-from calflow.diagnosis.screening.screening import INVISIBLE, MATERIAL, Screening
+from calflow.diagnosis.screening.screening import INVISIBLE, MATERIAL, Family, Screening
 
 COLUMNS = 4  # of a candidate at most: error maps have rivals of their own
 VARIANTS = 8  # of one place, the best

@@ -14,7 +14,7 @@ from calflow.diagnosis.screening.regressors import Regressors
 from calflow.diagnosis.screening.screening import Screening
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
-from calflow.estimation.calibrated import Identified
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.elsewhere import elsewhere
 from calflow.estimation.fit import Fit, fit
 from calflow.estimation.intraclass import found_alike
@@ -137,7 +137,7 @@ class Fitted:
         )
 
     @staticmethod
-    def of(known: Identified, data: Measurements, noise: Noise) -> Fitted:
+    def of(known: CalibratedModel, data: Measurements, noise: Noise) -> Fitted:
         """Fit an identified model anew on training rows, from where identify left it."""
         bare = replace(noise, discrepancy=0.0, rotation_discrepancy=0.0, intraclass=0.0)
         return _settled(known.model, data, bare, known.estimate, known.loss)

@@ -9,11 +9,10 @@ from typing import Generic
 import numpy as np
 
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.family import Family
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.regressors import Candidate, Regressors
 from calflow.diagnosis.screening.score import Score
-from calflow.diagnosis.screening.screening import Screening
+from calflow.diagnosis.screening.screening import Family, Screening
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects.cause import Cause
 

@@ -1,4 +1,7 @@
-"""A trial: a model that the search tried, what it costs in BIC, and how to go on to another."""
+"""A trial: a model that the search tried, what it costs in BIC, and how to go on to another.
+
+The gate: what a cause must show to be added to the model, and to stay there.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,9 @@ from typing import Any, Generic, Self
 
 import numpy as np
 
-from calflow.diagnosis.screening.family import Family
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.score import Score
-from calflow.diagnosis.screening.screening import prior_cost
+from calflow.diagnosis.screening.screening import MATERIAL, Family, prior_cost
 from calflow.diagnosis.search.linearisation import Finding, Linearisation
 
 PATIENCE = 3  # models with causes at the same places that may be no better than one before them
@@ -115,3 +117,24 @@ def is_worth_trying(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
 def swapped(causes: Sequence[H], gone: H, come: H) -> list[H]:
     """Return the causes with one in the place of another."""
     return [come if cause == gone else cause for cause in causes]
+
+
+FALSE_ALARM = 0.01  # the chance that anything is found where nothing is hidden, unless a study says otherwise
+SHARES = {"causes": 0.7, "remainder": 0.2, "noise": 0.1}  # of the false alarms that are allowed
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """What a cause must pass: the chance of a false alarm in the whole family, and how many causes there may be."""
+
+    false_alarm: float
+    most: int
+
+    def accepts(self, score: Score, family: Family) -> bool:
+        """Whether a candidate pays, matters, and is no accident."""
+        return score.delta_bic < 0 and score.share > MATERIAL and family.p(score) < self.false_alarm
+
+    def keeps(self, finding: Finding) -> bool:
+        """Whether a cause that is in the model would pass again."""
+        own = [score for score in finding.scores if score.cause == finding.cause]
+        return bool(own) and self.accepts(own[0], finding.family)

@@ -3,28 +3,211 @@
 The search takes what it has not found yet for independent noise. Here it is a background (see `background`): what rows near each
 other share. A cause has to explain the data better than the background does that takes its place, to show more beside it than
 chance would in all its family, and to carry over to blocks of training poses that were left out.
+
+Cross-validation inside the training rows: whether a cause carries over to poses that were not fitted.
+
+Blocks of poses that are near each other, in joint space or in time, are left out in turn, and predicted by what the others
+tell (Roberts et al. 2017): a cause that stands for something else fits the rows that it was found on, and no others. Linear, from
+one Jacobian, without a refit.
+The unnamed rival: whether each cause explains the data better than a background of its own would without it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.stats import t as student
 
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.search.acceptance import Acceptance
-from calflow.diagnosis.search.background import Basis, background, possible
-from calflow.diagnosis.search.cross_validation import carried_over, left_out
+from calflow.diagnosis.screening.regressors import Regressors
+from calflow.diagnosis.screening.screening import prior_cost
+from calflow.diagnosis.search.background import Basis, Sizes, background, possible
 from calflow.diagnosis.search.exchange import SPLIT
 from calflow.diagnosis.search.extension import Extended, extended
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.fitted_trial import FittedTrial
 from calflow.diagnosis.search.linearisation import Finding, Linearisation
 from calflow.diagnosis.search.stepwise import Stepwise, second_thoughts, words
-from calflow.diagnosis.search.trial import Trial, is_new, same
-from calflow.diagnosis.search.unnamed import evidence, unnamed
+from calflow.diagnosis.search.trial import Acceptance, Trial, is_new, same
 from calflow.effects.cause import Cause
+
+LEVELS = 3  # of halving: eight blocks of each kind
+FEWEST = 2  # poses of a block
+WORSE = 0.01  # one-sided significance at which a cause makes blocks that were left out worse
+
+
+@dataclass(frozen=True)
+class CarriedOver:
+    """What a cause gains at blocks of training poses that were left out: in chi², and by the largest error.
+
+    gain is the sum over blocks, per kind of block; largest the mean logarithm of each block's largest error without the cause over
+    that with it, and p the chance that it is so much below zero by accident.
+    """
+
+    gain: tuple[float, ...]
+    largest: float
+    p: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether it does carry over."""
+        return max(self.gain) > 0 and self.p > WORSE
+
+
+def blocks(fitted: Fitted) -> list[np.ndarray]:
+    """Number the training rows by blocks of poses, near in joint space, and where the order is known in time; (n_rows,) each."""
+    data = fitted.data
+    first, number = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
+    angles = data.joints[first]
+    levels = min(LEVELS, int(np.log2(max(len(first) // FEWEST, 1))))
+    found = [_halved(angles / np.maximum(angles.std(axis=0), 1e-9), levels)[number]]
+    if "order" in data.given:
+        rank = np.argsort(np.argsort(data.table["order"].to_numpy(float)[first]))
+        found.append((rank * 2**levels // len(first))[number])
+    return found
+
+
+def _halved(places: np.ndarray, levels: int) -> np.ndarray:
+    """Number places (n, n_axes) by the leaves of a k-d tree (Bentley 1975): each block is halved where it is longest."""
+    block = np.zeros(len(places), dtype=int)
+    for _ in range(levels):
+        upper = np.zeros(len(places), dtype=bool)
+        for one in np.unique(block):
+            own = np.flatnonzero(block == one)
+            along = places[own, int(np.argmax(np.ptp(places[own], axis=0)))]
+            upper[own[np.argsort(along, kind="stable")[len(own) // 2 :]]] = True
+        block = 2 * block + upper
+    return block
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """The blocks of one kind, each to be predicted by what the others tell of a linearised model.
+
+    rows are the numbers of each block's residuals, fitted (n_blocks, n_free, n_free) the products of the Jacobian with itself
+    over these, left (n_blocks, n_free) those with the residual: what the others tell is the sum of theirs.
+    """
+
+    regressors: Regressors[Cause]
+    rows: tuple[np.ndarray, ...]
+    fitted: np.ndarray
+    left: np.ndarray
+
+    @staticmethod
+    def of(regressors: Regressors[Cause], block: np.ndarray) -> LeftOut:
+        """Add up the products block by block, by which the residuals are numbered (n,)."""
+        rows = tuple(np.flatnonzero(block == one) for one in np.unique(block))
+        parts = [(regressors.jacobian[own], regressors.residual[own]) for own in rows]
+        return LeftOut(regressors, rows, np.array([j.T @ j for j, _ in parts]), np.array([j.T @ e for j, e in parts]))
+
+    @cached_property
+    def missed(self) -> list[np.ndarray]:
+        """Each block's whitened errors, the parameters fitted to the others."""
+        return self.missed_without(np.zeros(0, dtype=int), np.zeros(0))
+
+    def missed_without(self, gone: np.ndarray, value: np.ndarray) -> list[np.ndarray]:
+        """Return the same without some of the free parameters (their numbers), which have these values."""
+        known = self.regressors
+        keep = np.setdiff1d(np.arange(self.fitted.shape[1]), gone)
+        change, prior = np.zeros(self.fitted.shape[1]), np.diag(known.precision[keep])
+        change[gone] = value
+        found = []
+        for k, own in enumerate(self.rows):
+            others = np.arange(len(self.rows)) != k
+            whole = self.fitted[others].sum(axis=0)
+            left = self.left[others].sum(axis=0) - whole[:, gone] @ value
+            change[keep] = np.linalg.solve(whole[np.ix_(keep, keep)] + prior, left[keep] + known.pull[keep])
+            found.append(known.residual[own] - known.jacobian[own] @ change)
+        return found
+
+
+def left_out(fitted: Fitted) -> list[LeftOut]:
+    """Return a fitted model's blocks, a kind at a time."""
+    row = fitted.problem.stacking.row
+    return [LeftOut.of(fitted.alone, kind[row]) for kind in blocks(fitted)]
+
+
+def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[LeftOut]) -> CarriedOver:
+    """Predict each block of each kind from the others, with a cause of the model and without it."""
+    free = np.flatnonzero(~fitted.fit.at_bound)
+    own = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
+    value = fitted.fit.estimate[free][own]
+    gains, ratios = [], list[float]()
+    for kind in kinds:
+        pairs = list(zip(kind.missed_without(own, value), kind.missed, strict=True))
+        gains.append(float(sum(a @ a - b @ b for a, b in pairs)))
+        ratios += [np.log(np.abs(a).max() / np.abs(b).max()) for a, b in pairs]
+    mean, spread = float(np.mean(ratios)), float(np.std(ratios, ddof=1)) / np.sqrt(len(ratios))
+    p = float(student.cdf(mean / spread, len(ratios) - 1)) if spread > 0 else 1.0
+    return CarriedOver(tuple(gains), mean, p)
+
+
+Variants = dict[tuple[str, str], int]
+
+
+def unnamed(fitted: Fitted, basis: Basis, variants: Variants) -> dict[Cause, float]:
+    """Return twice the logarithm by which each cause makes the data more likely than a background in its place does.
+
+    Negative where what nobody can name explains the data better. Each model has the background that suits it best; the cause's
+    parameters are integrated out by Laplace's approximation, as the background's amplitudes are, so that a smooth curve of many
+    waves and a background of as many are measured alike. A background of an input of which the cause is any smooth function would
+    be the same under no name, and is no rival. variants says how many forms of a place were tried. Linear, without a
+    refit.
+    """
+    if not fitted.causes:
+        return {}
+    regressors = fitted.alone
+    free = np.flatnonzero(~fitted.fit.at_bound)
+    value = fitted.fit.estimate[free]
+    weight = fitted.problem.weight
+    whole = _evidence(regressors, basis, weight)
+    covariance = np.linalg.inv(regressors.jacobian.T @ regressors.jacobian + np.diag(regressors.precision))
+    found = {}
+    for cause in fitted.causes:
+        own = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
+        pull = value[own] * np.sqrt(regressors.precision[own])
+        without = regressors.without(own, value[own])
+        spent = _occam(covariance, regressors.precision, own) + 2 * np.log(variants.get(cause.place, 1))
+        other = _evidence(without, basis, weight, cause.effect.smooth_in)
+        found[cause] = float(other - whole - spent - _unusual(pull))
+    return found
+
+
+def evidence(fitted: Fitted, basis: Basis, variants: Variants) -> float:
+    """Return twice minus the logarithm of a model's likelihood beside the background that suits it best, causes integrated out."""
+    regressors, free = fitted.alone, np.flatnonzero(~fitted.fit.at_bound)
+    weight = fitted.problem.weight  # each fit has its own, by the noise that it leaves
+    whole = _evidence(regressors, basis, weight) - 2 * float(np.log(weight).sum())
+    value, precision = fitted.fit.estimate[free], regressors.precision
+    covariance = np.linalg.inv(regressors.jacobian.T @ regressors.jacobian + np.diag(precision))
+    columns = [np.flatnonzero(np.isin(free, fitted.model.columns(cause))) for cause in fitted.causes]
+    spent = sum(2 * np.log(variants.get(cause.place, 1)) for cause in fitted.causes)
+    return (
+        whole
+        + _occam(covariance, precision, np.concatenate([[], *columns]).astype(int))
+        + float(spent)
+        + sum(_unusual(value[own] * np.sqrt(precision[own])) for own in columns)
+    )
+
+
+def _occam(covariance: np.ndarray, precision: np.ndarray, own: np.ndarray) -> float:
+    """What it costs to have parameters with these columns: how much smaller than their priors they have become, -2 log."""
+    scale = np.sqrt(precision[own])
+    return -float(np.linalg.slogdet(covariance[np.ix_(own, own)] * np.outer(scale, scale))[1])
+
+
+def _unusual(pull: np.ndarray) -> float:
+    """What their sizes cost beyond that, in priors' standard deviations."""
+    return float(pull @ pull - prior_cost(np.array(pull @ pull), len(pull)))
+
+
+def _evidence(regressors: Regressors[Cause], basis: Basis, weight: np.ndarray, without: Collection[str] = ()) -> float:
+    sizes = Sizes.of(regressors, basis, weight)
+    return sizes.evidence(sizes.believed(without))
+
 
 ROUNDS = 6  # in which causes and background settle
 THOUGHTS = 3  # rivals that may take a cause's place one after another

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
+from calflow.diagnosis.findings.extended_model import DiagnosisSummary
 from calflow.diagnosis.findings.tables import UNEXPLAINED
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.files.results import Results

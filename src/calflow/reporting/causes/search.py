@@ -9,7 +9,7 @@ import pandas as pd
 
 from calflow.diagnosis.findings.tables import CandidateRow
 from calflow.diagnosis.findings.verdict import WITHIN
-from calflow.diagnosis.search.acceptance import FALSE_ALARM, SHARES
+from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
 from calflow.reporting.causes.unexplained import unexplained

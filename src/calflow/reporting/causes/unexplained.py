@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
+from calflow.diagnosis.findings.extended_model import DiagnosisSummary
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph
 from calflow.reporting.causes.gain import worth

@@ -1,12 +1,22 @@
-"""The page's elements: each block as a reader sees it in a browser."""
+"""The page's elements: each block as a reader sees it in a browser.
+
+HTML elements: whatever is not an element itself is escaped where it enters one.
+The numbers of all figures of a page: a column that several figures show is stored once, in few bytes.
+"""
 
 from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import singledispatchmethod
+from html import escape
+from typing import Any
+
+import numpy as np
+import pandas as pd
 
 from calflow.reporting.blocks import (
     Block,
@@ -22,8 +32,95 @@ from calflow.reporting.blocks import (
     Signatures,
     Table,
 )
-from calflow.reporting.html.elements import Html, as_json, element, joined
-from calflow.reporting.html.store import Store
+
+VOID = frozenset({"img", "input", "meta"})  # elements that hold nothing and have no end
+UNSPEAKABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ufdd0-\ufdef\ufffe\uffff]")  # what HTML may not hold
+
+
+class Html(str):
+    """Text that is HTML already."""
+
+    __slots__ = ()
+
+
+def element(tag: str, *children: str, **attributes: str | int | bool) -> Html:
+    """Return an element; an attribute that is True stands alone, one that is False or empty is left out.
+
+    Names are written with - for _, and class_ and for_ without it.
+    """
+    said = "".join(_attribute(name.rstrip("_").replace("_", "-"), value) for name, value in attributes.items())
+    inside = "".join(map(shown, children))
+    return Html(f"<{tag}{said}>" if tag in VOID else f"<{tag}{said}>{inside}</{tag}>")
+
+
+def shown(text: str) -> Html:
+    """Return text as HTML that shows it letter by letter, and HTML as it is."""
+    return text if isinstance(text, Html) else Html(escape(UNSPEAKABLE.sub("\ufffd", text), quote=False))
+
+
+def as_json(value: object) -> Html:
+    """Return a value as JSON that a script's element holds: nothing in it ends the element."""
+    return Html(json.dumps(value, separators=(",", ":")).replace("<", "\\u003c"))
+
+
+def joined(parts: list[Html]) -> Html:
+    """Return elements one after the other."""
+    return Html("\n".join(parts))
+
+
+def _attribute(name: str, value: str | int | bool) -> str:
+    if value is True:
+        return f" {name}"
+    if value is False or value == "":
+        return ""
+    return f' {name}="{escape(UNSPEAKABLE.sub("�", str(value)))}"'
+
+
+FEW = 256  # different values up to which a row has the number of its value, in a byte
+DIGITS = "%.7g"  # of a number that is written as such: those of a float of four bytes
+
+
+class Store:
+    """Columns by their number, as `data.js` reads them."""
+
+    def __init__(self) -> None:
+        self._columns: dict[str, int] = {}
+
+    @property
+    def columns(self) -> list[dict[str, Any]]:
+        """All columns in the order of their numbers."""
+        return [json.loads(column) for column in self._columns]
+
+    def numbers(self, data: pd.DataFrame) -> dict[str, int]:
+        """Keep a table; return the number of each of its columns."""
+        return {str(name): self._number(json.dumps(packed(data[name]))) for name in data}
+
+    def _number(self, column: str) -> int:
+        return self._columns.setdefault(column, len(self._columns))
+
+
+def packed(values: pd.Series) -> dict[str, Any]:
+    """Return a column as one of three: few different values and which a row has, numbers of four bytes, or texts."""
+    codes, distinct = pd.factorize(values, use_na_sentinel=False)
+    if len(distinct) <= FEW:
+        return {"values": [_plain(value) for value in distinct], "codes": _encoded(codes.astype("u1"))}
+    if pd.api.types.is_numeric_dtype(values):
+        return {"floats": _encoded(values.to_numpy(dtype="<f4"))}
+    return {"texts": [_plain(value) for value in values]}
+
+
+def _plain(value: Any) -> bool | float | str | None:
+    """Return a cell as JSON has it; None where nothing is known."""
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if pd.isna(value):
+        return None
+    return float(DIGITS % value) if isinstance(value, int | float | np.number) else str(value)
+
+
+def _encoded(array: np.ndarray) -> str:
+    return base64.b64encode(array.tobytes()).decode()
+
 
 DOTS_PER_INCH = 96
 NARROW = 4.0  # inches up to which a figure is read on a telephone as it is

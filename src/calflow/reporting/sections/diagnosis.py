@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from calflow.diagnosis.findings.diagnosis_summary import DiagnosisSummary
+from calflow.diagnosis.findings.extended_model import DiagnosisSummary
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Paragraph, Table
-from calflow.reporting.causes.finding import finding, moves, space
+from calflow.reporting.causes.finding import finding, moves, next_poses, other_means, space
 from calflow.reporting.causes.gain import gain_cells, gained, makes_it_worse
 from calflow.reporting.causes.search import candidates, strongest, threshold, untested
-from calflow.reporting.causes.separation import next_poses, other_means
 from calflow.reporting.causes.unexplained import still_unexplained, unexplained
 from calflow.reporting.findings import Found, chance_figure, findings, sureness
 from calflow.reporting.material import Material

@@ -7,8 +7,7 @@ from itertools import groupby
 from typing import Any
 
 from calflow.estimation.fit_summary import IdentifySummary
-from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
-from calflow.estimation.redundancy import Redundant
+from calflow.estimation.identifiability import Redundant, Statement, scale_words, silent_words, trade_words
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Table
 from calflow.reporting.material import Material

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calflow.design.trend import DriftPull
+from calflow.design.measuring_order import DriftPull
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section

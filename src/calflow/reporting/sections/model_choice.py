@@ -1,17 +1,53 @@
-"""The section on which causes act: all models in reach of what was found, each as probable as its evidence makes it."""
+"""The section on which causes act: all models in reach of what was found, each as probable as its evidence makes it.
+
+Figure of how probable causes are, among the models that may be right.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Bullets, Paragraph, Plot, Table
-from calflow.reporting.figures.model_choice import cause_probabilities
 from calflow.reporting.findings import place_name
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
+from calflow.reporting.style import DARK, MIDDLE, figure
 from calflow.reporting.words import number, percent
-from calflow.sampling.model_tables import ONLY, CauseProbability, ModelRow
+from calflow.sampling.models import ONLY, CauseProbability, ModelRow
+
+ROW = 0.2  # inches of a cause
+
+
+def cause_probabilities(names: Sequence[str], probability: np.ndarray, by_tests: np.ndarray) -> Figure:
+    """Draw each cause's probability (n_causes,), and beside it what the tests of diagnose made it."""
+    drawn = figure(0.9 + ROW * len(names))
+    axes = drawn.subplots()
+    place = np.arange(len(names))
+    axes.hlines(
+        place, np.minimum(probability, by_tests), np.maximum(probability, by_tests), color=MIDDLE, linewidth=0.8
+    )
+    axes.plot(
+        by_tests,
+        place,
+        "o",
+        markerfacecolor="white",
+        color=DARK,
+        label="by the linear tests of diagnose",
+        clip_on=False,
+    )
+    axes.plot(probability, place, "o", color=DARK, label="probability", clip_on=False)
+    axes.set_yticks(place, names)
+    axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.set_xlim(0, 1)
+    axes.set_xlabel("probability that it acts")
+    drawn.legend(ncols=2, loc="outside upper center")
+    return drawn
+
 
 SHOWN, LEAST = 12, 0.005  # causes and models that are told: those that are likeliest, down to this probability
 FAR = 0.1  # by how much a probability differs from that of diagnose for it to be said

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calflow.estimation.field_tables import SUMMARY, FieldAccuracy, FieldSummary
+from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section

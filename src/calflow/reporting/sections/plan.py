@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from calflow.design.how_many import HowMany
-from calflow.design.isolability.told_apart import isolability_gaps, isolability_summary
+from calflow.design.separability import isolability_gaps, isolability_summary
 from calflow.design.worth import Worth
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Item, Paragraph, Plot, RestOfPage

@@ -1,8 +1,13 @@
-"""The section on the sampled posterior: is it to be trusted, and how does it differ from the approximation."""
+"""The section on the sampled posterior: is it to be trusted, and how does it differ from the approximation.
+
+The sampled chain in the parameters' own units, thinned to what a figure can show.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -10,15 +15,51 @@ import pandas as pd
 from calflow.effects.cause import Cause
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
-from calflow.reporting.chain import Chain
 from calflow.reporting.figures.chains import against_laplace, corner, traces
 from calflow.reporting.findings import cause_name
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Advice, Section
 from calflow.reporting.style import WIDTH
 from calflow.reporting.words import listed, readable, short_names, with_sd
-from calflow.sampling.chain_summary import ChainSummary
-from calflow.sampling.sensitivity import prior_dominates, shared
+from calflow.sampling.posterior import Posterior, posterior_of
+from calflow.sampling.posterior_tables import ChainSummary, prior_dominates, shared
+
+SHOWN_STEPS = 600
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Walkers in round coordinates, shape (n_ensembles, n_shown, n_walkers, n_dimensions), at these steps."""
+
+    posterior: Posterior
+    walkers: np.ndarray
+    steps: np.ndarray
+    discard: int
+
+    @staticmethod
+    def read(path: Path, material: Material) -> Chain:
+        """Read the steps that the stage sample used, and rebuild the coordinates in which it sampled them."""
+        import h5py
+
+        posterior, _ = posterior_of(material.sampled[0], material.data)
+        summary = material.results.document("sample/summary.json", ChainSummary)
+        steps, discard = summary.steps, summary.burn_in_steps
+        stride = -(-steps // SHOWN_STEPS)
+        with h5py.File(path, "r") as file:
+            names = sorted(file, key=lambda name: (len(name), name))
+            walkers = np.array([file[name]["chain"][:steps:stride] for name in names])
+        return Chain(posterior, walkers, np.arange(0, steps, stride), discard)
+
+    def values(self, which: np.ndarray) -> np.ndarray:
+        """Return these parameters [SI], the last one being the noise factor, shape (…, n_walkers, n_which)."""
+        values = self.posterior.parameters(self.walkers)[..., which]
+        return np.where(which == self.posterior.n_dimensions - 1, np.exp(values), values)
+
+    def draws(self, which: np.ndarray, number: int) -> np.ndarray:
+        """Return evenly spaced draws after the burn-in, shape (at most about number, n_which)."""
+        kept = self.values(which)[:, self.steps >= self.discard].reshape(-1, len(which))
+        return kept[:: max(1, len(kept) // number)]
+
 
 SAME = 1.01  # R-hat up to which ensembles agree
 TRACED, PAIRED = 3, 6  # parameters in the figures

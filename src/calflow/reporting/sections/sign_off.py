@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from calflow.measurements.acceptance import Acceptance
 from calflow.reporting.blocks import Block, Paragraph, Signatures, Table
 from calflow.reporting.material import Material, latest, split_judged, steps
 from calflow.reporting.section import Section
 from calflow.reporting.tolerance import Judged, judged
 from calflow.reporting.words import mm, plural
+from calflow.study_file import Acceptance
 
 KELVIN = 273.15
 SIGN = ("Calibrated by: name, date, signature", "Accepted by: name, date, signature")

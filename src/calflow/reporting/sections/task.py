@@ -7,12 +7,11 @@ import pandas as pd
 
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Bullets, Paragraph, Plot, Table
-from calflow.reporting.figures.task_maps import Course, along, task_map
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
-from calflow.reporting.task_answer import LIKELY, answer, chance, strange, task_of
+from calflow.reporting.task_answer import LIKELY, Course, along, answer, chance, strange, task_map, task_of
 from calflow.reporting.words import mm
-from calflow.sampling.task_tables import TaskSummary
+from calflow.sampling.task_error import TaskSummary
 
 MAPS = 3  # payloads that have a line of maps, the least sure ones
 WORST = 5  # points in the table

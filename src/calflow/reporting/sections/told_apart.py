@@ -1,13 +1,77 @@
-"""The section on what planned poses tell apart: which causes they would show, and which gaps could be filled."""
+"""The section on what planned poses tell apart: which causes they would show, and which gaps could be filled.
+
+Figure of what a plan of poses shows and tells apart.
+"""
 
 from __future__ import annotations
 
-from calflow.design.isolability.told_apart import isolability_gaps, isolability_summary
+import numpy as np
+import pandas as pd
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from calflow.design.separability import isolability_gaps, isolability_summary
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Paragraph, Plot
-from calflow.reporting.figures.isolability import isolability
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
+from calflow.reporting.style import DARK, LIGHT, WIDTH, figure
+
+ROW, HIGHEST = 0.115, 7.0  # inches of a cause, and of all together
+WIDE = 5.2  # inches of all columns
+SMALL = 5.5  # points of a name, at most
+PER_INCH = 60.0  # points of a name that an inch has room for
+SEEN, NOT_TOLD, NOT_SEEN, SELF = 0, 1, 2, 3
+COLOURS = ("#ffffff", DARK, LIGHT, "#777777")
+HATCH = "////"  # of what is not seen, so that it is known on any paper
+
+
+def isolability(table: pd.DataFrame) -> Figure:
+    """Draw a row a cause and a column a rival: told apart, not told apart, or not seen at all."""
+    tested = table[(table["part"] != "") & table["part"].notna()]
+    own = tested[tested["rival"].fillna("") == ""]
+    names = [_name(*cause) for cause in zip(own["cause"], own["joint"], own["part"], strict=True)]
+    number = {place: k for k, place in enumerate(zip(own["cause"], own["part"], strict=True))}
+    cells = np.full((len(names), len(names)), SEEN)
+    for row in tested.to_dict("records"):
+        rival = number.get((row["rival"], row["rival_part"]))
+        if rival is not None and not row["enough"]:
+            cells[number[row["cause"], row["part"]], rival] = NOT_TOLD
+    unseen = np.flatnonzero(~own["enough"].to_numpy(dtype=bool))
+    cells[unseen] = NOT_SEEN
+    np.fill_diagonal(cells, SELF)
+
+    high = float(np.clip(ROW * len(names), 1.0, HIGHEST))
+    drawn = figure(1.5 + high, WIDTH)
+    axes = drawn.subplots()
+    edges = np.arange(len(names) + 1) - 0.5
+    colours = ListedColormap(COLOURS)
+    axes.pcolormesh(
+        edges, edges, cells, cmap=colours, norm=BoundaryNorm(np.arange(5) - 0.5, 4), edgecolors="#cccccc", linewidth=0.3
+    )
+    for k in unseen:
+        axes.axhspan(k - 0.5, k + 0.5, facecolor="none", edgecolor="#888888", hatch=HATCH, linewidth=0)
+    axes.grid(False)
+    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=min(SMALL, PER_INCH * WIDE / len(names)))
+    axes.set_yticks(range(len(names)), names, fontsize=min(SMALL, PER_INCH * high / len(names)))
+    axes.invert_yaxis()
+    axes.set(xlabel="told from", ylabel="if this is there")
+    key = [
+        Patch(facecolor=COLOURS[SEEN], edgecolor="#888888", label="seen and told"),
+        Patch(facecolor=COLOURS[NOT_TOLD], label="seen, not told"),
+        Patch(facecolor=COLOURS[NOT_SEEN], edgecolor="#888888", hatch=HATCH, label="not seen"),
+    ]
+    drawn.legend(handles=key, ncols=3, loc="outside upper center")
+    return drawn
+
+
+def _name(cause: str, joint: float | None, part: str) -> str:
+    """Name a cause with its joint, or with its part where that has no number."""
+    if joint is not None and joint == joint and joint:
+        return f"{cause} {joint:.0f}"
+    return f"{cause} ({part})"
+
 
 TABLE = "select/isolability.csv"
 FIRST = 3  # gaps on the first page

@@ -1,0 +1,87 @@
+"""Orientation: poses as robot makers write them, and as transforms (4, 4) in SI."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+Turn = Literal["quaternion", "zyx", "xyz", "vector"]
+NOWHERE = np.eye(4)
+EULER = {"zyx": "ZYX", "xyz": "xyz"}
+LOCKED = 1e-9  # cosine of the middle angle below which the other two turn about the same axis
+
+
+def pose_matrix(values: Sequence[float] | np.ndarray, turn: Turn) -> np.ndarray:
+    """Return the transform of a place [m] and an orientation, as `Target` says; a quaternion is made one of length 1."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = values[:3]
+    figures = np.asarray(values[3:], dtype=float)
+    if turn == "quaternion":
+        matrix[:3, :3] = Rotation.from_quat(figures, scalar_first=True).as_matrix()
+    elif turn == "vector":
+        matrix[:3, :3] = Rotation.from_rotvec(figures).as_matrix()
+    else:
+        matrix[:3, :3] = Rotation.from_euler(EULER[turn], figures).as_matrix()
+    return matrix
+
+
+def pose_values(matrix: np.ndarray, turn: Turn, like: np.ndarray) -> np.ndarray:
+    """Return a transform's place and orientation as a program states them, of all ways the one that is nearest to another's."""
+    rotation = Rotation.from_matrix(matrix[:3, :3])
+    before = like[3:]
+    if turn == "quaternion":
+        figures = rotation.as_quat(scalar_first=True)
+        figures = figures if figures @ before >= 0 else -figures
+    elif turn == "vector":
+        figures = nearest_vector(rotation.as_rotvec(), before)
+    else:
+        figures = _nearest_angles(matrix[:3, :3], turn, before)
+    return np.concatenate([matrix[:3, 3], figures])
+
+
+def inverse(matrix: np.ndarray) -> np.ndarray:
+    """Return the inverse of a transform, or of many (..., 4, 4)."""
+    back = np.zeros_like(matrix)
+    turned = np.swapaxes(matrix[..., :3, :3], -1, -2)
+    back[..., :3, :3] = turned
+    back[..., :3, 3] = -np.einsum("...ij,...j->...i", turned, matrix[..., :3, 3])
+    back[..., 3, 3] = 1.0
+    return back
+
+
+def angle_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the angle [rad] by which the orientations of transforms (..., 4, 4) differ."""
+    turned = np.swapaxes(first[..., :3, :3], -1, -2) @ second[..., :3, :3]
+    return np.asarray(Rotation.from_matrix(turned.reshape(-1, 3, 3)).magnitude().reshape(turned.shape[:-2]))
+
+
+def nearest_vector(vector: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Return the rotation vector of the same turn, whole turns more or less, that is nearest to another."""
+    length = np.linalg.norm(vector)
+    axis = vector / length if length > LOCKED else before / max(np.linalg.norm(before), LOCKED)
+    turns = np.round((axis @ before - length) / (2 * np.pi)) if np.linalg.norm(axis) > 0.5 else 0.0
+    return np.asarray(axis * (length + 2 * np.pi * turns) if turns else vector)
+
+
+def _nearest_angles(matrix: np.ndarray, turn: Turn, before: np.ndarray) -> np.ndarray:
+    """The angles of an orientation nearest to others: of both solutions, with whole turns more or less.
+
+    In the order first, middle, last of the figures; where the middle one is a right angle, the first is kept.
+    """
+    fixed = turn == "xyz"  # about the fixed x, y and z is about z, y and x in turn, read backwards
+    b = np.arctan2(-matrix[2, 0], np.hypot(matrix[0, 0], matrix[1, 0]))
+    if np.hypot(matrix[0, 0], matrix[1, 0]) < LOCKED:
+        a = before[2] if fixed else before[0]
+        sign = np.sign(-matrix[2, 0])
+        # R = Rz(a) Ry(±90°) Rx(c) depends on c ∓ a alone
+        c = sign * a + np.arctan2(sign * matrix[0, 1], matrix[1, 1])
+        found = [(a, b, c)]
+    else:
+        a, c = np.arctan2(matrix[1, 0], matrix[0, 0]), np.arctan2(matrix[2, 1], matrix[2, 2])
+        found = [(a, b, c), (a + np.pi, np.pi - b, c + np.pi)]
+    ways = [np.array(one[::-1] if fixed else one) for one in found]
+    ways = [way + 2 * np.pi * np.round((before - way) / (2 * np.pi)) for way in ways]
+    return min(ways, key=lambda way: float(np.abs(way - before).sum()))

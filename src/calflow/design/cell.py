@@ -1,0 +1,381 @@
+"""Distances between capsules, and of capsules from boxes: of the segments in their middle, all poses at once.
+
+The skeleton: where a robot's joints, flange, bars and marker are at many poses, by its nominal figures.
+The cell: who looks at the robot from where, what stands around it, and which poses it may take there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from itertools import combinations
+from typing import Self
+
+import casadi as ca
+import numpy as np
+
+from calflow.model import Model, over_rows
+from calflow.robot.chain import Deflection, pose
+from calflow.robot.dimensions import nominal_dimensions
+from calflow.robot.parts import Vector
+from calflow.robot.robot import Robot
+from calflow.robot.transforms import apply, placement
+
+SHORT = 1e-18  # m² (m⁴): a segment's squared length, or that of two segments' cross product, that counts as zero
+
+
+def between_segments(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Return the distances [m] of segments from a to b and from c to d, each (n, 3), shape (n,).
+
+    Nearest points as in Ericson, Real-Time Collision Detection (2005), section 5.1.9; a segment may be a point.
+    """
+    first, second, apart = b - a, d - c, a - c
+    p, q, mixed = _dot(first, first), _dot(second, second), _dot(first, second)
+    along, across = _dot(first, apart), _dot(second, apart)
+    s = np.clip(_share(mixed * across - along * q, p * q - mixed**2), 0, 1)
+    t = np.clip(_share(mixed * s + across, q), 0, 1)
+    s = np.clip(_share(mixed * t - along, p), 0, 1)
+    return np.linalg.norm(apart + s[:, None] * first - t[:, None] * second, axis=1)
+
+
+def from_box(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return the distances [m] of segments from a to b, each (n, 3), from a box with these corners (3,), shape (n,).
+
+    The squared distance along a segment is convex, and its slope is straight between the places where the segment passes one of
+    the box's six planes: where the slope is zero is found exactly.
+    """
+    middle, half = (low + high) / 2, (high - low) / 2
+    start, way = a - middle, b - a
+    with np.errstate(divide="ignore", invalid="ignore"):
+        passed = np.hstack([(half - start) / way, (-half - start) / way])
+    ends = np.tile([0.0, 1.0], (len(a), 1))
+    at = np.sort(np.hstack([np.clip(np.nan_to_num(passed), 0, 1), ends]), axis=1)
+    points = start[:, None] + at[..., None] * way[:, None]
+    slope = _dot(points - np.clip(points, -half, half), way[:, None])
+    after = (slope < 0).sum(axis=1).clip(1, at.shape[1] - 1)[:, None]  # the first place where it no longer falls
+    (t0, t1), (s0, s1) = ([np.take_along_axis(of, k, axis=1)[:, 0] for k in (after - 1, after)] for of in (at, slope))
+    nearest = start + (t0 + (t1 - t0) * np.clip(_share(-s0, s1 - s0), 0, 1))[:, None] * way
+    return np.linalg.norm(nearest - np.clip(nearest, -half, half), axis=1)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.asarray((a * b).sum(axis=-1))
+
+
+def _share(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """A quotient, 0 where the whole is nothing."""
+    return np.divide(part, whole, out=np.zeros_like(part), where=np.abs(whole) > SHORT)
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """Points [m] and directions at n poses, in the base's frame as the link on the floor sees it.
+
+    nodes (n, n_joints + 2, 3) are the base's origin, each joint's and the flange's: link k goes from node k to the next. axes
+    (n, n_joints, 3) are the joints' axes, flange (n, 3, 3) turns the flange's, marker (n, 3) is the reflector, bars (n, 3 or 0, 3)
+    the pins P, Q and R of a loop.
+    """
+
+    nodes: np.ndarray
+    axes: np.ndarray
+    flange: np.ndarray
+    marker: np.ndarray
+    bars: np.ndarray
+
+    @classmethod
+    def of(cls, robot: Robot, readings: np.ndarray, marker: str) -> Self:
+        """Return the skeletons at joint readings (n, n_joints) [rad, or m]."""
+        points = _function(robot, marker)
+        (found,) = over_rows(points, np.zeros(0), np.asarray(readings @ robot.reading_matrix.T).T)
+        every = found.T.reshape(len(readings), -1, 3)
+        n = robot.n_joints
+        ends = np.cumsum([n + 2, n, 3, 1])
+        nodes, axes, flange, own, bars = np.split(every, ends, axis=1)
+        return cls(nodes, axes, np.swapaxes(flange, 1, 2), own[:, 0], bars)
+
+    def part(self, which: np.ndarray) -> Self:
+        """Return some of the poses: indices, or a mask (n,)."""
+        return type(self)(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+@lru_cache(maxsize=16)
+def link_lengths(robot: Robot) -> np.ndarray:
+    """Return the largest length [m] of each link, from the base's to the last one's, shape (n_joints + 1,)."""
+    ends = Skeleton.of(robot, robot.limits.T @ robot.angle_matrix.T, next(iter(robot.markers)))
+    return np.asarray(np.linalg.norm(np.diff(ends.nodes, axis=1), axis=2).max(axis=0))
+
+
+def reflector(robot: Robot, marker: str, q: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return the expressions of the marker (3,) and of the flange's turn (3, 3) at driven joint angles q (n_joints,)."""
+    found = _function(robot, marker)(ca.SX(0, 1), q)
+    turn = 3 * (2 * robot.n_joints + 2)
+    return found[turn + 9 : turn + 12], ca.reshape(found[turn : turn + 9], 3, 3)
+
+
+@lru_cache(maxsize=16)
+def _function(robot: Robot, marker: str) -> ca.Function:
+    """The function of driven joint angles that gives all points and directions, one after the other."""
+    q = ca.SX.sym("q", robot.n_joints)
+    at = pose(robot, nominal_dimensions(robot), q, Deflection.zero(robot.n_joints))
+    stands = at.links[robot.ground - 1][:3, :3].T if robot.ground else ca.SX.eye(3)
+    reflector = apply(at.flange, ca.SX(ca.DM(robot.markers[marker].point)))
+    bars = []
+    if robot.loop:
+        crank, rod = at.bars
+        bars = [crank[:3, 3], rod[:3, 3], rod[:3, 3] + robot.loop.rod.length * rod[:3, 0]]
+    places = [at.ends[0], *at.joints, at.flange]
+    nodes = [at.grounded(robot, place[:3, 3]) for place in places]
+    turned = [stands @ one for one in (*(joint[:3, 2] for joint in at.joints), *ca.horzsplit(at.flange[:3, :3]))]
+    points = [at.grounded(robot, point) for point in (reflector, *bars)]
+    return ca.Function("skeleton", [ca.SX.sym("p", 0), q], [ca.densify(ca.vertcat(*nodes, *turned, *points))])
+
+
+USUAL_RADIUS = 0.04  # of a link, in lengths of the stretched arm: what the library's robots have, about
+TOUCHING = 1e-9  # m: a line through a thing is so near to it at most, by rounding
+BLOCK = 8192  # poses at once: what a processor's cache holds
+
+
+@dataclass(frozen=True)
+class Station:
+    """A device in the measuring frame [m]: how near and how far it measures [m], how low and how high about the frame's z [rad]."""
+
+    origin: Vector
+    near: float = 0.0
+    far: float = np.inf
+    lowest: float = -np.pi / 2
+    highest: float = np.pi / 2
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box by its least and its largest corner [m]."""
+
+    low: Vector
+    high: Vector
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A cylinder by the ends of its axis and its radius [m]; its ends count as rounded, which makes it longer by its radius."""
+
+    start: Vector
+    end: Vector
+    radius: float
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What a pose must keep to; SI units.
+
+    Every station must see the reflector: at most `acceptance` off reflector_axis (in the flange's frame), and, where
+    line_of_sight is asked for, past links, bars, boxes and cylinders; the first sight_from of a line do not count. Links are
+    capsules of these radii, one a joint (the base has the first one's), and so are the tool, from flange to reflector, where
+    tool_radius says so, and a loop's bars; all keep clearance. The drawing is in the base's frame or the measuring one. like are
+    joint readings (n_joints,) whose elbow and wrist are kept, torque_share how much of each rated torque holding may take.
+    """
+
+    stations: tuple[Station, ...] = ()
+    reflector_axis: Vector = (0.0, 0.0, 1.0)
+    acceptance: float | None = None
+    line_of_sight: bool = True
+    sight_from: float = 0.0
+    radii: tuple[float, ...] | None = None
+    tool_radius: float | None = None
+    self_collision: bool = True
+    clearance: float = 0.0
+    drawn_in_base: bool = True
+    floor: float | None = None
+    boxes: tuple[Box, ...] = ()
+    cylinders: tuple[Cylinder, ...] = ()
+    like: tuple[float, ...] | None = None
+    torque_share: float | None = None
+
+    def refusals(self, model: Model, rows: np.ndarray, marker: str) -> np.ndarray:
+        """Return which of RULES is the first to refuse each of packed rows (n_conditions, n), from 1; 0 where none does."""
+        found = np.zeros(rows.shape[1], dtype=int)
+        for begin in range(0, len(found), BLOCK):
+            left = np.arange(begin, min(begin + BLOCK, len(found)))
+            at = Skeleton.of(model.robot, rows[: model.robot.n_joints, left].T, marker)
+            for number, rule in enumerate(RULES.values(), start=1):
+                good = rule(self, model, rows[:, left], at)
+                found[left[~good]] = number
+                left, at = left[good], at.part(good)
+        return found
+
+    def link_radii(self, robot: Robot) -> np.ndarray:
+        """Return the radius [m] of every link, the base's first, shape (n_joints + 1,)."""
+        if self.radii is None:
+            return np.full(robot.n_joints + 1, USUAL_RADIUS * link_lengths(robot).sum())
+        return np.array([self.radii[0], *self.radii])
+
+
+def refused_words(refusals: np.ndarray) -> str:
+    """Say how many poses each rule refused, of whose first refusals (n,) these are, and how many none did."""
+    counts = np.bincount(refusals, minlength=len(RULES) + 1)
+    told = [f"{name} {number}" for name, number in zip(RULES, counts[1:], strict=True) if number]
+    return f"the cell allows {counts[0]} of {len(refusals)} poses; refused by {', '.join(told) or 'nothing'}"
+
+
+def configuration(robot: Robot, at: Skeleton) -> np.ndarray:
+    """Return on which side of stretched elbow and wrist of a six-joint arm are, -1 or 1, shape (n, 2)."""
+    arm = robot.arm
+    upper, lower = at.nodes[:, arm[2] + 1] - at.nodes[:, arm[1] + 1], at.nodes[:, arm[4] + 1] - at.nodes[:, arm[2] + 1]
+    elbow = (np.cross(upper, lower) * at.axes[:, arm[2]]).sum(axis=1)
+    wrist = (np.cross(at.axes[:, arm[3]], at.axes[:, arm[5]]) * at.axes[:, arm[4]]).sum(axis=1)
+    return np.sign(np.stack([elbow, wrist], axis=1))
+
+
+def checked_pairs(cell: Cell, robot: Robot) -> list[tuple[int, int]]:
+    """Return the pairs of capsules that may not touch: not neighbours, nor such as the links between never part by their radii."""
+    lengths = link_lengths(robot)
+    radii = _radii(cell, robot)
+    return [
+        (i, j)
+        for i, j in combinations(range(len(radii)), 2)
+        if lengths[i + 1 : j].sum() > radii[i] + radii[j] + cell.clearance
+    ]
+
+
+def free_links(robot: Robot) -> int:
+    """Return the first link that does not stand where the robot stands: neither base nor rail nor what the first joint turns."""
+    return robot.arm[0] + 2
+
+
+def _radii(cell: Cell, robot: Robot) -> np.ndarray:
+    """The radii of links and tool."""
+    tool = [] if cell.tool_radius is None else [cell.tool_radius]
+    return np.array([*cell.link_radii(robot), *tool])
+
+
+def _chain(cell: Cell, at: Skeleton) -> np.ndarray:
+    """The ends of the capsules of links and tool, (n, number + 1, 3)."""
+    return at.nodes if cell.tool_radius is None else np.hstack([at.nodes, at.marker[:, None]])
+
+
+def _capsules(
+    cell: Cell, robot: Robot, chain: np.ndarray, bars: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+    """Start, end (n, 3) and radius of each capsule of a chain of points, and of the bars."""
+    for k, radius in enumerate(_radii(cell, robot)[: chain.shape[1] - 1]):
+        yield chain[:, k], chain[:, k + 1], radius
+    for k in range(max(0, bars.shape[1] - 1)):
+        yield bars[:, k], bars[:, k + 1], cell.link_radii(robot).min()
+
+
+def _stands(robot: Robot) -> np.ndarray:
+    """The base in the measuring frame (4, 4)."""
+    return np.array(ca.DM(ca.evalf(placement(ca.DM([*robot.base.origin, *robot.base.rotation])))))
+
+
+def _drawn(cell: Cell, robot: Robot, points: np.ndarray) -> np.ndarray:
+    """Points (n, 3) of the base's frame in that of the drawing."""
+    stands = _stands(robot)
+    return points if cell.drawn_in_base else points @ stands[:3, :3].T + stands[:3, 3]
+
+
+def _views(cell: Cell, robot: Robot, at: Skeleton) -> Iterator[tuple[Station, np.ndarray]]:
+    """Each station, and the way (n, 3) from the reflector to it, in the base's frame."""
+    stands = _stands(robot)
+    for station in cell.stations:
+        yield station, (np.array(station.origin) - stands[:3, 3]) @ stands[:3, :3] - at.marker
+
+
+def _obstacles(cell: Cell, start: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
+    """The distances (n,) of segments from each thing drawn but the floor, in the drawing's frame."""
+    for box in cell.boxes:
+        yield from_box(start, end, np.array(box.low), np.array(box.high))
+    for one in cell.cylinders:
+        ends = (np.broadcast_to(np.array(place), start.shape) for place in (one.start, one.end))
+        yield between_segments(start, end, *ends) - one.radius
+
+
+def _like(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+    if cell.like is None:
+        return np.ones(len(at.marker), dtype=bool)
+    kept = configuration(model.robot, Skeleton.of(model.robot, np.array([cell.like]), next(iter(model.robot.markers))))
+    return np.asarray((configuration(model.robot, at) == kept).all(axis=1))
+
+
+def _carried(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+    if cell.torque_share is None:
+        return np.ones(len(at.marker), dtype=bool)
+    rigid = Model(model.robot, (), model.given)
+    p, c, predicted = rigid.symbols
+    torque = over_rows(ca.Function("torque", [p, c], [ca.densify(predicted.state.torque)]), rigid.nominal, rows)[0]
+    rated = np.array([np.inf if joint.rated_torque is None else joint.rated_torque for joint in model.robot.joints])
+    return np.asarray((np.abs(torque.T) <= cell.torque_share * rated).all(axis=1))
+
+
+def _in_range(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+    good = np.ones(len(at.marker), dtype=bool)
+    for station, way in _views(cell, model.robot, at):
+        distance = np.linalg.norm(way, axis=1)
+        good &= (distance >= station.near) & (distance <= station.far)
+    return good
+
+
+def _at_elevation(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+    good = np.ones(len(at.marker), dtype=bool)
+    up = _stands(model.robot)[2, :3]
+    for station, way in _views(cell, model.robot, at):
+        elevation = np.arcsin(np.clip(-way @ up / np.linalg.norm(way, axis=1).clip(1e-12), -1, 1))
+        good &= (elevation >= station.lowest) & (elevation <= station.highest)
+    return good
+
+
+def _accepted(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+    good = np.ones(len(at.marker), dtype=bool)
+    if cell.acceptance is not None:
+        axis = at.flange @ (np.array(cell.reflector_axis) / np.linalg.norm(cell.reflector_axis))
+        for _, way in _views(cell, model.robot, at):
+            good &= (axis * way).sum(axis=1) >= np.cos(cell.acceptance) * np.linalg.norm(way, axis=1)
+    return good
+
+
+def _apart(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+    good = np.ones(len(at.marker), dtype=bool)
+    if cell.self_collision:
+        chain, radii = _chain(cell, at), _radii(cell, model.robot)
+        for i, j in checked_pairs(cell, model.robot):
+            apart = between_segments(chain[:, i], chain[:, i + 1], chain[:, j], chain[:, j + 1])
+            good &= apart > radii[i] + radii[j] + cell.clearance
+    return good
+
+
+def _clear(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+    good = np.ones(len(at.marker), dtype=bool)
+    robot, first = model.robot, free_links(model.robot)
+    for k, (start, end, radius) in enumerate(_capsules(cell, robot, _chain(cell, at), at.bars)):
+        if k < first:
+            continue
+        a, b = _drawn(cell, robot, start), _drawn(cell, robot, end)
+        if cell.floor is not None:
+            good &= np.minimum(a[:, 2], b[:, 2]) > cell.floor + radius + cell.clearance
+        for distance in _obstacles(cell, a, b):
+            good &= distance > radius + cell.clearance
+    return good
+
+
+def _seen(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+    good = np.ones(len(at.marker), dtype=bool)
+    for _, way in _views(cell, model.robot, at) if cell.line_of_sight else ():
+        length = np.linalg.norm(way, axis=1, keepdims=True).clip(1e-12)
+        start, end = at.marker + way * np.minimum(1, cell.sight_from / length), at.marker + way
+        for a, b, radius in _capsules(cell, model.robot, at.nodes, at.bars):
+            good &= between_segments(start, end, a, b) > radius
+        drawn = (_drawn(cell, model.robot, point) for point in (start, end))
+        for distance in _obstacles(cell, *drawn):
+            good &= distance > TOUCHING
+    return good
+
+
+RULES: Mapping[str, Callable[[Cell, Model, np.ndarray, Skeleton], np.ndarray]] = {
+    "another configuration": _like,
+    "payload": _carried,
+    "range": _in_range,
+    "elevation": _at_elevation,
+    "acceptance of the reflector": _accepted,
+    "links that touch each other": _apart,
+    "floor, boxes or cylinders": _clear,
+    "line of sight": _seen,
+}  # in the order in which they are asked; each says which poses it allows, (n,)

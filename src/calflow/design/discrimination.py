@@ -1,0 +1,363 @@
+"""Discrimination: which further poses would separate causes that the data cannot tell apart, and how well.
+
+Any of a finding's rivals may be the truth: poses are to tell all of them from each other, as far as poses can."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+
+from calflow.design.candidates import candidates
+from calflow.design.planned import Planned
+from calflow.design.t_optimality import Choices, Explanation, Pair, TCriterion, closest, propose
+from calflow.diagnosis.findings.tables import Diagnosis
+from calflow.diagnosis.findings.verdict import Rival, Verdict, label
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.linearisation import Finding
+from calflow.effects import catalogue
+from calflow.effects.cause import Cause
+from calflow.estimation.progress import Draws
+from calflow.files.problems import InputError
+from calflow.files.tables import column, to_frame, typed
+from calflow.measurements.columns import condition_columns
+from calflow.measurements.measurements import Measurements
+from calflow.observations import Observation
+from calflow.robot.readings import READINGS, reading_columns, shown_readings
+
+POSES = 20
+THINNEST = 0.1  # m: a measured region is widened to it, since poses are drawn at random
+CANDIDATES = 600  # poses to choose from, for each payload
+MOST_CANDIDATES = 2400  # for all payloads together
+MOST_RIVALS = 6  # that poses are looked for, the nearest: every pair of them is told apart
+ANY_MEANS = "another sensor or another load is needed"
+Place = tuple[str, int]  # id and joint (0 for none) of a cause
+ENOUGH = 0.9  # chance of excluding a rival at which poses are worth measuring
+
+
+@dataclass(frozen=True, kw_only=True)
+class NextPose:
+    """A pose that tells a finding from some of its rivals."""
+
+    pose: int = column("its number")
+    readings: Mapping[str, float] = column("reading of each joint", "as named", name=READINGS)
+    approach: Mapping[str, int] = column("side each joint comes from: -1, +1", name="approach{joint}")
+    payload: str = column("the load it is measured under; empty: none")
+    tells: str = column("the finding: id and joint")
+    rivals: tuple[str, ...] = column("what it is told from: id and joint", name="from", separator="; ")
+    leaves_open: str = column("pairs that the poses do not tell apart, in words")
+    separation_before_sd: float = column("least separation of what is told apart, before", "standard deviations")
+    separation_after_sd: float = column("the same after the poses", "standard deviations")
+    chance_after: float = column("least chance that the wrong one of two is excluded then")
+    cause: str = column("id of the finding")
+    joint: int | None = column("its joint or link; empty: none")
+    rival_causes: tuple[str, ...] = column("ids of what it is told from")
+    rival_joints: tuple[int, ...] = column("their joints; 0: none")
+    open_causes: tuple[str, ...] = column("ids of what is left open: one of each pair")
+    open_joints: tuple[int, ...] = column("their joints; 0: none")
+    open_other_causes: tuple[str, ...] = column("ids of the other of each pair")
+    open_other_joints: tuple[int, ...] = column("their joints; 0: none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeparationRow:
+    """How far a finding and a rival are apart, and what to do about it."""
+
+    cause: str = column("id of the finding")
+    joint: int | None = column("its joint or link; empty: none")
+    rival: str = column("id of the rival")
+    rival_joint: int | None = column("its joint or link; empty: none")
+    separation_before_sd: float = column("how far they are apart", "standard deviations")
+    separation_after_sd: float = column("the same after further poses", "standard deviations")
+    chance_after: float = column(
+        "chance that the wrong one is excluded then (each pose counts by the share of poses that is fitted)"
+    )
+    words: str = column("what to measure, or what else to do at the robot, in words")
+    proposed: bool = column("whether the poses of next_poses.csv tell them apart", default=False)
+    tested: bool = column("whether the data could test the rival", default=True)
+    unasked: str = column("why no further poses could be looked for; empty: they could", default="")
+    means: str = column("what to do at the robot where no pose tells them apart", default="")
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How far a cause is apart from one rival [sd]: before, and after further poses, which are either proposed or its own.
+
+    chance is that of excluding the rival then, or the cause if the rival is true; lacking is what a rival that could not be
+    tested needs, unasked why no further poses could be looked for, wider whether a wider region would let them be.
+    """
+
+    rival: Rival
+    before: float = 0.0
+    after: float = 0.0
+    chance: float = 0.0
+    proposed: bool = False
+    lacking: str = ""
+    unasked: str = ""
+    wider: bool = False
+
+    def means(self, cause: Cause) -> str:
+        """Say what to do at the robot where no pose tells the cause from the rival; nothing where poses do."""
+        known = catalogue().get(self.rival.id)  # what nobody can name is no effect of the catalogue
+        told_by = known.told_by if known else ""
+        else_ = ", or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, told_by)))) or ANY_MEANS
+        if self.unasked:
+            return f"measure in a wider region, or {else_}" if self.wider else else_
+        if self.rival.cause is None:
+            return f"it takes {self.lacking}" if self.lacking else told_by or ANY_MEANS
+        return else_ if self.chance < ENOUGH else ""
+
+    def words(self, cause: Cause) -> str:
+        """Say what to measure."""
+        apart = f"they separate by {self.after:.1f} sd instead of {self.before:.1f}"
+        if self.proposed:
+            return f"measure the {POSES} poses of next_poses.csv: {apart}"
+        if means := self.means(cause):
+            after = self.after if self.rival.cause else None
+            return f"{no_pose_words(cause.id, self.rival.id, after, self.unasked)}: {means}"
+        return f"measure {POSES} further poses, once the other rivals are excluded: {apart}"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Poses that tell a finding from some rivals and, as far as they can, those from each other.
+
+    before and after are the least separations [sd] among what they tell apart, chance the least of excluding one of two;
+    left_open has the pairs of causes, each an id and a joint (0 for none), that they do not tell apart.
+    """
+
+    poses: Choices
+    rivals: tuple[Rival, ...]
+    before: float
+    after: float
+    chance: float
+    left_open: tuple[tuple[Place, Place], ...]
+
+
+@dataclass(frozen=True)
+class Question:
+    """A finding's rivals, and the poses to measure if any tell it from some of them."""
+
+    cause: Cause
+    separations: tuple[Separation, ...]
+    plan: Plan | None = None
+
+
+def questions(found: Diagnosis, data: Measurements, rng: Draws, among: Choices | None = None) -> list[Question]:
+    """Return how to tell each finding from its rivals by poses of which as many are fitted as of the data.
+
+    They are chosen among some, or of such as are drawn where it was measured.
+    """
+    final = found.extended.fitted
+    return [question(one, final, fitted_share(data), rng(f"poses{k}"), among) for k, one in enumerate(found.verdicts)]
+
+
+def fitted_share(data: Measurements) -> float:
+    """Return how many of the rows that count are fitted."""
+    return float(data.train.sum() / (data.train | data.held_out).sum())
+
+
+def question(
+    verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Generator, among: Choices | None = None
+) -> Question:
+    """Return how to tell a finding from each of its rivals; share is how many of the further poses will be fitted.
+
+    They are chosen among some, or drawn where it was measured.
+
+    What cannot be asked is said in the separations: it is no reason to end a diagnosis.
+    """
+    cause = verdict.finding.cause
+    untested = tuple(Separation(rival, lacking=_lacking(rival, fitted)) for rival in verdict.rivals if not rival.score)
+    rivals = [rival for rival in verdict.rivals if rival.score]
+    asked, rest = rivals[:MOST_RIVALS], rivals[MOST_RIVALS:]
+    untested += tuple(
+        Separation(rival, unasked=f"only the {MOST_RIVALS} nearest rivals are asked for") for rival in rest
+    )
+    if not asked:
+        return Question(cause, untested)
+    try:
+        planned = planned_like(fitted, share)
+        choices = among or _choices(fitted, planned.observation, rng)
+        return _asked(verdict.finding, asked, untested, fitted, planned, choices)
+    except Exception as error:  # whatever it is: the causes were found, and only advice is lost
+        wider = isinstance(error, InputError)
+        reason = error.problems[0].message if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+        return Question(cause, tuple(Separation(one, unasked=reason, wider=wider) for one in asked) + untested)
+
+
+def _lacking(rival: Rival, fitted: Fitted) -> str:
+    """What the data lack for a test of a rival."""
+    known = catalogue().get(rival.id)
+    return known.lacking(fitted.data.robot, fitted.data) if known else ""
+
+
+def _asked(
+    finding: Finding[Cause],
+    rivals: Sequence[Rival],
+    untested: tuple[Separation, ...],
+    fitted: Fitted,
+    planned: Planned,
+    choices: Choices,
+) -> Question:
+    """Look for poses that tell a finding from some rivals."""
+    explanations = [Explanation(finding.own, 0.0), *(Explanation(r.score, r.bic) for r in rivals if r.score)]
+    criteria = TCriterion.between(fitted, explanations, choices, planned)
+    before = {pair: closest(criteria, pair) for pair in combinations(range(len(explanations)), 2)}
+    alone = {pair: propose(criteria, [pair], POSES)[1][pair] for pair in before}
+    chosen, together = _together(criteria, alone)
+    after = alone | together
+    separations = tuple(
+        Separation(rival, before[0, k].separation, after[0, k].separation, after[0, k].chance, (0, k) in together)
+        for k, rival in enumerate(rivals, start=1)
+    )
+    if not together:
+        return Question(finding.cause, separations + untested)
+    places = [(finding.cause.id, finding.cause.joint), *((rival.id, rival.joint) for rival in rivals)]
+    open_ = [(places[i], places[k]) for i, k in after if (i, k) not in together]
+    open_ += [(places[0], (one.rival.id, one.rival.joint)) for one in untested]
+    plan = Plan(
+        choices.only(chosen), tuple(rivals[k - 1] for i, k in together if i == 0),
+        min(before[pair].separation for pair in together), min(criterion.separation for criterion in together.values()),
+        min(criterion.chance for criterion in together.values()), tuple(open_),
+    )  # fmt: skip
+    return Question(finding.cause, separations + untested, plan)
+
+
+def _together(
+    criteria: Mapping[Pair, TCriterion], alone: Mapping[Pair, TCriterion]
+) -> tuple[list[int], dict[Pair, TCriterion]]:
+    """Choose poses for as many pairs as they can serve together, those of the finding (number 0) above all.
+
+    alone are the criteria after poses for one pair.
+    """
+    possible = [pair for pair, criterion in alone.items() if criterion.chance >= ENOUGH]
+    left = [(i, k) for i, k in possible if i == 0 or {(0, i), (0, k)} <= set(possible)]
+    while any(i == 0 for i, _ in left):
+        chosen, after = propose(criteria, left, POSES)
+        hard = [pair for pair in left if after[pair].chance < ENOUGH]
+        if not hard:
+            return chosen, after
+        left.remove(min(hard, key=lambda pair: (pair[0] == 0, after[pair].lead)))
+    return [], {}
+
+
+def no_pose_words(cause: str, rival: str, after: float | None, unasked: str) -> str:
+    """Say that no pose tells two causes apart; after is their separation [sd] then, None if the data could not test the rival.
+
+    unasked says why no further poses could be looked for.
+    """
+    if unasked:
+        return f"no further poses could be looked for where it was measured ({unasked})"
+    if after is None:
+        return f"no pose tells {cause} from {rival} in these data"
+    return f"no {POSES} poses with any payload known tell {cause} from {rival} ({after:.1f} sd after them)"
+
+
+def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
+    """Return diagnose/next_poses.csv: the poses that tell each finding from its rivals, as far as poses can."""
+    robot = fitted.model.robot
+    names = reading_columns(robot)
+    sides = [f"approach{i + 1}" for i in robot.driven] if "approach" in fitted.model.given else []
+    rows: list[NextPose] = []
+    for one in questions:
+        if one.plan is None:
+            continue
+        plan, own = one.plan, (one.cause.id, one.cause.joint)
+        rivals, first, second = [(r.id, r.joint) for r in plan.rivals], *_unzipped(plan.left_open)
+        readings = np.round(shown_readings(robot, plan.poses.readings), 4)
+        for k, payload in enumerate(plan.poses.payloads):
+            rows.append(
+                NextPose(
+                    pose=len(rows) + 1, readings=dict(zip(names, readings[k], strict=True)),
+                    approach=dict(zip(sides, plan.poses.approach[k][robot.driven].astype(int), strict=False)), payload=payload,
+                    tells=label(*own), rivals=tuple(label(*place) for place in rivals),
+                    leaves_open="; ".join(f"{label(*a)} or {label(*b)}" for a, b in plan.left_open),
+                    separation_before_sd=plan.before, separation_after_sd=plan.after, chance_after=plan.chance,
+                    cause=own[0], joint=own[1] or None, rival_causes=_ids(rivals), rival_joints=_joints(rivals),
+                    open_causes=_ids(first), open_joints=_joints(first), open_other_causes=_ids(second),
+                    open_other_joints=_joints(second),
+                )
+            )  # fmt: skip
+    table = to_frame(rows, NextPose)
+    return table if rows else typed(table.assign(**dict.fromkeys(names, ())), NextPose)
+
+
+def separations_table(questions: Sequence[Question]) -> pd.DataFrame:
+    """Return diagnose/separations.csv: for each finding and rival how far apart they are, and what to do."""
+    rows = [
+        SeparationRow(
+            cause=asked.cause.id, joint=asked.cause.joint or None, rival=one.rival.id, rival_joint=one.rival.joint or None,
+            separation_before_sd=one.before, separation_after_sd=one.after, chance_after=one.chance,
+            words=one.words(asked.cause), proposed=one.proposed, tested=one.rival.cause is not None,
+            unasked=one.unasked, means=one.means(asked.cause),
+        )
+        for asked in questions for one in asked.separations
+    ]  # fmt: skip
+    return to_frame(rows, SeparationRow)
+
+
+def _unzipped(pairs: Sequence[tuple[Place, Place]]) -> tuple[list[Place], list[Place]]:
+    return [first for first, _ in pairs], [second for _, second in pairs]
+
+
+def _ids(places: Sequence[Place]) -> tuple[str, ...]:
+    return tuple(cause for cause, _ in places)
+
+
+def _joints(places: Sequence[Place]) -> tuple[int, ...]:
+    return tuple(joint for _, joint in places)
+
+
+def planned_like(fitted: Fitted, share: float) -> Planned:
+    """Return how further poses are measured, as those there are: from outside, if any series is."""
+    observed = fitted.model.observations
+    k = next((k for k, one in enumerate(observed) if one.from_outside), 0)
+    return Planned.like(observed[k], fitted.noise, k, share)
+
+
+def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator) -> Choices:
+    """Draw poses in the measured region, under every payload there was or may be, each joint coming from either side.
+
+    Raises:
+        InputError: hardly any pose is there.
+    """
+    data, model = fitted.data, fitted.model
+    points = model.point(fitted.fit.estimate, data.rows)
+    region = np.array([points.min(axis=0), points.max(axis=0)])
+    thin = np.maximum(0.0, THINNEST - np.ptp(region, axis=0)) / 2
+    region += np.array([-thin, thin])
+    readings, approach, payloads, packed = [], [], [], []
+    possible = list(dict.fromkeys([*data.table["payload"], *data.robot.payloads]))
+    number = min(CANDIDATES, max(1, MOST_CANDIDATES // len(possible)))
+    for payload in possible:
+        drawn, _ = candidates(model, number, payload, str(data.table["marker"].iloc[0]), region, rng, observation)
+        came = rng.choice([-1.0, 1.0], drawn.shape)
+        table = rows_like(data, drawn, came, (str(payload),) * len(drawn), rng)
+        readings.append(drawn)
+        approach.append(came)
+        payloads += [str(payload)] * len(drawn)
+        packed.append(table.rows)
+    return Choices(np.vstack(readings), np.vstack(approach), tuple(payloads), np.hstack(packed))
+
+
+def rows_like(
+    data: Measurements, readings: np.ndarray, came: np.ndarray, payloads: Sequence[str], rng: np.random.Generator
+) -> Measurements:
+    """Return rows of readings (n, n_joints), reached from these sides (n, n_joints), each under its payload.
+
+    Other conditions are drawn from those of the data, after the last of them in time.
+    """
+    robot = data.robot
+    drawn = data.table.iloc[rng.integers(len(data), size=len(readings))].reset_index(drop=True)
+    drawn[condition_columns("reading", robot)] = readings
+    drawn["payload"] = list(payloads)
+    drawn["marker"] = data.table["marker"].iloc[0]
+    if "approach" in data.given:
+        drawn[condition_columns("approach", robot)] = came
+    for name in ("order", "time"):
+        if name in data.given:
+            drawn[name] = data.table[name].max()
+    return replace(data, table=drawn)

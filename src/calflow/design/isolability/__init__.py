@@ -1,1 +1,0 @@
-"""Isolability: which causes poses show, and from which others they tell each."""

@@ -1,0 +1,215 @@
+"""The order in which poses are measured: a short tour of the joints, or one that time cannot be mistaken for a joint in.
+
+Trend: by how much what drifts in the course of the measurement would pull the calibration, in each order of the poses.
+Vias: poses on the way, so that each joint comes from a known side, from both sides equally often.
+
+Play and friction show by the side that a joint comes from. In the order of a tour that side hangs together with the joint's place,
+since who goes far out comes from inside; from a via it does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from calflow.design.candidates import allowed, pack
+from calflow.design.cell import Cell
+from calflow.design.worth import PlanInformation
+from calflow.files.tables import column
+from calflow.measurements.sequence import sides_and_travel
+from calflow.model import Model
+from calflow.robot.robot import Robot
+
+Order = Literal["short", "random"]
+BLOCK = 10  # poses of a block: each is drawn from all poses, and toured on the shortest way
+
+
+def shortest_tour(readings: np.ndarray) -> np.ndarray:
+    """Order poses for short travel: nearest neighbour, then 2-opt on the largest joint's motion; shape (n_poses,)."""
+    distance = np.abs(readings[:, None] - readings[None]).max(axis=2).tolist()  # lists: single figures are asked for
+    tour = [0]
+    left = set(range(1, len(readings)))
+    while left:
+        last = distance[tour[-1]]
+        tour.append(min(left, key=lambda j: last[j]))
+        left.remove(tour[-1])
+    improved = True
+    while improved:
+        improved = False
+        for i in range(1, len(tour) - 2):
+            for j in range(i + 1, len(tour) - 1):
+                before = distance[tour[i - 1]][tour[i]] + distance[tour[j]][tour[j + 1]]
+                after = distance[tour[i - 1]][tour[j]] + distance[tour[i]][tour[j + 1]]
+                if after < before - 1e-9:
+                    tour[i : j + 1] = tour[i : j + 1][::-1]
+                    improved = True
+    return np.array(tour)
+
+
+def random_blocks(readings: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Order poses in blocks drawn at random from all of them, each on a short tour; shape (n_poses,).
+
+    What wanders in the course of the measurement then hangs together with no joint, and the ways stay bounded.
+    """
+    blocks = np.array_split(rng.permutation(len(readings)), max(1, round(len(readings) / BLOCK)))
+    return np.concatenate([block[shortest_tour(readings[block])] for block in blocks])
+
+
+def travel(readings: np.ndarray) -> float:
+    """Return the way from pose to pose in this order: the largest joint's motion each time, summed [rad, or m]."""
+    return float(np.abs(np.diff(readings, axis=0)).max(axis=1, initial=0.0).sum())
+
+
+USUAL_DRIFT = 5e-5  # m: of a tracker in an afternoon
+DRAWN = 50  # random orders
+Drifting = Literal["device", "robot"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriftPull:
+    """What a steady drift that nobody sees would do, measured in one order."""
+
+    order: Order = column("in which the poses would be measured")
+    taken: bool = column("whether it is the order of poses.csv")
+    travel: float = column("the way from pose to pose over that of the short order, by the joint that moves most")
+    drifting: Drifting = column(
+        "what drifts steadily: the `device`, all that it reports one way, the worst; or the `robot`, which grows from its base"
+    )
+    drift_mm: float = column("by how much, from the first pose to the last (of the robot: at the poses' mean)", "mm")
+    tool_pull_mm: float = column("by how much that pulls the predicted tool, root mean square over the task", "mm")
+    parameter: str = column("the parameter that is pulled most")
+    pull_sd: float = column("by how much", "of its standard deviations")
+
+
+def orders(plan: PlanInformation, rng: np.random.Generator) -> dict[Order, np.ndarray]:
+    """Return the poses' orders (n,): on short ways, and of many in random blocks that in which a drift pulls the tool least.
+
+    Orders that a trend leaves alone: Daniel and Wilcoxon 1966. Where it is not positions that are measured, the first is taken.
+    """
+    drawn = [random_blocks(plan.readings, rng) for _ in range(DRAWN if _told(plan) else 1)]
+    moved = displacements(plan) if _told(plan) else {}
+    steady = min(drawn, key=lambda order: max((pulled(plan, order, way)[0] for way in moved.values()), default=0.0))
+    return {"short": shortest_tour(plan.readings), "random": steady}
+
+
+def drift_pulls(
+    plan: PlanInformation, every: Mapping[Order, np.ndarray], taken: Order, drift: float
+) -> list[DriftPull]:
+    """Return what a drift [m] would do in each order (n,) of the poses; nothing where it is not positions that are measured."""
+    if not _told(plan):
+        return []
+    short = max(travel(plan.readings[every["short"]]), np.finfo(float).tiny)
+    found = []
+    for name, order in every.items():
+        for what, moved in displacements(plan).items():
+            tool, k, sd = pulled(plan, order, moved)
+            found.append(
+                DriftPull(order=name, taken=name == taken, travel=travel(plan.readings[order]) / short, drifting=what,
+                          drift_mm=1e3 * drift, tool_pull_mm=1e3 * drift * tool, pull_sd=drift * sd,
+                          parameter=plan.model.parameters[k].name)
+            )  # fmt: skip
+    return found
+
+
+def displacements(plan: PlanInformation) -> dict[Drifting, np.ndarray]:
+    """Return in which ways each pose's point would move by 1 m (of the robot: on average), (n, 3, n_ways)."""
+    model = plan.model
+    rows = pack(model, plan.readings, plan.payload, plan.marker)
+    out = model.point(model.nominal, rows) - model.robot.base.origin
+    grown = out / np.linalg.norm(out, axis=1).mean()
+    return {"device": np.tile(np.eye(3), (len(out), 1, 1)), "robot": grown[:, :, None]}
+
+
+def pulled(plan: PlanInformation, order: np.ndarray, moved: np.ndarray) -> tuple[float, int, float]:
+    """Return by how much the worst of the ways to move (n, 3, n_ways) pulls the tool [m], if it grows steadily in this order.
+
+    And which parameter it pulls most, in its standard deviations.
+    """
+    time = np.empty(len(order))
+    time[order] = np.linspace(-0.5, 0.5, len(order))
+    seen = np.einsum("n,nup,nuk->pk", time, plan.own[:, :3], moved, optimize=True) / plan.planned.sigma
+    off = plan.covariance @ seen
+    _, sizes, ways = np.linalg.svd(plan.tool.root.T @ off, full_matrices=False)
+    own = np.abs(off @ ways[0]) / np.sqrt(np.diag(plan.covariance))
+    k = int(np.argmax(own))
+    return float(sizes[0]), k, float(own[k])
+
+
+def _told(plan: PlanInformation) -> bool:
+    """Whether it is positions that are measured."""
+    return plan.planned.observation.units[:3] == ("m",) * 3
+
+
+def drift_words(pulls: Sequence[DriftPull]) -> list[str]:
+    """Say what each drift would pull in the order that was taken, and in the other one."""
+    found = []
+    for own in (pull for pull in pulls if pull.taken):
+        (other,) = (pull for pull in pulls if pull.drifting == own.drifting and not pull.taken)
+        found.append(
+            f"a {own.drifting} that drifts by {own.drift_mm:.3g} mm would pull the tool by {own.tool_pull_mm:.2g} mm in the "
+            f"{own.order} order, by {other.tool_pull_mm:.2g} mm in the {other.order} one, whose ways are "
+            f"{other.travel / own.travel:.2g} times as long"
+        )
+    return found
+
+
+TURNS = (np.deg2rad(2.0), np.deg2rad(10.0))  # least and largest way of a joint from its via
+SLIDES = (0.01, 0.05)  # m: the same of one that slides
+TRIES = 20  # sides that are drawn for a pose before it is left to the order
+
+
+def vias(
+    model: Model, readings: np.ndarray, payload: str, marker: str, cell: Cell | None, rng: np.random.Generator
+) -> np.ndarray:
+    """Return for each pose (n, n_joints) the readings from which every joint comes straight to it, (n, n_joints).
+
+    Each joint comes up and down in equal numbers, but where limits, loop or cell leave one side alone; where they leave none the
+    via is the pose itself, and how it is reached is left to the order.
+    """
+    robot, (n, n_joints) = model.robot, readings.shape
+    sides = np.stack([rng.permutation(np.where(np.arange(n) % 2, 1.0, -1.0)) for _ in range(n_joints)], axis=1)
+    least, most = np.array([SLIDES if joint.kind == "prismatic" else TURNS for joint in robot.joints]).T
+    ways = rng.uniform(least, most, readings.shape) * np.isin(np.arange(n_joints), robot.driven)
+    found, left = readings.copy(), np.arange(n)
+    for _ in range(TRIES):
+        via = readings[left] - _within(robot, readings[left], sides, ways[left])
+        good = allowed(model, via, payload, marker, None, cell)
+        found[left[good]] = via[good]
+        left = left[~good]
+        if not len(left):
+            break
+        sides = rng.choice([-1.0, 1.0], (len(left), n_joints))
+    return found
+
+
+def reached(readings: np.ndarray, reached_from: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the side that each joint comes from and its travel since it turned back, (n, n_joints) each, poses in order.
+
+    reached_from (n, n_joints) are the vias before the poses, if there are any.
+    """
+    if reached_from is None:
+        return sides_and_travel(readings)
+    whole = np.stack([reached_from, readings], axis=1).reshape(-1, readings.shape[1])
+    came, travel = sides_and_travel(whole)
+    return came[1::2], travel[1::2]
+
+
+def sides_words(poses: pd.DataFrame, effects: Sequence[str]) -> list[str]:
+    """Say from which sides joints come in poses.csv, where there are effects that show by that."""
+    if not effects:
+        return []
+    up = (poses[[name for name in poses if str(name).startswith("approach")]] > 0).sum()
+    return [
+        f"for {', '.join(effects)} each joint comes from a via: {up.min()} to {up.max()} times of {len(poses)} upwards, by joint"
+    ]
+
+
+def _within(robot: Robot, readings: np.ndarray, sides: np.ndarray, ways: np.ndarray) -> np.ndarray:
+    """The ways (n, n_joints) on these sides, on the other one where that is the way out of a joint's limits."""
+    angles = (readings - sides * ways) @ robot.reading_matrix.T
+    low, high = robot.stops.T
+    return np.asarray(np.where((angles < low) | (angles > high), -sides, sides) * ways)

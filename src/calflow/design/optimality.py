@@ -1,0 +1,113 @@
+"""Optimality: how well a set of poses determines the parameters or the tool, as indices and as losses to be made small.
+
+A criterion is a function of the parameters' covariance; what is known before and what each pose tells add up to its inverse."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+RANK = 1e-12  # share of the largest eigenvalue below which a direction of the parameters does not move the tool
+
+
+def indices(jacobian: np.ndarray, rank: int) -> np.ndarray:
+    """Return the observability indices O1 … O5 of a scaled Jacobian (n_rows, n_parameters) with this rank.
+
+    With singular values s1 >= … >= sr and m poses of three rows: O1 their geometric mean over sqrt(m) (Borm and Menq 1991,
+    D-optimal), O2 = sr / s1 (Driels and Pathre 1990), O3 = sr (Nahvi et al. 1994, E-optimal), O4 = sr² / s1 (Nahvi and
+    Hollerbach 1996, noise amplification), O5 = 1 / sum(1/s) (Sun and Hollerbach 2008, A-optimal). Numbering as there.
+    """
+    s = np.linalg.svd(jacobian, compute_uv=False)[:rank]
+    if len(s) < rank or s[-1] <= 0:
+        return np.zeros(5)
+    poses = len(jacobian) / 3
+    return np.array(
+        [np.exp(np.log(s).mean()) / np.sqrt(poses), s[-1] / s[0], s[-1], s[-1] ** 2 / s[0], 1 / (1 / s).sum()]
+    )
+
+
+class Criterion(Protocol):
+    """What a set of poses is chosen for."""
+
+    @property
+    def root(self) -> np.ndarray:
+        """What of the parameters counts, (n_parameters, r); r = 0 where all do."""
+
+    @property
+    def power(self) -> float:
+        """Power of the sensitivities with which the multiplicative algorithm converges monotonically."""
+
+    def loss(self, covariance: np.ndarray) -> float:
+        """Return what is to be as small as can be."""
+
+    def slope(self, covariance: np.ndarray) -> np.ndarray:
+        """Return F (n_parameters, r): the loss falls with a pose's information J ᵀJ as the sensitivity |J F|² says."""
+
+    def gains(self, inside: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """Return what each candidate is worth, (n,), of J C Jᵀ (n, n_axes, n_axes) and J C root (n, n_axes, r)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters:
+    """D-optimality: the loss is the geometric mean of n parameters' standard deviations, det(C)^(1/2n), the inverse of O1."""
+
+    n: int
+    power = 1.0
+
+    @property
+    def root(self) -> np.ndarray:
+        """Nothing: all parameters count as they are."""
+        return np.empty((self.n, 0))
+
+    def loss(self, covariance: np.ndarray) -> float:
+        """Return the geometric mean of the standard deviations along the covariance's own axes."""
+        return float(np.exp(np.linalg.slogdet(covariance)[1] / (2 * self.n)))
+
+    def slope(self, covariance: np.ndarray) -> np.ndarray:
+        """Return a root of the covariance: log det M grows by the trace of J C Jᵀ."""
+        return np.asarray(np.linalg.cholesky(covariance))
+
+    def gains(self, inside: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """Return how much the logarithm of the information's determinant grows."""
+        return np.asarray(np.linalg.slogdet(np.eye(inside.shape[1]) + inside)[1])
+
+
+@dataclass(frozen=True, eq=False)
+class ToolError:
+    """I-optimality: the loss is the root mean square of the tool's standard deviation [m] over task points.
+
+    slopes (n_points, 3, n_parameters) are the derivatives of the predicted tool; shares (n_points,) say how much each point
+    counts and add up to 1. The test poses of Klimchik et al. 2012 are this criterion with a few points.
+    """
+
+    slopes: np.ndarray
+    shares: np.ndarray
+    power = 0.5
+
+    @cached_property
+    def root(self) -> np.ndarray:
+        """A root R of the mean of the points' slopes squared, so that the loss is the root of trace(Rᵀ C R)."""
+        flat = (self.slopes * np.sqrt(self.shares)[:, None, None]).reshape(-1, self.slopes.shape[2])
+        values, vectors = np.linalg.eigh(flat.T @ flat)
+        kept = values > RANK * values[-1]
+        return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
+
+    def variances(self, covariance: np.ndarray) -> np.ndarray:
+        """Return the variance [m²] of the predicted tool at each point, all three axes, shape (n_points,)."""
+        return np.asarray(((self.slopes @ np.linalg.cholesky(covariance)) ** 2).sum(axis=(1, 2)))
+
+    def loss(self, covariance: np.ndarray) -> float:
+        """Return the root mean square of the tool's standard deviation [m]."""
+        return float(np.sqrt(np.sum(self.root * (covariance @ self.root))))
+
+    def slope(self, covariance: np.ndarray) -> np.ndarray:
+        """Return C R: the mean variance falls by the trace of J C R Rᵀ C Jᵀ."""
+        return covariance @ self.root
+
+    def gains(self, inside: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """Return by how much the mean variance [m²] falls."""
+        left = np.linalg.solve(np.eye(inside.shape[1]) + inside, moved)
+        return np.asarray(np.einsum("nar,nar->n", moved, left))

@@ -1,0 +1,144 @@
+"""Refinement: chosen poses moved between the candidates, by IPOPT on the model's own graph, within limits and region.
+
+What of a cell has a slope: range, elevation and acceptance, as bounds of expressions that IPOPT can keep to.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from calflow.design.candidates import allowed, pack
+from calflow.design.cell import Cell, reflector
+from calflow.design.exchange import information
+from calflow.design.optimality import Criterion
+from calflow.design.planned import Planned
+from calflow.model import Model
+from calflow.robot.loop import DEAD_POINT
+from calflow.robot.robot import Robot
+from calflow.robot.transforms import placement
+
+
+def bounded(cell: Cell, robot: Robot, marker: str, q: ca.SX) -> tuple[list[ca.SX], list[np.ndarray]]:
+    """Return expressions of driven joint angles q (n_joints,), each (n,), and the bounds of each, (n, 2) [m, or of a cosine]."""
+    point, flange = reflector(robot, marker, q)
+    stands = placement(ca.DM([*robot.base.origin, *robot.base.rotation]))
+    place, axis = stands[:3, :3] @ point + stands[:3, 3], stands[:3, :3] @ flange @ ca.DM(cell.reflector_axis)
+    held: list[ca.SX] = []
+    bounds: list[np.ndarray] = []
+    for station in cell.stations:
+        way = place - ca.DM(station.origin)
+        distance = ca.norm_2(way)
+        held.append(ca.vertcat(distance, way[2] / distance))
+        bounds.append(np.array([[station.near, station.far], np.sin([station.lowest, station.highest])]))
+        if cell.acceptance is not None:
+            held.append(-ca.dot(way, axis) / distance / np.linalg.norm(cell.reflector_axis))
+            bounds.append(np.array([[np.cos(cell.acceptance), np.inf]]))
+    return held, bounds
+
+
+ITERATIONS = 60
+SHARES = (1.0, 0.5, 0.25, 0.1)  # of a way that are tried: what has no slope, such as links that touch, may stand in it
+NEARBY = 0.3  # rad, or m: how far a joint may go where there is a cell, whose links and boxes IPOPT does not know
+MARGIN = 1e-6  # rad, m and of a cosine: IPOPT may pass a bound by a little less
+OPTIONS: dict[str, Any] = {
+    "ipopt.hessian_approximation": "limited-memory",
+    "ipopt.max_iter": ITERATIONS,
+    "ipopt.tol": 1e-5,
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "print_time": False,
+}
+
+
+def refined(
+    model: Model, planned: Planned, readings: np.ndarray, payload: str, marker: str, region: np.ndarray | None,
+    prior: np.ndarray, criterion: Criterion, cell: Cell | None = None,
+) -> np.ndarray:  # fmt: skip
+    """Return joint readings (n_poses, n_joints) near those given with a smaller loss; the same where there are none.
+
+    What a pose tells must not depend on what is reported there, as of positions. A pose that ends where it may not be (a
+    loop's straight way there passes a dead point, or the cell refuses it) goes back, and so do all where that costs more than
+    was gained. Where one went back, each goes as much of its way as it may and as is worth it beside the others.
+    """
+    slope = _slope(model, planned, payload, marker)
+    if slope is None:
+        return readings
+    solver, bounds = _program(model, slope, payload, marker, region, prior, criterion, len(readings), cell)
+    far = np.inf if cell is None else NEARBY
+    start = readings.ravel()
+    found = np.array(solver(x0=start, lbx=start - far, ubx=start + far, **bounds)["x"]).reshape(readings.shape)
+
+    def loss(poses: np.ndarray) -> float:
+        own = planned.whitened(model, model.nominal, pack(model, poses, payload, marker)) * model.prior_sd
+        return criterion.loss(np.linalg.inv(information(own, prior)))
+
+    whole = allowed(model, found, payload, marker, region, cell)
+    best = min(readings, np.where(whole[:, None], found, readings), key=loss)
+    for share in SHARES if not whole.all() else ():
+        part = readings + share * (found - readings)
+        for k in np.flatnonzero(allowed(model, part, payload, marker, region, cell)):
+            one = best.copy()
+            one[k] = part[k]
+            best = min(best, one, key=loss)
+    return best
+
+
+def _slope(model: Model, planned: Planned, payload: str, marker: str) -> ca.Function | None:
+    """The function of a pose's readings that gives its whitened, scaled Jacobian, transposed; None where reports matter."""
+    p, _, _ = model.symbols
+    y, error = model.error(planned.observation)
+    sd = np.array([planned.rotation if unit == "rad" else planned.sigma for unit in planned.observation.units])
+    jacobian = ca.jacobian(error, p) * (model.prior_sd[None] / sd[:, None])
+    if ca.depends_on(jacobian, y):
+        return None
+    whole = ca.Function("whole", [*model.symbols[:2], y], [ca.densify(jacobian.T)])
+    q = ca.SX.sym("q", model.robot.n_joints)
+    return ca.Function("slope", [q], [whole(model.nominal, _packed(model, q, payload, marker), 0)])
+
+
+def _packed(model: Model, q: ca.SX, payload: str, marker: str) -> ca.SX:
+    """One row's packed conditions at these readings."""
+    fixed = pack(model, np.zeros((1, model.robot.n_joints)), payload, marker)[model.robot.n_joints :]
+    return ca.vertcat(q, ca.DM(fixed))
+
+
+def _program(
+    model: Model, slope: ca.Function, payload: str, marker: str, region: np.ndarray | None, prior: np.ndarray,
+    criterion: Criterion, n: int, cell: Cell | None,
+) -> tuple[ca.Function, dict[str, np.ndarray]]:  # fmt: skip
+    """IPOPT's problem of all poses, and the bounds of its constraints: joint limits, region, dead points, sight."""
+    robot = model.robot
+    q = ca.SX.sym("q", robot.n_joints)
+    predicted = ca.Function("predicted", list(model.symbols[:2]), [model.symbols[2].point, model.symbols[2].closure])
+    point, cosine = predicted(model.nominal, _packed(model, q, payload, marker))
+    held, limits = [ca.DM(robot.reading_matrix) @ q], [robot.limits]
+    if region is not None:
+        held, limits = [*held, point], [*limits, region.T]
+    if robot.loop is not None:
+        held, limits = [*held, cosine], [*limits, np.array([[-DEAD_POINT, DEAD_POINT]])]
+    if cell is not None:
+        views, within = bounded(cell, robot, marker, ca.DM(robot.reading_matrix) @ q)
+        held, limits = [*held, *views], [*limits, *within]
+    constraints = ca.Function("constraints", [q], [ca.vertcat(*held)])
+
+    matrix = ca.SX.sym("matrix", *prior.shape)
+    upper = ca.chol(matrix)
+    if criterion.root.shape[1]:
+        value = ca.log(ca.sumsqr(ca.solve(upper.T, ca.DM(criterion.root)))) / 2
+    else:
+        value = -ca.sum1(ca.log(ca.diag(upper))) / len(prior)
+    loss = ca.Function("loss", [matrix], [value])
+
+    poses = ca.MX.sym("poses", robot.n_joints, n)
+    slopes = slope.map(n)(poses)
+    problem: dict[str, Any] = {
+        "x": ca.vec(poses),
+        "f": loss(ca.DM(prior) + slopes @ slopes.T),
+        "g": ca.vec(constraints.map(n)(poses)),
+    }
+    inside = np.vstack(limits) + np.array([MARGIN, -MARGIN])
+    lower, most = np.tile(inside, (n, 1)).T
+    return ca.nlpsol("refinement", "ipopt", problem, OPTIONS), {"lbg": lower, "ubg": most}

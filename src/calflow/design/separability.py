@@ -1,0 +1,419 @@
+"""Isolability: which causes a plan of poses would show, and from which others it would tell each, before anything is measured.
+
+Of every cause at a stated size many measurements are drawn, as the linearised model and the noise say, and all causes are
+tested and weighed as diagnose does it: the best that passes is the finding, and whatever is near it is in the finding's set. The
+share of them in which the cause is in that set is the chance that it is seen, the share in which besides a rival is not is the
+chance that it is told from that.
+
+Told apart: the chances of a plan as a table, with the cheapest addition that would fill each cause's worst gap.
+Visits: what a plan will measure where, and what could be added to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+from scipy.linalg import cho_factor, cho_solve
+
+from calflow.design.discrimination import ANY_MEANS, ENOUGH
+from calflow.design.measuring_order import reached
+from calflow.design.planned import Planned
+from calflow.diagnosis.findings.verdict import WITHIN, label
+from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.screening.hypothesis import H
+from calflow.diagnosis.screening.regressors import Candidate, Held, Products, Regressors, candidates_of
+from calflow.diagnosis.screening.screening import Family, Screening
+from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES
+from calflow.effects import Effect, catalogue
+from calflow.effects.cause import Cause
+from calflow.estimation.probing import probed
+from calflow.files.tables import column, to_frame
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model, build, stated
+from calflow.robot.robot import Robot
+
+Record = Literal["approach", "travel", "time", "temperature"]
+RECORDS: dict[Record, str] = {
+    "approach": "the side that each joint comes from recorded",
+    "travel": "each joint's travel since it turned back recorded",
+    "time": "the time of each row recorded",
+    "temperature": "a thermometer",
+}
+MINUTE = 60.0  # s, from pose to pose
+WARMS, HOUR = 12.0, 3600.0  # K and s: a robot that warms up while it is measured
+ROOM = 293.15  # K
+
+
+@dataclass(frozen=True, eq=False)
+class Visits:
+    """Poses in measuring order: readings (n, n_joints), the payload of each, the markers measured at each, what is recorded.
+
+    vias (n, n_joints) are what the poses are reached from, None where they follow each other.
+    """
+
+    robot: Robot
+    readings: np.ndarray
+    payloads: tuple[str, ...]
+    markers: tuple[str, ...]
+    records: frozenset[Record] = frozenset()
+    vias: np.ndarray | None = None
+
+    def measurements(self) -> Measurements:
+        """Return the rows as a perfect device would report them of the nominal robot, which warms up, a pose a minute."""
+        n, each = len(self.readings), len(self.markers)
+        came, far = reached(self.readings, self.vias)
+        time = MINUTE * np.arange(n)
+        every = {"approach": came, "travel": far, "time": time, "temperature": ROOM - WARMS * np.expm1(-time / HOUR)}
+        q = np.repeat(self.readings, each, axis=0)
+        conditions: dict[str, Any] = {
+            name: np.repeat(every[name], each, axis=0) for name in RECORDS if name in self.records
+        }
+        conditions |= {
+            "pose": np.repeat(np.arange(1, n + 1), each),
+            "payload": np.repeat(np.array(self.payloads), each),
+            "marker": np.tile(np.array(self.markers), n),
+        }
+        planned = Measurements.from_arrays(self.robot, q, None, **conditions)
+        nominal = build(self.robot, (), planned.given)
+        return Measurements.from_arrays(self.robot, q, nominal.point(nominal.nominal, planned.rows), **conditions)
+
+    def additions(self, more: np.ndarray) -> Iterator[tuple[str, Visits]]:
+        """Yield in words what could be added, the cheapest first, and the visits with it; more are further poses' readings."""
+        for record, words in RECORDS.items():
+            if record not in self.records:
+                yield words, replace(self, records=self.records | {record})
+        for name in self.robot.payloads:
+            if name not in self.payloads:
+                half = tuple(name if k % 2 else own for k, own in enumerate(self.payloads))
+                yield f"payload '{name}' at every other pose", replace(self, payloads=half)
+        for name in self.robot.markers:
+            if name not in self.markers:
+                yield f"marker '{name}' measured at every pose too", replace(self, markers=(*self.markers, name))
+        if len(more):
+            payloads = (*self.payloads, *np.resize(np.array(self.payloads), len(more)).tolist())
+            longer = replace(self, readings=np.vstack([self.readings, more]), payloads=payloads)
+            vias = None if self.vias is None else np.vstack([self.vias, more])
+            yield f"{len(more)} further poses", replace(longer, vias=vias)
+
+
+DRAWS = 400  # measurements drawn of each cause: a chance of 0.9 is known to 0.015
+FORMS = 20  # of a cause, drawn among its variants
+BUILT = 0.4  # of priors' standard deviations: how far the fitted parameters of real robots are off (UR10 0.2, FANUC 0.4, UR5 1.1)
+Place = tuple[str, str]  # effect and part
+
+
+@dataclass(frozen=True, eq=False)
+class Isolability:
+    """Of each place of a cause the chance that it is seen, and of each pair (true, rival) that the one is seen and told.
+
+    causes has a form of each place, lacking what a test of an effect needs, untold the ids of what no data of this kind tell from
+    a place, and what that would take (empty: another sensor or load).
+    """
+
+    causes: Mapping[Place, Cause]
+    seen: Mapping[Place, float]
+    told: Mapping[tuple[Place, Place], float]
+    lacking: Mapping[str, str]
+    untold: Mapping[Place, Mapping[str, str]]
+
+
+def isolability(
+    effects: Sequence[str],
+    planned: Planned,
+    visits: Visits,
+    rng: np.random.Generator,
+    *,
+    size: float = 1.0,
+    false_alarm: float = FALSE_ALARM,
+    holdout: float = 0.0,
+    seed: int = 1,
+    draws: int = DRAWS,
+) -> Isolability:
+    """Return what a plan can tell of causes besides effects that are fitted.
+
+    Args:
+        effects: ids of what is fitted anyway.
+        planned: how each pose will be measured.
+        visits: which poses, with what on and beside the robot.
+        rng: draws causes and noise.
+        size: of each cause, in its usual size: the root mean square of its parameters, in their priors' standard deviations.
+        false_alarm: chance that diagnose finds anything where nothing is hidden.
+        holdout: share of the poses that the study holds out, by its seed: diagnose sees the others.
+        seed: of the study.
+        draws: measurements of each cause.
+    """
+    screening, catalogue = screened(effects, planned, visits.measurements().split(holdout, seed), rng)
+    seen, told = chances(screening, screening.family(rng), SHARES["causes"] * false_alarm, rng, size=size, draws=draws)
+    causes = {candidate.cause.place: candidate.cause for candidate in screening.regressors.candidates}
+    untold = {place: _untold(cause, catalogue, causes) for place, cause in causes.items()}
+    return Isolability(causes, seen, told, catalogue.lacking, untold)
+
+
+def screened(
+    effects: Sequence[str], planned: Planned, data: Measurements, rng: np.random.Generator
+) -> tuple[Screening[Cause], Catalogue]:
+    """Return the tests of all causes that a plan's measurements will allow, and the catalogue that they are of."""
+    train = data.only(data.train)
+    catalogue = Catalogue.of(train, effects)
+    model = stated(data.robot, effects, train, (planned.observation,))
+    return Screening(_regressors(model, planned, train.rows, catalogue.effects, rng)), catalogue
+
+
+def chances(
+    screening: Screening[H],
+    family: Family,
+    false_alarm: float,
+    rng: np.random.Generator,
+    *,
+    size: float = 1.0,
+    draws: int = DRAWS,
+    places: Collection[Place] | None = None,
+) -> tuple[dict[Place, float], dict[tuple[Place, Place], float]]:
+    """Return the chance of each place that it is seen, and of each pair (true, rival) that the one is seen and told.
+
+    false_alarm is that of the whole family of tests; every cause meets the same noise. places are those that may be true, all
+    where nothing is said.
+    """
+    regressors = screening.regressors
+    noise = rng.standard_normal((len(regressors.residual), draws))
+    pull = BUILT * np.sqrt(regressors.precision)[:, None] * rng.standard_normal((len(regressors.precision), draws))
+    still, left = screening.settled(noise, pull)
+    forms: dict[Place, list[Candidate[H]]] = {}
+    for candidate in regressors.candidates:
+        forms.setdefault(candidate.cause.place, []).append(candidate)
+    true = {place: own for place, own in forms.items() if places is None or place in places}
+    seen = dict.fromkeys(true, 0)
+    told = dict.fromkeys(((place, rival) for place in true for rival in forms if rival != place), 0)
+    for place, own in true.items():
+        tried = [own[k] for k in rng.permutation(len(own))[:FORMS]]
+        for candidate, which in zip(tried, np.array_split(np.arange(draws), len(tried)), strict=True):
+            truth, columns = amplitudes(candidate, regressors.prior_sd, size, len(which), rng), candidate.columns
+            score = still[:, which] - screening.response(columns) @ truth
+            chi2 = left[which] - (truth * (still[columns][:, which] + score[columns])).sum(axis=0)
+            found = screening.trials(score, chi2, family, false_alarm).by_place()
+            if place not in found:  # it does not show in any form
+                break
+            left_open = _left_open(found)
+            seen[place] += int(left_open[place].sum())
+            for rival in forms.keys() - {place}:  # what does not show cannot be behind what does
+                told[place, rival] += int((left_open[place] & ~left_open.get(rival, np.False_)).sum())
+    return {place: n / draws for place, n in seen.items()}, {pair: n / draws for pair, n in told.items()}
+
+
+def _left_open(found: Mapping[Place, tuple[np.ndarray, np.ndarray]]) -> dict[Place, np.ndarray]:
+    """In which draws (n_draws,) a place is among what the finding may be: the best that passes, and all that are near it."""
+    bic, passed = (np.array([own[k] for own in found.values()]) for k in (0, 1))
+    best = np.where(passed, bic, np.inf).min(axis=0)
+    return dict(zip(found, (bic - best < WITHIN) & np.isfinite(best), strict=True))
+
+
+def amplitudes(
+    candidate: Candidate[H], prior_sd: np.ndarray, size: float, number: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Draw a cause's parameters (n_parameters, number) of one size in any direction, on the side that their bounds allow."""
+    direction = rng.standard_normal((len(candidate.columns), number))
+    direction *= np.sqrt(len(direction) / (direction**2).sum(axis=0))
+    drawn = size * prior_sd[candidate.columns, None] * direction
+    low, high = candidate.cause.bounds[:, :, None]
+    return np.asarray(np.clip(np.where((drawn < low) | (drawn > high), -drawn, drawn), low, high))
+
+
+def _regressors(
+    model: Model, planned: Planned, rows: np.ndarray, effects: Sequence[Effect], rng: np.random.Generator
+) -> Regressors[Cause]:
+    """What every candidate would do to whitened rows (n_conditions, n_rows); the residual is noise, drawn once.
+
+    Joints give way by as much as is usual: some causes show by that alone.
+    """
+    n = len(model.parameters)
+    sd = np.array([parameter.prior_sd for parameter in model.parameters])
+    soft = np.array([p.prior_sd if p.effect == "joint-compliance" else 0.0 for p in model.parameters])
+    point = model.nominal + soft
+    _, matrix = probed(planned.problem(model, point, rows), point, effects)
+    jacobian, found, candidates = matrix[:, :n], Held(matrix[:, n:]), candidates_of(effects)
+    residual, precision = rng.standard_normal(len(matrix)), sd**-2.0
+    products = Products.of(residual, jacobian, found, candidates)
+    known = cho_solve(cho_factor(products.fitted + np.diag(precision)), products.fitted)
+    prior_sd = np.array([parameter.prior_sd for effect in effects for parameter in effect.declared])
+    return Regressors(
+        residual, jacobian, precision, np.zeros(n), 0.0, found, prior_sd, candidates, products, float(np.trace(known))
+    )  # fmt: skip
+
+
+def _untold(cause: Cause, catalogue: Catalogue, tested: Mapping[Place, Cause]) -> dict[str, str]:
+    """What may be behind a cause and no such data test, or tell from it, with what that would take."""
+    there = {(one.id, one.joint) for one in tested.values()}
+    alike = {name: "" for name in cause.alike if (name, cause.joint) not in there}
+    return alike | catalogue.untestable(cause.id)
+
+
+Known = Place | str  # a cause at its place; only its id where no data show it
+
+
+@dataclass(frozen=True, kw_only=True)
+class IsolabilityCell:
+    """A cause at a stated size: the chance that it is seen (no rival), or that it is seen and told from a rival."""
+
+    cause: str = column("id of the cause")
+    joint: int | None = column("its joint or link; empty: none, or all")
+    part: str = column("where it acts; empty: the poses do not test it anywhere")
+    size: float | None = column("root mean square of its parameters of the first one's unit", "as unit says")
+    unit: str = column("unit of size")
+    rival: str = column("id of what it is to be told from; empty: from nothing being there, that is whether it is seen")
+    rival_joint: int | None = column("its joint or link; empty: none")
+    rival_part: str = column("where it acts; empty where the poses do not test it")
+    chance: float = column("chance that it is seen, and told from the rival")
+    enough: bool = column("whether that is 0.9 or more")
+    needs: str = column("what a test of the cause, or of the rival, needs; empty: nothing")
+    worst: bool = column("whether it is the cause's worst gap")
+    addition: str = column("the cheapest addition that fills the worst gap; empty: none of those that were tried does")
+    chance_then: float | None = column("chance with it; empty: none")
+    words: str = column("the worst gap in words; empty elsewhere")
+
+
+def isolability_table(planned: Isolability, size: float, tried: Mapping[str, Isolability]) -> pd.DataFrame:
+    """Return select/isolability.csv; size is that of the causes in usual ones.
+
+    tried says what the plan could tell with each addition, in the order of what they cost.
+    """
+    rows: list[IsolabilityCell] = []
+    every: list[Known] = [*planned.causes, *planned.lacking]
+    for cause in every:
+        rivals = tuple(_rivals(planned, cause))
+        worst = _worst(planned, cause, rivals)
+        filled = _filled(tried, cause, worst[0]) if worst else None
+        id_, joint, part = _place(planned, cause)
+        size_, unit = _usual(planned, cause, size)
+        gaps: list[Known | None] = [None, *rivals]
+        for rival in gaps:
+            is_worst = worst is not None and worst[0] == rival
+            chance = chance_of(planned, cause, rival)
+            other, other_joint, other_part = _place(planned, rival) if rival else ("", None, "")
+            rows.append(
+                IsolabilityCell(
+                    cause=id_, joint=joint, part=part, size=size_, unit=unit, rival=other, rival_part=other_part,
+                    rival_joint=joint if isinstance(rival, str) else other_joint, chance=chance, enough=chance >= ENOUGH,
+                    needs=_needs(planned, cause, rival), worst=is_worst, addition=filled[0] if is_worst and filled else "",
+                    chance_then=filled[1] if is_worst and filled else None,
+                    words=_words(planned, cause, rival, chance, filled, tried) if is_worst else "",
+                )
+            )  # fmt: skip
+    return to_frame(rows, IsolabilityCell)
+
+
+def isolability_summary(table: pd.DataFrame) -> str:
+    """Say how many causes are seen, and how many of these are told from all others."""
+    tested = table[table["part"].fillna("") != ""]
+    seen = int(tested.loc[tested["rival"].fillna("") == "", "enough"].sum())
+    told = tested.groupby(["cause", "part"])["enough"].all()
+    return f"of {len(told)} causes {seen} would be seen, and {int(told.sum())} of these told from all others"
+
+
+def isolability_gaps(table: pd.DataFrame) -> list[str]:
+    """Return in words the causes' worst gaps that an addition fills, the widest first."""
+    gaps = table[table["worst"] & (table["addition"].fillna("") != "")]
+    return list(gaps.sort_values("chance", kind="stable")["words"])
+
+
+def chance_of(planned: Isolability, cause: Known, rival: Known | None) -> float:
+    """Return the chance that a cause is seen (rival None), or seen and told from a rival; 0 for what the poses do not test.
+
+    A cause or rival that is known by its id alone is the one that is seen best, or told worst.
+    """
+    true = [cause] if isinstance(cause, tuple) else [place for place in planned.seen if place[0] == cause]
+    if rival is None:
+        return max((planned.seen.get(place, 0.0) for place in true), default=0.0)
+    others = [rival] if isinstance(rival, tuple) else [place for place in planned.seen if place[0] == rival]
+    return min((planned.told.get((place, other), 0.0) for place in true for other in others), default=0.0)
+
+
+def _rivals(planned: Isolability, cause: Known) -> Iterator[Known]:
+    if isinstance(cause, tuple):
+        yield from (place for place in planned.causes if place != cause)
+        yield from planned.untold[cause]
+
+
+def _worst(planned: Isolability, cause: Known, rivals: tuple[Known, ...]) -> tuple[Known | None] | None:
+    """The rival of the worst gap, in a tuple since None means that the cause is not seen; None where there is no gap."""
+    if chance_of(planned, cause, None) < ENOUGH:
+        return (None,)
+    least = min(rivals, key=lambda rival: chance_of(planned, cause, rival), default=None)
+    return (least,) if least is not None and chance_of(planned, cause, least) < ENOUGH else None
+
+
+def _filled(tried: Mapping[str, Isolability], cause: Known, rival: Known | None) -> tuple[str, float] | None:
+    """The first addition with which a gap is none, and the chance then."""
+    then = ((words, chance_of(with_it, cause, rival)) for words, with_it in tried.items())
+    return next((one for one in then if one[1] >= ENOUGH), None)
+
+
+def _needs(planned: Isolability, cause: Known, rival: Known | None) -> str:
+    if not isinstance(cause, tuple):
+        return planned.lacking[cause]
+    return planned.untold[cause][rival] if isinstance(rival, str) else ""
+
+
+def _usual(planned: Isolability, cause: Known, size: float) -> tuple[float | None, str]:
+    """The size that was drawn, and its unit."""
+    if not isinstance(cause, tuple):
+        return None, ""
+    declared = planned.causes[cause].declared
+    same = [parameter.prior_sd for parameter in declared if parameter.unit == declared[0].unit]
+    return size * float(np.sqrt(np.mean(np.square(same)))), declared[0].unit
+
+
+def _place(planned: Isolability, known: Known) -> tuple[str, int | None, str]:
+    """Id, joint and part."""
+    if not isinstance(known, tuple):
+        return known, None, ""
+    one = planned.causes[known]
+    return one.id, one.joint or None, one.part
+
+
+def _name(planned: Isolability, known: Known) -> str:
+    """Name a cause with its joint, or with its part where it has several."""
+    if not isinstance(known, tuple):
+        return known
+    joint = planned.causes[known].joint
+    alone = joint or sum(place[0] == known[0] for place in planned.causes) == 1
+    return label(known[0], joint) if alone else f"{known[0]} ({known[1]})"
+
+
+def _words(
+    planned: Isolability,
+    cause: Known,
+    rival: Known | None,
+    chance: float,
+    filled: tuple[str, float] | None,
+    tried: Mapping[str, Isolability],
+) -> str:
+    """Say a gap and what fills it."""
+    what = "seen" if rival is None else f"told from {_name(planned, rival)}"
+    needs = _needs(planned, cause, rival)
+    how = f"not {what}: it takes {needs}" if needs else f"{what} in {_hundred(chance)}"
+    if filled:
+        where = _where(tried[filled[0]], cause) if rival is None else ""
+        return f"{_name(planned, cause)} is {how}; with {filled[0]} in {_hundred(filled[1])}{where}"
+    if needs:
+        return f"{_name(planned, cause)} is {how}"
+    means = ["at this size it takes a surer device or more poses"]
+    if rival is not None:
+        known = [catalogue().get(one if isinstance(one, str) else one[0]) for one in (cause, rival)]
+        means = [effect.told_by for effect in known if effect and effect.told_by] or [ANY_MEANS]
+    return f"{_name(planned, cause)} is {how}, and nothing tried changes that: {', or '.join(dict.fromkeys(means))}"
+
+
+def _where(then: Isolability, cause: Known) -> str:
+    """Say where a cause is seen that was not tested anywhere."""
+    if isinstance(cause, tuple):
+        return ""
+    shown = [place[1] for place, chance in then.seen.items() if place[0] == cause and chance >= ENOUGH]
+    return f" ({', '.join(shown)})"
+
+
+def _hundred(chance: float) -> str:
+    return f"{100 * chance:.0f} of 100"

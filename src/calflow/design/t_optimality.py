@@ -1,0 +1,230 @@
+"""The criterion between two explanations of the same data: how far they are apart, and which further poses set them apart.
+
+T-optimality (Atkinson and Fedorov 1975): one explanation is fitted as well as it can be to what the other, true one does; what
+it cannot imitate, in standard deviations of the noise, is the separation. Poses are added where it grows most."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import permutations
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.stats import norm
+
+from calflow.design.planned import Planned
+from calflow.diagnosis.findings.verdict import WITHIN
+from calflow.diagnosis.screening.score import Score
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.estimation.least_squares import LeastSquares
+
+Pair = tuple[int, int]  # of explanations, by their numbers
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Poses to choose from: readings and approach (n, n_joints), payload names, and the packed rows (n_conditions, n)."""
+
+    readings: np.ndarray
+    approach: np.ndarray
+    payloads: tuple[str, ...]
+    rows: np.ndarray
+
+    def only(self, which: Sequence[int]) -> Choices:
+        """Return some of the poses."""
+        chosen = list(which)
+        payloads = tuple(self.payloads[k] for k in chosen)
+        return Choices(self.readings[chosen], self.approach[chosen], payloads, self.rows[:, chosen])
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A cause in a finding's place as it was scored, and its place's BIC relative to the finding's."""
+
+    score: Score
+    bic: float
+
+    def cost(self, n: int) -> float:
+        """What its parameters and variants cost in BIC, up to a constant of the finding; n is the number of residuals."""
+        return float(self.bic - n * np.log1p(-self.score.share))
+
+
+@dataclass(frozen=True, eq=False)
+class Imitation:
+    """What an explanation and all other parameters can imitate at further poses: slopes (n_poses, n_units, n) a part.
+
+    The parameters are turned so that the data know each as well as the next, with a standard deviation of 1.
+    """
+
+    parts: tuple[Slopes, ...]
+
+    @staticmethod
+    def of(information: np.ndarray, slopes: np.ndarray) -> Imitation:
+        """Turn slopes (n_poses, n_units, n) by parameters that the data know by an information (n, n)."""
+        return Imitation((Slopes(_turned(np.linalg.cholesky(information), slopes)),))
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Covariance of what each pose will show beside its own noise's, 1, shape (n_poses, n_units, n_units)."""
+        turned = [part.turned for part in self.parts]
+        return np.asarray(np.eye(turned[0].shape[1]) + sum(one @ one.transpose(0, 2, 1) for one in turned))
+
+    def shared(self, pose: int) -> np.ndarray:
+        """Return the covariance of what each pose will show with what one will, shape (n_poses, n_units, n_units)."""
+        return np.asarray(sum(part.shared(pose) for part in self.parts))
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Slopes (n_poses, n_units, n) by turned parameters, and what has been asked of them: many pairs ask for the same poses."""
+
+    turned: np.ndarray
+    asked: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def shared(self, pose: int) -> np.ndarray:
+        """Return their part of `Imitation.shared`."""
+        if pose not in self.asked:
+            self.asked[pose] = self.turned @ self.turned[pose].T
+        return self.asked[pose]
+
+
+@dataclass(frozen=True, eq=False)
+class TCriterion:
+    """An explanation's effect, and how well another one and all other parameters can imitate it: in the data, and further on.
+
+    squared [sd²] is what they cannot imitate in the data, unexplained (n_poses, n_units) what the imitation that is best there
+    leaves at each further pose, spread (n_poses, n_units, n_units) how surely that is known. taken are the poses measured since:
+    what each of them has in common with every pose, its own spread being 1. cost is by how much the other is dearer in BIC.
+    """
+
+    squared: float
+    unexplained: np.ndarray
+    spread: np.ndarray
+    imitation: Imitation
+    cost: float
+    taken: tuple[np.ndarray, ...] = ()
+
+    @staticmethod
+    def of(
+        information: np.ndarray,
+        moment: np.ndarray,
+        energy: float,
+        new_effect: np.ndarray,
+        new_imitate: np.ndarray,
+        cost: float,
+        imitation: Imitation | None = None,
+    ) -> TCriterion:
+        """Set up the criterion of a least squares problem in standard deviations of noise and priors.
+
+        information (n, n), moment (n,) and energy are those of the data, new_effect (n_poses, n_units) and new_imitate
+        (n_poses, n_units, n) what a further pose would add. Raises ArithmeticError where figures are not finite.
+        """
+        solved = np.linalg.solve(information, moment)
+        squared, unexplained = float(energy - moment @ solved), new_effect - new_imitate @ solved
+        if not (np.isfinite(squared) and np.isfinite(unexplained).all()):
+            raise ArithmeticError("what one cause does and another imitates is not finite")
+        imitation = imitation or Imitation.of(information, new_imitate)
+        return TCriterion(squared, unexplained, imitation.spread, imitation, cost)
+
+    @staticmethod
+    def between(
+        fitted: Fitted, explanations: Sequence[Explanation], choices: Choices, planned: Planned
+    ) -> dict[Pair, TCriterion]:
+        """Set explanations of a finding against each other: keys are the true one's number and that of what imitates it.
+
+        The first is in the fitted model, the others are not; planned is how a further pose will be measured.
+        """
+        model, fit = fitted.model, fitted.fit
+        scores = [explanation.score for explanation in explanations]
+        costs = [explanation.cost(fit.residual.size) for explanation in explanations]
+        both = replace(model, effects=(*model.effects, *(score.cause for score in scores[1:])))
+        columns = [both.columns(score.cause) for score in scores]
+        rest = np.setdiff1d(np.arange(len(both.parameters)), np.concatenate(columns))
+        rest = np.setdiff1d(rest, np.flatnonzero(fit.at_bound))
+        point = np.concatenate([fit.estimate, both.nominal[len(fit.estimate) :]])
+        sd = both.prior_sd
+        seen = LeastSquares.of(both, fitted.data, fitted.noise).screened(point)[1] * sd
+        new = planned.whitened(both, point, choices.rows) * sd
+        effects = [score.estimate / sd[own] for score, own in zip(scores, columns, strict=True)]
+        products = seen.T @ seen
+        information = products + np.eye(len(sd))
+        factor = np.linalg.cholesky(information[np.ix_(rest, rest)])
+        common = Slopes(_turned(factor, new[..., rest]))
+
+        def imitation(other: int) -> Imitation:
+            """What is common to all explanations is turned once, then the other's own parameters beside it."""
+            own = columns[other]
+            mixed = solve_triangular(factor, information[np.ix_(rest, own)], lower=True)
+            left = np.linalg.cholesky(information[np.ix_(own, own)] - mixed.T @ mixed)
+            return Imitation((common, Slopes(_turned(left, new[..., own] - common.turned @ mixed))))
+
+        imitations = [imitation(k) for k in range(len(scores))]
+
+        def criterion(true: int, other: int) -> TCriterion:
+            imitating, effect = np.concatenate([rest, columns[other]]), effects[true]
+            moment = products[np.ix_(imitating, columns[true])] @ effect
+            energy = float(effect @ products[np.ix_(columns[true], columns[true])] @ effect)
+            return TCriterion.of(information[np.ix_(imitating, imitating)], moment, energy, new[..., columns[true]] @ effect,
+                                 new[..., imitating], costs[other] - costs[true], imitations[other])  # fmt: skip
+
+        return {pair: criterion(*pair) for pair in permutations(range(len(explanations)), 2)}
+
+    @property
+    def separation(self) -> float:
+        """What cannot be imitated [sd]."""
+        return float(np.sqrt(max(self.squared, 0.0)))
+
+    @property
+    def lead(self) -> float:
+        """By how many of its standard deviations the BIC is expected to exclude the other (to be WITHIN above the true one's)."""
+        apart = max(self.separation, 1e-9)
+        return (apart**2 + self.cost - WITHIN) / (2 * apart)
+
+    @property
+    def chance(self) -> float:
+        """The chance that the other explanation is excluded."""
+        return float(norm.cdf(self.lead))
+
+    @cached_property
+    def growth(self) -> np.ndarray:
+        """By how much each further pose would raise the separation's square, shape (n_poses,)."""
+        solved = np.linalg.solve(self.spread, self.unexplained[..., None])[..., 0]
+        return np.asarray((self.unexplained * solved).sum(axis=1))
+
+    def measured(self, pose: int) -> TCriterion:
+        """Return the criterion after one more pose."""
+        shared = self.imitation.shared(pose) - sum(taken @ taken[pose].T for taken in self.taken)
+        factor = np.linalg.cholesky(self.spread[pose])
+        half = np.linalg.solve(factor, shared.transpose(0, 2, 1)).transpose(0, 2, 1)
+        surprise = np.linalg.solve(factor, self.unexplained[pose])
+        return replace(
+            self, squared=self.squared + float(surprise @ surprise), unexplained=self.unexplained - half @ surprise,
+            spread=self.spread - half @ half.transpose(0, 2, 1), taken=(*self.taken, half),
+        )  # fmt: skip
+
+
+def _turned(factor: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Slopes (n_poses, n_units, n) by parameters that a triangular factor (n, n) of their information makes independent."""
+    flat = solve_triangular(factor, slopes.reshape(-1, slopes.shape[-1]).T, lower=True)
+    return np.asarray(flat.T.reshape(slopes.shape))
+
+
+def closest(criteria: Mapping[Pair, TCriterion], pair: Pair) -> TCriterion:
+    """Return the harder one of a pair's two criteria."""
+    return min((criteria[pair], criteria[pair[::-1]]), key=lambda criterion: criterion.lead)
+
+
+def propose(
+    criteria: Mapping[Pair, TCriterion], pairs: Sequence[Pair], number: int
+) -> tuple[list[int], dict[Pair, TCriterion]]:
+    """Choose poses, each for the criterion that is then the hardest, and return the harder criterion of every pair after them."""
+    now = {key: criteria[key] for pair in pairs for key in (pair, pair[::-1])}
+    chosen = list[int]()
+    for _ in range(min(number, *(len(criterion.unexplained) for criterion in now.values()))):
+        growth = min(now.values(), key=lambda criterion: criterion.lead).growth.copy()
+        growth[chosen] = -1.0
+        chosen.append(int(np.argmax(growth)))
+        now = {key: criterion.measured(chosen[-1]) for key, criterion in now.items()}
+    return chosen, {pair: closest(now, pair) for pair in pairs}

@@ -1,0 +1,146 @@
+"""Alternatives to the extended model: the likeliest rivals fitted in the place of the causes that were found.
+
+The models in reach of what was found: its causes, one of them left out, one exchanged, or one added.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from calflow.diagnosis.findings.verdict import UNEXPLAINED, Rival, Verdict
+from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.screening.score import Score
+from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.search.linearisation import Finding, Linearisation
+from calflow.diagnosis.search.trial import swapped
+from calflow.effects.cause import Cause
+from calflow.estimation.calibrated_model import MANY
+from calflow.estimation.fit import Fit
+from calflow.estimation.rival_models import Alternative, AlternativeParameter, Change, ModelInReach
+from calflow.files.tables import to_frame
+
+LEAST = 0.02  # probability below which a rival moves no interval
+MOST_FITTED = 4  # that are fitted: the likeliest
+
+
+@dataclass(frozen=True)
+class FittedAlternative:
+    """An alternative that was fitted: which cause (from 0) gives way, to which rival, if any, and how probable that is."""
+
+    number: int
+    rival: Cause | None
+    fit: Fit
+    probability: float
+
+    @property
+    def alternative(self) -> Alternative:
+        """The model without how it came about."""
+        return Alternative(self.fit.model, self.fit.estimate, self.probability)
+
+
+def fitted_alternatives(verdicts: Sequence[Verdict], final: Fitted) -> tuple[FittedAlternative, ...]:
+    """Fit the likeliest rivals in the causes' places, one at a time; a rival that could not be tested has no model."""
+    asked = [
+        (_probability(verdict, rival), k, rival.cause)
+        for k, verdict in enumerate(verdicts)
+        for rival in verdict.rivals
+        if rival.cause is not None or rival.id == UNEXPLAINED
+    ]
+    likeliest = sorted((one for one in asked if one[0] >= LEAST), key=lambda one: -one[0])[:MOST_FITTED]
+    found = []
+    for probability, k, rival in likeliest:
+        stay = [cause for cause in final.causes if cause != verdicts[k].finding.cause]
+        causes = [*stay, rival] if rival is not None and rival not in stay else stay
+        found.append(
+            FittedAlternative(k, rival if len(causes) > len(stay) else None, final.fit_with(causes), probability)
+        )
+    return tuple(found)
+
+
+def _probability(verdict: Verdict, rival: Rival) -> float:
+    """The rival's share, as the verdict weighs it: what could not be tested never counts for more than the cause."""
+    bic = rival.bic if rival.cause else max(rival.bic, 0.0)
+    return float(verdict.probability * np.exp(-bic / 2))
+
+
+def alternatives_table(found: Sequence[FittedAlternative], causes: Sequence[Cause], final: Fitted) -> pd.DataFrame:
+    """Return the table of `AlternativeParameter`s; causes are those found, in the order of their verdicts."""
+    order = list(final.causes)
+    rows = [
+        AlternativeParameter(
+            alternative=number, probability=one.probability, instead_of=order.index(causes[one.number]) + 1,
+            effect=one.rival.effect.id if one.rival else "", part=one.rival.part if one.rival else "",
+            variant=json.dumps(one.rival.effect.figures) if one.rival else "",
+            parameter=parameter.name, estimate=float(estimate),
+        )
+        for number, one in enumerate(found, start=1)
+        for parameter, estimate in zip(one.fit.model.parameters, one.fit.estimate, strict=True)
+    ]  # fmt: skip
+    return to_frame(rows, AlternativeParameter)
+
+
+REACH = 7.0  # in the logarithm: a model this much less likely than what was found, by the linear tests, has a chance of 0.1 %
+MOST_IN_REACH = 24  # models: the likeliest
+
+
+def models_in_reach(
+    final: Fitted, findings: Sequence[Finding[Cause]], catalogue: Catalogue
+) -> tuple[ModelInReach, ...]:
+    """Return the models in reach, what was found first, then by how likely the linear tests make them; none of nothing found.
+
+    Before the data each place of the catalogue that they can show is a cause with odds of one to the number of these places,
+    and its forms share them evenly: one cause is to be expected of the whole catalogue, however large it is. Causes of very many
+    parameters stay as they are in all models.
+    """
+    if not any(_is_small(finding.cause) for finding in findings):
+        return ()
+    beside = Linearisation.at(final, catalogue).beside.scores
+    places = float(np.log(len(shown(findings, beside))))
+
+    def log_prior(causes: Sequence[Cause]) -> float:
+        return -sum(places + float(np.log(catalogue.variants.get(cause.place, 1))) for cause in causes)
+
+    independent = final.background is None and final.alone.shared == 1
+    near = [
+        ModelInReach(tuple(causes), change, log_prior(causes), weight, independent)
+        for causes, change, weight in _neighbours(final, findings, beside, places)
+        if weight > -REACH
+    ]
+    found = ModelInReach(final.causes, "found", log_prior(final.causes), 0.0, independent)
+    return (found, *sorted(near, key=lambda one: -one.log_weight)[: MOST_IN_REACH - 1])
+
+
+def shown(findings: Sequence[Finding[Cause]], beside: Sequence[Score[Cause]]) -> dict[tuple[str, str], Cause]:
+    """Return the places that the data show, in place of what was found or beside it, each with a cause there."""
+    scores = [*beside, *(score for finding in findings for score in finding.scores)]
+    return {score.cause.place: score.cause for score in scores}
+
+
+def _neighbours(
+    final: Fitted, findings: Sequence[Finding[Cause]], beside: Sequence[Score[Cause]], places: float
+) -> Iterator[tuple[list[Cause], Change, float]]:
+    """Yield the causes of all models one step away, the step, and the logarithm of how likely it makes them (BIC).
+
+    What a form costs is in BIC already, what a place costs (its logarithm) is not.
+    """
+    causes = list(final.causes)
+    for finding in findings:
+        if not _is_small(finding.cause):
+            continue
+        own = finding.own.delta_bic
+        yield [cause for cause in causes if cause != finding.cause], "without", own / 2 + places
+        for score in finding.scores:
+            if score.cause != finding.cause and _is_small(score.cause):
+                yield swapped(causes, finding.cause, score.cause), "instead", (own - score.delta_bic) / 2
+    for score in beside:
+        if _is_small(score.cause):
+            yield [*causes, score.cause], "besides", -score.delta_bic / 2 - places
+
+
+def _is_small(cause: Cause) -> bool:
+    return cause.n_parameters <= MANY

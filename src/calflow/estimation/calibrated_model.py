@@ -1,0 +1,359 @@
+"""What identify and diagnose found, rebuilt from their tables for the stages after them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pydantic import TypeAdapter
+
+from calflow.effects import Effect, catalogue
+from calflow.effects.cause import Carried, Cause
+from calflow.estimation.fit_summary import FitSummary
+from calflow.estimation.least_squares import Loss
+from calflow.estimation.noise import Noise, Source
+from calflow.estimation.parameters import FittedParameter
+from calflow.estimation.repeats import stated_noise
+from calflow.estimation.residual_field import ResidualField, read_field
+from calflow.estimation.rival_models import Alternative, AlternativeParameter, CauseInReach, ModelInReach
+from calflow.files.problems import refuse
+from calflow.files.results import Results
+from calflow.files.tables import column, to_frame
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model
+from calflow.observations import Observation
+from calflow.observations import catalogue as observation_kinds
+from calflow.robot.parts import Base, vector
+from calflow.robot.robot import Robot
+
+MANY = 20  # parameters of one cause, beyond which sampling them would take days and say nothing new
+ROBOT_FILE, REGISTERED = "robot file", "registered"  # where a place is from
+NOT_TURNED = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelEffect:
+    """An effect of the model, in its order."""
+
+    effect: str = column("its id")
+    part: str = column("the part of the robot that it is a cause of; empty: all")
+    variant: str = column("the figures that make its variant, as JSON")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelObservation:
+    """A series of measurements as the model observes it."""
+
+    kind: str = column("id of the observation")
+    series: str = column("name of the series; empty: the only one")
+    observation: str = column("all that makes it, as JSON")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceNoise:
+    """The noise of a series of measurements."""
+
+    series: str = column("its name; empty: the only one")
+    kind: str = column("id of its observation")
+    source: Source = column("where the noise is known from")
+    sigma_mm: float = column("of a single row, per axis; of noise that grows with range, that at no distance", "mm")
+    growth_mm_per_m: float = column("by how much it grows with range", "mm/m")
+    typical_mm: float = column("rms over the rows, at the ranges where they were measured, per axis", "mm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """Where base, markers, tool and what was observed are that the parameters refer to."""
+
+    what: str = column("base, a marker's name, tool, or what a series observes")
+    x_m: float = column("its place: a marker's in the flange's frame, else in the measuring frame", "m")
+    y_m: float = column("the same along y", "m")
+    z_m: float = column("the same along z", "m")
+    rx_deg: float = column("its turn about x, then y, then z", "deg")
+    ry_deg: float = column("the same about y", "deg")
+    rz_deg: float = column("the same about z", "deg")
+    kind: str = column("base, marker, tool or observation")
+    source: str = column("who says so: the robot file, or registered by the training data")
+
+
+@dataclass(frozen=True)
+class SeriesNoise:
+    """The noise of a series: sigma of a single row [m] (of one that grows, at no distance), growth [m/m], and its source.
+
+    typical is its rms over the rows [m]; where none is given it is sigma.
+    """
+
+    sigma: float
+    source: Source
+    growth: float = 0.0
+    typical: float = 0.0
+
+    @property
+    def at_rows(self) -> float:
+        """Its rms where rows were measured [m]."""
+        return self.typical or self.sigma
+
+
+@dataclass(frozen=True)
+class CalibratedModel:
+    """The fitted model with its estimate, covariance (SI units), each series' noise, and the discrepancy it left [m, rad].
+
+    elsewhere [m] is what it errs by beyond all that at poses that it was not fitted to, per axis.
+
+    alternatives are other models that explain the data about as well; field is a correction beside the model that is not physical.
+    intraclass is the correlation of what the markers of a standstill err.
+    alternatives are other models that explain the data about as well, in_reach all that may be right as well, this one first (none
+    where nothing was found); field is a correction beside the model that is not physical.
+    """
+
+    model: Model
+    estimate: np.ndarray
+    covariance: np.ndarray
+    at_bound: np.ndarray
+    device: tuple[SeriesNoise, ...]
+    discrepancy: float
+    rotation_discrepancy: float
+    loss: Loss
+    elsewhere: float = 0.0
+    alternatives: tuple[Alternative, ...] = ()
+    field: ResidualField | None = None
+    intraclass: float = 0.0
+    in_reach: tuple[ModelInReach, ...] = ()
+
+    @property
+    def noise_known(self) -> bool:
+        """Whether any series' noise is known apart from the fit."""
+        return any(one.source != "estimated" for one in self.device)
+
+    @property
+    def sigma(self) -> float:
+        """Noise of a single row of the first series [m]."""
+        return self.device[0].sigma
+
+    def noise(self, data: Measurements) -> Noise:
+        """Return the noise of these rows, from where it was taken: of rows that state none, that of the rows which were fitted."""
+        stated = stated_noise(data)
+        sigma = stated.sigma.copy()
+        for k, one in enumerate(self.device):
+            own = data.of_series(k)
+            if one.growth:
+                sigma[own] = one.sigma + one.growth * data.table["range"].to_numpy()[own]
+            elif one.source == "file":
+                sigma[own] = np.where(np.isnan(sigma[own]), one.at_rows, sigma[own])
+            else:
+                sigma[own] = one.sigma
+            sigma[own & np.isnan(sigma)] = one.at_rows  # rows that do not state theirs, of a device that did
+        return replace(
+            stated, sigma=sigma, sources=tuple(one.source for one in self.device), discrepancy=self.discrepancy,
+            rotation_discrepancy=self.rotation_discrepancy, intraclass=self.intraclass,
+        )  # fmt: skip
+
+
+def identified(robot: Robot, results: Results, given: tuple[str, ...]) -> CalibratedModel:
+    """Rebuild the model that identify fitted, for rows with these optional conditions."""
+    robot = placed(robot, results)
+    observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
+    effects = read_effects(results.rows("identify/effects.csv", ModelEffect), robot)
+    return _read("identify", Model(robot, effects, given, observed), results)
+
+
+def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> CalibratedModel:
+    """Rebuild the best model there is: the one that diagnose extended, else identify's; with the residual field if there is one."""
+    field = read_field(results, robot)
+    if "diagnose/effects.csv" not in results:
+        return replace(identified(robot, results, given), field=field)
+    robot = placed(robot, results)
+    observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
+    effects = read_effects(results.rows("diagnose/effects.csv", ModelEffect), robot)
+    model = Model(robot, effects, given, observed)
+    others = results.rows("diagnose/alternatives.csv", AlternativeParameter)
+    reached = _in_reach(results.rows("diagnose/models_in_reach.csv", CauseInReach), robot)
+    known = _read("diagnose", model, results)
+    return replace(known, alternatives=_alternatives(others, model), field=field, in_reach=reached)
+
+
+def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[Alternative, ...]:
+    found = []
+    for _, group in groupby(rows, key=lambda row: row.alternative):
+        own = list(group)
+        first = own[0]
+        gone = [effect for effect in model.effects if isinstance(effect, Cause)][first.instead_of - 1]
+        rival = [ModelEffect(effect=first.effect, part=first.part, variant=first.variant)] if first.effect else []
+        effects = (*(effect for effect in model.effects if effect != gone), *read_effects(rival, model.robot))
+        estimate = np.array([row.estimate for row in own])
+        found.append(Alternative(replace(model, effects=effects), estimate, first.probability))
+    return tuple(found)
+
+
+def _in_reach(rows: Sequence[CauseInReach], robot: Robot) -> tuple[ModelInReach, ...]:
+    found = []
+    for _, group in groupby(rows, key=lambda row: row.model):
+        own = list(group)
+        named = [ModelEffect(effect=row.effect, part=row.part, variant=row.variant) for row in own if row.effect]
+        causes = tuple(cause for cause in read_effects(named, robot) if isinstance(cause, Cause))
+        first = own[0]
+        found.append(ModelInReach(causes, first.change, first.log_prior, first.log_weight, first.independent))
+    return tuple(found)
+
+
+def with_maps_held(known: CalibratedModel) -> tuple[CalibratedModel, tuple[Cause, ...]]:
+    """Return the model with causes of very many parameters held at their estimates, and which these are."""
+    effects: list[Effect] = []
+    kept = [int(i) for observation in known.model.observations for i in known.model.columns(observation)]
+    held = []
+    for effect in known.model.effects:
+        own = known.model.columns(effect)
+        if isinstance(effect, Cause) and len(own) > MANY:
+            effects.append(Carried(effect.robot, effect, tuple(map(float, known.estimate[own]))))
+            held.append(effect)
+        else:
+            effects.append(effect)
+            kept += list(own)
+    if not held:
+        return known, ()
+    rest = np.setdiff1d(np.arange(len(known.estimate)), kept)
+    free = rest[~known.at_bound[rest]]
+    whole = known.covariance
+    given = whole[np.ix_(kept, free)] @ np.linalg.solve(whole[np.ix_(free, free)], whole[np.ix_(free, kept)])
+    lean = replace(
+        known,
+        model=replace(known.model, effects=tuple(effects)),
+        estimate=known.estimate[kept],
+        covariance=whole[np.ix_(kept, kept)] - given,
+        at_bound=known.at_bound[kept],
+        alternatives=tuple(one for one in known.alternatives if not set(held) <= set(one.model.effects)),
+    )
+    return lean, tuple(held)
+
+
+def effect_table(effects: Sequence[Effect]) -> pd.DataFrame:
+    """Return the table of `ModelEffect`s."""
+    rows = []
+    for effect in effects:
+        whole, part = (effect.effect, effect.part) if isinstance(effect, Cause) else (effect, "")
+        rows.append(ModelEffect(effect=whole.id, part=part, variant=json.dumps(whole.figures)))
+    return to_frame(rows, ModelEffect)
+
+
+def read_effects(rows: Sequence[ModelEffect], robot: Robot) -> tuple[Effect, ...]:
+    """Rebuild the effects that `effect_table` wrote."""
+    found: list[Effect] = []
+    for row in rows:
+        whole = _kind(row.effect)(robot, **{name: _frozen(value) for name, value in json.loads(row.variant).items()})
+        found.append(Cause(robot, whole, row.part) if row.part else whole)
+    return tuple(found)
+
+
+def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
+    """Return the table of `ModelObservation`s."""
+    rows = [
+        ModelObservation(kind=one.id, series=one.series.name, observation=json.dumps(asdict(one))) for one in observed
+    ]
+    return to_frame(rows, ModelObservation)
+
+
+def read_observations(rows: Sequence[ModelObservation]) -> tuple[Observation, ...]:
+    """Rebuild the observations that `observation_table` wrote."""
+    return tuple(TypeAdapter(observation_kinds()[row.kind]).validate_json(row.observation) for row in rows)
+
+
+def noise_table(
+    noise: Noise, observed: Sequence[Observation], growth: tuple[float, float] | None = None
+) -> pd.DataFrame:
+    """Return the table of `DeviceNoise`; growth is its floor [m] and slope [m/m]."""
+    rows = [
+        DeviceNoise(
+            series=one.series.name, kind=one.id, source=own.source, sigma_mm=1e3 * own.sigma, growth_mm_per_m=1e3 * own.growth,
+            typical_mm=1e3 * own.at_rows,
+        )
+        for own, one in zip(series_noise(noise, growth), observed, strict=True)
+    ]  # fmt: skip
+    return to_frame(rows, DeviceNoise)
+
+
+def series_noise(noise: Noise, growth: tuple[float, float] | None = None) -> tuple[SeriesNoise, ...]:
+    """Return the noise of each series; growth is its floor [m] and slope [m/m]."""
+    found = []
+    for k, source in enumerate(noise.sources):
+        typical = float(np.sqrt(np.mean(noise.sigma[noise.of_series(k)] ** 2)))
+        sigma, slope = growth or (typical, 0.0)
+        found.append(SeriesNoise(sigma, source, slope, typical))
+    return tuple(found)
+
+
+def _read_noise(rows: Sequence[DeviceNoise]) -> tuple[SeriesNoise, ...]:
+    return tuple(
+        SeriesNoise(row.sigma_mm / 1e3, row.source, row.growth_mm_per_m / 1e3, row.typical_mm / 1e3) for row in rows
+    )
+
+
+def placement_table(robot: Robot, observed: Sequence[Observation]) -> pd.DataFrame:
+    """Return the table of what is `Placed`: as the robot file says, or registered by the training data."""
+    source = ROBOT_FILE if robot.base.known else REGISTERED
+    placed = [("base", robot.base.origin, robot.base.rotation, "base", source)]
+    placed += [
+        (name, marker.point, NOT_TURNED, "marker", source if marker.known else REGISTERED)
+        for name, marker in robot.markers.items()
+    ]
+    if robot.tool_rotation is not None:
+        placed.append(("tool", (0.0, 0.0, 0.0), robot.tool_rotation, "tool", source))
+    seen = [one for own in observed for one in own.placements]
+    placed += [(one.what, one.origin, one.rotation, "observation", REGISTERED) for one in seen]
+    rows = []
+    for what, (x, y, z), turn, kind, said in placed:
+        rx, ry, rz = (float(angle) for angle in np.rad2deg(turn))
+        rows.append(Placed(what=what, x_m=x, y_m=y, z_m=z, rx_deg=rx, ry_deg=ry, rz_deg=rz, kind=kind, source=said))
+    return to_frame(rows, Placed)
+
+
+def placed(robot: Robot, results: Results) -> Robot:
+    """Return the robot with base and markers where identify's errors refer to."""
+    observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
+    if not any(one.from_outside for one in observed):
+        return replace(robot, base=Base(fixed=True))
+    rows = results.rows("identify/placement.csv", Placed)
+    if all(row.source == ROBOT_FILE for row in rows):
+        return robot
+    at = {(row.kind, row.what): vector((row.x_m, row.y_m, row.z_m)) for row in rows}  # a marker may be called 'tool'
+    turn = {row.kind: vector(np.deg2rad((row.rx_deg, row.ry_deg, row.rz_deg))) for row in rows}
+    base = robot.base if robot.base.known else Base(origin=at["base", "base"], rotation=turn["base"], known=False)
+    markers = {name: replace(marker, point=at["marker", name]) for name, marker in robot.markers.items()}
+    tool = robot.tool_rotation and turn["tool"]
+    return replace(robot, base=base, markers=markers, tool_rotation=tool)
+
+
+def _read(stage: str, model: Model, results: Results) -> CalibratedModel:
+    parameters = results.rows(f"{stage}/parameters.csv", FittedParameter)
+    covariance = results.tables.get(f"{stage}/covariance.csv", pd.DataFrame())
+    names = [parameter.name for parameter in model.parameters]
+    for name, told in (("parameters", [one.parameter for one in parameters]), ("covariance", list(covariance)[1:])):
+        if names != told:
+            raise refuse(f"{stage}/{name}.csv does not fit the study's robot and effects; run {stage} again")
+    summary = results.document(f"{stage}/summary.json", FitSummary)
+    return CalibratedModel(
+        model,
+        np.array([one.estimate for one in parameters]),
+        covariance.iloc[:, 1:].to_numpy(dtype=float),
+        np.array([one.at_bound for one in parameters], dtype=bool),
+        _read_noise(results.rows(f"{stage}/noise.csv", DeviceNoise)),
+        summary.discrepancy_mm / 1e3,
+        (summary.rotation_discrepancy_mrad or 0.0) / 1e3,
+        summary.loss,
+        summary.elsewhere_mm / 1e3,
+        intraclass=summary.intraclass,
+    )
+
+
+def _kind(effect: str) -> type[Effect]:
+    if effect not in catalogue():
+        raise refuse(f"the run has effect '{effect}', which is unknown here: install the package that it came from")
+    return catalogue()[effect]
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(map(_frozen, value)) if isinstance(value, list) else value

@@ -1,0 +1,293 @@
+"""The calibrated robot as a program's corrector: its controller's kinematics, and where it truly is.
+
+Posture: how an arm of six joints stands, read off the nominal robot's axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from calflow.deployment.commands import compensated
+from calflow.deployment.compensation import landing
+from calflow.deployment.conventions import inverse
+from calflow.deployment.needed_conditions import NeededCondition
+from calflow.deployment.prediction import Missing, as_told
+from calflow.deployment.targets import Targets, base_placement, features
+from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.groups import members
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model, over_rows
+from calflow.programs.axes import Axes, Correction
+from calflow.programs.configuration import Posture
+from calflow.robot.chain import Deflection, pose
+from calflow.robot.dimensions import nominal_dimensions
+from calflow.robot.loop import reachable
+from calflow.robot.robot import Robot
+from calflow.robot.transforms import placement
+
+APART = 1e-3  # m: axes 4 and 5 that pass each other by less meet in a wrist
+PARALLEL = 1e-6
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The axes of a robot by joint angles, and where its wrist points when all readings are 0; None where it has no such arm."""
+
+    robot: Robot
+    axes: ca.Function
+    forward: np.ndarray | None
+
+    @staticmethod
+    def of(robot: Robot) -> Arm:
+        """Return a robot's arm; one of six revolute joints whose last three axes meet has a posture."""
+        q = ca.SX.sym("q", robot.n_joints)
+        at = pose(robot, nominal_dimensions(robot), q, Deflection.zero(robot.n_joints))
+        floor = at.links[robot.ground - 1][:3, :3].T if robot.ground else ca.SX.eye(3)
+        own = [floor @ at.joints[i][:3, 2:4] for i in robot.arm]
+        arm = Arm(robot, ca.Function("axes", [q], [ca.densify(ca.horzcat(*own))]), None)
+        if len(robot.arm) != 6 or any(robot.joints[i].kind != "revolute" for i in robot.arm):
+            return arm
+        directions, points = arm.at(np.zeros(robot.n_joints))
+        wrist = _meeting(directions[3:], points[3:])
+        if wrist is None:
+            return arm
+        out = wrist - points[0]
+        return Arm(robot, arm.axes, out - directions[0] * (directions[0] @ out))
+
+    def at(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the directions (n, 3) of the arm's axes and a point (n, 3) [m] on each, in axes that stand on the floor.
+
+        External axes move all of the arm: it stands as it would where they are at 0.
+        """
+        own = np.array(readings, dtype=float)
+        own[self.robot.external] = 0.0
+        found = np.array(self.axes(self.robot.reading_matrix @ own)).reshape(3, -1, 2)
+        return found[:, :, 0].T, found[:, :, 1].T
+
+    def posture(self, readings: np.ndarray) -> Posture:
+        """Return how the arm stands."""
+        angles = tuple(float(one) for one in readings[self.robot.arm])
+        if self.forward is None or np.linalg.norm(self.forward) < APART:
+            return Posture(angles, None, None)
+        directions, points = self.at(readings)
+        wrist = _meeting(directions[3:], points[3:])
+        assert wrist is not None
+        forward = _turned(self.forward, directions[0], self.robot.reading_matrix[self.robot.arm[0]] @ readings)
+        up = directions[0] * (1 if directions[0][2] >= 0 else -1)
+        side = np.cross(up, forward)
+        upper = points[2] - points[1]
+        upper -= directions[1] * (directions[1] @ upper)
+        front = bool((wrist - points[0]) @ forward > 0)
+        elbow = bool(side @ np.cross(upper, wrist - points[2]) > 0)
+        return Posture(angles, front, elbow)
+
+
+def _meeting(directions: np.ndarray, points: np.ndarray) -> np.ndarray | None:
+    """The point in which three axes meet; None where they do not."""
+    across = np.cross(directions[0], directions[1])
+    if np.linalg.norm(across) < PARALLEL:  # of a stretched wrist: the axes before and after it are one line
+        across = np.cross(directions[1], [1.0, 0.3, 0.1])
+    apart = np.eye(3) * 3 - sum(np.outer(one, one) for one in directions)
+    right = sum((np.eye(3) - np.outer(one, one)) @ point for one, point in zip(directions, points, strict=True))
+    meeting = np.linalg.lstsq(apart, right, rcond=None)[0]
+    off = [np.linalg.norm(np.cross(one, meeting - point)) for one, point in zip(directions, points, strict=True)]
+    return np.asarray(meeting) if max(off) < APART else None
+
+
+def _turned(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
+    return np.asarray(
+        vector * np.cos(angle) + np.cross(axis, vector) * np.sin(angle) + axis * (axis @ vector) * (1 - np.cos(angle))
+    )
+
+
+DRAWN = 4000  # joint positions within the limits, of which a pose is approached from the nearest
+FREE = 6  # joints that it takes to mend place and orientation
+ALIKE = 1e-5  # rad or m by which two ways to a pose must differ
+MOST_CHANGE = np.deg2rad(10.0)  # a correction that turns a joint further is none: the target is at a singularity
+
+
+@dataclass(frozen=True)
+class CalibratedRobot:
+    """A calibrated robot.
+
+    rows makes the rows of a program's targets, with what they carry and under which conditions, from readings (n, n_joints).
+    in_order: the targets follow each other, so that the side from which each joint comes follows from them.
+    """
+
+    known: CalibratedModel
+    needed: Sequence[NeededCondition]
+    rows: Callable[[np.ndarray], Measurements]
+    in_order: bool = False
+    missing: Missing = "refuse"
+    seed: int = 1
+
+    @property
+    def robot(self) -> Robot:
+        """The robot, placed where the calibration has it."""
+        return self.known.model.robot
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return self.robot.n_joints
+
+    @cached_property
+    def axes(self) -> Axes:
+        """Which joints are the arm's, and which external axes."""
+        return Axes.of(self.robot)
+
+    def flange(self, readings: np.ndarray) -> np.ndarray:
+        """Return where the controller takes the flange to be, (n, 4, 4), at readings (n, n_joints)."""
+        rows = self.rows(readings).stating(()).rows
+        seen, tool = _frames(self._rigid, np.zeros(0), rows)
+        return inverse(self._stands) @ seen @ inverse(tool)
+
+    def solutions(
+        self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], external: np.ndarray
+    ) -> list[np.ndarray]:
+        """Return for each of the poses (n, 4, 4) the readings (k, n_joints) at which the controller has the flange there.
+
+        Of external (n, n_joints) the readings of external axes are what they have at each pose.
+        """
+        found: list[np.ndarray] = [np.empty((0, self.n_joints))] * len(flanges)
+        places, of = np.unique(external[:, self.robot.external], axis=0, return_inverse=True)
+        for place, own in zip(places, members(of.ravel()), strict=True):
+            ways = self._at_one_place(flanges[own], starts, [near[i] for i in own], place)
+            for i, one in zip(own, ways, strict=True):
+                found[i] = one
+        return found
+
+    def _at_one_place(
+        self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], place: np.ndarray
+    ) -> list[np.ndarray]:
+        """The solutions where the external axes are at one place.
+
+        Each pose is approached from so many joint positions that are nearest of many, and from those in which the wrist of what
+        is found is turned over, and from the readings near it.
+        """
+        robot = self.robot
+        low, high = robot.limits.T
+        angles = np.random.default_rng(self.seed).uniform(low, high, (DRAWN, self.n_joints))
+        drawn = angles[reachable(robot, angles)] @ robot.angle_matrix.T
+        drawn[:, robot.external] = place
+        places = self.flange(drawn)
+        there = features(places[:, :3, 3], places[:, :3, :3])
+        asked = features(flanges[:, :3, 3], flanges[:, :3, :3])
+        nearest = np.stack([((there - one) ** 2).sum(axis=1).argsort()[:starts] for one in asked])
+        every = np.repeat(np.arange(len(flanges)), starts)
+        close = [k for k, one in enumerate(near) if one is not None]
+        begun = np.concatenate([drawn[nearest.ravel()], *(one[None] for one in near if one is not None)])
+        found, of = self._reached(flanges, np.concatenate([every, np.array(close, dtype=int)]), begun)
+        if self._arm.forward is not None:
+            over, (fourth, fifth, sixth) = found.copy(), robot.arm[3:]
+            over[:, [fourth, sixth]] = _wrapped(over[:, [fourth, sixth]] + np.pi)
+            over[:, fifth] = _wrapped(-over[:, fifth])
+            flipped, of_flipped = self._reached(flanges, of, over)
+            found, of = np.concatenate([found, flipped]), np.concatenate([of, of_flipped])
+        return [self._all_turns(_different(found[of == k])) for k in range(len(flanges))]
+
+    def _reached(self, flanges: np.ndarray, of: np.ndarray, begun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The readings found from starts for the poses that they are of (by number), and of which each is."""
+        if not len(of):
+            return begun, of
+        aims = (self._stands @ flanges @ self._nominal_tool)[of]
+        rows = self.rows(begun).stating(()).rows
+        landed = landing(self._rigid, np.zeros(0), rows, Targets(aims[:, :3, 3], aims[:, :3, :3]), begun)
+        return landed.readings[landed.reached], of[landed.reached]
+
+    def posture(self, readings: np.ndarray) -> Posture:
+        """Return how the arm stands at readings (n_joints,)."""
+        return self._arm.posture(readings)
+
+    def corrected(self, readings: np.ndarray, names: Sequence[str]) -> Correction:
+        """Return readings that land the flange, and so a rigid tool, where the controller has it at given readings."""
+        data = self.rows(readings)
+        data = replace(data, table=data.table.assign(pose=list(names)))
+        told = as_told(
+            self.known, self.needed, data, "widen"
+        )  # of where base and tool are: the sides of approach come later
+        _, tool = _frames(told.known.model, self.known.estimate, told.data.rows)
+        aims = base_placement(told.known, told.data.rows) @ self.flange(readings) @ tool
+        oriented = len(self.axes.arm) >= FREE
+        asked = Targets(aims[:, :3, 3], aims[:, :3, :3] if oriented else None)
+        found = compensated(
+            self.known, self.needed, data, asked, start=readings, in_order=self.in_order, missing=self.missing
+        )
+        change = np.abs(found.readings - readings).max(axis=1)
+        why = [
+            "" if reached and far < MOST_CHANGE
+            else "at a singularity: the correction would turn a joint by more than 10 degrees" if reached
+            else "not reached within the joint limits once corrected"
+            for reached, far in zip(found.reached, change, strict=True)
+        ]  # fmt: skip
+        lacking = (
+            () if oriented else (f"{len(self.axes.arm)} joints cannot mend the orientation: the marker's place is",)
+        )
+        return Correction(found.readings, found.remaining, found.turned, tuple(why), (*found.notes, *lacking))
+
+    @cached_property
+    def _arm(self) -> Arm:
+        return Arm.of(self.robot)
+
+    @cached_property
+    def _rigid(self) -> Model:
+        return Model(self.robot, (), ())
+
+    @cached_property
+    def _stands(self) -> np.ndarray:
+        base = self.robot.base
+        return np.array(ca.DM(ca.evalf(placement(ca.DM([*base.origin, *base.rotation])))))
+
+    @cached_property
+    def _nominal_tool(self) -> np.ndarray:
+        rows = self.rows(np.zeros((1, self.n_joints))).stating(()).rows
+        return _frames(self._rigid, np.zeros(0), rows)[1][0]
+
+    def _all_turns(self, readings: np.ndarray) -> np.ndarray:
+        """The same ways with whole turns of revolute joints more or less, within the limits."""
+        robot = self.robot
+        low, high = robot.limits.T
+        every = readings @ robot.reading_matrix.T
+        for joint in (i for i in robot.arm if robot.joints[i].kind == "revolute"):
+            if robot.loop and joint in (robot.loop.joint - 2, robot.loop.joint - 1):
+                continue
+            turned = np.concatenate([every + 2 * np.pi * k * np.eye(self.n_joints)[joint] for k in (-2, -1, 0, 1, 2)])
+            every = turned[(turned[:, joint] >= low[joint] - ALIKE) & (turned[:, joint] <= high[joint] + ALIKE)]
+        return _different(every @ robot.angle_matrix.T)
+
+
+def _frames(model: Model, p: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the measured tool frame is in the measuring frame, and in the flange's, (n, 4, 4) each."""
+    symbol, c, predicted = model.symbols
+    first = model.robot.n_joints + len(model.robot.payloads)
+    marker = predicted.dims.markers @ c[first : first + len(model.robot.markers)]
+    outputs = [predicted.point, ca.vec(predicted.rotation), marker, ca.vec(predicted.tool)]
+    function = ca.Function("frames", [symbol, c], [ca.densify(ca.SX(one)) for one in outputs])
+    point, rotation, shift, turned = over_rows(function, p, rows)
+    return _transforms(point, rotation), _transforms(shift, turned)
+
+
+def _transforms(points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    """Points (3, n) and rotations (9, n), column after column, as transforms (n, 4, 4)."""
+    found = np.tile(np.eye(4), (points.shape[1], 1, 1))
+    found[:, :3, 3] = points.T
+    found[:, :3, :3] = rotations.T.reshape(-1, 3, 3).transpose(0, 2, 1)
+    return found
+
+
+def _different(readings: np.ndarray) -> np.ndarray:
+    """Readings without those that are the same as one before."""
+    kept: list[np.ndarray] = []
+    for one in readings:
+        if all(np.abs(one - other).max() > ALIKE for other in kept):
+            kept.append(one)
+    return np.array(kept).reshape(len(kept), readings.shape[1])
+
+
+def _wrapped(angles: np.ndarray) -> np.ndarray:
+    return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)

@@ -1,0 +1,222 @@
+"""FANUC LS: teach pendant programs of FANUC robots as text, with their positions in the section /POS."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from calflow.deployment.conventions import NOWHERE, Turn
+from calflow.programs.configuration import FanucConfiguration, Flag
+from calflow.programs.scanner import Reader, Token, lines_in, refusal, scan
+from calflow.programs.target import External, Left, Number, Program, Target
+
+SUFFIXES = (".ls",)
+MARK = "\xef\xbb\xbf"  # by which some editors begin a file in UTF-8
+SECTIONS = ("/PROG", "/ATTR", "/APPL", "/MN", "/POS", "/END")  # in this order, those in the middle not in every file
+TOKENS = re.compile(
+    r"""(?P<blank>[ \t\r\n\f]+)|(?P<string>"[^"\r\n]*")|(?P<quoted>'[^'\r\n]*')|(?P<untaught>\*+(?:\.\*+)?)"""
+    r"""|(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![A-Za-z0-9_.]))|(?P<name>[A-Za-z][A-Za-z0-9_]*)"""
+    r"""|(?P<symbol>[{}\[\]:;,=])""",
+    re.VERBOSE,
+)
+CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
+PLACE = ("X", "Y", "Z", "W", "P", "R")
+REMOTE = tuple(f"R{one}" for one in PLACE)  # of a tool that stands still
+UNITS = {"mm": 1e-3, "deg": np.pi / 180}
+INSTRUCTION = re.compile(r"\s*(?:\d*\s*:|-+ *;)")  # how a line of /MN begins
+MOTION = re.compile(r"\s*\d*\s*:\s*[JLCAS]\s*PR?\[|\s*:\s*PR?\[")  # a circle goes on in a line of its own
+POINT = re.compile(r"\bP\[\s*(\d+)\s*(?::[^\]]*)?\]")
+
+
+def recognised(text: str) -> bool:
+    """Return whether a text begins as a program in LS does."""
+    return re.match(rf"(?:{MARK})?\s*/PROG\b", text) is not None
+
+
+def read(source: bytes) -> Program:
+    """Read a program.
+
+    Raises:
+        InputError: it is not LS as this reads it, with the line.
+    """
+    text = source.decode("latin-1")
+    sections = _sections(text)
+    relative, left = _moves(sections["/MN"]) if "/MN" in sections else ({}, [])
+    targets = []
+    if "/POS" in sections:
+        part = sections["/POS"]
+        # blanks in place of what is before keep places and lines as they are in the file
+        before = re.sub(r"[^\r\n]", " ", text[: part.start])
+        for one in _positions(Reader(scan(before + part.text, TOKENS))):
+            number = int(re.findall(r"\d+", one.name)[0])
+            if isinstance(one, Left):
+                left.append(one)
+            elif number in relative:
+                reason = f"the move in line {relative[number]} goes on by it from where the robot is (INC)"
+                left.append(Left(one.name, one.line, reason))
+            else:
+                targets.append(one)
+    left.sort(key=lambda one: one.line)
+    return Program("fanuc", source, tuple(targets), tuple(left), {"0": NOWHERE}, {"0": NOWHERE})
+
+
+@dataclass(frozen=True)
+class _Section:
+    """What stands between the heads of two sections, where it begins and in which line."""
+
+    text: str
+    start: int
+    line: int
+
+
+def _sections(text: str) -> dict[str, _Section]:
+    """Split a program into its sections."""
+    heads = [
+        (match.group(1), match.start(), match.end())
+        for match in re.finditer(rf"(?:(?<![^\r\n])|(?<={MARK}))(/[A-Za-z]+)\b", text)
+    ]
+    if not heads or heads[0][0] != "/PROG" or text[: heads[0][1]].removeprefix(MARK).strip():
+        raise refusal("expected /PROG at the beginning", Token("", "", 0, 0, 1))
+    found: dict[str, _Section] = {}
+    place = -1
+    for k, (name, begins, start) in enumerate(heads):
+        line = 1 + lines_in(text[:begins])
+        here = Token("", name, begins, start, line)
+        if name not in SECTIONS:
+            raise refusal(f"unknown section {name}", here)
+        if SECTIONS.index(name) <= place:
+            raise refusal(f"section {name} stands after {heads[k - 1][0]}", here)
+        place = SECTIONS.index(name)
+        end = heads[k + 1][1] if k + 1 < len(heads) else len(text)
+        found[name] = _Section(text[start:end], start, line)
+    last = Token("", "", len(text), len(text), 1 + lines_in(text))
+    lacking = [name for name in ("/MN", "/POS", "/END") if name not in found]
+    if lacking:
+        raise refusal(f"expected a section {lacking[0]}, found the end of the file", last)
+    if found["/END"].text.strip(" \t\r\n\f\0\x1a"):
+        raise refusal("expected the end of the file after /END", last)
+    return found
+
+
+def _moves(section: _Section) -> tuple[dict[int, int], list[Left]]:
+    """Read /MN for what is no place: points to which a move goes on from where the robot is, by the line that does."""
+    relative: dict[int, int] = {}
+    left = []
+    for k, line in enumerate(re.split(r"\r\n|\r|\n", section.text)):
+        number = section.line + k
+        if k and line.strip() and not INSTRUCTION.match(line):
+            raise refusal(f"expected an instruction, found {line.strip()[:20]!r}", Token("", line, 0, 0, number))
+        if not MOTION.match(line):
+            continue
+        told = line.split("!", 1)[0]
+        if re.search(r"\bINC\b", told):
+            relative |= {int(point): number for point in POINT.findall(told)}
+        elif "Offset" in told:
+            what = f"move in line {number}"
+            left.append(Left(what, number, "adds an offset to its point, whose correction it shares"))
+        if re.match(r"[^%]*?\d?\s*:\s*[JLCAS]?\s*(?:P\[\s*R\[|PR\[)", told):
+            left.append(Left(f"move in line {number}", number, "goes to a point that a register names"))
+    return relative, left
+
+
+def _positions(reader: Reader) -> Iterator[Target | Left]:
+    """P[1]{ groups }; one after the other."""
+    known: set[str] = set()
+    while reader.next.kind != "end":
+        first = reader.expect("P")
+        reader.expect("[")
+        number = reader.kind("number", "the position's number")
+        if not number.text.isdigit():
+            raise refusal(f"expected the position's number, found {number}", number)
+        name = f"P[{number.text}]"
+        if name in known:
+            raise refusal(f"{name} stands there twice", first)
+        known.add(name)
+        if reader.accept(":"):
+            reader.kind("string", "the position's name")
+        reader.expect("]")
+        reader.expect("{")
+        groups: set[str] = set()
+        while not reader.accept("}"):
+            group = reader.kind("name", "a group, as GP1")
+            if re.fullmatch(r"GP\d", group.text) is None or group.text in groups:
+                raise refusal(f"expected a group, as GP{len(groups) + 1}, found {group}", group)
+            groups.add(group.text)
+            found = _group(reader, name, first.line)
+            if group.text == "GP1":
+                yield found
+        if not groups:
+            raise refusal(f"{name} has no group", first)
+        reader.expect(";")
+
+
+def _group(reader: Reader, name: str, line: int) -> Target | Left:
+    """GP1: UF : 0, UT : 1, CONFIG : '...', X = 1 mm, ... or J1 = 1 deg, ..."""
+    reader.expect(":")
+    frame, tool = (_numbered(reader, one) for one in ("UF", "UT"))
+    configuration = None
+    if reader.accept("CONFIG", "KONFIG"):
+        reader.expect(":")
+        token = reader.kind("quoted", "the configuration in quotes")
+        configuration = _configuration(name, token)
+        reader.expect(",")
+    given: dict[str, Number | None] = {}
+    units: dict[str, str] = {}
+    while True:
+        component = reader.kind("name", "a coordinate, such as X or J1")
+        known = component.text in (*PLACE, *REMOTE) if configuration else re.fullmatch(r"J[1-9]", component.text)
+        if not known and re.fullmatch(r"E[1-9]", component.text) is None:
+            expected = ", ".join(PLACE) if configuration else "J1, J2, …"
+            raise refusal(f"{name}: expected {expected} or E1, …, found {component}", component)
+        if component.text in given:
+            raise refusal(f"{name}: {component.text} is given twice", component)
+        reader.expect("=")
+        value = reader.take()
+        if value.kind not in ("number", "untaught"):
+            raise refusal(f"{name}: expected a number, found {value}", value)
+        unit = reader.expect("mm", "deg")
+        units[component.text] = unit.text
+        taught = value.kind == "number"
+        given[component.text] = Number(value.start, value.end, value.text, UNITS[unit.text]) if taught else None
+        if not reader.accept(","):
+            break
+    own = [one for one in given if one[0] != "E"]
+    remote = own[0] in REMOTE if own else False
+    wanted = list(REMOTE if remote else PLACE) if configuration else [f"J{k}" for k in range(1, len(own) + 1)]
+    if own != wanted:
+        raise refusal(f"{name}: expected {', '.join(wanted)} in this order, found {', '.join(own)}", reader.last)
+    if configuration and [units[one] for one in own] != ["mm"] * 3 + ["deg"] * 3:
+        raise refusal(f"{name}: expected X, Y and Z in mm and W, P and R in deg", reader.last)
+    numbers = [given[one] for one in own]
+    taught_numbers = tuple(number for number in numbers if number is not None)
+    if len(taught_numbers) < len(numbers):
+        return Left(name, line, "was never taught")
+    if remote:
+        return Left(name, line, "is of a tool that stands still")
+    axes = {int(one[1:]): number for one, number in given.items() if one[0] == "E"}
+    external = {k: External(float(said.text), units[f"E{k}"]) for k, said in axes.items() if said is not None}
+    turn: Turn | None = "xyz" if configuration else None
+    return Target(name, line, taught_numbers, turn, configuration, (tool,), (frame,), external=external)
+
+
+def _numbered(reader: Reader, what: str) -> str:
+    """UF : 0, with its comma; F stands for the one in force."""
+    reader.expect(what)
+    reader.expect(":")
+    token = reader.take()
+    if not token.text.isdigit() and token.text != "F":
+        raise refusal(f"expected the number of {what}, found {token}", token)
+    reader.expect(",")
+    return token.text
+
+
+def _configuration(name: str, token: Token) -> FanucConfiguration:
+    """'N U T, 0, 0, 0'"""
+    found = CONFIG.fullmatch(token.text)
+    if found is None:
+        raise refusal(f"{name}: expected a configuration such as 'N U T, 0, 0, 0', found {token}", token)
+    spans = [(token.start + found.start(k), token.start + found.end(k), found.group(k)) for k in range(1, 7)]
+    return FanucConfiguration(tuple(Flag(start, end, text) for start, end, text in spans))

@@ -1,0 +1,457 @@
+"""Filtering: a program's targets corrected, with what moved how far, what could not be reached, and what was left alone.
+
+Rewriting: a program's bytes with other numbers in the places of some, and nothing else changed.
+Stated frames: tools and frames that a user gives for a program, in the way of its maker.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from calflow.deployment.conventions import Turn, angle_between, inverse, pose_matrix, pose_values
+from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.tables import column
+from calflow.programs.axes import Axes, Corrector
+from calflow.programs.configuration import NEAR, Flag
+from calflow.programs.target import Left, Maker, Number, Program, Target
+
+# What a number's last decimal may stand for at most: 1 µm of place, 1 µrad of orientation, of a joint what moves a tool that is
+# 3 m away by 1 µm.
+PLACE_STEP, TURN_STEP, JOINT_STEP = 1e-6, 1e-6, 3e-7
+SAME = 1e-7  # m and rad: a target that moves less has not moved
+
+
+@dataclass(frozen=True)
+class Edit:
+    """New text for the bytes [start, end)."""
+
+    start: int
+    end: int
+    text: str
+
+
+def with_edits(source: bytes, edits: Iterable[Edit]) -> bytes:
+    """Return a program with its edits made."""
+    pieces = []
+    place = 0
+    for edit in sorted(edits, key=lambda one: one.start):
+        if edit.start < place:
+            raise ValueError(f"edits overlap at byte {edit.start}")
+        pieces += [source[place : edit.start], edit.text.encode("ascii")]
+        place = edit.end
+    return b"".join([*pieces, source[place:]])
+
+
+def to_pose(target: Target, pose: np.ndarray) -> tuple[Edit, ...]:
+    """Return the edits that bring a target to a pose (4, 4) in its frame; none where it is there."""
+    assert target.turn is not None
+    before = pose_matrix(target.values, target.turn)
+    apart = np.linalg.norm(pose[:3, 3] - before[:3, 3])
+    if apart < SAME and angle_between(pose, before) < SAME:
+        return ()
+    values = pose_values(pose, target.turn, target.values)
+    steps = [PLACE_STEP] * 3 + [TURN_STEP] * (len(values) - 3)
+    return _edits(target, values, steps)
+
+
+def to_readings(target: Target, readings: np.ndarray) -> tuple[Edit, ...]:
+    """Return the edits that give a target other joint readings [rad, or m]; none where it has them."""
+    if np.abs(readings - target.values).max() < SAME:
+        return ()
+    return _edits(target, readings, [JOINT_STEP] * len(readings))
+
+
+def to_flags(changes: Iterable[tuple[Flag, str]]) -> tuple[Edit, ...]:
+    """Return the edits of a configuration."""
+    return tuple(Edit(flag.start, flag.end, text) for flag, text in changes)
+
+
+def spelled(number: Number, value: float, step: float) -> str:
+    """Return a value [SI] as a number's text: its own where that says as much, else with as many decimals or as the step needs."""
+    decimals = max(_decimals(number.text), int(np.ceil(-np.log10(step / number.scale) - 1e-9)), 0)
+    new = value / number.scale
+    if abs(new - number.written) < 0.5 * 10.0**-decimals:
+        return number.text
+    text = f"{new:.{decimals}f}"
+    if float(text) == 0:
+        text = text.lstrip("-")
+    bare = number.text.lstrip("+-")
+    if bare.startswith("."):  # as the file leaves out the 0 before the point
+        text = text.replace("0.", ".", 1) if text.lstrip("-").startswith("0.") else text
+    return f"+{text}" if number.text.startswith("+") and not text.startswith("-") else text
+
+
+def _edits(target: Target, values: Iterable[float], steps: Iterable[float]) -> tuple[Edit, ...]:
+    texts = [spelled(number, value, step) for number, value, step in zip(target.numbers, values, steps, strict=True)]
+    return tuple(
+        Edit(number.start, number.end, text)
+        for number, text in zip(target.numbers, texts, strict=True)
+        if text != number.text
+    )
+
+
+def _decimals(text: str) -> int:
+    """How many decimals a number has."""
+    digits, _, exponent = text.lower().partition("e")
+    return max(0, len(digits.partition(".")[2]) - int(exponent or 0))
+
+
+# Joint positions from which a pose is approached: more where the first do not tell which is meant; and where no flags tell it.
+STARTS, STARTS_ALONE = (16, 120), 40
+CLOSE = np.deg2rad(5.0)  # readings within this of those that a program calls near are the ones meant
+UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as makers allow
+Outcome = Literal["moved", "unchanged", "not reached", "left alone"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilteredTarget:
+    """A target of a program, or something else of it that matters to its targets, and what became of it."""
+
+    name: str = column("the target's name, or what the program does with it")
+    line: int = column("its line")
+    kind: Literal["pose", "joints", ""] = column("how it is stated; empty: it is no target that can be rewritten")
+    outcome: Outcome = column("whether it was moved, needed no move, cannot be reached, or was left alone")
+    moved_mm: float = column(
+        "by how much the tool is sent elsewhere, as the controller counts; of joints the flange", "mm"
+    )
+    turned_mrad: float = column("by how much it is turned", "mrad")
+    largest_deg: float = column("the largest change of a joint", "deg")
+    remaining_mm: float = column("how far from its place the tool lands, by the calibrated model", "mm")
+    configuration: str = column("flags of the configuration that change, old > new")
+    note: str = column("why, or what to know of it")
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """A program with its targets corrected, what became of each, and what else is to be known."""
+
+    source: bytes
+    rows: tuple[FilteredTarget, ...]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What a user says that a program does not: tools and frames by name, those of targets of which it names none, and more.
+
+    base is where the controller's base is in the robot file's, flange where its flange is in the robot file's (4, 4). start are
+    readings [rad, or m] near the first target, where the program has no flags that tell its posture. loosely: where the flags
+    of a target are those of no way to it, the way nearest to the target before is taken.
+    """
+
+    tools: Mapping[str, np.ndarray]
+    frames: Mapping[str, np.ndarray]
+    tool: str | None = None
+    frame: str | None = None
+    base: np.ndarray = field(default_factory=lambda: np.eye(4))
+    flange: np.ndarray = field(default_factory=lambda: np.eye(4))
+    start: tuple[float, ...] | None = None
+    loosely: bool = False
+
+
+@dataclass(frozen=True)
+class _Aim:
+    """A target with the tool and the frame (4, 4) that it is of, and the readings meant."""
+
+    target: Target
+    tool: np.ndarray
+    frame: np.ndarray
+    readings: np.ndarray | None = None
+    note: str = ""
+
+
+def filtered(program: Program, corrector: Corrector, choices: Choices) -> Filtered:
+    """Return a program that lands where it says.
+
+    A pose becomes the one whose nominal joint readings are those that the correction found; joint readings become the corrected
+    ones. What is not reached, or whose posture is not told, stays as it is.
+
+    Raises:
+        InputError: a tool or a frame is known to neither the program nor the user, or the numbers of joints differ.
+    """
+    _check_joints(program, corrector.axes)
+    aims, doubtful = _aims(program, choices, corrector.axes)
+    aims = _with_readings(aims, corrector, choices)
+    found = [aim for aim in aims if aim.readings is not None]
+    edits: list[Edit] = []
+    rows = [_untouched(one) for one in (*program.left, *doubtful)]
+    rows += [
+        _row(aim.target, "not reached" if aim.note.startswith("the nominal") else "left alone", note=aim.note)
+        for aim in aims if aim.readings is None
+    ]  # fmt: skip
+    notes = corrector.axes.unknown_words(program)
+    if found:
+        own, corrected_rows, said = _corrected(found, corrector)
+        edits += own
+        rows += corrected_rows
+        notes += said
+    return Filtered(with_edits(program.source, edits), tuple(sorted(rows, key=lambda row: row.line)), notes)
+
+
+def _check_joints(program: Program, axes: Axes) -> None:
+    problems = [
+        Problem(f"{target.name} has {len(target.numbers)} joints, the robot's arm {len(axes.arm)}", line=target.line)
+        for target in program.targets if target.turn is None and len(target.numbers) != len(axes.arm)
+    ]  # fmt: skip
+    if problems:
+        raise InputError(problems)
+
+
+def _aims(program: Program, choices: Choices, axes: Axes) -> tuple[list[_Aim], list[Left]]:
+    """Targets with their tools and frames, and those of which more than one is named, or that do not say where all axes are."""
+    tools, frames = {**program.tools, **choices.tools}, {**program.frames, **choices.frames}
+    problems: dict[str, Problem] = {}
+    aims: list[_Aim] = []
+    doubtful = []
+    for target in program.targets:
+        if lacking := axes.lacking(target):
+            doubtful.append(Left(target.name, target.line, lacking))
+            continue
+        if target.turn is None:
+            aims.append(_Aim(target, np.eye(4), np.eye(4), axes.readings(target, target.values)))
+            continue
+        if target.turn == "quaternion" and abs(np.linalg.norm(target.values[3:]) - 1) > UNIT_LENGTH:
+            length = np.linalg.norm(target.values[3:])
+            doubtful.append(
+                Left(target.name, target.line, f"has a quaternion of length {length:.4g}, where 1 is meant")
+            )
+            continue
+        tool = _named("tool", target.tools, choices.tool, tools, target, problems)
+        frame = _named("frame", target.frames, choices.frame, frames, target, problems)
+        if isinstance(tool, str) or isinstance(frame, str):
+            doubtful.append(Left(target.name, target.line, tool if isinstance(tool, str) else str(frame)))
+        elif tool is not None and frame is not None:
+            aims.append(_Aim(target, choices.flange @ tool, choices.base @ frame))
+    if problems:
+        raise InputError(problems.values())
+    return aims, doubtful
+
+
+def _named(
+    what: str,
+    names: Sequence[str],
+    usual: str | None,
+    known: Mapping[str, np.ndarray],
+    target: Target,
+    problems: dict[str, Problem],
+) -> np.ndarray | str | None:
+    """The tool or frame of a target; what is wrong where it has several; None, and a problem, where it is not known."""
+    wanted = [name for name in names if name and name != "F"] or ([usual] if usual is not None else [])
+    if not wanted:
+        message = f"{target.name}: the program does not say with which {what} it goes there: name it (--{what} NAME)"
+        problems.setdefault(f"{what} of none", Problem(message, line=target.line))
+        return None
+    lacking = [name for name in wanted if name not in known]
+    for name in lacking:
+        message = f"the numbers of {what} '{name}' do not stand in this file: state them (--{what} '{name}=…')"
+        problems.setdefault(f"{what} {name}", Problem(message, line=target.line))
+    if lacking:
+        return None
+    first = known[wanted[0]]
+    if any(not np.allclose(known[name], first, atol=1e-9) for name in wanted[1:]):
+        return f"is used with several {what}s ({', '.join(wanted)}): each would need a correction of its own"
+    return first
+
+
+def _with_readings(aims: list[_Aim], corrector: Corrector, choices: Choices) -> list[_Aim]:
+    """The readings that are meant at each pose; without them, and with a note, where that is not told."""
+    flagged = [k for k, aim in enumerate(aims) if aim.readings is None and _is_told(aim.target)]
+    found: dict[int, np.ndarray] = {}
+    told = aims
+    for starts in STARTS:
+        lacking = [k for k in flagged if told[k].readings is None]
+        if lacking:
+            near = [_near(aims[k].target, corrector.axes) for k in lacking]
+            external = np.stack([corrector.axes.at(aims[k].target) for k in lacking])
+            ways = corrector.solutions(np.stack([_flange(aims[k]) for k in lacking]), starts, near, external)
+            found |= dict(zip(lacking, ways, strict=True))
+            told = _in_turn(aims, found, corrector, choices, alone=False)
+    return _in_turn(aims, found, corrector, choices, alone=True)
+
+
+def _in_turn(
+    aims: list[_Aim], found: Mapping[int, np.ndarray], corrector: Corrector, choices: Choices, alone: bool
+) -> list[_Aim]:
+    """The readings meant, one target after the other, since what is not told follows from the target before.
+
+    alone: those that nothing tells are looked for as well, from the readings of the target before them.
+    """
+    before = None if choices.start is None else np.array(choices.start)
+    told = list(aims)
+    for k, aim in enumerate(aims):
+        ways = found.get(k)
+        before = None if before is None else corrector.axes.moved_to(before, aim.target)
+        if ways is None and aim.readings is None and alone:
+            external = corrector.axes.at(aim.target)[None]
+            ways = corrector.solutions(_flange(aim)[None], STARTS_ALONE, [before], external)[0]
+        if ways is not None:
+            told[k] = _chosen(aim, ways, before, corrector, choices.loosely)
+        readings = told[k].readings
+        before = readings if readings is not None else before
+    return told
+
+
+def _is_told(target: Target) -> bool:
+    """Whether a program says which of several joint positions a target means."""
+    return target.configuration is not None or target.near is not None
+
+
+def _near(target: Target, axes: Axes) -> np.ndarray | None:
+    """The readings that a program says are close to a target, the external axes as at the target."""
+    return None if target.near is None else axes.readings(target, target.near)
+
+
+def _flange(aim: _Aim) -> np.ndarray:
+    """Where the controller has the flange at a target, in the robot's base."""
+    return aim.frame @ pose_matrix(aim.target.values, aim.target.turn or "quaternion") @ inverse(aim.tool)
+
+
+def _chosen(aim: _Aim, solutions: np.ndarray, before: np.ndarray | None, corrector: Corrector, loosely: bool) -> _Aim:
+    """The readings that the target's flags, or the readings near it, tell among all that lead there."""
+    if not len(solutions):
+        return replace(aim, note="the nominal robot does not get there within its joint limits")
+    near = _near(aim.target, corrector.axes)
+    if near is not None:
+        close = _nearest(corrector.axes.turned_to(solutions, near), near)
+        if np.abs(close - near).max() < CLOSE:
+            return replace(aim, readings=close)
+        apart = f"{np.rad2deg(np.abs(close - near).max()):.3g}°"
+        return replace(aim, note=f"the readings said to be near it are {apart} away from the nearest that lead there")
+    fitting, said = _fitting(aim, solutions, corrector, loosely)
+    if len(fitting) == 1 and not said:
+        return replace(aim, readings=fitting[0])
+    if not len(fitting):
+        return replace(aim, note=said)
+    if before is None:
+        return replace(aim, note=f"{said}: state readings near it (--start)")
+    note = f"{said}: taken as the one nearest to the target before"
+    return replace(aim, readings=_nearest(fitting, before), note=note)
+
+
+def _fitting(aim: _Aim, solutions: np.ndarray, corrector: Corrector, loosely: bool) -> tuple[np.ndarray, str]:
+    """The readings that have a target's flags, and what is to be said of them where these do not tell which is meant."""
+    configuration = aim.target.configuration
+    if configuration is None:
+        only = len(solutions) == 1
+        return solutions, "" if only else f"no configuration tells which of {len(solutions)} joint positions is meant"
+    for ways in (solutions, corrector.axes.turned(solutions)):  # flags that hold within half a turn mean that one
+        postures = [corrector.posture(one) for one in ways]
+        for margin, strictly in ((0.0, True), (NEAR, True), (NEAR, False)):
+            fitting = ways[[configuration.agrees(one, margin, strictly) for one in postures]]
+            if len(fitting):
+                return fitting, "" if len(fitting) == 1 else f"{len(fitting)} joint positions have its configuration"
+    none = "no joint readings of the nominal robot that lead there have its configuration"
+    return (solutions, none) if loosely else (fitting, none)
+
+
+def _corrected(aims: Sequence[_Aim], corrector: Corrector) -> tuple[list[Edit], list[FilteredTarget], tuple[str, ...]]:
+    """The edits and rows of targets whose readings are known, and what is to be known of the correction."""
+    readings = np.stack([aim.readings for aim in aims if aim.readings is not None])
+    correction = corrector.corrected(readings, [aim.target.name for aim in aims])
+    before, after = corrector.flange(readings), corrector.flange(correction.readings)
+    edits: list[Edit] = []
+    rows = []
+    for k, aim in enumerate(aims):
+        remaining = 1e3 * float(correction.remaining[k])
+        if correction.why[k]:
+            rows.append(_row(aim.target, "not reached", remaining=remaining, note=correction.why[k]))
+            continue
+        old, new = readings[k], correction.readings[k]
+        changes = []
+        if aim.target.turn is None:
+            own = to_readings(aim.target, new[list(corrector.axes.arm)])
+        else:
+            pose = inverse(aim.frame) @ after[k] @ aim.tool
+            own = to_pose(aim.target, pose)
+            if aim.target.configuration and own:
+                changes = list(aim.target.configuration.changes(corrector.posture(old), corrector.posture(new)))
+        edits += [*own, *to_flags(changes)]
+        moved = np.linalg.norm((after[k] @ aim.tool)[:3, 3] - (before[k] @ aim.tool)[:3, 3])
+        rows.append(
+            _row(
+                aim.target, "moved" if own else "unchanged", 1e3 * float(moved), 1e3 * float(angle_between(before[k], after[k])),
+                float(np.rad2deg(np.abs(new - old).max())), remaining,
+                "; ".join(f"{flag.text} > {text}" for flag, text in changes), aim.note,
+            )
+        )  # fmt: skip
+    return edits, rows, correction.notes
+
+
+def _row(
+    target: Target, outcome: Outcome, moved: float = 0.0, turned: float = 0.0, largest: float = 0.0,
+    remaining: float = float("nan"), configuration: str = "", note: str = "",
+) -> FilteredTarget:  # fmt: skip
+    return FilteredTarget(
+        name=target.name, line=target.line, kind="joints" if target.turn is None else "pose", outcome=outcome, moved_mm=moved,
+        turned_mrad=turned, largest_deg=largest, remaining_mm=remaining, configuration=configuration, note=note,
+    )  # fmt: skip
+
+
+def _untouched(left: Left) -> FilteredTarget:
+    return FilteredTarget(
+        name=left.name, line=left.line, kind="", outcome="left alone", moved_mm=0.0, turned_mrad=0.0, largest_deg=0.0,
+        remaining_mm=float("nan"), configuration="", note=left.reason,
+    )  # fmt: skip
+
+
+def _nearest(solutions: np.ndarray, readings: np.ndarray) -> np.ndarray:
+    return np.asarray(solutions[np.abs(solutions - readings).max(axis=1).argmin()])
+
+
+# What six or seven numbers are to each maker: of which turn, and how much one of a length and of an angle is in SI.
+WAYS: Mapping[Maker, tuple[Turn, float, float, str]] = {
+    "rapid": ("quaternion", 1e-3, 1.0, "x,y,z,q1,q2,q3,q4 in mm"),
+    "krl": ("zyx", 1e-3, np.pi / 180, "X,Y,Z,A,B,C in mm and degrees"),
+    "fanuc": ("xyz", 1e-3, np.pi / 180, "X,Y,Z,W,P,R in mm and degrees"),
+    "urscript": ("vector", 1.0, 1.0, "x,y,z,rx,ry,rz in m and radians"),
+}
+
+
+def stated_frames(maker: Maker, options: Iterable[str], option: str) -> tuple[dict[str, np.ndarray], str | None]:
+    """Return the frames of `NAME=numbers` by name, and the name that stands alone: of what the program does not name.
+
+    Args:
+        maker: whose numbers they are.
+        options: the user's words.
+        option: how the option is called, for what is told.
+
+    Raises:
+        InputError: they cannot be understood.
+    """
+    frames: dict[str, np.ndarray] = {}
+    usual = None
+    for text in options:
+        name, equals, numbers = text.partition("=")
+        name = name.strip().lower() if maker == "rapid" else name.strip()
+        if not name:
+            raise refuse(f"expected NAME or NAME=numbers, found '{text}'", key=option)
+        if equals:
+            frames[name] = stated_frame(maker, numbers, f"{option} {name}")
+        else:
+            usual = name
+    return frames, usual
+
+
+def stated_frame(maker: Maker, text: str, key: str) -> np.ndarray:
+    """Return the transform (4, 4) that numbers in a maker's way mean; key says where they are from.
+
+    Raises:
+        InputError: they are none.
+    """
+    turn, length, angle, way = WAYS[maker]
+    words = [word for word in re.split(r"[\s,;\[\]{}()]+", text) if word]
+    try:
+        values = np.array([float(word) for word in words])
+    except ValueError:
+        values = np.array([np.nan])
+    wanted = 7 if turn == "quaternion" else 6
+    if len(values) != wanted or not np.isfinite(values).all():
+        raise refuse(f"expected {way}, found '{text.strip()}'", key=key)
+    if turn == "quaternion" and abs(np.linalg.norm(values[3:]) - 1) > UNIT_LENGTH:
+        raise refuse(f"expected a quaternion of length 1, found one of {np.linalg.norm(values[3:]):.4g}", key=key)
+    return pose_matrix(values * np.array([length] * 3 + [angle] * (wanted - 3)), turn)

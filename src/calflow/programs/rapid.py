@@ -1,0 +1,559 @@
+"""RAPID: programs of ABB robots, read after the RAPID reference manual's grammar of modules, data and routines.
+
+RAPID's values: its expressions, and targets, tools and work objects as it writes them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calflow.deployment.conventions import NOWHERE, pose_matrix
+from calflow.programs.configuration import Flag, RapidConfiguration
+from calflow.programs.expression import Expressions, Node
+from calflow.programs.scanner import Reader, refusal, scan
+from calflow.programs.target import External, Left, Number, Program, Target
+
+UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as the maker allows
+EXTERNAL = 6  # values of external axes that a target has
+NOT_THERE = 8.9e9  # an external axis that there is not has 9E9
+
+
+class RapidValues(Expressions):
+    """RAPID's expressions."""
+
+    binary = frozenset({"+", "-", "*", "/", "DIV", "MOD", "=", "<>", "<", ">", "<=", ">=", "AND", "OR", "XOR"})
+    unary = frozenset({"+", "-", "NOT"})
+
+    def __init__(self, reader: Reader) -> None:
+        super().__init__(reader)
+        self.literals: list[Node] = []  # all that have the shape of a target, wherever they stand
+
+    def value(self) -> Node:
+        token = self.reader.next
+        if token.text == "[" and token.kind == "symbol":
+            found = self.listed("[", "]")
+            if [len(item.items) for item in found.items] in ([3, 4, 4, EXTERNAL], [6, EXTERNAL]):
+                self.literals.append(found)
+            return found
+        if token.text == "<" and self.reader.after.kind == "name":  # a place left open, such as <EXP>
+            self.reader.take()
+            self.reader.take()
+            return Node("computed", "", token.start, self.reader.expect(">").end, token.line)
+        if token.kind == "name":
+            return self.reference()
+        return super().value()
+
+    def reference(self) -> Node:
+        """A variable, with its indices and components, or a call."""
+        first = self.reader.kind("name", "a name")
+        text, inner = first.text, list[Node]()
+        while True:
+            if self.reader.next.text == "{":
+                index = self.listed("{", "}")
+                text += "{" + ",".join(item.text for item in index.items) + "}"
+                inner += index.items
+            elif self.reader.next.text == "." and self.reader.accept("."):
+                text += "." + self.reader.kind("name", "the name of a component").text
+            elif self.reader.next.text == "(":
+                self.reader.take()
+                items = self.arguments(")")
+                return Node("call", text, first.start, self.reader.expect(")").end, first.line, tuple(items))
+            else:
+                return Node("name", text, first.start, self.reader.last.end, first.line, tuple(inner))
+
+    def arguments(self, closing: str) -> list[Node]:
+        """Arguments up to what closes them: `a, b \\Switch, c \\Option:=d`."""
+        found: list[Node] = []
+        while self.reader.next.text != closing:
+            if self.reader.accept("\\"):
+                name = self.reader.kind("name", "the name of an optional argument")
+                value = (self.expression(),) if self.reader.accept(":=") else ()
+                found.append(Node("keyword", name.text, name.start, self.reader.last.end, name.line, value))
+            else:
+                found.append(self.expression())
+            if self.reader.next.text != "\\":
+                if self.reader.next.text == closing:
+                    break
+                self.reader.expect(",", "\\", closing)
+                if self.reader.next.text == closing:
+                    raise refusal(f"expected a value, found '{closing}'", self.reader.next)
+        return found
+
+
+def stated_target(name: str, kind: str, value: Node) -> Target | Left:
+    """Return the robtarget or jointtarget that a value states, or why it is left alone.
+
+    Raises:
+        InputError: it has not the shape of one.
+    """
+    computed = Left(name, value.line, "is computed")
+    if value.kind != "list":
+        return computed
+    sizes = (3, 4, 4, EXTERNAL) if kind == "robtarget" else (6, EXTERNAL)
+    groups = value.items
+    if len(groups) == len(sizes) and any(group.kind != "list" for group in groups):
+        return computed
+    if [len(group.items) for group in groups] != list(sizes):
+        shape = ", ".join(f"[{size}]" for size in sizes)
+        raise refusal(f"{name}: expected a {kind} of {len(sizes)} lists with {shape} values", value.token)
+    if any(item.kind != "number" for group in groups for item in group.items):
+        return computed
+    said = {k: External(float(item.text)) for k, item in enumerate(groups[-1].items, start=1)}
+    external = {k: one for k, one in said.items() if abs(one.value) < NOT_THERE}
+    if kind == "jointtarget":
+        joints = tuple(_number(item, np.pi / 180) for item in groups[0].items)
+        return Target(name, value.line, joints, None, external=external)
+    for item in groups[2].items:
+        if re.fullmatch(r"[+-]?\d+(?:\.0*)?(?:[eE][+]?0+)?", item.text) is None:
+            raise refusal(f"{name}: expected a whole number in its configuration, found '{item.text}'", item.token)
+    flags = tuple(Flag(item.start, item.end, str(int(float(item.text)))) for item in groups[2].items)
+    place = [_number(item, 1e-3) for item in groups[0].items]
+    turn = [_number(item, 1.0) for item in groups[1].items]
+    return Target(name, value.line, (*place, *turn), "quaternion", RapidConfiguration(flags), external=external)
+
+
+def frames_stated(
+    stated: Iterable[tuple[str, str, Node]],
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], list[Left]]:
+    """Tools and work objects that are stated once, by numbers; what else there is of them is left to the user."""
+    found: dict[str, dict[str, np.ndarray | None]] = {"tooldata": {}, "wobjdata": {}}
+    left = []
+    for name, kind, value in stated:
+        matrix = _tool(value) if kind == "tooldata" else _work_object(value)
+        again = name.lower() in found[kind]
+        if matrix is None or again:
+            left.append(
+                Left(
+                    name,
+                    value.line,
+                    "is set more than once"
+                    if again
+                    else "is not stated by numbers alone, not held as usual, or has no quaternion of length 1",
+                )
+            )
+        found[kind][name.lower()] = None if again else matrix
+    known = ({name: matrix for name, matrix in own.items() if matrix is not None} for own in found.values())
+    tools, frames = known
+    return tools, frames, left
+
+
+def _tool(value: Node) -> np.ndarray | None:
+    """[TRUE, [[x, y, z], [q1, q2, q3, q4]], [load]] as a transform; None for a tool that does not move with the robot."""
+    if len(value.items) != 3 or value.items[0].text.upper() != "TRUE":
+        return None
+    return _pose(value.items[1])
+
+
+def _work_object(value: Node) -> np.ndarray | None:
+    """[FALSE, TRUE, "", user frame, object frame] as a transform; None for one that moves."""
+    if len(value.items) != 5 or [item.text.upper() for item in value.items[:3]] != ["FALSE", "TRUE", '""']:
+        return None
+    user, own = _pose(value.items[3]), _pose(value.items[4])
+    return None if user is None or own is None else user @ own
+
+
+def _pose(value: Node) -> np.ndarray | None:
+    """[[x, y, z], [q1, q2, q3, q4]] as a transform; None where it is not made of numbers."""
+    if [len(item.items) for item in value.items] != [3, 4]:
+        return None
+    items = [item for group in value.items for item in group.items]
+    if any(item.kind != "number" for item in items):
+        return None
+    scales = (1e-3,) * 3 + (1.0,) * 4
+    values = np.array([_number(item, scale).value for item, scale in zip(items, scales, strict=True)])
+    usual = np.isfinite(values).all() and abs(np.linalg.norm(values[3:]) - 1) < UNIT_LENGTH
+    return pose_matrix(values, "quaternion") if usual else None
+
+
+def _number(item: Node, scale: float) -> Number:
+    text = item.text if item.text[1:2].lower() not in ("x", "b", "o") else str(int(item.text, 0))
+    return Number(item.start, item.end, text, scale)
+
+
+SUFFIXES = (".mod", ".modx", ".sys", ".sysx", ".prg")
+TOKENS = re.compile(
+    r"""(?P<blank>[ \t\r\n\f\0\x1a]+|\ufeff|\xef\xbb\xbf)|(?P<comment>![^\r\n]*|%%%[^%]*%%%)|(?P<string>"(?:[^"\r\n]|"")*")"""
+    r"""|(?P<number>0[xX][0-9A-Fa-f]+|0[bB][01]+|0[oO][0-7]+|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![A-Za-z0-9_.]))"""
+    r"""|(?P<name>[A-Za-z\xc0-\xff][A-Za-z0-9_\xc0-\xff]*)|(?P<symbol>:=|<>|<=|>=|[-+*/=<>;:,.?|%\\()\[\]{}])""",
+    re.VERBOSE,
+)
+POINTS = ("robtarget", "jointtarget")
+BLOCKS = {"IF": "ENDIF", "FOR": "ENDFOR", "WHILE": "ENDWHILE", "TEST": "ENDTEST"}
+ROUTINES = {"PROC": "ENDPROC", "FUNC": "ENDFUNC", "TRAP": "ENDTRAP"}
+# Which argument the tool is (of other moves the last one), and how many targets come first.
+TOOL_AT = {"MOVEJ": 3, "MOVEL": 3, "MOVEABSJ": 3, "MOVEC": 4}
+PLACES_AT = {"MOVEJ": 1, "MOVEL": 1, "MOVEABSJ": 1, "MOVEC": 2}
+MOVING = ("MOVE", "TRIGG", "SEARCH", "ARC", "SPOT", "DISP", "PAINT", "CALIB")
+DISPLACING = ("PDISPON", "PDISPSET", "EOFFSON", "EOFFSSET")
+
+
+def recognised(text: str) -> bool:
+    """Return whether a text begins as a module does."""
+    return re.match(r"(?:\xef\xbb\xbf)?(?:\s|![^\r\n]*|%%%[^%]*%%%)*MODULE\s", text, re.IGNORECASE) is not None
+
+
+def read(source: bytes) -> Program:
+    """Read a file of modules.
+
+    Raises:
+        InputError: it is not RAPID as this reads it, with the line.
+    """
+    reader = Reader(scan(source.decode("latin-1"), TOKENS), str.upper)
+    modules = _Modules(reader)
+    modules.file()
+    return modules.program(source)
+
+
+@dataclass(frozen=True)
+class _Use:
+    """What a move says of its targets."""
+
+    tool: str
+    frame: str
+
+
+@dataclass
+class _Modules:
+    """What is gathered on the way through a file."""
+
+    reader: Reader
+    values: RapidValues = field(init=False)
+    types: dict[str, str] = field(default_factory=dict)
+    holding: dict[str, str] = field(default_factory=dict)
+    targets: list[Target] = field(default_factory=list)
+    left: list[Left] = field(default_factory=list)
+    uses: dict[str, list[_Use]] = field(default_factory=dict)
+    stated: list[tuple[str, str, Node]] = field(default_factory=list)
+    gone_to: dict[str, Left] = field(default_factory=dict)
+    moves: list[tuple[Node, tuple[Node, ...]]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.values = RapidValues(self.reader)
+
+    def file(self) -> None:
+        """One module, or several."""
+        self.module()
+        while self.reader.next.kind != "end":
+            self.module()
+
+    def module(self) -> None:
+        """MODULE name (attributes) ... ENDMODULE."""
+        self.reader.expect("MODULE")
+        self.reader.kind("name", "the module's name")
+        if self.reader.accept("("):
+            self.reader.kind("name", "an attribute")
+            while self.reader.accept(","):
+                self.reader.kind("name", "an attribute")
+            self.reader.expect(")")
+        while not self.reader.accept("ENDMODULE"):
+            scope = self.reader.accept("LOCAL", "TASK")
+            if self.reader.word in ("VAR", "PERS", "CONST"):
+                self.data()
+            elif self.reader.word == "RECORD" or self.reader.word == "ALIAS":
+                self.definition()
+            elif self.reader.word in ROUTINES:
+                self.routine()
+            elif self.reader.accept("<"):
+                self.reader.kind("name", "what is left open")
+                self.reader.expect(">")
+            else:
+                expected = "data or a routine" if scope else "data, a routine or ENDMODULE"
+                raise refusal(f"expected {expected}, found {self.reader.next}", self.reader.next)
+
+    def data(self) -> None:
+        """VAR | PERS | CONST type name {dimensions} := value;"""
+        scope = self.reader.take()
+        if self.reader.word in ("LOCAL", "TASK"):
+            raise refusal(f"expected a data type, found {self.reader.next}", self.reader.next)
+        kind = self.reader.kind("name", "a data type").text.lower()
+        while True:
+            name = self.reader.kind("name", "the data's name")
+            shape = self.values.listed("{", "}").items if self.reader.next.text == "{" else ()
+            if self.reader.accept(":="):
+                value = self.values.expression()
+                self.known(name.text, kind)
+                self.value(name.text, kind, len(shape), value)
+            elif scope.text.upper() == "CONST":
+                raise refusal(f"expected ':=', found {self.reader.next}", self.reader.next)
+            else:
+                self.known(name.text, kind)
+            if not self.reader.accept(","):
+                break
+        self.reader.expect(";")
+
+    def known(self, name: str, kind: str) -> None:
+        """Keep a name's type; those of records that hold targets are left alone aloud."""
+        self.types[name.lower()] = kind
+
+    def value(self, name: str, kind: str, dimensions: int, value: Node) -> None:
+        """Take what is given to a name: a target, a tool, a work object, or an array of such."""
+        if dimensions:
+            if value.kind != "list":
+                if kind in POINTS:
+                    self.left.append(Left(name, value.line, "is computed"))
+                return
+            for k, item in enumerate(value.items, start=1):
+                inner = f"{name[:-1]},{k}}}" if name.endswith("}") else f"{name}{{{k}}}"
+                self.value(inner, kind, dimensions - 1, item)
+        elif kind in POINTS:
+            self.point(name, kind, value)
+        elif kind in ("tooldata", "wobjdata"):
+            self.stated.append((name, kind, value))
+        elif self.is_literal(value) and [len(group.items) for group in value.items] in ([3, 4, 4, 6], [6, 6]):
+            self.left.append(Left(name, value.line, f"reads like a target, and is a {kind}"))
+        elif kind in self.holding:
+            self.left.append(
+                Left(name, value.line, f"is a {kind}, which holds a {self.holding[kind]} among other things")
+            )
+
+    def point(self, name: str, kind: str, value: Node) -> None:
+        """Take a target, or why it is left alone."""
+        found = stated_target(name, kind, value)
+        self.targets.append(found) if isinstance(found, Target) else self.left.append(found)
+
+    def definition(self) -> None:
+        """RECORD name type component; ... ENDRECORD, or ALIAS type name;"""
+        if self.reader.accept("ALIAS"):
+            kind = self.reader.kind("name", "a data type").text.lower()
+            name = self.reader.kind("name", "a name").text.lower()
+            self.holding |= {name: kind} if kind in POINTS or kind in self.holding else {}
+            self.reader.expect(";")
+            return
+        self.reader.expect("RECORD")
+        name = self.reader.kind("name", "the record's name").text.lower()
+        while not self.reader.accept("ENDRECORD"):
+            kind = self.reader.kind("name", "a data type").text.lower()
+            self.reader.kind("name", "a component")
+            if kind in POINTS or kind in self.holding:
+                self.holding[name] = self.holding.get(kind, kind)
+            self.reader.expect(";")
+
+    def routine(self) -> None:
+        """PROC | FUNC | TRAP ... to its end."""
+        opening = self.reader.take().text.upper()
+        if opening == "FUNC":
+            self.reader.kind("name", "the function's type")
+        self.reader.kind("name", "the routine's name")
+        if opening != "TRAP":
+            self.parameters()
+        while not self.reader.accept(ROUTINES[opening]):
+            if self.reader.accept("ERROR", "UNDO", "BACKWARD"):
+                if self.reader.accept("("):
+                    self.values.expression()
+                    while self.reader.accept(","):
+                        self.values.expression()
+                    self.reader.expect(")")
+                continue
+            self.statement()
+
+    def parameters(self) -> None:
+        """(type name, \\ type name {*} | type name, ...)"""
+        self.reader.expect("(")
+        while not self.reader.accept(")"):
+            while self.reader.accept("\\", ",", "|"):
+                pass
+            self.reader.accept("VAR", "PERS", "INOUT")
+            kind = self.reader.kind("name", "a parameter's type").text.lower()
+            if kind in ("switch",) or self.reader.next.kind == "name":
+                name = self.reader.kind("name", "a parameter's name")
+                self.types[name.text.lower()] = kind
+            if self.reader.accept("{"):
+                self.reader.expect("*")
+                while self.reader.accept(","):
+                    self.reader.expect("*")
+                self.reader.expect("}")
+            if self.reader.next.text not in (",", "|", ")", "\\"):
+                self.reader.expect(",", ")")
+
+    def statement(self) -> None:
+        """A statement of a routine, with all that is inside it."""
+        token, word = self.reader.next, self.reader.word
+        if word in ("VAR", "PERS", "CONST"):
+            self.data()
+        elif word == "IF":
+            self.condition()
+        elif word in ("FOR", "WHILE"):
+            self.loop()
+        elif word == "TEST":
+            self.choice()
+        elif self.reader.accept("<"):
+            self.reader.kind("name", "what is left open")
+            self.reader.expect(">")
+            self.reader.accept(";")
+        elif self.reader.accept(";"):
+            pass
+        elif self.reader.accept("RETURN", "RAISE", "GOTO"):
+            if self.reader.next.text != ";":
+                self.values.expression()
+            self.reader.expect(";")
+        elif self.reader.accept("CONNECT"):
+            self.values.reference()
+            self.reader.expect("WITH")
+            self.values.reference()
+            self.reader.expect(";")
+        elif self.reader.accept("%"):
+            self.values.expression()
+            self.reader.expect("%")
+            self.instruction_arguments(Node("name", "%", token.start, token.end, token.line))
+        else:
+            self.assignment_or_instruction()
+
+    def body(self, *ends: str) -> str:
+        """Statements up to one of the words that end them; the word."""
+        while self.reader.word not in ends:
+            if self.reader.word in (*ROUTINES.values(), "ENDMODULE") or self.reader.next.kind == "end":
+                raise refusal(f"expected {' or '.join(ends)}, found {self.reader.next}", self.reader.next)
+            self.statement()
+        return self.reader.take().text.upper()
+
+    def condition(self) -> None:
+        """IF condition THEN ... ELSEIF ... ELSE ... ENDIF, or IF condition instruction;"""
+        self.reader.expect("IF")
+        self.values.expression()
+        if not self.reader.accept("THEN"):
+            self.statement()
+            return
+        while (end := self.body("ELSEIF", "ELSE", "ENDIF")) != "ENDIF":
+            if end == "ELSEIF":
+                self.values.expression()
+                self.reader.expect("THEN")
+
+    def loop(self) -> None:
+        """FOR i FROM a TO b STEP c DO ... ENDFOR, or WHILE condition DO ... ENDWHILE."""
+        if self.reader.take().text.upper() == "FOR":
+            self.reader.kind("name", "the loop's counter")
+            self.reader.expect("FROM")
+            self.values.expression()
+            self.reader.expect("TO")
+            self.values.expression()
+            if self.reader.accept("STEP"):
+                self.values.expression()
+            self.reader.expect("DO")
+            self.body("ENDFOR")
+        else:
+            self.values.expression()
+            self.reader.expect("DO")
+            self.body("ENDWHILE")
+
+    def choice(self) -> None:
+        """TEST value CASE a, b: ... DEFAULT: ... ENDTEST."""
+        self.reader.expect("TEST")
+        self.values.expression()
+        end = self.reader.expect("CASE", "DEFAULT", "ENDTEST").text.upper()
+        while end != "ENDTEST":
+            if end == "CASE":
+                self.values.expression()
+                while self.reader.accept(","):
+                    self.values.expression()
+            self.reader.expect(":")
+            end = self.body("CASE", "DEFAULT", "ENDTEST")
+
+    def assignment_or_instruction(self) -> None:
+        """name := value; or Instruction a, b \\Option:=c; or a label:"""
+        first = self.values.reference()
+        if self.reader.accept(":="):
+            self.assigned(first, self.values.expression())
+            self.reader.expect(";")
+        elif self.reader.next.text == ":" and first.kind == "name":
+            self.reader.take()
+        elif first.kind == "call":  # one argument, in brackets
+            self.reader.expect(";")
+            self.moves.append((first, first.items))
+        else:
+            self.instruction_arguments(first)
+
+    def instruction_arguments(self, name: Node) -> None:
+        """The arguments of an instruction and its end."""
+        arguments = tuple(self.values.arguments(";"))
+        self.reader.expect(";")
+        self.moves.append((name, arguments))
+
+    def assigned(self, to: Node, value: Node) -> None:
+        """Take what a routine gives to a name."""
+        whole, _, component = to.text.partition(".")
+        name = whole.partition("{")[0].lower()
+        kind = self.types.get(name, "")
+        if kind in POINTS and component:
+            self.left.append(
+                Left(to.text, to.line, f"changes {component} of a target on the way: what it makes of it is not known")
+            )
+        elif kind in POINTS:
+            self.point(to.text, kind, value)
+        elif kind in ("tooldata", "wobjdata"):
+            self.stated.append((whole if not component else name, kind, replace(value, kind="computed")))
+
+    def program(self, source: bytes) -> Program:
+        """All that was found, with the tool and the work object of each target."""
+        tools, frames, changed = frames_stated(self.stated)
+        for name, arguments in self.moves:
+            self.move(name, arguments)
+        targets = []
+        for target in self.targets:
+            uses = self.uses.get(target.name.partition("{")[0].lower(), [])
+            named = tuple(dict.fromkeys(use.tool for use in uses)), tuple(dict.fromkeys(use.frame for use in uses))
+            targets.append(replace(target, tools=named[0], frames=named[1]) if target.turn else target)
+        stated = {name.partition("{")[0].lower() for name in self.names()}
+        elsewhere = [
+            replace(one, reason="is gone to, and its numbers do not stand in this file")
+            for name, one in self.gone_to.items() if name not in stated
+        ]  # fmt: skip
+        places = {one.start for target in self.targets for one in target.numbers}
+        lines = {one.line for one in self.left}
+        loose = [
+            Left(f"target in line {one.line}", one.line, "stands in an expression: where it leads is not known")
+            for one in self.values.literals if one.items[0].items[0].start not in places and one.line not in lines
+        ]  # fmt: skip
+        left = sorted([*self.left, *changed, *elsewhere, *loose], key=lambda one: one.line)
+        targets.sort(key=lambda target: target.numbers[0].start)
+        return Program(
+            "rapid", source, tuple(targets), tuple(left), {"tool0": NOWHERE, **tools}, {"wobj0": NOWHERE, **frames}
+        )
+
+    def names(self) -> list[str]:
+        """The names of targets and of what is left alone."""
+        return [target.name for target in self.targets] + [left.name for left in self.left]
+
+    def move(self, name: Node, arguments: Iterable[Node]) -> None:
+        """Take what an instruction says of the targets that it names."""
+        instruction = name.text.upper()
+        whole = Node("call", name.text, name.start, name.end, name.line, tuple(arguments))
+        places = whole.arguments
+        if instruction in DISPLACING:
+            self.left.append(Left(name.text, name.line, "displaces what follows: it is corrected as if it did not"))
+        if not instruction.startswith(MOVING):
+            return
+        at = TOOL_AT.get(instruction, len(places) - 1)
+        tool = places[at].text if 0 <= at < len(places) and places[at].kind == "name" else ""
+        frame = whole.keyword("wobj")
+        use = _Use(tool.lower(), frame.text.lower() if frame else "wobj0")
+        for k, place in enumerate(places):
+            if self.is_literal(place):
+                own = f"target in line {place.line}"
+                self.point(own, "robtarget" if len(place.items) == 4 else "jointtarget", place)
+                self.uses.setdefault(own, []).append(use)
+            elif place.kind == "name" and (self.of_point(place) or k < PLACES_AT.get(instruction, 0)):
+                self.uses.setdefault(_root(place), []).append(use)
+                self.gone_to.setdefault(_root(place), Left(place.text, place.line, ""))
+            elif place.kind == "call" and (self.of_point(place) or k < PLACES_AT.get(instruction, 0)):
+                inner = next((one for one in place.items if self.of_point(one)), None)
+                shared = f"is computed from {inner.text}, whose correction it shares" if inner else "is computed"
+                self.left.append(Left(f"{place.text}(…)", place.line, shared))
+                if inner:
+                    self.uses.setdefault(_root(inner), []).append(use)
+
+    @staticmethod
+    def is_literal(value: Node) -> bool:
+        """Whether a value in a move has the shape of a target."""
+        return value.kind == "list" and len(value.items) in (2, 4) and all(one.kind == "list" for one in value.items)
+
+    def of_point(self, value: Node) -> bool:
+        """Whether a value is a target's name, or has one in it."""
+        return any(self.types.get(_root(one), "") in POINTS for one in value.walk())
+
+
+def _root(value: Node) -> str:
+    return value.text.partition("{")[0].lower()
