@@ -23,7 +23,7 @@ from blind_cases import Job
 
 from calflow.files.results import Results
 from calflow.files.writing import write_whole
-from calflow.fleet.engine import Where, check_engine, command, running
+from calflow.fleet.engine import LOG, Where, check_engine, command, running
 from calflow.runs.lock import locked
 from calflow.runs.run import run
 from calflow.study import Study, load_study
@@ -86,12 +86,11 @@ def _done(asked: argparse.Namespace, folder: Path) -> list[Row]:
     }
     called = command(Path(__file__).with_name("blind.smk"), told, folder, Where(asked.processes, asked.profile))
     files = [folder / f"job_{k}.json" for k in range(-(-asked.number // asked.batch))]
-    log = folder / "snakemake.log"
-    with locked(folder), running(called, log) as process:
+    with locked(folder), running(called, folder) as process:
         if process.wait():
             missing = sum(not file.exists() for file in files)
             sys.exit(
-                f"{missing} of {len(files)} jobs were not done:\n{log.read_text(encoding='utf-8', errors='replace')}"
+                f"{missing} of {len(files)} jobs were not done:\n{(folder / LOG).read_text(encoding='utf-8', errors='replace')}"
             )
     return [row for file in files for row in json.loads(file.read_text(encoding="utf-8"))]
 

@@ -3,7 +3,11 @@
     snakemake -s workflows/fleet.smk --config fleet=plant.toml --cores 2
 
 What it is told, with --config or --configfile: fleet, the fleet file; out, the fleet's folder (runs/<its name>); batch, how
-many robots a job calibrates one after the other (10). A robot that fails has an outcome that says so: delete that, and it is tried anew.
+many robots a job calibrates one after the other (10); allow, a list of folders in which the fleet file may name files besides its
+own. A robot that fails has an outcome that says so: delete that, and it is tried anew.
+
+Outputs are named as seen from the fleet's folder, and inputs are told by their state: braces in a folder's name would be
+wildcards to Snakemake.
 """
 
 import sys
@@ -13,11 +17,17 @@ from calflow.fleet.fleet import load_fleet
 from calflow.fleet.fleet_folder import FleetFolder
 from calflow.fleet.jobs import jobs, made_by
 
-FLEET = load_fleet(config["fleet"])
-FOLDER = FleetFolder(Path(config.get("out", Path("runs") / FLEET.name)))
+ALLOW = [str(Path(folder).resolve()) for folder in config.get("allow", [])]
+FLEET = load_fleet(Path(config["fleet"]).resolve(), ALLOW)
+FOLDER = FleetFolder(Path(config.get("out", Path("runs") / FLEET.name)).resolve())
+HERE = FleetFolder(Path())
 JOBS = jobs(FLEET, int(config.get("batch", 10)))
-OUTCOMES = [outcome for job in JOBS for outcome in job.outputs(FOLDER)]
-PYTHON = sys.executable
+OUTCOMES = [outcome for job in JOBS for outcome in job.outputs(HERE)]
+COMMAND = [sys.executable, "-m", "calflow", "fleet"]
+TOLD = ["--out", str(FOLDER.path), *(f"--allow={folder}" for folder in ALLOW), str(FLEET.path)]
+
+
+workdir: str(FOLDER.path)
 
 
 localrules:
@@ -27,7 +37,7 @@ localrules:
 
 rule all:
     input:
-        FOLDER.results,
+        HERE.results,
         OUTCOMES,  # also where a report of fewer robots is there
 
 
@@ -35,11 +45,11 @@ rule report:
     input:
         OUTCOMES,
     output:
-        FOLDER.results,
+        HERE.results,
     params:
         made_by=made_by(),
     shell:
-        "{PYTHON:q} -m calflow fleet report {FLEET.path:q} --out {FOLDER.path:q}"
+        "{COMMAND:q} report {TOLD:q}"
 
 
 for number, job in enumerate(JOBS):
@@ -47,13 +57,12 @@ for number, job in enumerate(JOBS):
     rule:
         name:
             f"calibrate_{number}"
-        input:
-            job.inputs,
         output:
-            job.outputs(FOLDER),
+            job.outputs(HERE),
         params:
             made_by=made_by(),
+            inputs=job.inputs,
             robots=job.names,
         retries: 1
         shell:
-            "{PYTHON:q} -m calflow fleet work {FLEET.path:q} --out {FOLDER.path:q} {params.robots:q}"
+            "{COMMAND:q} work {TOLD:q} {params.robots:q}"

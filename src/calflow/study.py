@@ -241,7 +241,7 @@ def check_confirm(file: StudyFile, path: Path) -> None:
     """
     if not file.confirm:
         return
-    other = _study_file(path.parent / file.confirm)
+    other = study_path(path.parent / file.confirm)
     try:
         wrong = "is this study itself" if regular_file(other).samefile(path) else ""
     except FileNotFoundError:
@@ -253,7 +253,8 @@ def check_confirm(file: StudyFile, path: Path) -> None:
         raise InputError([Origin.of(path).problem(message, "confirm")])
 
 
-def _study_file(path: Path) -> Path:
+def study_path(path: Path) -> Path:
+    """Return the path of a study file that is named by itself or by its folder."""
     return path / "study.toml" if os.path.isdir(path) else path  # false, where Path raises, for a name too long
 
 
@@ -263,7 +264,7 @@ def load_study(path: str | Path) -> Study:
     Raises:
         InputError: with all problems of the files read.
     """
-    path = _study_file(Path(path))
+    path = study_path(Path(path))
     file = read_toml(path, StudyFile)
     robot_path = path.parent / file.robot
 

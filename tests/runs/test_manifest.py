@@ -46,7 +46,7 @@ def test_a_work_folder_that_is_a_link_is_refused(finished, tmp_path):
     (tmp_path / "elsewhere" / "identify" / "mine.txt").write_text("mine", encoding="utf-8")
     (finished / "runs" / ".partial").symlink_to(tmp_path / "elsewhere")
     (told,) = finished.refused("run", "--stage", "identify", "--force")
-    assert told.startswith("runs/.partial/identify: leads out of the run folder")
+    assert told.startswith("runs/.partial/identify: leads out of the folder")
     assert (tmp_path / "elsewhere" / "identify" / "mine.txt").exists()
 
 

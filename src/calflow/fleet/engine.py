@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from calflow.files.writing import write_whole
+from calflow.files.writing import inside, write_whole
 from calflow.fleet.robot_study import lacking
+
+LOG = "snakemake.log"
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,13 @@ def command(snakefile: Path, told: Mapping[str, object], folder: Path, where: Wh
 
     Jobs that were stopped are done anew, and whoever calls sees to it that nobody else is at work in the folder: Snakemake need
     not keep its own lock, which outlives a process that is killed.
+
+    Raises:
+        InputError: a link in what Snakemake keeps there leads out of the folder.
     """
+    kept = folder / ".snakemake"
+    for path in (kept, *kept.rglob("*"), folder / LOG):
+        inside(folder, path.relative_to(folder).as_posix())
     config = folder / "snakemake.json"
     write_whole(config, (json.dumps(told, indent=2) + "\n").encode())
     places = ["--profile", where.profile] if where.profile else ["--cores", str(where.cores)]
@@ -51,9 +59,9 @@ def command(snakefile: Path, told: Mapping[str, object], folder: Path, where: Wh
 
 
 @contextmanager
-def running(called: Sequence[str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Run Snakemake, with all it says in a file, and see to it that it has ended."""
-    with log.open("wb") as said:
+def running(called: Sequence[str], folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Run Snakemake in a folder, with all it says in a file there, and see to it that it has ended."""
+    with (folder / LOG).open("wb") as said:
         process = subprocess.Popen(called, stdout=said, stderr=subprocess.STDOUT)
         try:
             yield process

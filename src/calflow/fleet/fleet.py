@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from calflow.files.problems import InputError, Problem, nearest, together
 from calflow.files.toml import Origin, read_toml
-from calflow.fleet.fleet_file import FleetFile, check_name
+from calflow.fleet.fleet_file import FleetFile, beyond_reach, check_name
 from calflow.fleet.pattern import filled, robots_of
 from calflow.fleet.robot_type import RobotType, robot_type
 
@@ -48,22 +48,30 @@ class Fleet:
         return next(robot for robot in self.robots if robot.name == name)
 
 
-def load_fleet(path: str | Path) -> Fleet:
+def load_fleet(path: str | Path, allowed: Iterable[str | Path] = ()) -> Fleet:
     """Read a fleet file with its types' studies, and find its robots; a robot's measurements are read when it is its turn.
+
+    Args:
+        path: of the fleet file.
+        allowed: folders that it may name files in besides its own.
 
     Raises:
         InputError: with all problems of the files read.
     """
     path = Path(path)
     file = read_toml(path, FleetFile)
-    origin = Origin.of(path)
+    origin, folders = Origin.of(path), (path.parent, *map(Path, allowed))
     found = together(
-        *(partial(robot_type, name, table, origin) for name, table in file.types.items()),
-        partial(_check_robots, file, origin),
+        *(partial(robot_type, name, table, origin, folders) for name, table in file.types.items()),
+        partial(_check_tables, file, origin, folders),
     )
     types: dict[str, RobotType] = {one.name: one for one in found[:-1]}
     robots = [FleetRobot(name, types[type_], data) for name, type_, data in _robots(file, path.parent)]
-    if problems := [*_named_wrongly(robots, origin), *_of_other_series(robots, origin)]:
+    problems = [
+        *_named_wrongly("robots", (robot.name for robot in robots), origin), *_named_twice(robots, origin),
+        *_of_other_series(robots, origin), *_beyond_reach(robots, origin, folders),
+    ]  # fmt: skip
+    if problems:
         raise InputError(problems)
     if not robots:
         raise InputError(
@@ -72,9 +80,13 @@ def load_fleet(path: str | Path) -> Fleet:
     return Fleet(path, file, tuple(types.values()), tuple(sorted(robots, key=lambda robot: robot.name)))
 
 
-def _check_robots(file: FleetFile, origin: Origin) -> None:
-    """Check that the robots named have a type that there is, and measurements."""
-    problems = []
+def _check_tables(file: FleetFile, origin: Origin, folders: Sequence[Path]) -> None:
+    """Check that types are named as folders are, look for robots where they may, and that the robots named have a type that there
+    is, and measurements."""
+    problems = [*_named_wrongly("types", file.types, origin)]
+    for name, shared in file.types.items():
+        said = {beyond_reach(folders[0] / filled(pattern, "x"), folders) for pattern in shared.data}
+        problems += [origin.problem(one, "types", name, "data") for one in sorted(said) if one]
     for name, table in file.robots.items():
         if table.type not in file.types:
             message = f"unknown type '{table.type}'; there are {', '.join(file.types)}{nearest(table.type, file.types)}"
@@ -98,13 +110,17 @@ def _robots(file: FleetFile, folder: Path) -> Iterator[tuple[str, str, tuple[Pat
                 yield name, type_, tuple(folder / filled(pattern, name) for pattern in shared.data)
 
 
-def _named_wrongly(robots: list[FleetRobot], origin: Origin) -> Iterator[Problem]:
-    """Names that no folder can have, and names of two robots."""
-    for robot in robots:
+def _named_wrongly(key: str, names: Iterable[str], origin: Origin) -> Iterator[Problem]:
+    """Names in a table that no folder can have."""
+    for name in names:
         try:
-            check_name(robot.name)
+            check_name(name)
         except ValueError as error:
-            yield origin.problem(str(error), "robots", robot.name)
+            yield origin.problem(str(error), key, name)
+
+
+def _named_twice(robots: list[FleetRobot], origin: Origin) -> Iterator[Problem]:
+    """Names of two robots."""
     for name, number in Counter(robot.name for robot in robots).items():
         if number > 1:
             types = " and ".join(robot.type.name for robot in robots if robot.name == name)
@@ -121,6 +137,18 @@ def _of_other_series(robots: list[FleetRobot], origin: Origin) -> Iterator[Probl
             message = (
                 f"robot '{robot.name}': expected {series} in 'data', one a series of its study, found {len(robot.data)}"
             )
-            own = ("robots", robot.name, "data")
-            where = own if own in origin.lines else ("types", robot.type.name, "data")
-            yield origin.problem(message, *where)
+            yield origin.problem(message, *_place_of_data(robot, origin))
+
+
+def _beyond_reach(robots: list[FleetRobot], origin: Origin, folders: Sequence[Path]) -> Iterator[Problem]:
+    """Robots whose files lie where the fleet file may not name any."""
+    for robot in robots:
+        for path in robot.data:
+            if said := beyond_reach(path, folders):
+                yield origin.problem(f"robot '{robot.name}': {said}", *_place_of_data(robot, origin))
+
+
+def _place_of_data(robot: FleetRobot, origin: Origin) -> tuple[str, str, str]:
+    """Where the fleet file says where a robot's files are."""
+    own = ("robots", robot.name, "data")
+    return own if own in origin.lines else ("types", robot.type.name, "data")

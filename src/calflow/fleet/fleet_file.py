@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, field_validator
 
 from calflow.files.toml import FileModel
+from calflow.files.writing import is_within
 from calflow.fleet.pattern import ROBOT
 
 NAME = r"\w[\w.-]*"
@@ -22,6 +25,16 @@ def check_name(name: str) -> str:
     if not re.fullmatch(NAME, name):
         raise ValueError(f"expected letters, digits, '_', '-' and '.' (it names a folder), found {name!r}")
     return name
+
+
+def beyond_reach(path: Path, folders: Iterable[Path]) -> str:
+    """Say that a path leads out of the folders that a fleet file may name files in, links followed; empty where it does not."""
+    if any(is_within(path, folder) for folder in folders):
+        return ""
+    return (
+        f"leads out of the fleet file's folder, to {path.resolve()}, which is not read: move the file, or allow its folder "
+        f"by --allow {path.resolve().parent}"
+    )
 
 
 def _several(value: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,10 +26,12 @@ class Job:
         return tuple(robot.name for robot in self.robots)
 
     @property
-    def inputs(self) -> tuple[Path, ...]:
-        """What it reads, as far as it is there: a robot whose measurements are not fails by itself."""
-        files = (path for robot in self.robots for path in (*robot.type.files, *robot.data))
-        return tuple(dict.fromkeys(path.resolve() for path in files if path.is_file()))
+    def inputs(self) -> str:
+        """The state of what it reads, as far as it is there, in a word: a robot whose measurements are not fails by itself."""
+        files = {path for robot in self.robots for path in (*robot.type.files, *robot.data)}
+        there = sorted((str(path.resolve()), path.stat()) for path in files if path.is_file())
+        state = [(name, found.st_size, found.st_mtime_ns) for name, found in there]
+        return hashlib.sha256(repr(state).encode()).hexdigest()
 
     def outputs(self, folder: FleetFolder) -> tuple[Path, ...]:
         """What it makes: an outcome a robot."""

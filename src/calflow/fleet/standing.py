@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from calflow.files.problems import InputError, refuse
+from calflow.files.writing import inside
 from calflow.fleet.fleet import Fleet, FleetRobot
-from calflow.fleet.fleet_folder import FleetFolder
+from calflow.fleet.fleet_folder import PARTS, FleetFolder
 from calflow.fleet.outcome import Outcome, read_outcome
 from calflow.fleet.planned import steps
 from calflow.runs.manifest import NAME, read_manifest
@@ -25,13 +26,15 @@ def fleet_folder(fleet: Fleet, out: Path | None) -> FleetFolder:
     """Return the folder of a fleet, which may not exist yet.
 
     Raises:
-        InputError: it is a file, or the run folder of a study.
+        InputError: it is a file, or the run folder of a study, or one of its own folders is a link that leads out of it.
     """
     folder = out or default_fleet_folder(fleet)
     if folder.exists() and not folder.is_dir():
         raise refuse("is a file; expected a fleet's folder, which may not exist yet", folder)
     if (folder / NAME).exists():
         raise refuse("is the run folder of a study; give the fleet another with --out, or another name", folder)
+    for part in PARTS:
+        inside(folder, part)
     return FleetFolder(folder.resolve())
 
 
