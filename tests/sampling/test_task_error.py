@@ -12,8 +12,7 @@ from calflow.deployment.orientation import turn_sd
 from calflow.estimation.certainty import position_variance
 from calflow.estimation.progress import draws
 from calflow.sampling.sample import ChainLength, sample
-from calflow.sampling.task_error import Spread, TaskError, task_error, task_summary, task_table
-from calflow.sampling.task_error import task_tables_Asked as Asked
+from calflow.sampling.task_error import AskedSpread, Spread, TaskError, task_error, task_summary, task_table
 from sampling.calibrations import Case, Design
 
 SMALL = Design(joints=3, poses=30, further=12, level=0.0)
@@ -86,7 +85,7 @@ def test_what_was_not_measured_is_said(calibrations):
     _, sampled, known, task, found = calibrations[0]
     measured = sampled.data.only(sampled.data.train)
     near = measured.only(measured.joints[:, 0] > np.median(measured.joints[:, 0]))
-    asked = Asked(tolerance=1e-4)
+    asked = AskedSpread(tolerance=1e-4)
     whole, part = (task_table(known, task, own, found, asked) for own in (measured, near))
     far = task.joints[:, 0] < near.joints[:, 0].min() - 0.1 * np.ptp(near.joints[:, 0])
     assert far.any()

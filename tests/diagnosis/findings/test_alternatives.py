@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings.rivals import MOST, alternatives_table, fitted_alternatives
+from calflow.diagnosis.findings.rivals import MOST_FITTED, alternatives_table, fitted_alternatives
 from calflow.diagnosis.findings.verdict import UNEXPLAINED, Rival, verdict
 from calflow.diagnosis.screening.screening import Family
 from calflow.diagnosis.search.linearisation import Finding
@@ -52,7 +52,7 @@ def test_rivals_are_fitted_in_the_causes_place(final):
     assert fitted_alternatives([judged(ratio(9.5))], final) == ()
     (likelier,) = fitted_alternatives([judged(ratio(-8.0))], final)
     assert likelier.probability == pytest.approx(1 / (1 + np.exp(-4.0)))  # a rival may be likelier than what was named
-    assert len(fitted_alternatives([judged(*[ratio(0.1)] * (MOST + 2))], final)) == MOST
+    assert len(fitted_alternatives([judged(*[ratio(0.1)] * (MOST_FITTED + 2))], final)) == MOST_FITTED
 
 
 def test_they_are_read_as_they_were_written(final):

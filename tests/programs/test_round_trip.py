@@ -11,7 +11,7 @@ import pytest
 from calflow.files.problems import InputError
 from calflow.programs.filtering import filtered
 from calflow.programs.formats import parsed
-from deployment.programs.samples import FILES, Hand
+from programs.samples import FILES, Hand
 
 SHIFT = (0.0012, -0.0023, 0.0034, 0.0, 0.0, 0.0)
 REMARKS = {".mod": "!", ".dat": ";", ".src": ";", ".ls": "", ".script": "#"}

@@ -8,7 +8,7 @@ import pytest
 
 from calflow.files.problems import InputError
 from calflow.programs.formats import parsed, read_program
-from deployment.programs.samples import FILES
+from programs.samples import FILES
 
 BROKEN = [
     ("weld.mod", "600,-500,225.3", "600,-500 225.3", 9),

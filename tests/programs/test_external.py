@@ -16,8 +16,8 @@ from calflow.programs.formats import parsed
 from calflow.programs.target import External
 from calflow.robot.frames import modified_dh
 from calflow.robot.parts import Joint
-from deployment.programs.samples import FILES, Hand
-from deployment.programs.test_calibrated_robot import NUMBERS, TOOL, calibrated, inverted, truly, usual
+from programs.samples import FILES, Hand
+from programs.test_calibrated_robot import NUMBERS, TOOL, calibrated, inverted, truly, usual
 from robots import industrial
 
 RAILS = (-1.25, 0.4, 0.4, 1.75)  # m
