@@ -16,8 +16,9 @@ from calflow.files.units import split_unit
 from calflow.measurements.cells import layout_of_further
 from calflow.measurements.combined import combined, continued
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.reading import data_folder, locate
+from calflow.measurements.reading import data_folder, is_to_fetch, locate
 from calflow.measurements.series import Series
+from calflow.measurements.source import MeasurementSource
 from calflow.observations import Observation, observations
 from calflow.observations import catalogue as observation_kinds
 from calflow.robot.formats import robot_file
@@ -136,6 +137,16 @@ class Study:
             InputError: the study names none, or it cannot be found.
         """
         return self.measurement_paths[0]
+
+    @property
+    def to_fetch(self) -> tuple[MeasurementSource, ...]:
+        """The measurement files that a run would fetch by their url, the confirming study's among them.
+
+        Raises:
+            InputError: the confirming study's files are at fault.
+        """
+        here = tuple(source for source in self.file.sources if is_to_fetch(source, self.path.parent, self.data))
+        return here + (self.confirming.to_fetch if self.confirming else ())
 
     @property
     def confirming(self) -> Study | None:

@@ -216,28 +216,6 @@ def test_a_file_is_looked_for_in_order(small, tmp_path, monkeypatch):
         )
 
 
-def test_a_url_is_fetched_only_where_the_file_is_not_there(small, monkeypatch):
-    """Fails if a file at hand is fetched, a fetched one is not used or not checked, or a broken network is not explained."""
-    import pooch
-
-    here = small / "measurements.csv"
-    asked = []
-    monkeypatch.setattr(pooch, "retrieve", lambda url, known, path: asked.append((url, known)) or str(here))
-    source = {"url": "https://a.b/c.csv", "sha256": sha(here)}
-    assert locate(MeasurementSource(file="measurements.csv", **source), small.path) == here
-    assert not asked
-    assert locate(MeasurementSource(file="not there.csv", **source), small.path) == here
-    assert asked == [("https://a.b/c.csv", f"sha256:{source['sha256']}")]
-
-
-@pytest.mark.parametrize("url", ["foo://x", "nonsense", "http://127.0.0.1:9/x"])
-def test_what_cannot_be_fetched_is_explained(small, url, monkeypatch, tmp_path):
-    """Fails if a url that is none, or a network that is down, is called a wrong hash or ends in a traceback."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    with pytest.raises(InputError, match=r"could not be fetched .* CALFLOW_DATA"):
-        locate(MeasurementSource(file="not there.csv", url=url, sha256="0" * 64), small.path)
-
-
 def test_the_known_columns_are_those_that_are_read(small, read):
     """Fails if the list of columns has a name that is refused."""
     rows = small.rows

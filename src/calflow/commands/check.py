@@ -24,6 +24,10 @@ def check(study: Path) -> None:
     loaded = load_study(study)
     checked = check_study(loaded)
     say(f"study {loaded.name}: {loaded.robot.name}, workflow {loaded.workflow.name} ({', '.join(loaded.stages)})")
+    for far in loaded.to_fetch:
+        say(f"{far.file} is not fetched yet: 'calflow run' fetches it from {far.url}")
+    if checked is None and loaded.to_fetch:
+        return
     if checked is None:
         say("no measurements yet: 'calflow run --stage select' proposes poses")
         return

@@ -37,7 +37,8 @@ class MeasurementSource(FileModel):
 
     kind is an observation's id, settings what that kind lets one say.
 
-    A url is fetched once and kept; its sha256 is then required. The folder that CALFLOW_DATA names is looked in first.
+    A url, by https, is fetched once by a run and kept; its sha256 is then required. The folder that CALFLOW_DATA names is looked
+    in first.
     The other keys are a `Layout`'s.
     """
 
@@ -72,6 +73,14 @@ class MeasurementSource(FileModel):
         if len(separator) != 1:
             raise ValueError(f"expected one character, found {separator!r}")
         return separator
+
+    @field_validator("url")
+    @classmethod
+    def _is_fetched_safely(cls, url: str | None) -> str | None:
+        if url is not None and not re.fullmatch(r"https://[!-~]+", url):
+            raise ValueError(f"expected a url that begins with https:// and has no blanks, found {url!r}; fetch anything else "
+                             "yourself, into the folder that CALFLOW_DATA names")  # fmt: skip
+        return url
 
     @field_validator("sha256")
     @classmethod

@@ -41,15 +41,15 @@ class Checked:
 
 
 def check(study: Study) -> Checked | None:
-    """Check a study with its settings, its measurements and those of the confirming study; None where it has none yet.
+    """Check a study with its settings, its measurements and those of the confirming study; None where it has none yet, or they
+    are still to be fetched, which a check does not do.
 
     Raises:
         InputError: with all that a run would refuse.
     """
-    measured = study.file.measurements is not None
-    stages, data, _ = together(
-        partial(stages_of, study), lambda: study.measurements() if measured else None, partial(_confirming, study)
-    )
+    stages, to_fetch = together(partial(stages_of, study), lambda: study.to_fetch)
+    measured = study.file.measurements is not None and not to_fetch
+    data, _ = together(lambda: study.measurements() if measured else None, partial(_confirming, study))
     _, checked = together(partial(_settings, study, data), lambda: _checked(study, data) if data else None)
     if checked is None:
         return None
@@ -60,7 +60,7 @@ def check(study: Study) -> Checked | None:
 
 def _confirming(study: Study) -> None:
     other = study.confirming
-    if other:
+    if other and not other.to_fetch:
         other.measurements()
 
 

@@ -9,12 +9,14 @@ from pathlib import Path
 from calflow.files.results import Documents, Results
 from calflow.files.tables import Tables
 from calflow.files.writing import inside, write_whole
+from calflow.measurements.reading import fetch
 from calflow.runs.execution import execute, record_reuse
 from calflow.runs.folder import default_folder, read_results
 from calflow.runs.listener import Listener, Silent
 from calflow.runs.lock import locked
 from calflow.runs.manifest import read_manifest
 from calflow.runs.planning import foreseen, passed_over, plan
+from calflow.stages import STAGES
 from calflow.stages.demand import memory_there, warned
 from calflow.study import Study
 
@@ -54,10 +56,14 @@ def run(
         listener: is told how it goes on.
 
     Raises:
-        InputError: the study's input is at fault.
+        InputError: the study's input is at fault, or a file that it names by a url cannot be fetched.
     """
     folder = Path(folder) if folder is not None else default_folder(study)
     listener = listener or Silent()
+    if stage is None or (stage in STAGES and STAGES[stage].measured):
+        for source in study.to_fetch:
+            listener.say(f"fetching {source.file} from {source.url}; expecting SHA-256 {source.sha256}")
+            fetch(source)
     steps = plan(study, folder, stage, force)
     if any(step.stage.measured and not step.reuse for step in steps):
         study.measurements()  # what is wrong with them is told before any work is done
