@@ -101,4 +101,4 @@ def test_what_is_said_goes_through_one_place():
     told = [
         name for name, path in modules().items() if "click.echo(" in path.read_text() or " print(" in path.read_text()
     ]
-    assert told == ["commands.output"]
+    assert told == ["commands.console"]

@@ -9,7 +9,7 @@ import sys
 import click
 
 from calflow.commands import COMMANDS
-from calflow.commands.output import say
+from calflow.commands.console import say
 
 TROUBLE = 1  # exit code of trouble of the machine
 THREADS = "OMP_NUM_THREADS"  # what the libraries of linear algebra read when they are loaded

@@ -1,28 +1,38 @@
-"""What is wrong with a study."""
+"""Checks: of a study before it runs, and of a calibrated robot by new measurements."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.options import FILE
-from calflow.commands.output import say
+from calflow.commands.console import (
+    FILE,
+    OVER,
+    STATION,
+    Command,
+    deliver,
+    exit_code,
+    say,
+    say_notes,
+)
 
 if TYPE_CHECKING:
+    from calflow.deployment.validation import Station
     from calflow.measurements.measurements import Measurements
 
 
-@click.command()
+@click.command("check")
 @click.argument("study", type=FILE)
-def check(study: Path) -> None:
+def check_command(study: Path) -> None:
     """Check a study with its robot, workflow and measurements, and run nothing."""
-    from calflow.runs.checking import check as check_study
+    from calflow.runs.checking import check
     from calflow.study import load_study
 
     loaded = load_study(study)
-    checked = check_study(loaded)
+    checked = check(loaded)
     say(f"study {loaded.name}: {loaded.robot.name}, workflow {loaded.workflow.name} ({', '.join(loaded.stages)})")
     for far in loaded.to_fetch:
         say(f"{far.file} is not fetched yet: 'calflow run' fetches it from {far.url}")
@@ -56,3 +66,96 @@ def check(study: Path) -> None:
 def _counted(path: Path, data: Measurements) -> str:
     fitted = data.table.loc[data.train, "pose"].nunique()
     return f"{path}: {len(data)} rows, {data.table['pose'].nunique()} poses, {fitted} of them to fit"
+
+
+@click.command("check-poses", cls=Command)
+@click.argument("study_or_run", type=FILE)
+@click.argument("rows", metavar="MEASURED.csv", type=FILE)
+@click.option("--number", type=int, default=8, show_default=True, help="How many poses to choose.")
+@click.option("--out", type=FILE, help="CSV to write; printed by default.")
+@OVER
+def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path | None, force: bool) -> None:
+    """Choose of the poses in MEASURED.csv those by which `calflow drift` tells best what has moved.
+
+    Give the run's folder, or its study. MEASURED.csv is the calibration's own file, or any of poses that were measured.
+    """
+    from calflow.files.csv import csv_text
+    from calflow.reporting.drifted import seen_from
+    from calflow.runs.check_poses import choose_check_poses
+
+    chosen = choose_check_poses(study_or_run, rows, number)
+    say(seen_from(chosen.foreseen), err=True)
+    deliver(csv_text(chosen.table), out, force)
+
+
+@click.command("validate", cls=Command)
+@click.argument("study_or_run", type=FILE)
+@click.argument("rows", metavar="NEW.csv", type=FILE)
+@click.option("--tolerance-mm", type=float, help="What a pose may err by: asks for a verdict.")
+@click.option(
+    "--task",
+    type=int,
+    help="How many poses must all be within (too hopeful where errors differ by pose); a further pose by default.",
+)
+@click.option("--confidence", type=float, default=0.95, show_default=True, help="Probability that 'met' needs.")
+@STATION
+@click.option(
+    "--out", type=FILE, help="Folder for tables and report; validate/<name of NEW.csv> in the run folder by default."
+)
+def validate_command(
+    study_or_run: Path,
+    rows: Path,
+    tolerance_mm: float | None,
+    task: int | None,
+    confidence: float,
+    station: Station,
+    out: Path | None,
+) -> None:
+    """Hold the calibrated robot against NEW.csv, measurements that it has not seen.
+
+    Give the run's folder, or its study. Ends with 0 where the tolerance is met (or none is asked for), 3 where it is not, and 4
+    where these poses cannot tell.
+    """
+    from calflow.files.writing import inside
+    from calflow.reporting.proof import verdict_lines
+    from calflow.runs.folder import run_folder
+    from calflow.runs.validate import validate
+
+    folder = out or inside(run_folder(study_or_run), f"validate/{rows.stem}")
+    tolerance = None if tolerance_mm is None else tolerance_mm / 1e3
+    found = validate(
+        study_or_run, rows, tolerance=tolerance, task=task, confidence=confidence, station=station, out=folder
+    )
+    say(*verdict_lines(found))
+    say_notes(found.summary.notes)
+    say(f"report: {folder / 'report.pdf'}")
+    sys.exit(exit_code(found.summary.status))
+
+
+@click.command("drift", cls=Command)
+@click.argument("study_or_run", type=FILE)
+@click.argument("rows", metavar="NEW.csv", type=FILE)
+@click.option(
+    "--false-alarm", type=float, default=0.01, show_default=True, help="Chance of an alarm where nothing moved."
+)
+@STATION
+@click.option(
+    "--out", type=FILE, help="Folder for tables and report; drift/<name of NEW.csv> in the run folder by default."
+)
+def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: Station, out: Path | None) -> None:
+    """Tell by five to ten check poses in NEW.csv whether anything has moved since the calibration, and what.
+
+    Give the run's folder, or its study. Ends with 0 where nothing has moved, 3 where something has, and 4 where the poses are off
+    but cannot tell why.
+    """
+    from calflow.files.writing import inside
+    from calflow.reporting.drifted import drift_lines
+    from calflow.runs.drift import drift
+    from calflow.runs.folder import run_folder
+
+    folder = out or inside(run_folder(study_or_run), f"drift/{rows.stem}")
+    found = drift(study_or_run, rows, false_alarm=false_alarm, station=station, out=folder)
+    say(*drift_lines(found))
+    say_notes(found.summary.notes)
+    say(f"report: {folder / 'report.pdf'}")
+    sys.exit(exit_code(found.summary.status))

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.options import FILE, NOT_WELL, resumable
-from calflow.commands.output import say
+from calflow.commands.console import FILE, NOT_WELL, resumable, say
 
 if TYPE_CHECKING:
     from calflow.fleet.fleet import Fleet
@@ -27,16 +26,16 @@ ALLOW = click.option(
 OUT = click.option("--out", type=FILE, help="The fleet's folder; runs/<fleet name> by default.")
 
 
-@click.group()
-def fleet() -> None:
+@click.group("fleet")
+def fleet_command() -> None:
     """Calibrate many robots of a few types, on one machine or a cluster."""
 
 
-@fleet.command()
+@fleet_command.command("plan")
 @click.argument("fleet_file", metavar="FLEET.toml", type=FILE)
 @OUT
 @ALLOW
-def plan(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
+def fleet_plan_command(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
     """Show which robots would be calibrated, and why; writes each one's study, and runs none."""
     from calflow.fleet.engine import check_engine
     from calflow.fleet.planned import planned
@@ -46,7 +45,7 @@ def plan(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
         say(one)
 
 
-@fleet.command()
+@fleet_command.command("run")
 @click.argument("fleet_file", metavar="FLEET.toml", type=FILE)
 @click.argument("options", metavar="[-- SNAKEMAKE OPTIONS]", nargs=-1)
 @OUT
@@ -54,7 +53,7 @@ def plan(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
 @click.option("--cores", type=click.IntRange(min=1), help="Of this machine; all by default.")
 @click.option("--batch", type=click.IntRange(min=1), help="Robots that a job calibrates one after the other.")
 @click.option("--profile", default="", help="A profile of Snakemake's, which says where jobs run: a cluster, a cloud.")
-def run(
+def fleet_run_command(
     fleet_file: Path,
     options: tuple[str, ...],
     out: Path | None,
@@ -100,11 +99,11 @@ def run(
     sys.exit(0 if all(one.status == "calibrated" for one in found) else NOT_WELL)
 
 
-@fleet.command()
+@fleet_command.command("status")
 @click.argument("fleet_file", metavar="FLEET.toml", type=FILE)
 @OUT
 @ALLOW
-def status(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
+def fleet_status_command(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
     """Show how far a fleet has come, and what failed."""
     from calflow.fleet.fleet_lines import fleet_lines
     from calflow.fleet.standing import outcomes
@@ -114,11 +113,11 @@ def status(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
     _tell_failed(found)
 
 
-@fleet.command()
+@fleet_command.command("report")
 @click.argument("fleet_file", metavar="FLEET.toml", type=FILE)
 @OUT
 @ALLOW
-def report(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
+def fleet_report_command(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
     """Write fleet.csv and the reports anew from what came of the robots so far."""
     from calflow.fleet.standing import outcomes
     from calflow.fleet.summary import write_summary
@@ -128,16 +127,16 @@ def report(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
     say(f"report: {folder.path / 'report.pdf'}")
 
 
-@fleet.command(hidden=True)
+@fleet_command.command("work", hidden=True)
 @click.argument("fleet_file", metavar="FLEET.toml", type=FILE)
 @click.argument("robots", metavar="ROBOT…", nargs=-1, required=True)
 @OUT
 @ALLOW
-def work(fleet_file: Path, robots: tuple[str, ...], out: Path | None, allow: tuple[Path, ...]) -> None:
+def fleet_work_command(fleet_file: Path, robots: tuple[str, ...], out: Path | None, allow: tuple[Path, ...]) -> None:
     """Calibrate some robots of a fleet: a job of the workflow."""
-    from calflow.fleet.work import work as work_on
+    from calflow.fleet.work import work
 
-    work_on(*_opened(fleet_file, out, allow), robots)
+    work(*_opened(fleet_file, out, allow), robots)
 
 
 def _opened(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> tuple[Fleet, FleetFolder]:

@@ -9,7 +9,7 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
-from calflow.commands.output import say
+from calflow.commands.console import say
 from calflow.files.problems import seen
 
 if TYPE_CHECKING:

@@ -1,29 +1,110 @@
-"""Running a study."""
+"""Running a study: what would run, running it, how far it is, its report anew, and whether this machine can."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import click
 
-from calflow.commands.options import FILE, FORCE, OUT, STAGE, resumable
-from calflow.commands.output import say
+from calflow.commands.console import FILE, FORCE, OUT, STAGE, resumable, say
 from calflow.commands.progress import progress
+from calflow.files.problems import seen
 
 
-@click.command()
+@click.command("run")
 @click.argument("study", type=FILE)
 @OUT
 @STAGE
 @FORCE
-def run(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
+def run_command(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
     """Run a study: what did not change is reused, what was interrupted is resumed."""
     from calflow.reporting.last_lines import last_lines
-    from calflow.runs.run import run as run_study
+    from calflow.runs.run import run
     from calflow.study import load_study
 
     with resumable(), progress() as listener:
-        result = run_study(load_study(study), out, stage, force, listener)
+        result = run(load_study(study), out, stage, force, listener)
     say(*last_lines(result.results))
     report = result.folder / "report.pdf"
     say(f"report: {report}" if report.is_file() else f"results: {result.folder}")
+
+
+@click.command("plan")
+@click.argument("study", type=FILE)
+@OUT
+@STAGE
+@FORCE
+def plan_command(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
+    """Show which stages would run and what they would take, which would be reused, and why."""
+    from calflow.runs.folder import default_folder
+    from calflow.runs.planning import foreseen, plan
+    from calflow.stages.demand import Demand
+    from calflow.study import load_study
+
+    loaded = load_study(study)
+    steps = plan(loaded, out or default_folder(loaded), stage, force)
+    demands = foreseen(loaded, [step.stage for step in steps if not step.reuse])
+    for step in steps:
+        demand = demands.get(step.stage.name, Demand())
+        taken = f"; takes {demand.words}" if demand.words else ""
+        say(f"{step.stage.name:14} {'reuse' if step.reuse else 'run':6} {step.reason}{taken}")
+
+
+@click.command("status")
+@click.argument("study_or_run", type=FILE)
+def status_command(study_or_run: Path) -> None:
+    """Show how far a run has come: give its folder, or its study."""
+    from calflow.files.problems import refuse
+    from calflow.runs.folder import run_folder
+    from calflow.runs.manifest import read_manifest
+
+    folder = run_folder(study_or_run)
+    manifest = read_manifest(folder)
+    if manifest is None:
+        raise refuse("nothing was run here yet", folder)
+    say(f"{folder}: study {manifest.study}, workflow {manifest.workflow}, calflow {manifest.calflow}")
+    for name, entry in manifest.stages.items():
+        seconds = "" if entry.seconds is None else f"{entry.seconds:.1f} s"
+        reused = f"; reused since: {entry.reused}" if entry.reused else ""
+        say(f"{name:14} {entry.status:12} {seconds:>8}  ran because: {entry.reason}{reused}")
+
+
+@click.command("report")
+@click.argument("study_or_run", type=FILE)
+@OUT
+def report_command(study_or_run: Path, out: Path | None) -> None:
+    """Write the report of a run's results anew: give its folder, or its study."""
+    from calflow.runs.folder import study_and_folder
+    from calflow.runs.run import run
+
+    study, folder = study_and_folder(study_or_run, out)
+    with resumable(), progress() as listener:
+        result = run(study, folder, "report", True, listener)
+    say(f"report: {result.folder / 'report.pdf'}")
+
+
+@click.command("doctor")
+def doctor_command() -> None:
+    """Tell what this machine has of what calflow needs, what makes it slow, and what to do.
+
+    Ends with 0 where calflow can be relied on, be it slowly, and with 1 where something must be mended first.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from calflow.runs.doctor import examine
+
+    findings = examine()
+    table = Table(box=None, pad_edge=False)
+    for title in ("what", "state", "found", "what to do"):
+        table.add_column(title, overflow="fold")
+    for one in findings:
+        table.add_row(*map(seen, (one.what, one.state, one.found, one.remedy)))
+    Console(highlight=False, markup=False).print(table)
+    wrong = [one.what for one in findings if one.state == "trouble"]
+    slow = [one.what for one in findings if one.state == "slow"]
+    if slow:
+        say(f"slow because of: {', '.join(slow)}")
+    say(f"to be mended first: {', '.join(wrong)}" if wrong else "calflow can be relied on")
+    sys.exit(1 if wrong else 0)

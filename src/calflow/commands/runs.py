@@ -1,4 +1,4 @@
-"""A run again, and what differs."""
+"""Finished runs: packed, repeated, compared, and followed over time."""
 
 from __future__ import annotations
 
@@ -9,32 +9,60 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.options import FILE
-from calflow.commands.output import say
+from calflow.commands.console import FILE, OVER, Command, exit_code, say, say_notes, write_free
 from calflow.commands.progress import progress
 
 if TYPE_CHECKING:
     from calflow.files.deviations import Deviation
     from calflow.runs.reproduce import Reproduction
 
+
+@click.command("pack")
+@click.argument("run", type=FILE)
+@click.option("--out", type=FILE, help="Archive to write; RUN.zip beside the run folder by default.")
+@click.option("--licence", default="", metavar="SPDX", help="Under which terms the files may be used, e.g. CC-BY-4.0.")
+@click.option(
+    "--author",
+    multiple=True,
+    metavar="NAME",
+    help="Who made the measurements or the run; several times where several did.",
+)
+@OVER
+def pack_command(run: Path, out: Path | None, licence: str, author: tuple[str, ...], force: bool) -> None:
+    """Pack RUN, a run folder, with its inputs and versions into a zip that `calflow reproduce` repeats elsewhere, once unpacked.
+
+    The archive is an RO-Crate.
+    """
+    from calflow.runs.pack import pack
+    from calflow.runs.terms import Terms
+
+    terms = Terms(licence, author)
+    write_free(out or Path(f"{run.resolve()}.zip"), pack(run, terms), force)
+    if not licence:
+        say(
+            "no licence stated, so nobody can know who may use the files: state it by --licence, e.g. CC-BY-4.0",
+            err=True,
+        )
+
+
 DIFFERS, CANNOT = 1, 2
 MOST_TOLD = 12  # columns that are told one by one
 
 
-@click.command()
+@click.command("reproduce")
 @click.argument("run", type=FILE)
 @click.option("--out", type=FILE, help="Empty folder to keep the study, its run and the differences in.")
-def reproduce(run: Path, out: Path | None) -> None:
+def reproduce_command(run: Path, out: Path | None) -> None:
     """Run RUN, a run folder or an unpacked archive, again from its own inputs, and tell bit by bit what differs.
 
     The last line is the verdict: the same bytes, the same to so many digits, or not the same. Ends with 0 where every file has
     the same bytes, 1 where one differs, and 2 where it cannot be done.
     """
-    from calflow.runs.reproduce import reproduce as reproduce_run
+    from calflow.runs.reproduce import reproduce
 
     try:
         with progress() as listener:
-            found = reproduce_run(run, out, listener)
+            found = reproduce(run, out, listener)
     except OSError as error:  # which elsewhere ends with 1
         say(f"error: {error}", err=True)
         sys.exit(CANNOT)
@@ -92,3 +120,40 @@ def _line(one: Deviation) -> str:
     ]
     more = f" ({', '.join(parts)})" if parts else ""
     return f"{where}, {'most in ' if one.row else ''}{most}{unit}, {one.absolute:.2g} apart{more}"
+
+
+@click.command("compare")
+@click.argument("runs", metavar="RUN RUN…", type=FILE, nargs=-1, required=True)
+@click.option("--out", type=FILE, help="Folder for tables and report; nothing is kept by default.")
+def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
+    """Compare runs: settings, data, parameters with the significance of their difference, accuracy and causes."""
+    from calflow.reporting.compared import comparison_lines
+    from calflow.runs.compare import compare
+
+    found = compare(*runs, out=out)
+    say(*comparison_lines(found))
+    if out is not None:
+        say(f"report: {out / 'report.pdf'}")
+
+
+@click.command("history", cls=Command)
+@click.argument("runs", metavar="RUN RUN…", type=FILE, nargs=-1, required=True)
+@click.option(
+    "--false-alarm", type=float, default=0.01, show_default=True, help="Chance of an alarm where nothing moved."
+)
+@click.option("--out", type=FILE, help="Folder for tables and report; nothing is kept by default.")
+def history_command(runs: tuple[Path, ...], false_alarm: float, out: Path | None) -> None:
+    """Tell which parameters of one robot moved between its calibrations, when, by how much, and what to recalibrate.
+
+    Give runs of independent measurements in order of time. Ends with 0 where nothing has moved, 3 where something has, and 4 where
+    something has but the runs do not tell what.
+    """
+    from calflow.reporting.over_time import history_lines
+    from calflow.runs.history import history
+
+    found = history(*runs, false_alarm=false_alarm, out=out)
+    say(*history_lines(found))
+    say_notes(found.notes)
+    if out is not None:
+        say(f"report: {out / 'report.pdf'}")
+    sys.exit(exit_code(found.status))

@@ -1,8 +1,8 @@
-"""Arguments and options that several commands have."""
+"""The console: what commands print and hand over, the arguments they share, and their exit codes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +10,19 @@ from typing import Any
 
 import click
 
-from calflow.commands.output import say
+from calflow.files.problems import seen
+
+
+def say(*lines: object, err: bool = False) -> None:
+    """Say lines, on the standard error stream where asked; a terminal obeys nothing that a file or its name brings into them."""
+    for line in lines:
+        click.echo(seen(str(line)), err=err)
+
+
+def hand_over(document: str) -> None:
+    """Write a document on the standard output, for other programs: every sign of it is its own."""
+    click.echo(document, nl=False)
+
 
 OUT = click.option("--out", type=click.Path(path_type=Path), help="Run folder; runs/<study name> by default.")
 STAGE = click.option("--stage", help="This stage alone, with what it needs.")
@@ -54,6 +66,29 @@ class Command(click.Command):
             for one in self.params
             if isinstance(one, click.Option)
         }
+
+
+def exit_code(verdict: str) -> int:
+    """Return the exit code of a verdict."""
+    return {"moved": NOT_WELL, "not met": NOT_WELL, "cannot be told": NOT_TOLD}.get(verdict, 0)
+
+
+def deliver(document: str, out: Path | None, force: bool) -> None:
+    """Write a document where an option says, not over something else unless that is forced; on the standard output without one.
+
+    Raises:
+        InputError: it would write over something else.
+    """
+    if out is None:
+        hand_over(document)
+    else:
+        write_free(out, document.encode(), force)
+
+
+def say_notes(notes: Iterable[str]) -> None:
+    """Say notes on the standard error stream."""
+    for note in notes:
+        say(f"note: {note}", err=True)
 
 
 def apart(written: Path | None, option: str, *others: Path) -> None:

@@ -1,4 +1,4 @@
-"""Robot programs with corrected targets."""
+"""A calibrated robot in use: predictions, joint commands, robot programs, and files for other programs."""
 
 from __future__ import annotations
 
@@ -7,13 +7,113 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.options import FILE, OVER, apart, check_free
-from calflow.commands.output import say
-
-MOST_TOLD = 20  # of one kind that are printed
+from calflow.commands.console import FILE, OVER, apart, check_free, deliver, hand_over, say, say_notes, write_free
 
 if TYPE_CHECKING:
+    import pandas as pd
+
+    from calflow.deployment.export import Format
     from calflow.programs.filtering import Filtered, FilteredTarget
+
+
+@click.command("predict")
+@click.argument("study_or_run", type=FILE)
+@click.argument("rows", metavar="ROWS.csv", type=FILE)
+@click.option("--out", type=FILE, help="CSV to write; printed by default.")
+@OVER
+@click.option(
+    "--without-conditions",
+    is_flag=True,
+    help="Predict rows that lack needed columns too, with a wider standard deviation.",
+)
+def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: bool, without_conditions: bool) -> None:
+    """Predict where the calibrated robot's markers will be at the joints and conditions of ROWS.csv.
+
+    Give the run's folder, or its study.
+    """
+    from calflow.files.csv import csv_text
+    from calflow.runs.predict import predict
+
+    apart(out, "--out", rows)
+    table = predict(study_or_run, rows, "widen" if without_conditions else "refuse")
+    say_notes(table.attrs["notes"])
+    deliver(csv_text(table), out, force)
+
+
+@click.command("compensate")
+@click.argument("study_or_run", type=FILE)
+@click.argument("targets", metavar="TARGETS.csv", type=FILE)
+@click.option("--out", type=FILE, help="CSV to write; printed by default.")
+@OVER
+@click.option(
+    "--frames", type=FILE, help="TOML file of the frames that a column 'frame' names, besides measuring and base."
+)
+@click.option(
+    "--in-order",
+    is_flag=True,
+    help="The robot goes from row to row: the side from which each joint comes follows from the commands.",
+)
+@click.option(
+    "--without-conditions",
+    is_flag=True,
+    help="Do rows that lack needed columns too, with a wider standard deviation.",
+)
+def compensate_command(
+    study_or_run: Path, targets: Path, out: Path | None, force: bool, frames: Path | None, in_order: bool,
+    without_conditions: bool,
+) -> None:  # fmt: skip
+    """Work out joint commands with which the real robot lands on the targets of TARGETS.csv.
+
+    Give the run's folder, or its study.
+    """
+    from calflow.files.csv import csv_text
+    from calflow.runs.compensate import compensate
+
+    apart(out, "--out", targets)
+    table = compensate(
+        study_or_run, targets, frames=frames, in_order=in_order, missing="widen" if without_conditions else "refuse"
+    )
+    say_notes(table.attrs["notes"])
+    if out is None:
+        hand_over(csv_text(table))
+        return
+    write_free(out, csv_text(table).encode(), force)
+    landed = table[table["reached"]]
+    say(f"{len(landed)} of {len(table)} targets reached")
+    if len(landed):
+        say(
+            f"distance from the target, root mean square: {_rms(landed['nominal_miss_mm']):.3f} mm with nominal commands, "
+            f"{_rms(landed['expected_mm']):.3f} mm expected with these"
+        )
+
+
+def _rms(values: pd.Series) -> float:
+    return float((values**2).mean() ** 0.5)
+
+
+@click.command("export")
+@click.argument("study_or_run", type=FILE)
+@click.option(
+    "--to",
+    type=click.Choice(["urdf", "xacro-properties", "dh", "json", "controller"]),
+    required=True,
+    help="urdf; xacro-properties (origins alone); dh (a robot file); json; controller (a CSV of figures to type in).",
+)
+@click.option("--out", type=FILE, help="File to write; printed by default.")
+@OVER
+def export_command(study_or_run: Path, to: Format, out: Path | None, force: bool) -> None:
+    """Write the calibrated robot for other programs, and say what their format cannot hold.
+
+    Give the run's folder, or its study.
+    """
+    from calflow.runs.export import export_run
+
+    found = export_run(study_or_run, to)
+    say_notes(found.notes)
+    deliver(found.text, out, force)
+
+
+MOST_TOLD = 20  # of one kind that are printed
 
 
 @click.command("filter")
@@ -39,7 +139,7 @@ if TYPE_CHECKING:
 )
 @click.option("--condition", "conditions", multiple=True, help="temperature_degC=VALUE, time_s=VALUE and the like.")
 @click.option("--without-conditions", is_flag=True, help="Go on without conditions that the model needs.")
-def filter_targets(
+def filter_command(
     study_or_run: Path, program: Path, out: Path | None, force: bool, summary: Path | None, payload: str | None,
     tools: tuple[str, ...], frames: tuple[str, ...], base: str | None, flange: str | None, start: str | None,
     any_configuration: bool, in_order: bool,
@@ -69,8 +169,7 @@ def filter_targets(
     if summary is not None:
         check_free(summary, table, force, "another name")
     say(*summary_lines(program, done))
-    for note in done.notes:
-        say(f"note: {note}", err=True)
+    say_notes(done.notes)
     write_whole(target, done.source)
     if summary is not None:
         write_whole(summary, table)

@@ -1,0 +1,161 @@
+"""A study before it runs: its files, their schemas, simulated measurements, and the poses to measure next."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from calflow.commands.console import FILE, NOT_TOLD, OVER, Command, check_free, hand_over, say, write_free
+from calflow.files.problems import seen
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from rich.table import Table
+
+    from calflow.api.file_schemas import Draft
+
+
+def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    if not asked:
+        return
+    from calflow.templates import library
+
+    for name, said in library.listing():
+        say(f"{name:20} {said}")
+    context.exit()
+
+
+@click.command("new")
+@click.argument("folder", type=FILE)
+@click.option(
+    "--robot", default="", metavar="NAME|FILE.urdf", help="A robot of the library, or a URDF, which is copied."
+)
+@click.option("--tip", help="Of a URDF: the link that is the flange.")
+@click.option("--base", help="Of a URDF: the link that stands on the floor; the root unless given.")
+@click.option(
+    "--list-robots", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="Show the library."
+)
+def new_command(folder: Path, robot: str, tip: str | None, base: str | None) -> None:
+    """Write a new study into FOLDER, to be filled in."""
+    from calflow.api.file_schemas import schema_text
+    from calflow.files.writing import write_whole
+    from calflow.templates import SCHEMAS, schema_kinds, schema_path, write_study
+
+    for path in write_study(folder, robot, tip, base):
+        say(f"wrote {path}")
+    for kind in schema_kinds(robot).values():
+        write_whole(folder / schema_path(kind), schema_text(kind).encode())
+    doing = "look over" if robot else "describe your robot in"
+    say(
+        f"next: {doing} {folder / 'robot.toml'}, put the measurements into "
+        f"{folder / 'measurements.csv'}, then: calflow check {folder}"
+    )
+    say(f"to try it with simulated measurements first: calflow simulate {folder / 'truth.toml'}")
+    say(f"editors complete and check these files by {folder / SCHEMAS}")
+
+
+@click.command("simulate")
+@click.argument("truth", type=FILE)
+@click.option("--out", type=FILE, help="Measurement CSV; measurements.csv beside the truth file by default.")
+@OVER
+def simulate_command(truth: Path, out: Path | None, force: bool) -> None:
+    """Write the measurements that a truth file describes."""
+    from calflow.files.csv import csv_text, write_csv
+    from calflow.simulation import simulate
+
+    path = out or truth.parent / "measurements.csv"
+    table = simulate(truth)
+    check_free(path, csv_text(table).encode(), force)
+    write_csv(path, table)
+    say(f"wrote {path}")
+
+
+@click.command("next", cls=Command)
+@click.argument("study", type=FILE)
+@click.option(
+    "--rows", type=FILE, multiple=True, help="CSV of rows measured since, besides the study's own; may be repeated."
+)
+@click.option("--number", type=int, default=10, show_default=True, help="How many poses to propose.")
+@click.option(
+    "--tolerance-mm",
+    type=float,
+    help="What the tool's true error over the task is to be within; the study's by default.",
+)
+@click.option(
+    "--probability", type=float, default=0.95, show_default=True, help="Of being within it, at which to stop."
+)
+@click.option("--out", type=FILE, help="Folder for poses.csv and verdict.json; nothing is written by default.")
+def next_command(
+    study: Path, rows: tuple[Path, ...], number: int, tolerance_mm: float | None, probability: float, out: Path | None
+) -> None:
+    """Say after each batch of measurements whether they are enough, and which poses to measure next.
+
+    Ends with 0 where the tolerance is met as surely as asked, or none is stated, and 4 where it is not yet. A run folder is neither
+    read nor written.
+    """
+    from rich.console import Console
+
+    from calflow.reporting.next_step import next_lines
+    from calflow.runs.measured_since import with_rows
+    from calflow.runs.next_poses import next_poses
+    from calflow.study import load_study
+
+    tolerance = None if tolerance_mm is None else tolerance_mm / 1e3
+    trouble = Console(stderr=True, highlight=False, markup=False)
+    with trouble.status("measured so far …"):
+        measured = with_rows(load_study(study), rows)
+        step = next_poses(measured, number, tolerance, probability, say=lambda line: trouble.print(seen(line)))
+    say(*next_lines(step.verdict))
+    if len(step.poses):
+        load = step.poses["payload"].iloc[0] or "no payload"
+        say(f"measure next, with {load}, in this order:")
+        Console(highlight=False, markup=False, soft_wrap=True).print(_table(step.poses))
+    if out is not None:
+        step.write(out)
+        say(f"wrote {out / 'poses.csv'} and {out / 'verdict.json'}")
+    sys.exit(
+        NOT_TOLD
+        if step.verdict.status in ("measure", "too few", "nothing measured") and step.verdict.tolerance_mm
+        else 0
+    )
+
+
+def _table(poses: pd.DataFrame) -> Table:
+    """The poses as a terminal shows them: readings and reason; the rest is in poses.csv."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    readings = [str(name) for name in poses if str(name).startswith("q")]
+    table = Table(box=SIMPLE, pad_edge=False, padding=(0, 1, 0, 0))
+    for name in ("pose", *readings):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("what for", overflow="fold")
+    for pose, *values, reason in poses[["pose", *readings, "reason"]].to_numpy(object):
+        table.add_row(str(pose), *(f"{value:.2f}" for value in values), seen(reason))
+    return table
+
+
+@click.command("schema")
+@click.argument("kind", default="")
+@click.option("--draft", type=click.Choice(["4", "2020-12"]), default="4", show_default=True,
+              help="Of JSON Schema; editors' TOML support (Taplo) reads 4.")  # fmt: skip
+@click.option("--out", type=FILE, help="File to write, a folder where no KIND is given; printed by default.")
+@OVER
+def schema_command(kind: str, draft: Draft, out: Path | None, force: bool) -> None:
+    """Write the JSON Schema of a KIND of file (study, robot, urdf-robot, workflow, truth, frames, fleet); of all without KIND.
+
+    A file whose first line is `#:schema PATH` is then completed and checked by editors, and by `taplo check`.
+    """
+    from calflow.api.file_schemas import KINDS, schema_text
+
+    if not kind and out is None:
+        raise click.UsageError(f"expected a KIND ({', '.join(KINDS)}), or --out FOLDER for all")
+    for one in [kind] if kind else KINDS:
+        said = schema_text(one, draft)
+        if out is None:
+            hand_over(said)
+        else:
+            write_free(out if kind else out / f"{one}.schema.json", said.encode(), force)
