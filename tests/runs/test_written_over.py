@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pandas as pd
 import pytest
 
 from conftest import in_process
@@ -63,3 +64,16 @@ def test_an_interrupted_command_that_cannot_resume_does_not_say_so(finished, mon
     monkeypatch.setattr("calflow.runs.predict.predict", interrupted)
     answer = in_process("predict", finished / "runs", finished / "measurements.csv")
     assert (answer.code, answer.err.strip()) == (130, "interrupted: the same command begins anew")
+
+
+def test_a_pose_that_is_called_as_a_formula_is_no_formula(finished):
+    """Fails if a name in a stranger's measurements is computed by the spreadsheet that opens the predictions, or is lost there."""
+    rows = finished.rows.drop(columns=["x_mm", "y_mm", "z_mm"])
+    finished.measure(rows.assign(pose="=1+" + rows["pose"]), "rows.csv")
+    told = finished.calflow("predict", finished / "runs", finished / "rows.csv", "--out", finished / "predicted.csv")
+    assert told.code == 0, told
+    written = pd.read_csv(finished / "predicted.csv", dtype=str)["pose"]
+    assert written.tolist() == ("'=1+" + rows["pose"]).tolist()
+    finished.measure(rows.assign(pose=written), "rows.csv")
+    again = finished.calflow("predict", finished / "runs", finished / "rows.csv")
+    assert again.out == (finished / "predicted.csv").read_text(encoding="utf-8")

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from calflow.files.csv import NUMBER, changed, unquoted
 from calflow.files.problems import InputError, Problem, nearest, shortened
 from calflow.files.units import LARGEST, SUFFIXES, to_si
 from calflow.measurements.cells import EMPTY, read_cells
@@ -100,7 +101,6 @@ def labelled(table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, list[str]
     return table, notes
 
 
-NUMBER = r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"
 NOTHING = ("", "nan", "-nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none")
 WRONG_UNIT = 1000.0  # times what a robot has: so far a value may lie, and be told as one in a wrong unit
 
@@ -118,9 +118,9 @@ def values_of(cells: pd.Series, column: ReadColumn, layout: Layout, path: Path) 
     """Return a column's values in SI units."""
     never = pd.Series(False, cells.index)
     if column.name in ("marker", "payload", "session", "split", *layout.reports.labels):
-        return Values(_text(cells), never, [])
+        return Values(_label(cells), never, [])
     if column.name in ("pose", "repeat"):
-        labels = _text(cells).str.replace(r"\.0*$", "", regex=True)
+        labels = _label(cells).str.replace(r"\.0*$", "", regex=True)
         problems = at_lines(labels == "", path, f"{column} is empty")
         whole = labels.str.fullmatch(r"[0-9]{1,18}").all()
         return Values(labels.astype(int) if whole else labels, never, problems)
@@ -172,6 +172,10 @@ def _no_number(wrong: pd.Series, column: ReadColumn, layout: Layout) -> str:
     hint = f" (written with '{other}'? say decimal = \"{other}\" in the study)" if other in first else ""
     count = f" (and {more} more rows)" if more else ""
     return f"{column}: expected a number, found '{first}'{hint}{count}"
+
+
+def _label(cells: pd.Series) -> pd.Series:
+    return changed(_text(cells), unquoted)
 
 
 def _text(cells: pd.Series) -> pd.Series:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from calflow.files.csv import write_csv
+from calflow.files.csv import read_texts, write_csv
 from calflow.files.deviations import Deviation, agreeing_digits, document_deviations, table_deviations
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import to_frame
@@ -177,11 +177,7 @@ def _deviations(name: str, was: Path, now: Path) -> list[Deviation]:
     if not (first.is_file() and second.is_file()):
         return []
     if name in tables:
-        return table_deviations(name, _texts(first), _texts(second), tables[name])
+        return table_deviations(name, read_texts(first), read_texts(second), tables[name])
     if name.endswith(".json"):
         return document_deviations(name, *(json.loads(path.read_text(encoding="utf-8")) for path in (first, second)))
     return []
-
-
-def _texts(path: Path) -> pd.DataFrame:
-    return pd.read_csv(path, dtype=str, keep_default_na=False)
