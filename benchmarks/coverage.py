@@ -16,8 +16,7 @@ from calflow.estimation.calibrated_model import CalibratedModel, calibrated, ide
 from calflow.estimation.certainty import position_variance, unexplained
 from calflow.faults import corrected
 from calflow.measurements.measurements import Measurements
-from calflow.runs.folder import read_results
-from calflow.runs.manifest import read_manifest
+from calflow.run_folder import read_manifest, read_results
 from calflow.study import load_study
 
 NORMAL = 1.959964  # half the width of a normal 95 % interval, in standard deviations

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from calflow.deployment.commands import clearance, compensated
-from calflow.deployment.needed_conditions import needed_conditions
 from calflow.deployment.orientation import not_known
 from calflow.deployment.targets import FrameTable, Targets, in_measuring_frame
+from calflow.estimation.needed_conditions import needed_conditions
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.series import Series
@@ -95,7 +95,7 @@ def test_what_one_start_does_not_lead_to_is_not_called_out_of_reach(posed):
 def test_backlash_is_taken_by_the_direction_of_the_commands():
     """Fails if the play is taken from the wrong side, or left out: some 2.5 mm at the tool."""
     known, measured = calibrated(("geometry", "joint-backlash"), {"joint1.joint-backlash.b": PLAY}, approach=sides())
-    robot, needed = known.model.robot, needed_conditions(known, measured)
+    robot, needed = known.model.robot, needed_conditions(known.model, known.estimate, measured)
     data = Measurements.from_arrays(robot, measured.joints, None, payload="load")
     model = replace(known.model, given=())
     targets = Targets(model.point(known.estimate, data.rows))

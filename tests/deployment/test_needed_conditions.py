@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 
 import calflow as cf
-from calflow.deployment.needed_conditions import needed_conditions
 from calflow.deployment.prediction import predict_positions
 from calflow.deployment.validation import validate
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
+from calflow.estimation.needed_conditions import needed_conditions
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
@@ -45,23 +45,25 @@ def test_what_is_needed_is_read_off_the_graph():
     """Fails if an effect's condition is missed, one is asked for that nothing depends on, or the wrong effect is named."""
     every = {"approach": sides(), "travel": np.ones((40, 6)), "time": np.arange(40.0), "temperature": 295.0}
     known, data = calibrated(("geometry", "joint-backlash"), {"joint1.joint-backlash.b": PLAY}, **every)
-    (one,) = needed_conditions(known, data)
+    (one,) = needed_conditions(known.model, known.estimate, data)
     assert (one.condition, one.effects, one.columns) == (
         "approach",
         ("joint-backlash",),
         "columns approach1 … approach6",
     )
     known, data = calibrated(("geometry", "joint-hysteresis", "thermal-growth"), {}, **every)
-    assert {one.condition: one.effects for one in needed_conditions(known, data)} == {
+    assert {one.condition: one.effects for one in needed_conditions(known.model, known.estimate, data)} == {
         "approach": ("joint-hysteresis",), "travel": ("joint-hysteresis",), "temperature": ("thermal-growth",)
     }  # fmt: skip
-    assert "columns travel1_rad … travel6_rad" in [one.columns for one in needed_conditions(known, data)]
+    assert "columns travel1_rad … travel6_rad" in [
+        one.columns for one in needed_conditions(known.model, known.estimate, data)
+    ]
 
 
 def test_the_tracker_s_own_errors_need_nothing():
     """Fails if a drift of the device, which is not where the robot will be, asks for a time."""
     known, data = calibrated(("geometry", "frame-drift"), {}, time=np.arange(40.0))
-    assert needed_conditions(known, data) == ()
+    assert needed_conditions(known.model, known.estimate, data) == ()
 
 
 def test_a_validation_names_no_option_that_it_has_not():
@@ -69,13 +71,13 @@ def test_a_validation_names_no_option_that_it_has_not():
     known, data = calibrated(("geometry", "joint-backlash"), {"joint1.joint-backlash.b": PLAY}, approach=sides())
     bare = Measurements.from_arrays(known.model.robot, data.joints, np.zeros((40, 3)), payload="load", split="train")
     with pytest.raises(InputError, match=r"needs columns approach1 … approach6, which the rows lack$"):
-        validate(known, list(needed_conditions(known, data)), bare)
+        validate(known, list(needed_conditions(known.model, known.estimate, data)), bare)
 
 
 def test_backlash_without_a_side_is_refused_or_widened():
     """Fails if backlash is dropped in silence: millimetres off with a stated deviation of hundredths."""
     known, data = calibrated(("geometry", "joint-backlash"), {"joint1.joint-backlash.b": PLAY}, approach=sides())
-    needed = needed_conditions(known, data)
+    needed = needed_conditions(known.model, known.estimate, data)
     truth = predict_positions(known, needed, data).position
     asked = Measurements.from_arrays(known.model.robot, data.joints, None, payload="load")
     with pytest.raises(
@@ -95,7 +97,7 @@ def test_conditions_that_nothing_needs_change_nothing():
     more = Measurements.from_arrays(
         known.model.robot, data.joints, None, payload="load", approach=sides(), torque=np.zeros((40, 6))
     )
-    needed = needed_conditions(known, data)
+    needed = needed_conditions(known.model, known.estimate, data)
     assert needed == ()
     np.testing.assert_array_equal(
         predict_positions(known, needed, more).position, predict_positions(known, needed, data).position

@@ -13,8 +13,7 @@ from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.estimation.calibrated_model import identified
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
-from calflow.runs.folder import read_results
-from calflow.runs.manifest import read_manifest
+from calflow.run_folder import read_manifest, read_results
 from calflow.runs.predict import predict
 
 X, SD = ["x_mm", "y_mm", "z_mm"], ["sd_x_mm", "sd_y_mm", "sd_z_mm"]

@@ -13,7 +13,7 @@ from calflow.fleet.outcome import Outcome
 from calflow.fleet.standing import forget_stale, outcomes
 from calflow.fleet.summary import write_summary
 from calflow.fleet.work import work
-from calflow.runs.manifest import read_manifest, write_manifest
+from calflow.run_folder import read_manifest, write_manifest
 from fleet.plant import ROBOTS, broken
 
 

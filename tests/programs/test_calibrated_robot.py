@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import angle_between, inverse, pose_matrix, pose_values
-from calflow.deployment.needed_conditions import NeededCondition
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.programs.calibrated_robot import CalibratedRobot

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.deployment.needed_conditions import NeededCondition
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.files.problems import InputError
 from calflow.files.tables import columns
 from calflow.programs.filtering import FilteredTarget

@@ -10,7 +10,7 @@ import pytest
 
 from calflow.files.problems import InputError
 from calflow.files.writing import contained
-from calflow.runs.manifest import read_manifest
+from calflow.run_folder import read_manifest
 
 COMMANDS = {"run": [], "plan": [], "status": ["runs"], "predict": ["runs", "measurements.csv"], "report": []}
 

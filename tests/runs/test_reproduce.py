@@ -9,9 +9,8 @@ import zipfile
 import pandas as pd
 import pytest
 
-from calflow.runs.manifest import read_manifest
+from calflow.run_folder import laid_out, read_manifest
 from calflow.runs.reproduce import reproduce
-from calflow.runs.study_files import laid_out
 from conftest import Folder
 
 

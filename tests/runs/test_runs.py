@@ -19,8 +19,8 @@ from filelock import FileLock
 import calflow
 from calflow.files.results import Results
 from calflow.files.toml import FileModel
+from calflow.run_folder import default_folder
 from calflow.runs import cache_key, kept, planning
-from calflow.runs.folder import default_folder
 from calflow.sampling.backend import BlockBackend
 from calflow.stages.stage import Stage
 from conftest import Folder

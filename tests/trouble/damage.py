@@ -16,7 +16,7 @@ from tempfile import NamedTemporaryFile
 
 import numpy as np
 
-from calflow.runs.manifest import read_manifest
+from calflow.run_folder import read_manifest
 from conftest import Answer
 from trouble.campaign import Hangs, patience, unreadable
 from trouble.kills import tables

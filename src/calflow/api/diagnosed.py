@@ -14,12 +14,12 @@ from calflow.api.fit import Fit
 from calflow.api.inputs import check_same
 from calflow.api.model import Model
 from calflow.api.rows import Rows
-from calflow.deployment.needed_conditions import NeededCondition
 from calflow.design.discrimination import NextPose, SeparationRow, questions
 from calflow.diagnosis.diagnosis import diagnose as diagnosed
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary, extended_model
 from calflow.diagnosis.findings.tables import CandidateRow, FindingRow
 from calflow.diagnosis.search.trial import FALSE_ALARM
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.progress import Say, draws, nobody
 from calflow.files.results import Results
 from calflow.measurements.measurements import Measurements

@@ -12,12 +12,12 @@ import pandas as pd
 
 from calflow.api.inputs import effects_of, split_rows
 from calflow.api.model import Model
-from calflow.deployment.needed_conditions import NeededCondition
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.identification import Identification, NoiseSource
 from calflow.estimation.identification import identify as identified
 from calflow.estimation.least_squares import Loss
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.progress import Say, draws, nobody
 from calflow.faults import Fault, examined
 from calflow.files.results import Results

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calflow.deployment.commands import Compensation, compensated
-from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.prediction import Missing, Prediction, predict_positions
 from calflow.deployment.targets import Targets
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.field_gain import gainful_field
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.progress import Say, draws, nobody
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.problems import refuse

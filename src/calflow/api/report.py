@@ -40,7 +40,7 @@ def report(found: Fit | Diagnosis | str | Path, path: str | Path, title: str = "
 
 
 def _copied(study_or_run: Path, name: str, path: Path) -> Path:
-    from calflow.runs.folder import run_folder
+    from calflow.run_folder import run_folder
 
     written = run_folder(study_or_run) / name
     if not written.is_file():

@@ -118,7 +118,7 @@ def validate_command(
     """
     from calflow.files.writing import inside
     from calflow.reporting.proof import verdict_lines
-    from calflow.runs.folder import run_folder
+    from calflow.run_folder import run_folder
     from calflow.runs.validate import validate
 
     folder = out or inside(run_folder(study_or_run), f"validate/{rows.stem}")
@@ -150,8 +150,8 @@ def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: S
     """
     from calflow.files.writing import inside
     from calflow.reporting.drifted import drift_lines
+    from calflow.run_folder import run_folder
     from calflow.runs.drift import drift
-    from calflow.runs.folder import run_folder
 
     folder = out or inside(run_folder(study_or_run), f"drift/{rows.stem}")
     found = drift(study_or_run, rows, false_alarm=false_alarm, station=station, out=folder)

@@ -37,7 +37,7 @@ def run_command(study: Path, out: Path | None, stage: str | None, force: bool) -
 @FORCE
 def plan_command(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
     """Show which stages would run and what they would take, which would be reused, and why."""
-    from calflow.runs.folder import default_folder
+    from calflow.run_folder import default_folder
     from calflow.runs.planning import foreseen, plan
     from calflow.stages.demand import Demand
     from calflow.study import load_study
@@ -56,8 +56,7 @@ def plan_command(study: Path, out: Path | None, stage: str | None, force: bool) 
 def status_command(study_or_run: Path) -> None:
     """Show how far a run has come: give its folder, or its study."""
     from calflow.files.problems import refuse
-    from calflow.runs.folder import run_folder
-    from calflow.runs.manifest import read_manifest
+    from calflow.run_folder import read_manifest, run_folder
 
     folder = run_folder(study_or_run)
     manifest = read_manifest(folder)
@@ -75,7 +74,7 @@ def status_command(study_or_run: Path) -> None:
 @OUT
 def report_command(study_or_run: Path, out: Path | None) -> None:
     """Write the report of a run's results anew: give its folder, or its study."""
-    from calflow.runs.folder import study_and_folder
+    from calflow.run_folder import study_and_folder
     from calflow.runs.run import run
 
     study, folder = study_and_folder(study_or_run, out)

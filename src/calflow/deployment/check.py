@@ -9,9 +9,9 @@ import pandas as pd
 
 from calflow.deployment.alignment import Alignment, can_align, rigid_slope
 from calflow.deployment.movements import Movement
-from calflow.deployment.needed_conditions import NeededCondition
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import unexplained
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.repeats import conditions
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements

@@ -14,13 +14,13 @@ import numpy as np
 import pandas as pd
 
 from calflow.deployment.compensation import Landing, landing
-from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.nominal_inverse import best_of, near, nominal_readings, room
 from calflow.deployment.orientation import not_known, turn_sd
 from calflow.deployment.prediction import Missing, Told, as_told, of_field
 from calflow.deployment.targets import Targets
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import expected_point, field_correction, position_variance
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.sequence import approach_and_travel

@@ -17,13 +17,13 @@ from calflow.deployment.attained import Attained
 from calflow.deployment.check import ANYWHERE, Check
 from calflow.deployment.drift import FALSE_ALARM, WITHIN, Explained, Step, searched, together, unexplained
 from calflow.deployment.movements import Kind, Movement, movements
-from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.validation import ELSEWHERE, Station, of_sessions, stands
 from calflow.design.candidates import candidates
 from calflow.design.exchange import greedy
 from calflow.design.optimality import Parameters
 from calflow.design.t_optimality import TCriterion, propose
 from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.files.problems import InputError
 from calflow.files.results import Results, to_document
 from calflow.files.tables import column, to_frame

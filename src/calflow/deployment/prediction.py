@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from calflow.deployment.needed_conditions import HOW_TO_GO_ON, NeededCondition, check_stated
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import expected_point, field_correction, position_variance, readings
+from calflow.estimation.needed_conditions import HOW_TO_GO_ON, NeededCondition, check_stated
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.measurements.measurements import Measurements
 

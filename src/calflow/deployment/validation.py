@@ -23,9 +23,9 @@ from scipy.stats import t as student
 
 from calflow.deployment.alignment import FREEDOM, Alignment, can_align
 from calflow.deployment.attained import CALIBRATED, COMMANDED, CYCLES, NOMINAL, Attained, cube_edge
-from calflow.deployment.needed_conditions import NeededCondition, check_stated
 from calflow.deployment.prediction import beyond_limits, of_field
 from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.needed_conditions import NeededCondition, check_stated
 from calflow.files.results import Results, to_document
 from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements

@@ -1,4 +1,4 @@
-"""What identify and diagnose found, rebuilt from their tables for the stages after them."""
+"""The calibrated model: what predictions and all that builds on them need, and the tables that keep it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
@@ -14,8 +14,9 @@ from pydantic import TypeAdapter
 
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Carried, Cause
-from calflow.estimation.fit_summary import FitSummary
+from calflow.estimation.fit_summary import FitSummary, IdentifySummary
 from calflow.estimation.least_squares import Loss
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.noise import Noise, Source
 from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.repeats import stated_noise
@@ -105,10 +106,10 @@ class CalibratedModel:
 
     elsewhere [m] is what it errs by beyond all that at poses that it was not fitted to, per axis.
 
-    alternatives are other models that explain the data about as well; field is a correction beside the model that is not physical.
     intraclass is the correlation of what the markers of a standstill err.
     alternatives are other models that explain the data about as well, in_reach all that may be right as well, this one first (none
     where nothing was found); field is a correction beside the model that is not physical.
+    needed are the conditions that it must be told of a row, time_origin the reading of the clock from which its times count [s].
     """
 
     model: Model
@@ -124,6 +125,12 @@ class CalibratedModel:
     field: ResidualField | None = None
     intraclass: float = 0.0
     in_reach: tuple[ModelInReach, ...] = ()
+    needed: tuple[NeededCondition, ...] = ()
+    time_origin: float | None = None
+
+    def stating(self, conditions: tuple[str, ...]) -> Self:
+        """Return the same model for rows that state these optional conditions."""
+        return replace(self, model=replace(self.model, given=conditions))
 
     @property
     def noise_known(self) -> bool:
@@ -335,6 +342,8 @@ def _read(stage: str, model: Model, results: Results) -> CalibratedModel:
         if names != told:
             raise refuse(f"{stage}/{name}.csv does not fit the study's robot and effects; run {stage} again")
     summary = results.document(f"{stage}/summary.json", FitSummary)
+    needed = results.rows(f"{stage}/needed_conditions.csv", NeededCondition)
+    time_origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
     return CalibratedModel(
         model,
         np.array([one.estimate for one in parameters]),
@@ -346,6 +355,8 @@ def _read(stage: str, model: Model, results: Results) -> CalibratedModel:
         summary.loss,
         summary.elsewhere_mm / 1e3,
         intraclass=summary.intraclass,
+        needed=tuple(needed),
+        time_origin=time_origin,
     )
 
 

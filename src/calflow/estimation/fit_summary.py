@@ -105,6 +105,9 @@ class IdentifySummary(FitSummary):
     time_origin_s: float | None = column(
         "reading of the clock that times count from; null: no times", "s", default=None
     )
+    conditions: tuple[str, ...] = column(
+        "the optional conditions that the measurements state: approach, travel, wrench, …", default=()
+    )
     notes: tuple[str, ...] = column(
         "what was assumed of the measurements, and which rows have no measured value", default=()
     )

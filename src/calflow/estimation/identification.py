@@ -19,6 +19,7 @@ from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.intraclass import fit_sharing
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import Loss
+from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import Noise
 from calflow.estimation.noise_doubt import NoiseDoubt, doubts_of_repeats, doubts_of_residuals
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
@@ -74,7 +75,8 @@ class Identification:
         return CalibratedModel(
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
             self.noise.discrepancy, self.noise.rotation_discrepancy, self.loss, self.elsewhere,
-            intraclass=self.noise.intraclass,
+            intraclass=self.noise.intraclass, needed=needed_conditions(self.model, self.fit.estimate, self.data),
+            time_origin=self.data.time_origin,
         )  # fmt: skip
 
     @cached_property
@@ -107,6 +109,7 @@ class Identification:
             extrapolation=extrapolation(data),
             noise_doubts=self.doubts,
             time_origin_s=data.time_origin,
+            conditions=data.given,
             notes=data.notes,
         )
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -160,6 +160,30 @@ def from_frame(frame: pd.DataFrame, row_type: type[Row], name: str = "a table of
             values[pattern.field] = {name: cells[name][k] for name, one in found.items() if one is pattern}
         rows.append(row_type(**values))
     return rows
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TypedTable(Sequence[Row]):
+    """The rows of a table as values; `table` is the same as a DataFrame."""
+
+    table: pd.DataFrame
+    row_type: type[Row]
+
+    @cached_property
+    def _rows(self) -> tuple[Row, ...]:
+        return tuple(from_frame(self.table, self.row_type))
+
+    def __getitem__(self, k: Any) -> Any:
+        return self._rows[k]
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    def __repr__(self) -> str:
+        return repr(self.table) if len(self) else f"no {self.row_type.__name__}"
+
+    def _repr_html_(self) -> str:
+        return str(self.table.to_html(index=False))
 
 
 def lacking(frame: pd.DataFrame, row_type: type) -> list[str]:

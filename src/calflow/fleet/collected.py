@@ -17,8 +17,7 @@ from calflow.fleet.fleet import FleetRobot
 from calflow.fleet.fleet_folder import FleetFolder
 from calflow.population.common_causes import Shown
 from calflow.population.told import Calibration
-from calflow.runs.manifest import Manifest, read_manifest
-from calflow.runs.reasons import damage, of_others
+from calflow.run_folder import Manifest, damage, of_others, read_manifest
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from calflow.files.problems import refuse
 from calflow.files.toml import parse_toml
 from calflow.files.writing import write_whole
 from calflow.fleet.fleet import FleetRobot
-from calflow.runs.identity import beside
+from calflow.run_folder import beside
 
 FOUND_BY = {"file", "url", "sha256"}  # keys that say which file the measurements are in
 

@@ -12,7 +12,7 @@ from calflow.fleet.fleet import Fleet, FleetRobot
 from calflow.fleet.fleet_folder import PARTS, FleetFolder
 from calflow.fleet.outcome import Outcome, read_outcome
 from calflow.fleet.planned import steps
-from calflow.runs.manifest import NAME, read_manifest
+from calflow.run_folder import NAME, read_manifest
 
 LOOK = 0.5  # s between looks for outcomes
 

@@ -15,11 +15,11 @@ import numpy as np
 from calflow.deployment.commands import compensated
 from calflow.deployment.compensation import landing
 from calflow.deployment.conventions import inverse
-from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.prediction import Missing, as_told
 from calflow.deployment.targets import Targets, base_placement, features
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.groups import members
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.programs.axes import Axes, Correction

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from calflow.files.plugins import packages
 from calflow.measurements.reading import sha256
-from calflow.robot.robot import Robot
+from calflow.run_folder import after, digest, robot_digest
 from calflow.stages.stage import Stage
 from calflow.study import Study
 from calflow.study_file import StudyFile
@@ -55,11 +55,6 @@ def stage_key(
     return key | after({name: upstream[name] for name in (*stage.needs, *stage.uses) if name in upstream})
 
 
-def after(upstream: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """Return what the key of a stage holds of the keys of those that it goes on from."""
-    return {f"after {name}": digest(json.dumps(key, sort_keys=True)) for name, key in upstream.items()}
-
-
 def file_hashes(study: Study, stage: Stage) -> dict[Path, str]:
     """Return the SHA-256 of the files that a stage's settings name; of one that is not there nothing."""
     paths = stage.reads(study, study.validated_settings(stage.name, stage.settings))
@@ -92,11 +87,6 @@ def _asked(study: Study, without: set[str]) -> dict[str, str]:
     return {name: json.dumps(value, ensure_ascii=False) for name, value in file.items()}
 
 
-def robot_digest(robot: Robot) -> str:
-    """Return a hash of what a robot file says, however it is written."""
-    return digest(robot.canonical())
-
-
 @lru_cache
 def code_digest() -> str:
     """Return a hash of all that calflow is made of: its code, and what it writes reports with."""
@@ -115,8 +105,3 @@ def _versions() -> tuple[tuple[str, str], ...]:
 def versions() -> dict[str, str]:
     """Return the versions that results depend on."""
     return dict(_versions())
-
-
-def digest(text: str) -> str:
-    """Return a short hash of a text."""
-    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -5,23 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from calflow.deployment.needed_conditions import NeededCondition
 from calflow.estimation.calibrated_model import CalibratedModel, calibrated
 from calflow.estimation.fit_summary import IdentifySummary
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.faults.base import FaultyRow
-from calflow.files.problems import refuse
 from calflow.files.results import Results
 from calflow.files.tables import lacking
-from calflow.files.toml import read_toml
 from calflow.measurements.source import MeasurementSource
 from calflow.robot.robot import Robot
-from calflow.runs.folder import read_results, run_folder
-from calflow.runs.manifest import Manifest, read_manifest
-from calflow.runs.reasons import damage, of_others, outdated
-from calflow.runs.study_files import check_inputs
+from calflow.run_folder import (
+    Manifest,
+    read_calibrated,
+)
 from calflow.stages import STAGES
-from calflow.study import FIELD
-from calflow.study_file import StudyFile, WorkflowFile
+from calflow.study_file import StudyFile
 
 
 @dataclass(frozen=True)
@@ -45,29 +42,8 @@ class CalibratedRun:
         Raises:
             InputError: the run has not identified yet, or what it wrote of its model, or read, was changed since.
         """
-        folder = run_folder(Path(study_or_run))
-        manifest = read_manifest(folder)
-        if manifest is None:
-            raise refuse("holds no run: expected a folder that 'calflow run' has filled", folder)
-        check_inputs(folder, manifest)
-        robot = Robot.from_toml(folder / "inputs" / "robot.toml")
-        reason = outdated(manifest, folder, "identify", robot)
-        if reason:
-            raise refuse(f"holds no identified robot: {reason}; run the study again", folder)
-        results = read_results(manifest, folder, "identify")
-        undiagnosed = _without_diagnosis(manifest, folder, robot)
-        if undiagnosed is None:
-            results |= read_results(manifest, folder, "diagnose")
-        file = read_toml(folder / "inputs" / "study.toml", StudyFile)
-        asked = file.residual_field or FIELD in read_toml(folder / "inputs" / "workflow.toml", WorkflowFile).stages
-        lacking = _without_field(manifest, folder, robot, "diagnose/effects.csv" in results) if asked else None
-        if asked and lacking is None:
-            results |= read_results(manifest, folder, FIELD)
-        without = (
-            *([f"what diagnose found: {undiagnosed}"] if undiagnosed else []),
-            *([f"the residual field that the study asks for: {lacking}"] if lacking else []),
-        )
-        return CalibratedRun(folder, manifest, robot, file, results, without)
+        read = read_calibrated(study_or_run)
+        return CalibratedRun(read.folder, read.manifest, read.robot, read.file, read.results, read.without)
 
     def known(self, given: tuple[str, ...]) -> CalibratedModel:
         """Return the best model there is, for rows with these optional conditions."""
@@ -118,28 +94,3 @@ class CalibratedRun:
     def notes(self) -> tuple[str, ...]:
         """What there is to say of it whatever rows are given."""
         return (*self.columns_mended, *(f"without {said}; run the study again" for said in self.without))
-
-
-def _without_diagnosis(manifest: Manifest, folder: Path, robot: Robot) -> str | None:
-    """Return why diagnose does not hold for the results of identify, empty where it was never run; None where it does.
-
-    Raises:
-        InputError: its files were changed, so that the model would be another than the one that the run tells of.
-    """
-    entry = manifest.stages.get("diagnose")
-    if entry is None:
-        return ""
-    reason = _unfit(manifest, folder, robot, "diagnose", ("identify",))
-    if reason and entry.status == "done" and reason == damage(entry, folder):
-        raise refuse(f"holds no diagnosed robot any more: {reason}; run the study again", folder)
-    return reason
-
-
-def _without_field(manifest: Manifest, folder: Path, robot: Robot, diagnosed: bool) -> str | None:
-    """Return why a residual field does not hold for the results of identify, or of diagnose; None where it does."""
-    return _unfit(manifest, folder, robot, FIELD, ("identify", "diagnose") if diagnosed else ("identify",))
-
-
-def _unfit(manifest: Manifest, folder: Path, robot: Robot, stage: str, bases: tuple[str, ...]) -> str | None:
-    """Return why a stage's results are not of those of its bases, or do not hold for a robot; None where all is well."""
-    return outdated(manifest, folder, stage, robot) or of_others(manifest, stage, bases)

@@ -25,9 +25,8 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.difference import Difference
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.files.problems import refuse
-from calflow.runs.cache_key import robot_digest
+from calflow.run_folder import is_measured, robot_digest
 from calflow.runs.calibrated_run import CalibratedRun
-from calflow.runs.manifest import is_measured
 
 DIFFERENT = 0.01  # chance below which a difference is told
 

@@ -16,11 +16,11 @@ from calflow.files.plugins import packages
 from calflow.files.results import Results
 from calflow.files.writing import PART, inside, write_whole
 from calflow.measurements.reading import sha256
+from calflow.run_folder import Manifest, StageEntry, is_measured, read_manifest, write_manifest
 from calflow.runs.cache_key import code_digest, file_hashes, versions
 from calflow.runs.environment import environment, machine
 from calflow.runs.kept import write_results
 from calflow.runs.listener import Listener, onward
-from calflow.runs.manifest import Manifest, StageEntry, is_measured, read_manifest, write_manifest
 from calflow.runs.planning import PlannedStage
 from calflow.runs.reasons import FORCED
 from calflow.runs.study_files import study_files

@@ -13,9 +13,8 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.robot.formats.robot_file import drives
-from calflow.runs.cache_key import robot_digest
+from calflow.run_folder import robot_digest, study_and_folder
 from calflow.runs.calibrated_run import CalibratedRun
-from calflow.runs.folder import study_and_folder
 
 POSES = 500  # within the joint limits, where the measurements are not to be had
 INSTEAD = "costs are over random poses within the joint limits instead"

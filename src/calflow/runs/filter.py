@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.prediction import Missing
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.files.problems import InputError, Problem, nearest, refuse
 from calflow.files.units import split_unit, to_si
 from calflow.measurements.measurements import Measurements

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from calflow.files.problems import refuse
 from calflow.measurements.reading import sha256
-from calflow.runs.manifest import Manifest, is_measured
+from calflow.run_folder import Manifest, beside, is_measured
 from calflow.study import Study
 
 
@@ -33,14 +32,6 @@ def _at_the_same_place(study: Study, folder: Path, manifest: Manifest) -> bool:
     if old.resolve() == new.resolve():
         return True
     return bool(manifest.folder) and beside(Path(manifest.folder), old) == beside(folder, new)
-
-
-def beside(folder: Path, path: Path) -> str:
-    """Return a path as it is seen from a folder, absolute where there is no way from one to the other."""
-    try:
-        return os.path.relpath(path.resolve(), folder.resolve())
-    except ValueError:  # another drive
-        return str(path.resolve())
 
 
 def _of_the_same_content(study: Study, manifest: Manifest) -> bool:

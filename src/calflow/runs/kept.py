@@ -12,7 +12,7 @@ from calflow.files.problems import refuse
 from calflow.files.results import Results
 from calflow.files.tables import schema
 from calflow.files.writing import inside, write_text
-from calflow.runs.manifest import NAME
+from calflow.run_folder import NAME
 from calflow.stages import STAGES
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from calflow.measurements.cells import read_cells
 from calflow.measurements.layout import Layout
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import sha256
+from calflow.run_folder import is_measured
 from calflow.runs.calibrated_run import CalibratedRun
-from calflow.runs.manifest import is_measured
 
 SEEN_FROM_OUTSIDE = ("position", "pose")
 DISPENSABLE = ("split", "session", "repeat")  # what a mapped column of the study's file may say that a new one need not

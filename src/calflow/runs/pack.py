@@ -9,11 +9,10 @@ from pathlib import Path
 
 from calflow.files.problems import InputError, Problem
 from calflow.files.writing import inside
-from calflow.runs.manifest import NAME, Manifest
+from calflow.run_folder import INPUTS, LAID_OUT, NAME, Manifest, check_inputs, laid_out, lay_out
 from calflow.runs.reproduce import checked_run, finished
 from calflow.runs.ro_crate import NAME as METADATA
 from calflow.runs.ro_crate import ro_crate
-from calflow.runs.study_files import INPUTS, LAID_OUT, check_inputs, laid_out, lay_out
 from calflow.runs.terms import Terms
 
 ENVIRONMENT = "environment.txt"

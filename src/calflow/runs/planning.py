@@ -9,9 +9,9 @@ from pathlib import Path
 
 from calflow.files.problems import InputError, nearest, refuse, together
 from calflow.files.toml import Origin
+from calflow.run_folder import read_manifest
 from calflow.runs.cache_key import common_key, stage_key
 from calflow.runs.identity import check_same_study
-from calflow.runs.manifest import read_manifest
 from calflow.runs.reasons import FORCED, UNCHANGED, reason
 from calflow.stages import STAGES
 from calflow.stages.demand import Demand

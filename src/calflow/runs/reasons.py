@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from calflow.measurements.reading import sha256
-from calflow.robot.robot import Robot
-from calflow.runs.cache_key import after, robot_digest
-from calflow.runs.manifest import Manifest, StageEntry
+from calflow.run_folder import StageEntry, damage
 
 UNCHANGED = "inputs, settings, upstream results and code are unchanged"
 FORCED = "forced"
@@ -29,35 +26,6 @@ def reason(before: StageEntry | None, key: Mapping[str, str], folder: Path, run_
     if changed:
         return "; ".join(difference(name, old.get(name), key.get(name)) for name in changed)
     return damage(before, folder)
-
-
-def damage(entry: StageEntry, folder: Path) -> str | None:
-    """Return what happened to a stage's files since it wrote them; None where they are as they were."""
-    for name, digest in (entry.outputs or {}).items():
-        if not (folder / name).is_file():
-            return f"{name} is missing"
-        if sha256(folder / name) != digest:
-            return f"{name} was changed by hand"
-    return None
-
-
-def outdated(manifest: Manifest, folder: Path, stage: str, robot: Robot) -> str | None:
-    """Return why a stage's results do not hold for a robot; None where they do."""
-    entry = manifest.stages.get(stage)
-    if entry is None:
-        return f"{stage} was never run"
-    if entry.status != "done":
-        return f"{stage} did not finish ({entry.status})"
-    if robot_digest(robot) not in entry.key.values():
-        return f"the robot file changed after {stage} ran"
-    return damage(entry, folder)
-
-
-def of_others(manifest: Manifest, stage: str, bases: Collection[str]) -> str | None:
-    """Return that a stage's results are of others than those of its bases that are there; None where they are of these."""
-    made = {name: key for name, key in manifest.stages[stage].key.items() if name.startswith("after ")}
-    same = made == after({name: manifest.stages[name].key for name in bases})
-    return None if same else f"{stage} was made of other results"
 
 
 def difference(name: str, old: str | None, new: str | None) -> str:

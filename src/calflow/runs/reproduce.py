@@ -14,13 +14,12 @@ from calflow.files.csv import read_texts, write_csv
 from calflow.files.deviations import Deviation, agreeing_digits, document_deviations, table_deviations
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import to_frame
+from calflow.run_folder import Manifest, damage, load_again, read_manifest
 from calflow.runs.cache_key import code_digest, common_key, stage_key, versions
 from calflow.runs.environment import changes, environment, machine
 from calflow.runs.listener import Listener, Silent
-from calflow.runs.manifest import Manifest, read_manifest
-from calflow.runs.reasons import damage, difference
+from calflow.runs.reasons import difference
 from calflow.runs.run import run
-from calflow.runs.study_files import load_again
 from calflow.stages import STAGES
 from calflow.stages.stage import Stage
 from calflow.study import Study

@@ -10,8 +10,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from calflow.files.tables import columns
-from calflow.runs.manifest import Manifest
-from calflow.runs.study_files import INPUTS
+from calflow.run_folder import INPUTS, Manifest
 from calflow.runs.terms import Terms
 from calflow.stages import STAGES
 

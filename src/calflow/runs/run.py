@@ -10,11 +10,10 @@ from calflow.files.results import Documents, Results
 from calflow.files.tables import Tables
 from calflow.files.writing import inside, write_whole
 from calflow.measurements.reading import fetch
+from calflow.run_folder import default_folder, read_manifest, read_results
 from calflow.runs.execution import execute, record_reuse
-from calflow.runs.folder import default_folder, read_results
 from calflow.runs.listener import Listener, Silent
 from calflow.runs.lock import locked
-from calflow.runs.manifest import read_manifest
 from calflow.runs.planning import foreseen, passed_over, plan
 from calflow.stages import STAGES
 from calflow.stages.demand import memory_there, warned

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import pandas as pd
 from pydantic import Field, field_validator
 
-from calflow.deployment.needed_conditions import NeededCondition, needed_conditions
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
 from calflow.diagnosis.diagnosis import diagnose
 from calflow.diagnosis.findings.curves import CurvePoint, curves
@@ -29,6 +28,7 @@ from calflow.diagnosis.search.trial import FALSE_ALARM
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import CalibratedModel, DeviceNoise, ModelEffect, effect_table, identified
 from calflow.estimation.judgement import JudgedResidual, Studentised, judged_table
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
 from calflow.estimation.progress import Draws, Say
 from calflow.estimation.rival_models import AlternativeParameter, CauseInReach, in_reach_table
@@ -105,7 +105,7 @@ def results(
         "diagnose/faults.csv": own,
         "diagnose/residuals.csv": judged_table(final.fit, data, studentised, odd),
         "diagnose/curves.csv": curves(final, found.causes, data),
-        "diagnose/needed_conditions.csv": to_frame(needed_conditions(extended, data), NeededCondition),
+        "diagnose/needed_conditions.csv": to_frame(extended.needed, NeededCondition),
     }
     return Results(tables, {"diagnose/summary.json": to_document(summary(found, known))})
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from calflow.deployment.needed_conditions import NeededCondition, needed_conditions
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import (
     DeviceNoise,
@@ -29,6 +28,7 @@ from calflow.estimation.identifiability import (
 from calflow.estimation.identification import Identification, NoiseSource, identify, too_few_equations
 from calflow.estimation.judgement import JudgedResidual, judged
 from calflow.estimation.least_squares import Loss
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
 from calflow.estimation.repeats import measured_noise
 from calflow.faults import Fault, FaultyRow, as_table, examined
@@ -92,7 +92,7 @@ def results(found: Identification, faults: tuple[Fault, ...]) -> Results:
         "identify/observations.csv": observation_table(observed),
         "identify/noise.csv": noise_table(found.noise, observed),
         "identify/placement.csv": placement_table(found.data.robot, observed),
-        "identify/needed_conditions.csv": to_frame(needed_conditions(found.known, found.data), NeededCondition),
+        "identify/needed_conditions.csv": to_frame(found.known.needed, NeededCondition),
     }
     left_out = redundant(found.data.robot)
     if len(left_out):

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from calflow.deployment.needed_conditions import NeededCondition
 from calflow.deployment.orientation import not_known
 from calflow.deployment.prediction import as_told, beyond_limits
 from calflow.estimation.calibrated_model import CalibratedModel, calibrated, with_maps_held
 from calflow.estimation.fit_summary import IdentifySummary
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.repeats import conditions
 from calflow.faults import corrected
 from calflow.files.problems import Problem, refuse

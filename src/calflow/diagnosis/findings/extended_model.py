@@ -16,6 +16,7 @@ from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.estimation.accuracy import Accuracy, accuracy, errors
 from calflow.estimation.calibrated_model import CalibratedModel, noise_table, series_noise
 from calflow.estimation.fit_summary import FitSummary, Solver
+from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import Noise
 from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
@@ -54,6 +55,8 @@ def extended_model(found: Diagnosis, known: CalibratedModel, data: Measurements)
         final.noise.rotation_discrepancy, final.loss, final.elsewhere, tuple(one.alternative for one in found.alternatives),
         intraclass=final.intraclass,
         in_reach=found.in_reach,
+        needed=needed_conditions(final.model, final.fit.estimate, data),
+        time_origin=known.time_origin,
     )  # fmt: skip
 
 

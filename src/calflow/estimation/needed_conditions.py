@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.files.problems import InputError, Problem
 from calflow.files.tables import column
 from calflow.files.units import SUFFIXES
@@ -33,18 +32,18 @@ class NeededCondition:
     )
 
 
-def needed_conditions(known: CalibratedModel, data: Measurements) -> tuple[NeededCondition, ...]:
+def needed_conditions(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[NeededCondition, ...]:
     """Return the optional conditions on which the markers' places depend, and what each does over the rows fitted.
 
     It is read off the graph, so that an effect need not say what it looks at. What only the measuring device depends on is
     not where the robot will be.
     """
-    model, rows = known.model, data.only(data.train)
+    rows = data.only(data.train)
     found = []
     for condition in _depended_on(model):
         own = [effect.id for effect in model.effects if condition in _depended_on(replace(model, effects=(effect,)))]
         left = tuple(name for name in model.given if name != condition)
-        lost = _points(known, model.given, rows) - _points(known, left, rows)
+        lost = _points(model, estimate, rows) - _points(replace(model, given=left), estimate, rows)
         found.append(
             NeededCondition(
                 condition=condition, effects=tuple(dict.fromkeys(own or (effect.id for effect in model.effects))),
@@ -69,11 +68,11 @@ def check_stated(needed: Iterable[NeededCondition], given: Sequence[str], instea
         raise InputError(problems)
 
 
-def _points(known: CalibratedModel, given: tuple[str, ...], rows: Measurements) -> np.ndarray:
-    """Where the markers are by what a row states of given alone, shape (n_rows, 3) [m]; not compiled: it is asked once."""
-    p, c, predicted = replace(known.model, given=given).symbols
+def _points(model: Model, estimate: np.ndarray, rows: Measurements) -> np.ndarray:
+    """Where the markers are by what the model is given alone, shape (n_rows, 3) [m]; not compiled: it is asked once."""
+    p, c, predicted = model.symbols
     point = ca.Function("point", [p, c], [ca.densify(predicted.point)])
-    return over_rows(point, known.estimate, rows.stating(given).rows)[0].T
+    return over_rows(point, estimate, rows.stating(model.given).rows)[0].T
 
 
 def _depended_on(model: Model) -> list[str]:

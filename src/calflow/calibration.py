@@ -1,0 +1,456 @@
+"""The calibration: the one result of identify and diagnose, which everything after them takes.
+
+A run folder's tables are its codec: `results` holds them, and each is read as rows where it is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pandas as pd
+
+from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
+from calflow.diagnosis.diagnosis import diagnose as searched
+from calflow.diagnosis.findings.curves import CurvePoint, curves
+from calflow.diagnosis.findings.extended_model import (
+    DiagnosisSummary,
+    accuracy_table,
+    extended_model,
+    extended_noise,
+    summary,
+)
+from calflow.diagnosis.findings.rivals import alternatives_table
+from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, FindingRow, candidates_table, findings_table
+from calflow.diagnosis.search.fitted import FAR
+from calflow.diagnosis.search.trial import FALSE_ALARM
+from calflow.effects import catalogue as effect_kinds
+from calflow.effects.base import unmet
+from calflow.effects.expected import mistaken
+from calflow.estimation.accuracy import Accuracy
+from calflow.estimation.calibrated_model import (
+    CalibratedModel,
+    calibrated,
+    effect_table,
+    noise_table,
+    observation_table,
+    placement_table,
+)
+from calflow.estimation.fit_summary import FitSummary, IdentifySummary
+from calflow.estimation.identifiability import Correlation, Statement, correlations, redundant
+from calflow.estimation.identification import Identification, NoiseSource
+from calflow.estimation.identification import identify as fitted
+from calflow.estimation.judgement import JudgedResidual, Studentised, judged, judged_table
+from calflow.estimation.least_squares import Loss
+from calflow.estimation.needed_conditions import NeededCondition
+from calflow.estimation.parameters import FittedParameter, covariance_table, parameter_table
+from calflow.estimation.progress import Advance, Draws, Say, draws, nobody
+from calflow.estimation.rival_models import in_reach_table
+from calflow.faults import Fault, FaultyRow, as_table, corrected, examined
+from calflow.faults.odd_row import odd_rows
+from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.results import Results, to_document
+from calflow.files.tables import TypedTable, to_frame
+from calflow.measurements.measurements import Measurements
+from calflow.measurements.source import MeasurementSource
+from calflow.robot.robot import Robot
+from calflow.run_folder import CalibratedFolder, load_again, read_calibrated
+from calflow.study_file import StudyFile, known_effects
+
+OPEN_SHOWN = 6  # statements of what the data leave open, beyond which the rest is counted
+IN_PYTHON = "python"  # the name of what no study asked for
+AGAIN = "run the study again"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Calibration(CalibratedModel):
+    """A calibrated robot: its model with estimate, covariance and error model, what was found, and what it was made of.
+
+    robot is as its maker says (`model.robot` stands where the measurements put it), request what a study file says of the
+    calibration, results every table and summary by its path in a run folder. measured reads the measurements as they were given.
+    before is the calibration that was diagnosed, folder the run folder that it was loaded from.
+    """
+
+    robot: Robot
+    request: StudyFile
+    results: Results
+    measured: Callable[[], Measurements]
+    before: Calibration | None = None
+    folder: CalibratedFolder | None = None
+
+    @classmethod
+    def load(cls, study_or_run: str | Path) -> Calibration:
+        """Load what was saved in a folder, or the run of a study that is named by its file or its folder.
+
+        Raises:
+            InputError: there is no calibration yet, or what is of it in the folder was changed since.
+        """
+        read = read_calibrated(study_or_run)
+
+        def measured() -> Measurements:
+            with TemporaryDirectory() as made:
+                return load_again(read.manifest, read.folder, Path(made)).measurements()
+
+        return replace(calibration_of(read.robot, read.file, read.results, measured), folder=read)
+
+    @cached_property
+    def data(self) -> Measurements:
+        """The rows that were used: gross mistakes put right, on the robot as it stands in the measuring frame."""
+        data = corrected(self.measured(), self.results.tables["identify/faults.csv"])
+        return data.on(self.model.robot)
+
+    @property
+    def diagnosed(self) -> bool:
+        """Whether it was looked for what the identified model lacks."""
+        return "diagnose/effects.csv" in self.results
+
+    @cached_property
+    def identified(self) -> Calibration:
+        """The calibration before it was diagnosed; itself where it was not."""
+        if self.before or not self.diagnosed:
+            return self.before or self
+        before = self.results.of({"identify"})
+        return replace(calibration_of(self.robot, self.request, before, self.measured), folder=self.folder)
+
+    @property
+    def title(self) -> str:
+        """What it is called."""
+        return self.request.title or (
+            self.request.name if self.request.name != IN_PYTHON else f"Calibration of {self.robot.name}"
+        )
+
+    @property
+    def seed(self) -> int:
+        """The seed of all draws."""
+        return self.request.seed
+
+    @property
+    def source(self) -> MeasurementSource:
+        """How its measurements, those of the first series, are written."""
+        return self.request.sources[0]
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The ids of the model's effects, in their order, a cause with its part."""
+        return tuple(f"{effect.id} {getattr(effect, 'part', '')}".rstrip() for effect in self.model.effects)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What there is to say of it whatever rows are given."""
+        whole = (one.statement for one in self.faults if one.row == 0 and one.action == "corrected")
+        without = self.folder.without if self.folder else ()
+        return (
+            *(f"{statement}; the rows given now are taken to be right" for statement in whole),
+            *(f"without {what}; {AGAIN}" for what in without),
+        )
+
+    @cached_property
+    def parameters(self) -> TypedTable[FittedParameter]:
+        """What was estimated, a row a parameter."""
+        return TypedTable(self._latest("parameters"), FittedParameter)
+
+    @cached_property
+    def accuracy(self) -> TypedTable[Accuracy]:
+        """The errors of each model on the way, on fitted and on held-out rows."""
+        return TypedTable(self._latest("accuracy"), Accuracy)
+
+    @cached_property
+    def residuals(self) -> TypedTable[JudgedResidual]:
+        """What the model leaves of each row."""
+        return TypedTable(self._latest("residuals"), JudgedResidual)
+
+    @property
+    def covariance_table(self) -> pd.DataFrame:
+        """The covariance of the estimate in SI units, named by rows and columns."""
+        return self._latest("covariance").set_index("parameter")
+
+    @cached_property
+    def faults(self) -> TypedTable[FaultyRow]:
+        """The gross mistakes in the measurements that were put right or left out before any fit."""
+        return TypedTable(self.results.tables["identify/faults.csv"], FaultyRow)
+
+    @cached_property
+    def statements(self) -> TypedTable[Statement]:
+        """What the data do not tell."""
+        return TypedTable(self.results.tables["identify/identifiability.csv"], Statement)
+
+    @cached_property
+    def correlations(self) -> TypedTable[Correlation]:
+        """The parameters that hang together most."""
+        return TypedTable(self.results.tables["identify/correlations.csv"], Correlation)
+
+    @cached_property
+    def findings(self) -> TypedTable[FindingRow]:
+        """Faults of the data, causes, and what no cause explains, best first; none where nothing is lacking."""
+        return self._diagnosed("findings", FindingRow)
+
+    @cached_property
+    def candidates(self) -> TypedTable[CandidateRow]:
+        """Every cause that was tested, and why others were not."""
+        return self._diagnosed("candidates", CandidateRow)
+
+    @cached_property
+    def next_poses(self) -> TypedTable[NextPose]:
+        """The poses to measure next, so that findings are told from their rivals."""
+        return self._diagnosed("next_poses", NextPose)
+
+    @cached_property
+    def separations(self) -> TypedTable[SeparationRow]:
+        """How far each finding is from each rival, and what to do about it."""
+        return self._diagnosed("separations", SeparationRow)
+
+    @cached_property
+    def curves(self) -> TypedTable[CurvePoint]:
+        """The course of what was found over what it depends on."""
+        return self._diagnosed("curves", CurvePoint)
+
+    @cached_property
+    def summary(self) -> IdentifySummary:
+        """How the identification ended: noise, lack of fit, what the data determine, and the solver."""
+        return self.results.document("identify/summary.json", IdentifySummary)
+
+    @cached_property
+    def diagnosis_summary(self) -> DiagnosisSummary:
+        """How the diagnosis ended."""
+        return self.results.document("diagnose/summary.json", DiagnosisSummary)
+
+    @property
+    def fit_summary(self) -> FitSummary:
+        """Noise, lack of fit and solver of the model."""
+        return self.diagnosis_summary if self.diagnosed else self.summary
+
+    def diagnose(
+        self,
+        *,
+        false_alarm: float = FALSE_ALARM,
+        causes: int = 10,
+        catalogue: Sequence[str] = (),
+        leave_out: Sequence[str] = (),
+        seed: int | None = None,
+        say: Say = nobody,
+        advance: Advance = nobody,
+    ) -> Calibration:
+        """Name what the identified model lacks, add it to the model, and ask for the poses that tell it from its rivals.
+
+        Args:
+            false_alarm: chance that anything is found where nothing is.
+            causes: the most to add.
+            catalogue: ids of the effects to look for; all where there are none.
+            leave_out: ids not to look for.
+            seed: of all draws; that of the calibration where it is None.
+            say: is told how it goes on.
+            advance: is told the share of work done.
+        """
+        before, rng = self.identified, draws(self.seed if seed is None else seed)
+        data = before.data
+        found = searched(
+            before, data, false_alarm=false_alarm, causes=causes, catalogue=tuple(catalogue), leave_out=tuple(leave_out),
+            rng=rng, say=say, advance=advance,
+        )  # fmt: skip
+        extended = extended_model(found, before, data)
+        asked = {"diagnose": {"false_alarm": false_alarm}}
+        return Calibration(
+            **_core(extended), robot=self.robot, measured=self.measured, folder=self.folder, before=before,
+            request=self.request.model_copy(update={"stages": self.request.stages | asked}),
+            results=before.results | _diagnosed_tables(found, extended, before, questions(found, data, rng), rng),
+        )  # fmt: skip
+
+    def _latest(self, name: str) -> pd.DataFrame:
+        return self.results.tables[f"{'diagnose' if self.diagnosed else 'identify'}/{name}.csv"]
+
+    def _diagnosed(self, name: str, row_type: type[Any]) -> TypedTable[Any]:
+        path = f"diagnose/{name}.csv"
+        return TypedTable(self.results.tables[path] if path in self.results else to_frame((), row_type), row_type)
+
+    def __repr__(self) -> str:
+        shown = self._accuracy.to_string(index=False)
+        return "\n".join((f"Calibration: {' + '.join(self.effects)}", shown, *self._words))
+
+    def _repr_html_(self) -> str:
+        words = "".join(f"<li>{escape(line)}</li>" for line in self._words)
+        title = f"Calibration: {escape(' + '.join(self.effects))}"
+        return f"<b>{title}</b>{self._accuracy.to_html(index=False, float_format='{:.3f}'.format)}<ul>{words}</ul>"
+
+    @property
+    def _accuracy(self) -> pd.DataFrame:
+        return self.accuracy.table[["model", "split", "n", "mean_mm", "max_mm"]].round(4)
+
+    @property
+    def _words(self) -> list[str]:
+        """Faults of the data, findings, what sits at a bound, and what the data do not tell."""
+        faults = dict.fromkeys(f"{one.cause.replace('-', ' ')}: {one.statement}" for one in self.faults)
+        bound = [parameter.name for parameter, there in zip(self.model.parameters, self.at_bound, strict=True) if there]
+        left = [one.statement for one in self.statements if one.kind != "bound"]
+        needs = "; ".join(one.columns for one in self.needed) or "nothing beyond joints, payload and marker"
+        ended = self.fit_summary
+        return [
+            *([] if self.diagnosed else faults),
+            *self._findings,
+            *([] if ended.converged else [f"the fit did not converge ({ended.solver.words})"]),
+            f"at bounds: {', '.join(bound) or 'none'}",
+            *(left[:OPEN_SHOWN] or ["the data tell every parameter"]),
+            *([f"and {len(left) - OPEN_SHOWN} more in statements"] if len(left) > OPEN_SHOWN else []),
+            *(["a residual field, which is not physical, is added"] if self.field else []),
+            f"a prediction needs: {needs}",
+        ]
+
+    @property
+    def _findings(self) -> list[str]:
+        if not self.diagnosed:
+            return []
+        unseen = self.diagnosis_summary.unseen
+        found = [f"{one.status.replace('_', ' ')}: {one.statement}" for one in self.findings]
+        return found or [f"nothing was found that the model lacks{f'; {unseen}' if unseen else ''}"]
+
+
+def identify(
+    robot: Robot,
+    data: Measurements,
+    effects: Sequence[str] = ("geometry", "joint-compliance"),
+    *,
+    starts: int = 3,
+    loss: Loss = "linear",
+    noise: NoiseSource = "auto",
+    seed: int = 1,
+    title: str = "",
+    say: Say = nobody,
+    advance: Advance = nobody,
+) -> Calibration:
+    """Identify a robot from measurements, after gross mistakes in these were looked for.
+
+    Args:
+        robot: as its maker says.
+        data: measurements with a split (see `Measurements.split`).
+        effects: ids of what a real robot also does, in the order in which they are added.
+        starts: number of starting points of each fit.
+        loss: how the square of a row's residual counts: linear, soft_l1, cauchy.
+        noise: where the noise is to be taken from.
+        seed: of all draws.
+        title: what it is called.
+        say: is told how it goes on, `print` for example.
+        advance: is told the share of work done.
+
+    Raises:
+        InputError: robot or measurements lack what an effect needs, or the measurements are too few.
+    """
+    if "split" not in data.table:
+        raise refuse("say first which poses to hold out: data = data.split(holdout=0.3, seed=1)", key="data")
+    named = _checked_effects(effects, robot, data)
+    settings = {"identify": {"starts": starts, "loss": loss, "noise": noise}}
+    request = StudyFile(name=IN_PYTHON, title=title, robot="robot.toml", seed=seed, effects=named, stages=settings)
+    rows, faults = examined(data.on(robot))
+    found = fitted(rows, named, starts=starts, loss=loss, noise=noise, rng=draws(seed), say=say, advance=advance)
+    return of_identification(robot, request, found, faults, lambda: data.on(robot))
+
+
+def of_identification(
+    robot: Robot,
+    request: StudyFile,
+    found: Identification,
+    faults: tuple[Fault, ...],
+    measured: Callable[[], Measurements],
+) -> Calibration:
+    """Return the calibration that an identification ended in."""
+    results = _identified_tables(found, faults)
+    return Calibration(**_core(found.known), robot=robot, request=request, results=results, measured=measured)
+
+
+def calibration_of(
+    robot: Robot, request: StudyFile, results: Results, measured: Callable[[], Measurements]
+) -> Calibration:
+    """Return the calibration that a run folder's tables are of: the inverse of `Calibration.results`."""
+    given = results.document("identify/summary.json", IdentifySummary).conditions
+    return Calibration(
+        **_core(calibrated(robot, results, given)), robot=robot, request=request, results=results, measured=measured
+    )
+
+
+def diagnose(calibration: Calibration, **settings: Any) -> Calibration:
+    """Return a calibration with what it lacks named and added: see `Calibration.diagnose`."""
+    return calibration.diagnose(**settings)
+
+
+def _core(model: CalibratedModel) -> dict[str, Any]:
+    return {one.name: getattr(model, one.name) for one in fields(CalibratedModel)}
+
+
+def _checked_effects(effects: Sequence[str], robot: Robot, data: Measurements) -> tuple[str, ...]:
+    """Return the effects' ids.
+
+    Raises:
+        InputError: one is unknown or there twice, is a model of the noise, or needs what robot and data lack, or the robot
+            expects something of a parameter that is not there.
+    """
+    try:
+        named = known_effects(tuple(effects))
+    except ValueError as error:
+        raise refuse(str(error), key="effects") from None
+    problems = [
+        Problem(f"effect '{effect}' is a model of the noise, which no fit can have; diagnose looks for it")
+        for effect in named if effect_kinds()[effect].is_noise()
+    ]  # fmt: skip
+    problems += [
+        Problem(f"effect '{effect}' needs {lacking}")
+        for effect in named for lacking in unmet(effect_kinds()[effect].needs, robot, data.given)
+    ]  # fmt: skip
+    problems += [Problem(message, key=f"expected[{k + 1}]") for k, message in mistaken(robot, named)]
+    if problems:
+        raise InputError(problems)
+    return named
+
+
+def _identified_tables(found: Identification, faults: tuple[Fault, ...]) -> Results:
+    """Return what was identified as the run folder keeps it."""
+    fit, observed = found.fit, found.model.observations
+    tables = {
+        "identify/faults.csv": as_table(faults, found.data),
+        "identify/parameters.csv": parameter_table(fit, fit.covariance),
+        "identify/accuracy.csv": to_frame(found.steps, Accuracy),
+        "identify/residuals.csv": judged(fit, found.data, found.noise),
+        "identify/identifiability.csv": found.identifiability.statements,
+        "identify/correlations.csv": correlations(fit),
+        "identify/covariance.csv": covariance_table(fit.model.parameters, fit.covariance),
+        "identify/effects.csv": effect_table(found.model.effects),
+        "identify/observations.csv": observation_table(observed),
+        "identify/noise.csv": noise_table(found.noise, observed),
+        "identify/placement.csv": placement_table(found.data.robot, observed),
+        "identify/needed_conditions.csv": to_frame(found.known.needed, NeededCondition),
+    }
+    left_out = redundant(found.data.robot)
+    if len(left_out):
+        tables["identify/redundant.csv"] = left_out
+    return Results(tables, {"identify/summary.json": to_document(found.summary)})
+
+
+def _diagnosed_tables(
+    found: Diagnosis, extended: CalibratedModel, before: Calibration, asked: Sequence[Question], rng: Draws
+) -> Results:
+    """Return what was found as the run folder keeps it; before is the calibration that it was found of."""
+    final, data = found.extended.fitted, before.data
+    studentised = Studentised.of(final.fit, data, extended.noise(data), FAR)
+    odd, told = odd_rows(final.fit, data, studentised)
+    own = as_table(told, data)
+    faults = pd.concat([table for table in (before.faults.table, own) if len(table)] or [own])
+    tables = {
+        "diagnose/findings.csv": findings_table(found, data, faults, rng("resamples")),
+        "diagnose/candidates.csv": candidates_table(found),
+        "diagnose/accuracy.csv": accuracy_table(found, data, list(before.accuracy)),
+        "diagnose/next_poses.csv": poses_table(asked, final),
+        "diagnose/separations.csv": separations_table(asked),
+        "diagnose/parameters.csv": parameter_table(final.fit, final.covariance),
+        "diagnose/covariance.csv": covariance_table(final.model.parameters, final.fit.covariance),
+        "diagnose/effects.csv": effect_table(final.model.effects),
+        "diagnose/alternatives.csv": alternatives_table(found.alternatives, found.causes, final),
+        "diagnose/models_in_reach.csv": in_reach_table(found.in_reach),
+        "diagnose/noise.csv": extended_noise(found, before, data),
+        "diagnose/faults.csv": own,
+        "diagnose/residuals.csv": judged_table(final.fit, data, studentised, odd),
+        "diagnose/curves.csv": curves(final, found.causes, data),
+        "diagnose/needed_conditions.csv": to_frame(extended.needed, NeededCondition),
+    }
+    return Results(tables, {"diagnose/summary.json": to_document(summary(found, before))})

@@ -1,0 +1,386 @@
+"""The run folder: its manifest, which says what a run was made of and how far each stage came, and the results in it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import posixpath
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from calflow.files.csv import read_csv
+from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.results import SUM, Results, is_whole, sealed
+from calflow.files.toml import read_toml
+from calflow.files.writing import contained, write_text, write_whole
+from calflow.measurements.reading import sha256
+from calflow.robot.robot import Robot
+from calflow.study import FIELD, Study, load_study
+from calflow.study_file import StudyFile, WorkflowFile
+
+NAME = "manifest.json"
+REMEDY = "delete it to run everything anew"
+INPUTS = "inputs"  # of a run folder: the files that were asked
+LAID_OUT = f"{INPUTS}/files"  # in it, of a packed run: all files of the study
+ABOVE = "above"  # stands for a folder above the study's, where files are laid out again
+DESCRIBING = (".toml", ".urdf")  # endings of inputs that hold no measurements
+
+
+class _Kept(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class StageEntry(_Kept):
+    """A stage in the manifest: its state, why it last ran, and why that was reused since.
+
+    outputs has the SHA-256 of each file it wrote, by its path in the run folder, and key what these depend on; finished is
+    when it did, in UTC.
+    """
+
+    status: Literal["running", "interrupted", "failed", "done"]
+    reason: str
+    key: dict[str, str]
+    reused: str | None = None
+    seconds: float | None = Field(default=None, ge=0)
+    finished: str = ""
+    outputs: dict[str, str] | None = None
+
+    @model_validator(mode="after")
+    def _tells_what_was_done(self) -> StageEntry:
+        if self.status == "done" and (self.outputs is None or self.seconds is None):
+            raise ValueError("a stage that is done has outputs and seconds")
+        return self
+
+
+class KeptFile(_Kept):
+    """A file that results depend on: its SHA-256, where it was (absolute), and whether it is of what was measured."""
+
+    sha256: str
+    path: str
+    measured: bool = False
+
+
+class Manifest(_Kept):
+    """What a run folder tells of itself; study_file and folder are where the study and the run were, absolute.
+
+    files has every input but the workflow by its name as it is seen from the study's folder (absolute where the study says so),
+    environment the version of every package that was installed for calflow, code a hash of calflow's own.
+    """
+
+    calflow: str
+    versions: dict[str, str]
+    packages: dict[str, str] = {}
+    code: str = ""
+    machine: str = ""
+    environment: dict[str, str] = {}
+    study: str
+    study_file: str
+    folder: str = ""
+    workflow: str
+    seed: int
+    inputs: dict[str, str]
+    files: dict[str, KeptFile] = {}
+    stages: dict[str, StageEntry]
+
+    def outputs(self, stage: str) -> dict[str, str]:
+        """Return the SHA-256 of what a stage wrote, by path in the run folder; empty where it never finished."""
+        return (self.stages[stage].outputs or {}) if stage in self.stages else {}
+
+
+def is_measured(path: str) -> bool:
+    """Return whether an input of a manifest holds measurements, and does not say what was asked."""
+    return not path.lower().endswith(DESCRIBING)
+
+
+def read_manifest(folder: Path) -> Manifest | None:
+    """Return a run folder's manifest; None where there is none.
+
+    Raises:
+        InputError: it is not what a run writes, or names files outside the folder.
+    """
+    path = folder / NAME
+    if path.exists() and not path.is_file():
+        raise refuse(f"is no file; {REMEDY}", path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        whole = not isinstance(content, dict) or is_whole(content)
+        if isinstance(content, dict):
+            content.pop(SUM, None)
+        manifest = Manifest.model_validate(content)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the whole"
+        raise refuse(f"is not what a run writes ({where}: {first['msg']}); {REMEDY}", path) from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise refuse(f"cannot be read ({error}); {REMEDY}", path) from None
+    outside = [
+        Problem(f"names {name!r}, which is no file inside the run folder; {REMEDY}", path)
+        for stage in manifest.stages
+        for name in manifest.outputs(stage)
+        if contained(folder, name) is None
+    ]
+    if outside:
+        raise InputError(outside)
+    if not whole:
+        raise refuse(f"was changed since a run wrote it; {REMEDY}", path)
+    return manifest
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Write a run folder's manifest whole, with a sum by which a turned bit is noticed."""
+    write_text(folder / NAME, json.dumps(sealed(manifest.model_dump(exclude_none=True)), indent=2) + "\n")
+
+
+def default_folder(study: Study) -> Path:
+    """Return where a study's run goes unless said otherwise."""
+    return Path("runs") / study.name
+
+
+def run_folder(study_or_run: Path) -> Path:
+    """Return the run folder that is named by itself, by its study file or by that file's folder; it may not exist yet.
+
+    Raises:
+        InputError: it is neither, or the study's files are at fault.
+    """
+    if (study_or_run / NAME).exists():
+        return study_or_run
+    is_study = study_or_run.suffix == ".toml" or study_or_run.is_file() or (study_or_run / "study.toml").exists()
+    if not is_study:
+        raise refuse("holds no run: expected a folder that 'calflow run' has filled, or a study", study_or_run)
+    return default_folder(load_study(study_or_run))
+
+
+def study_and_folder(study_or_run: Path, out: Path | None) -> tuple[Study, Path]:
+    """Return the study and the run folder that are named by a run folder, a study file or its folder, and --out.
+
+    Raises:
+        InputError: a run folder's study is not where it was, or the study's files are at fault.
+    """
+    if not (study_or_run / NAME).exists():
+        study = load_study(study_or_run)
+        return study, out or default_folder(study)
+    if out is not None and out.resolve() != study_or_run.resolve():
+        raise refuse(f"is a run folder: --out {out} goes with a study, not with a run", study_or_run)
+    manifest = read_manifest(study_or_run)
+    assert manifest is not None
+    return load_study(_study_file(manifest, study_or_run)), study_or_run
+
+
+def read_results(manifest: Manifest, folder: Path, stage: str) -> Results:
+    """Return a stage's tables and documents by their path in the run folder."""
+    outputs = manifest.outputs(stage)
+    tables = {name: read_csv(folder / name) for name in outputs if name.endswith(".csv")}
+    names = [name for name in outputs if name.endswith(".json") and not name.endswith(".schema.json")]
+    return Results(tables, {name: json.loads((folder / name).read_text(encoding="utf-8")) for name in names})
+
+
+def _study_file(manifest: Manifest, folder: Path) -> Path:
+    """Return the file of a run's study: as it lies beside the run folder, which may have moved with it, or where it was."""
+    was = Path(manifest.study_file)
+    moved = folder / beside(Path(manifest.folder), was) if manifest.folder else was
+    found = next((path for path in (moved, was) if path.is_file()), None)
+    if found is None:
+        raise refuse(f"its study {was} is not there any more; give the study file, and this folder with --out", folder)
+    return found
+
+
+def beside(folder: Path, path: Path) -> str:
+    """Return a path as it is seen from a folder, absolute where there is no way from one to the other."""
+    try:
+        return os.path.relpath(path.resolve(), folder.resolve())
+    except ValueError:  # another drive
+        return str(path.resolve())
+
+
+def after(upstream: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+    """Return what the key of a stage holds of the keys of those that it goes on from."""
+    return {f"after {name}": digest(json.dumps(key, sort_keys=True)) for name, key in upstream.items()}
+
+
+def robot_digest(robot: Robot) -> str:
+    """Return a hash of what a robot file says, however it is written."""
+    return digest(robot.canonical())
+
+
+def digest(text: str) -> str:
+    """Return a short hash of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def damage(entry: StageEntry, folder: Path) -> str | None:
+    """Return what happened to a stage's files since it wrote them; None where they are as they were."""
+    for name, digest in (entry.outputs or {}).items():
+        if not (folder / name).is_file():
+            return f"{name} is missing"
+        if sha256(folder / name) != digest:
+            return f"{name} was changed by hand"
+    return None
+
+
+def outdated(manifest: Manifest, folder: Path, stage: str, robot: Robot) -> str | None:
+    """Return why a stage's results do not hold for a robot; None where they do."""
+    entry = manifest.stages.get(stage)
+    if entry is None:
+        return f"{stage} was never run"
+    if entry.status != "done":
+        return f"{stage} did not finish ({entry.status})"
+    if robot_digest(robot) not in entry.key.values():
+        return f"the robot file changed after {stage} ran"
+    return damage(entry, folder)
+
+
+def of_others(manifest: Manifest, stage: str, bases: Collection[str]) -> str | None:
+    """Return that a stage's results are of others than those of its bases that are there; None where they are of these."""
+    made = {name: key for name, key in manifest.stages[stage].key.items() if name.startswith("after ")}
+    same = made == after({name: manifest.stages[name].key for name in bases})
+    return None if same else f"{stage} was made of other results"
+
+
+def check_inputs(folder: Path, manifest: Manifest) -> None:
+    """Check that the copies of the files that were asked are those that the results are of.
+
+    Raises:
+        InputError: one was changed, or is not there.
+    """
+    known = set(manifest.inputs.values())
+    copies = [folder / "inputs" / f"{name}.toml" for name in ("study", "robot", "workflow")]
+    copies += [path for path in sorted((folder / "inputs").iterdir()) if path not in copies and path.is_file()]
+    wrong = {path: "is missing" for path in copies if not path.is_file()}
+    wrong |= {path: "is not what the run read" for path in copies if path not in wrong and sha256(path) not in known}
+    if wrong:
+        raise InputError(Problem(f"{said}; run the study again", path) for path, said in wrong.items())
+
+
+def laid_out(names: Iterable[str]) -> dict[str, str]:
+    """Return where in a folder each file goes so that all find each other: the study as deep as names lead above it.
+
+    Absolute names, which lead to their own place, are left out.
+    """
+    own = [name for name in names if not PurePosixPath(name).is_absolute() and not Path(name).is_absolute()]
+    depth = max((PurePosixPath(name).parts.count("..") for name in own), default=0)
+    study = "/".join([ABOVE] * depth)
+    return {name: posixpath.normpath(f"{study}/{name}" if study else name) for name in own}
+
+
+def lay_out(manifest: Manifest, run_folder: Path, root: Path) -> Path:
+    """Copy a run's inputs into a folder so that its study can be loaded there; return the study's path.
+
+    Each is looked for by its SHA-256: in the run folder, beside it as it lay, and where it was.
+
+    Raises:
+        InputError: with every input that has changed or is missing.
+    """
+    places = laid_out(manifest.files)
+    problems, contents = [], {}
+    copies = [path for path in sorted((run_folder / INPUTS).glob("*")) if path.is_file()]
+    for name, kept in manifest.files.items():
+        there = [path for path in _places(name, kept, manifest, run_folder, places) if path.is_file()]
+        found = next((path for path in (*there, *copies) if sha256(path) == kept.sha256), None)
+        if found is None:
+            what = f"has changed since the run, at {there[0]}" if there else f"is missing: it was {kept.path}"
+            problems.append(Problem(f"{what}; expected the file of SHA-256 {kept.sha256}", run_folder, key=name))
+        elif name in places:
+            contents[places[name]] = found.read_bytes()
+    if problems:
+        raise InputError(problems)
+    for place, content in contents.items():
+        write_whole(root / place, content)
+    return root / next(places[name] for name, kept in manifest.files.items() if kept.path == manifest.study_file)
+
+
+def load_again(manifest: Manifest, run_folder: Path, root: Path) -> Study:
+    """Lay a run's inputs out in a folder and load the study there, with the workflow that the run had.
+
+    Raises:
+        InputError: an input has changed or is missing, or this version of calflow refuses it.
+    """
+    study = replace(load_study(lay_out(manifest, run_folder, root)), data=None)
+    path = run_folder / INPUTS / "workflow.toml"
+    if not path.is_file() or sha256(path) not in manifest.inputs.values():
+        raise InputError([Problem("is missing, or has changed since the run", path)])
+    return replace(study, workflow=read_toml(path, WorkflowFile), workflow_path=path)
+
+
+def _places(name: str, kept: KeptFile, manifest: Manifest, run_folder: Path, places: Mapping[str, str]) -> list[Path]:
+    """Where a file may be: in a packed run, beside the run folder as it lay, and where it was."""
+    was = Path(kept.path)
+    packed = [run_folder / LAID_OUT / places[name]] if name in places else []
+    return [*packed, run_folder / beside(Path(manifest.folder), was), was]
+
+
+def _without_diagnosis(manifest: Manifest, folder: Path, robot: Robot) -> str | None:
+    """Return why diagnose does not hold for the results of identify, empty where it was never run; None where it does.
+
+    Raises:
+        InputError: its files were changed, so that the model would be another than the one that the run tells of.
+    """
+    entry = manifest.stages.get("diagnose")
+    if entry is None:
+        return ""
+    reason = _unfit(manifest, folder, robot, "diagnose", ("identify",))
+    if reason and entry.status == "done" and reason == damage(entry, folder):
+        raise refuse(f"holds no diagnosed robot any more: {reason}; run the study again", folder)
+    return reason
+
+
+def _without_field(manifest: Manifest, folder: Path, robot: Robot, diagnosed: bool) -> str | None:
+    """Return why a residual field does not hold for the results of identify, or of diagnose; None where it does."""
+    return _unfit(manifest, folder, robot, FIELD, ("identify", "diagnose") if diagnosed else ("identify",))
+
+
+def _unfit(manifest: Manifest, folder: Path, robot: Robot, stage: str, bases: tuple[str, ...]) -> str | None:
+    """Return why a stage's results are not of those of its bases, or do not hold for a robot; None where all is well."""
+    return outdated(manifest, folder, stage, robot) or of_others(manifest, stage, bases)
+
+
+@dataclass(frozen=True)
+class CalibratedFolder:
+    """What a run folder holds of a calibration: the robot's and the study's file, and the results of the stages that made it.
+
+    without says what the model lacks that the run, or its study, would add, and why.
+    """
+
+    folder: Path
+    manifest: Manifest
+    robot: Robot
+    file: StudyFile
+    results: Results
+    without: tuple[str, ...] = ()
+
+
+def read_calibrated(study_or_run: str | Path) -> CalibratedFolder:
+    """Read what a run that is named by its folder, or by its study, identified.
+
+    Raises:
+        InputError: the run has not identified yet, or what it wrote of its model, or read, was changed since.
+    """
+    folder = run_folder(Path(study_or_run))
+    manifest = read_manifest(folder)
+    if manifest is None:
+        raise refuse("holds no run: expected a folder that 'calflow run' has filled", folder)
+    check_inputs(folder, manifest)
+    robot = Robot.from_toml(folder / INPUTS / "robot.toml")
+    reason = outdated(manifest, folder, "identify", robot)
+    if reason:
+        raise refuse(f"holds no identified robot: {reason}; run the study again", folder)
+    results = read_results(manifest, folder, "identify")
+    undiagnosed = _without_diagnosis(manifest, folder, robot)
+    if undiagnosed is None:
+        results |= read_results(manifest, folder, "diagnose")
+    file = read_toml(folder / INPUTS / "study.toml", StudyFile)
+    asked = file.residual_field or FIELD in read_toml(folder / INPUTS / "workflow.toml", WorkflowFile).stages
+    lacking = _without_field(manifest, folder, robot, "diagnose/effects.csv" in results) if asked else None
+    if asked and lacking is None:
+        results |= read_results(manifest, folder, FIELD)
+    without = (
+        *([f"what diagnose found: {undiagnosed}"] if undiagnosed else []),
+        *([f"the residual field that the study asks for: {lacking}"] if lacking else []),
+    )
+    return CalibratedFolder(folder, manifest, robot, file, results, without)
