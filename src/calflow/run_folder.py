@@ -9,7 +9,7 @@ import posixpath
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -28,6 +28,7 @@ REMEDY = "delete it to run everything anew"
 INPUTS = "inputs"  # of a run folder: the files that were asked
 LAID_OUT = f"{INPUTS}/files"  # in it, of a packed run: all files of the study
 ABOVE = "above"  # stands for a folder above the study's, where files are laid out again
+Text = Annotated[str, Field(pattern=r"^[^\x00]*$")]  # a zero ends a file's name, for the system
 DESCRIBING = (".toml", ".urdf")  # endings of inputs that hold no measurements
 
 
@@ -43,12 +44,12 @@ class StageEntry(_Kept):
     """
 
     status: Literal["running", "interrupted", "failed", "done"]
-    reason: str
-    key: dict[str, str]
-    reused: str | None = None
+    reason: Text
+    key: dict[Text, Text]
+    reused: Text | None = None
     seconds: float | None = Field(default=None, ge=0)
-    finished: str = ""
-    outputs: dict[str, str] | None = None
+    finished: Text = ""
+    outputs: dict[Text, Text] | None = None
 
     @model_validator(mode="after")
     def _tells_what_was_done(self) -> StageEntry:
@@ -60,8 +61,8 @@ class StageEntry(_Kept):
 class KeptFile(_Kept):
     """A file that results depend on: its SHA-256, where it was (absolute), and whether it is of what was measured."""
 
-    sha256: str
-    path: str
+    sha256: Text
+    path: Text
     measured: bool = False
 
 
@@ -72,20 +73,30 @@ class Manifest(_Kept):
     environment the version of every package that was installed for calflow, code a hash of calflow's own.
     """
 
-    calflow: str
-    versions: dict[str, str]
-    packages: dict[str, str] = {}
-    code: str = ""
-    machine: str = ""
-    environment: dict[str, str] = {}
-    study: str
-    study_file: str
-    folder: str = ""
-    workflow: str
+    calflow: Text
+    versions: dict[Text, Text]
+    packages: dict[Text, Text] = {}
+    code: Text = ""
+    machine: Text = ""
+    environment: dict[Text, Text] = {}
+    study: Text
+    study_file: Text
+    folder: Text = ""
+    workflow: Text
     seed: int
-    inputs: dict[str, str]
-    files: dict[str, KeptFile] = {}
-    stages: dict[str, StageEntry]
+    inputs: dict[Text, Text]
+    files: dict[Text, KeptFile] = {}
+    stages: dict[Text, StageEntry]
+
+    @model_validator(mode="after")
+    def _names_files(self) -> Manifest:
+        if odd := [name for name in self.files if Path(name).name in ("", "..") or posixpath.normpath(name) != name]:
+            raise ValueError(f"{odd[0]!r} is no file's name")
+        if self.files and not any(
+            kept.path == self.study_file and "/" not in name for name, kept in self.files.items()
+        ):
+            raise ValueError("its files do not have the study")
+        return self
 
     def outputs(self, stage: str) -> dict[str, str]:
         """Return the SHA-256 of what a stage wrote, by path in the run folder; empty where it never finished."""
@@ -251,7 +262,7 @@ def check_inputs(folder: Path, manifest: Manifest) -> None:
     """
     known = set(manifest.inputs.values())
     copies = [folder / "inputs" / f"{name}.toml" for name in ("study", "robot", "workflow")]
-    copies += [path for path in sorted((folder / "inputs").iterdir()) if path not in copies and path.is_file()]
+    copies += [path for path in sorted((folder / "inputs").glob("*")) if path not in copies and path.is_file()]
     wrong = {path: "is missing" for path in copies if not path.is_file()}
     wrong |= {path: "is not what the run read" for path in copies if path not in wrong and sha256(path) not in known}
     if wrong:
@@ -281,7 +292,7 @@ def lay_out(manifest: Manifest, run_folder: Path, root: Path) -> Path:
     problems, contents = [], {}
     copies = [path for path in sorted((run_folder / INPUTS).glob("*")) if path.is_file()]
     for name, kept in manifest.files.items():
-        there = [path for path in _places(name, kept, manifest, run_folder, places) if path.is_file()]
+        there = [path for path in _places(name, kept, manifest, run_folder, places) if os.path.isfile(path)]
         found = next((path for path in (*there, *copies) if sha256(path) == kept.sha256), None)
         if found is None:
             what = f"has changed since the run, at {there[0]}" if there else f"is missing: it was {kept.path}"

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import io
+import re
 import tempfile
 import zipfile
 from pathlib import Path
 
-from calflow.files.problems import InputError, Problem
+from packaging.version import VERSION_PATTERN
+
+from calflow.files.problems import InputError, Problem, seen
 from calflow.files.writing import inside
 from calflow.run_folder import INPUTS, LAID_OUT, NAME, Manifest, check_inputs, laid_out, lay_out
 from calflow.runs.reproduce import checked_run, finished
@@ -18,6 +21,8 @@ from calflow.runs.terms import Terms
 ENVIRONMENT = "environment.txt"
 BEGINNING = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can state: the archive's bytes tell no time
 UNSTATED = Terms()
+PACKAGE = re.compile("[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?")
+VERSION = re.compile(VERSION_PATTERN, re.VERBOSE | re.IGNORECASE)
 READABLE, UNIX = 0o100644 << 16, 3
 
 
@@ -45,11 +50,23 @@ def pack(folder: str | Path, terms: Terms = UNSTATED) -> bytes:
 
 
 def environment_lock(manifest: Manifest) -> str:
-    """Return the versions that a run was made with, as pip reads them; calflow itself, which no index has, in words."""
+    """Return the versions that a run was made with, as pip reads them; calflow itself, which no index has, in words.
+
+    Raises:
+        InputError: what the manifest states is no version of a package: pip obeys whatever else a line says.
+    """
     versions = {**manifest.versions, **manifest.environment}
-    python, _ = versions.pop("python"), versions.pop("calflow", None)
+    python, _ = versions.pop("python", "unknown"), versions.pop("calflow", None)
+    wrong = [
+        (name, said) for name, said in versions.items() if not (PACKAGE.fullmatch(name) and VERSION.fullmatch(said))
+    ]
+    if wrong:
+        raise InputError(
+            Problem(f"expected the version of a package, found {said!r}; run the study again", Path(NAME), key=name)
+            for name, said in wrong
+        )
     own = f"calflow {manifest.calflow} (code {manifest.code}), from its own wheel or sources"
-    head = f"# Python {python}, {manifest.machine}\n# and {own}\n"
+    head = f"# {seen(f'Python {python}, {manifest.machine}')}\n# and {seen(own)}\n"
     return head + "".join(f"{name}=={version}\n" for name, version in sorted(versions.items()))
 
 
