@@ -18,7 +18,7 @@ from itertools import product
 import numpy as np
 from heavy_robot import EFFECTS, HeavyRobot, seen
 
-from calflow.deployment.alignment import Alignment, errors_left_out
+from calflow.deployment.attained import Alignment, errors_left_out
 from calflow.deployment.validation import Errors
 
 STATED = 0.9

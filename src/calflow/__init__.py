@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from calflow.api.model import Model
     from calflow.api.report import report
     from calflow.api.sampled import Posterior, sample
-    from calflow.deployment.commands import Compensation
     from calflow.deployment.comparison import Comparison
-    from calflow.deployment.drift_verdict import Drift
+    from calflow.deployment.compensation import Compensation
+    from calflow.deployment.drift import Drift
     from calflow.deployment.history import History
     from calflow.deployment.prediction import Prediction
     from calflow.deployment.validation import Validation

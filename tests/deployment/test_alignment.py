@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calflow.deployment.alignment import Alignment, can_align, errors_left_out, restored
+from calflow.deployment.attained import Alignment, can_align, errors_left_out, restored
 
 
 def test_a_motion_is_found_and_undone():

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calflow.deployment.check_poses import check_poses, unmoved
-from calflow.deployment.drift_verdict import drift
+from calflow.deployment.drift import check_poses, drift, unmoved
 from calflow.deployment.movements import movements
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise

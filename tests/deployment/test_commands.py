@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.deployment.commands import clearance, compensated
-from calflow.deployment.orientation import not_known
-from calflow.deployment.targets import FrameTable, Targets, in_measuring_frame
+from calflow.deployment.compensation import clearance, compensated, not_known
+from calflow.deployment.inverse_kinematics import FrameTable, Targets, in_measuring_frame
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements

@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.deployment.commands import clearance
-from calflow.deployment.compensation import landing
-from calflow.deployment.nominal_inverse import nominal_readings
+from calflow.deployment.compensation import clearance
+from calflow.deployment.inverse_kinematics import Targets, landing, nominal_readings
 from calflow.deployment.prediction import beyond_limits
-from calflow.deployment.targets import Targets
 from calflow.design.candidates import candidates
 from calflow.measurements.measurements import Measurements
 from calflow.model import build

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.deployment.drift_verdict import drift
+from calflow.deployment.drift import drift
 from calflow.deployment.movements import movements
 from calflow.deployment.validation import validate
 from calflow.design.candidates import candidates

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from calflow.deployment import drift_verdict as verdict
-from calflow.deployment.drift_verdict import Drift, DriftSummary, Moved, Recalibrated, SettlingPose
+from calflow.deployment import drift as verdict
+from calflow.deployment.drift import Drift, DriftSummary, Moved, Recalibrated, SettlingPose
 from calflow.reporting.drifted import drift_lines
 
 

@@ -263,7 +263,6 @@ import os, signal, sys
 from calflow import cli
 from calflow.files import csv, writing
 from calflow.runs import execution, kept, manifest, run
-from calflow.sampling.backend import BlockBackend
 
 how, what, *arguments = sys.argv[1:]
 calls = []

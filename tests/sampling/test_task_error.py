@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi
 
-from calflow.deployment.orientation import turn_sd
+from calflow.deployment.compensation import turn_sd
 from calflow.estimation.certainty import position_variance
 from calflow.estimation.progress import draws
 from calflow.sampling.sample import ChainLength, sample

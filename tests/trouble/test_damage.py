@@ -172,7 +172,6 @@ import sys, time
 real = time.time
 time.time = lambda start=real(): 2 * start - real() - 1e8  # runs backwards, years ago
 time.monotonic_ns, time.time_ns = time.monotonic_ns, lambda: int(1e9 * time.time())
-from calflow.cli import main
 sys.argv[0] = "calflow"
 main()
 """

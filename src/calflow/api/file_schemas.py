@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from pydantic import create_model
 
-from calflow.deployment.targets import FramesFile
+from calflow.deployment.inverse_kinematics import FramesFile
 from calflow.effects import catalogue
 from calflow.files.json_schema import Schema, draft_4, json_schema
 from calflow.files.problems import nearest, refuse

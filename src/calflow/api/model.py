@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calflow.deployment.commands import Compensation, compensated
+from calflow.deployment.compensation import Compensation, compensated
+from calflow.deployment.inverse_kinematics import Targets
 from calflow.deployment.prediction import Missing, Prediction, predict_positions
-from calflow.deployment.targets import Targets
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.field_gain import gainful_field
 from calflow.estimation.needed_conditions import NeededCondition

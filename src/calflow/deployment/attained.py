@@ -3,6 +3,8 @@
 ISO 9283: pose accuracy and pose repeatability, and the five poses of its test cube.
 
 Formulas of ISO 9283:1998, clauses 7.2 (pose accuracy AP) and 7.3 (pose repeatability RP); poses of clause 6.
+
+Alignment: the frame in which a device stood when it stood elsewhere, by the rigid motion that fits its points best.
 """
 
 from __future__ import annotations
@@ -14,13 +16,95 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from calflow.deployment.alignment import FEWEST, Alignment, can_align, errors_left_out, restored
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import expected_point, position_variance
 from calflow.estimation.groups import members
 from calflow.estimation.repeats import conditions
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
+
+FREEDOM = 6  # numbers that a frame takes away
+FEWEST = 4  # poses, of fewer a frame leaves nothing to judge
+IN_LINE = 1e-3  # of their spread, by which points must leave a line to show a turn
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """A rigid motion of measured points: turned (3, 3) and shifted (3,) [m] into the frame of the expected ones."""
+
+    turn: np.ndarray
+    shift: np.ndarray
+
+    @staticmethod
+    def best(measured: np.ndarray, expected: np.ndarray, weight: np.ndarray) -> Alignment:
+        """Return the motion that takes measured to expected points (n, 3) [m] with least weighted squares (Kabsch 1976)."""
+        share = weight / weight.sum()
+        centre, aim = share @ measured, share @ expected
+        turn, _ = Rotation.align_vectors(expected - aim, measured - centre, weights=share)
+        return Alignment(turn.as_matrix(), aim - turn.apply(centre))
+
+    @staticmethod
+    def none() -> Alignment:
+        """Return the motion that leaves everything where it is."""
+        return Alignment(np.eye(3), np.zeros(3))
+
+    def of(self, points: np.ndarray) -> np.ndarray:
+        """Return points (n, 3) [m] moved."""
+        return np.asarray(points @ self.turn.T + self.shift)
+
+    def moved(self, points: np.ndarray) -> float:
+        """Return how far the motion takes points (n, 3) [m], on average [m]."""
+        return float(np.linalg.norm(self.of(points) - points, axis=1).mean())
+
+    @property
+    def angle(self) -> float:
+        """By how much it turns [rad]."""
+        return float(Rotation.from_matrix(self.turn).magnitude())
+
+
+def can_align(points: np.ndarray) -> bool:
+    """Whether points (n, 3) are many enough, and not on one line, so that a frame can be fitted and something be left."""
+    if len(points) < FEWEST:
+        return False
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[1] > IN_LINE * spread[0])
+
+
+def rigid_slope(points: np.ndarray) -> np.ndarray:
+    """Return what a shift, and a turn about their middle, do to points (n, 3), shape (n, 3, 6) [m per m and rad]."""
+    arm = points - points.mean(axis=0)
+    cross = np.zeros((len(arm), 3, 3))
+    cross[:, [1, 2, 0], [2, 0, 1]], cross[:, [2, 0, 1], [1, 2, 0]] = arm, -arm
+    return np.concatenate([np.tile(np.eye(3), (len(arm), 1, 1)), cross], axis=2)
+
+
+def restored(errors: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return errors (n, 3) that a fitted frame has made smaller, as large as errors independent of each other were before.
+
+    Each is divided by the root of one minus its leverage in the fit (MacKinnon and White 1985, HC2); points (n, 3) say where.
+    """
+    slope = rigid_slope(points)
+    whole = np.linalg.inv(np.einsum("nai,naj->ij", slope, slope))
+    left = np.eye(3) - slope @ whole @ slope.transpose(0, 2, 1)
+    values, vectors = np.linalg.eigh(left)
+    root = np.maximum(values, 1e-12) ** -0.5
+    return np.asarray(np.einsum("nai,ni,nbi,nb->na", vectors, root, vectors, errors))
+
+
+def errors_left_out(measured: np.ndarray, expected: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Return measured minus expected points (n, 3) [m], those of each pose (n,) in the frame that fits all other poses best.
+
+    So a further pose is seen: it errs by what the frame is off there besides, of which the frame's own poses show the less the
+    fewer they are. nan where the other poses are too few, or lie on one line.
+    """
+    found = np.full_like(measured, np.nan)
+    for name in np.unique(pose):
+        own = pose == name
+        if can_align(measured[~own]):
+            frame = Alignment.best(measured[~own], expected[~own], np.ones((~own).sum()))
+            found[own] = frame.of(measured[own]) - expected[own]
+    return found
+
 
 CYCLES = 30  # times that the standard has each pose attained
 ALIKE = 0.05  # share by which distances may be off, and poses still count as placed as the standard says
@@ -100,9 +184,9 @@ class Attained:
     turns: AttainedTurns | None
 
     @staticmethod
-    def of(known: CalibratedModel, data: Measurements) -> Attained:
+    def of(calibrated: CalibratedModel, data: Measurements) -> Attained:
         """Bring rows together; the nominal model is the robot as its maker says, placed where the calibration had it."""
-        rows = data.stating(known.model.given).on(known.model.robot).rows
+        rows = data.stating(calibrated.model.given).on(calibrated.model.robot).rows
         group = np.unique(conditions(data), return_inverse=True)[1]
         count = np.bincount(group)
         first = np.unique(group, return_index=True)[1]
@@ -112,21 +196,21 @@ class Attained:
 
         labels = [name for name in ("pose", "marker", "payload", "session") if name in data.table]
         table = data.table.iloc[first][labels].reset_index(drop=True).assign(rows=count)
-        estimates = {NOMINAL: known.model.nominal, CALIBRATED: known.estimate}
+        estimates = {NOMINAL: calibrated.model.nominal, CALIBRATED: calibrated.estimate}
         expected = {
-            NOMINAL: mean(known.model.point(known.model.nominal, rows)),
-            CALIBRATED: mean(expected_point(known, rows)),
+            NOMINAL: mean(calibrated.model.point(calibrated.model.nominal, rows)),
+            CALIBRATED: mean(expected_point(calibrated, rows)),
         }
         if TARGET[0] in data.table:
             expected[COMMANDED] = mean(data.table[[*TARGET]].to_numpy(dtype=float))
-        sigma = known.noise(data).sigma if known.noise_known else np.zeros(len(data))
+        sigma = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
         noise = np.sqrt(np.bincount(group, weights=np.nan_to_num(sigma) ** 2)) / count
-        variance = mean(position_variance(known, rows)).sum(axis=1)
+        variance = mean(position_variance(calibrated, rows)).sum(axis=1)
         own = members(group)
         return Attained(
             table, mean(data.position), expected, np.sqrt(variance + 3 * noise**2), noise,
             np.array([pose_repeatability(data.position[k]) for k in own]),
-            AttainedTurns.of(known, estimates, data, rows, own),
+            AttainedTurns.of(calibrated, estimates, data, rows, own),
         )  # fmt: skip
 
     @property
@@ -211,7 +295,7 @@ class AttainedTurns:
 
     @staticmethod
     def of(
-        known: CalibratedModel,
+        calibrated: CalibratedModel,
         estimates: Mapping[str, np.ndarray],
         data: Measurements,
         rows: np.ndarray,
@@ -225,7 +309,7 @@ class AttainedTurns:
         about = [(seen[k] * mean.inv()).as_rotvec() for k, mean in zip(own, means, strict=True)]
         expected = {}
         for name, p in estimates.items():
-            every = Rotation.from_matrix(known.model.rotation(p, rows))
+            every = Rotation.from_matrix(calibrated.model.rotation(p, rows))
             expected[name] = np.stack([every[k].mean().as_matrix() for k in own])
         return AttainedTurns(
             np.stack([mean.as_matrix() for mean in means]), expected, np.stack([angle_repeatability(a) for a in about])

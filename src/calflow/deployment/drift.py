@@ -1,183 +1,531 @@
-"""Drift: whether anything has moved since a robot was calibrated, by a few check poses.
+"""A drift check: by a few check poses, what has moved since a calibration, by how much, since when, and what to do about it.
 
-What the check poses miss the calibrated robot by is normal with the device's noise, the model's discrepancy and what the
-calibration itself did not know of the parameters. Every movement is tested against that; the smallest p-value of all is
-compared with those of draws where nothing moved, so that false alarms are as rare as asked for; where that is rarer than draws
-can tell, with the number of tests times itself (Bonferroni).
+Where one pose alone carries the error, or all are off by more than any robot moves, no movement is told. A few further poses are
+proposed that tell what has moved from what else may have, or by how much. Check poses are those of a calibration that show best
+what has moved.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2, norm
+import pandas as pd
 
-from calflow.deployment.check import Check
-from calflow.deployment.movements import Movement
+from calflow.deployment.attained import Attained, can_align, rigid_slope
+from calflow.deployment.movements import (
+    ANYWHERE,
+    FALSE_ALARM,
+    WITHIN,
+    CheckProblem,
+    Explained,
+    Kind,
+    Movement,
+    SearchRound,
+    joint_sizes,
+    movements,
+    remaining_error_p,
+    searched,
+)
+from calflow.deployment.validation import ELSEWHERE, Station, of_sessions, stands
+from calflow.design.candidates import candidates
+from calflow.design.exchange import exchange, greedy
+from calflow.design.optimality import Parameters
+from calflow.design.t_optimality import TCriterion, propose
+from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.certainty import unexplained
+from calflow.estimation.needed_conditions import NeededCondition
+from calflow.files.problems import InputError
+from calflow.files.results import Results, to_document
+from calflow.files.tables import column, to_frame
+from calflow.measurements.columns import POSITION
+from calflow.measurements.measurements import Measurements
+from calflow.robot.readings import READINGS, reading_columns, shown_readings
 
-FALSE_ALARM = 0.01
-DRAWS = 4000  # of check poses where nothing moved
-MOST_MOVED = 3  # things that are told to have moved at once
-FOUND = 0.95  # share of movements that a detection limit is found of
-WITHIN = 5.0  # in logarithms of evidence: what is nearer to the best is not told from it
 
+def mistaken_poses(
+    calibrated: CalibratedModel, needed: list[NeededCondition], data: Measurements, check: CheckProblem,
+    told: Sequence[SearchRound], station: Station, alarm: float,
+) -> str | None:  # fmt: skip
+    """Return what to look at before anything is told to have moved; None where movements may explain the error.
 
-@dataclass(frozen=True)
-class Explained:
-    """A movement since a session (counted from 0): its size (k,) with covariance, p-value, and logarithm of its evidence.
-
-    limit (k,) is the size that would be found in FOUND of cases, of each number alone.
+    One pose is to be looked at where nothing having moved leaves less of the others' whitened squares than movements leave of all,
+    by as much as tells two movements apart, and the others are in place, or not far from it while that one is.
     """
-
-    movement: Movement
-    since: int
-    size: np.ndarray
-    covariance: np.ndarray
-    p: float
-    evidence: float
-    limit: np.ndarray
-
-    @property
-    def sd(self) -> np.ndarray:
-        """Standard deviations of the size (k,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-
-@dataclass(frozen=True)
-class Step:
-    """One round of the search: every movement explained, best first, and the chance of so small a p-value where nothing moved."""
-
-    explained: tuple[Explained, ...]
-    family_p: float
-
-    @property
-    def best(self) -> Explained:
-        """The movement that explains most."""
-        return self.explained[0]
-
-    @property
-    def probabilities(self) -> np.ndarray:
-        """The probability of each, one of them being true, shape (n,)."""
-        evidence = np.array([one.evidence for one in self.explained])
-        share = np.exp(evidence - evidence.max())
-        return np.asarray(share / share.sum())
-
-    @property
-    def names(self) -> dict[str, float]:
-        """The probability of each movement by name, since whenever, the largest first."""
-        found: dict[str, float] = {}
-        for one, probability in zip(self.explained, self.probabilities, strict=True):
-            found[one.movement.name] = found.get(one.movement.name, 0.0) + float(probability)
-        return dict(sorted(found.items(), key=lambda item: -item[1]))
-
-
-def searched(check: Check, every: Sequence[Movement], alarm: float, rng: np.random.Generator) -> tuple[Step, ...]:
-    """Return the rounds of the search: the last found nothing, or is the one after which no more is told."""
-    found: list[Step] = []
-    for _ in range(MOST_MOVED):
-        step = explained(check, every, alarm, rng)
-        found.append(step)
-        if step.family_p >= alarm:
-            break
-        check = check.without(step.best.movement, step.best.since)
-        every = [one for one in every if one.name != step.best.movement.name]
-    return tuple(found)
-
-
-def explained(check: Check, every: Sequence[Movement], alarm: float, rng: np.random.Generator) -> Step:
-    """Test every movement since every session against all at once.
-
-    A movement explains q of the error's whitened square Q with k numbers; q is divided by what is left per degree of freedom
-    where that is more than 1, so that a device that scatters more than stated raises no alarm.
-    """
-    factor = np.linalg.inv(np.linalg.cholesky(check.covariance))
-    whitened, n = factor @ check.error, len(check.error)
-    tested, bases = [], []
-    for movement in every:
-        for since in range(check.sessions):
-            slope = factor @ check.columns(movement, since)
-            basis = _basis(slope)
-            if 0 < basis.shape[1] < n - 1:
-                bases.append(basis)
-                p = float(chi2.sf(_taken(whitened[:, None], basis)[0], basis.shape[1]))
-                tested.append((movement, since, slope, p))
-    if not tested:
-        return Step((), 1.0)
-    least = _least_p(rng.standard_normal((n, DRAWS)), bases)
-    threshold = max(float(np.quantile(least, alarm)), alarm / len(tested))
-    results = sorted((_explained(whitened, *one, threshold) for one in tested), key=lambda one: -one.evidence)
-    smallest = min(one.p for one in results)
-    counted = (1 + (least <= smallest).sum()) / (1 + DRAWS)
-    return Step(tuple(results), float(min(counted, len(tested) * smallest)))
-
-
-def together(check: Check, steps: Sequence[Step]) -> tuple[Explained, ...]:
-    """Return the best movement of each round, the sizes of all of them estimated together."""
-    if not steps:
-        return ()
-    best = [step.best for step in steps]
-    sd = np.concatenate([one.movement.sd for one in best])
-    factor = np.linalg.cholesky(check.covariance)
-    columns = np.hstack([check.columns(one.movement, one.since) for one in best]) * sd
-    scaled, whitened = np.linalg.solve(factor, columns), np.linalg.solve(factor, check.error)
-    inverse = np.linalg.inv(scaled.T @ scaled + np.eye(len(sd)))
-    size, covariance = sd * (inverse @ scaled.T @ whitened), np.outer(sd, sd) * inverse
-    ends = np.cumsum([len(one.size) for one in best])
-    spans = [slice(end - len(one.size), end) for one, end in zip(best, ends, strict=True)]
-    return tuple(
-        replace(one, size=size[own], covariance=covariance[own, own]) for one, own in zip(best, spans, strict=True)
+    far = check.size().mean() > ELSEWHERE
+    if not told and not far and remaining_error_p(check, ()) >= alarm:
+        return None
+    moved = check
+    for step in told:
+        moved = moved.without(step.best.movement, step.best.since)
+    for k in np.argsort(-check.size()):
+        rest = _rest(calibrated, needed, data, check, k, station)
+        if rest is None or not rest.square + 2 * WITHIN < moved.square:
+            continue
+        if remaining_error_p(rest, ()) >= alarm or rest.size().mean() <= ELSEWHERE < check.size()[k]:
+            return _alone(check, int(k))
+    if not far:
+        return None
+    return (
+        f"the check poses are off by more than any calibrated robot, {1e3 * check.size().mean():.3g} mm on average: are these rows "
+        "of the robot, base, tool, units and signs that were calibrated? What moved is told to first order, which holds for small "
+        "movements alone"
     )
 
 
-def unexplained(check: Check, step: Sequence[Step]) -> float:
-    """Return the chance of so much error where nothing moved but what was found (chi² test of all coordinates)."""
-    taken = 0
-    for one in step:
-        check = check.without(one.best.movement, one.best.since)
-        taken += len(one.best.size)
-    return float(chi2.sf(check.square, max(1, len(check.error) - taken)))
+def _alone(check: CheckProblem, k: int) -> str:
+    labels, session = check.table.iloc[k], check.names[check.session[3 * k]]
+    named = f"pose {labels['pose']}, marker {labels['marker']}{f', session {session}' if session else ''}"
+    return (
+        f"{named} alone carries the error, off by {1e3 * check.size()[k]:.3g} mm: was it another pose, another marker, or a beam "
+        "that was broken? Measure it again, or leave it out"
+    )
 
 
-def _basis(slope: np.ndarray) -> np.ndarray:
-    """Orthonormal directions (n, rank) that a movement's columns span."""
-    scale = np.linalg.norm(slope, axis=0)
-    if not (scale > 0).any():
-        return np.zeros((len(slope), 0))
-    left, values, _ = np.linalg.svd(slope[:, scale > 0] / scale[scale > 0], full_matrices=False)
-    return np.asarray(left[:, values > 1e-6 * values[0]])
+def _rest(
+    calibrated: CalibratedModel,
+    needed: list[NeededCondition],
+    data: Measurements,
+    check: CheckProblem,
+    k: int,
+    station: Station,
+) -> CheckProblem | None:
+    """The check without a point, as if it had not been measured; None where too few are left."""
+    left = data.only(check.share[k] == 0)
+    same = check.session[::3] == check.session[3 * k]
+    same[k] = False
+    if not same.any() or (station == "fitted" and not can_align(check.points[same])):
+        return None
+    attained = Attained.of(calibrated, left)
+    return CheckProblem.of(calibrated, needed, left, attained.of_rows(left, stands(attained, station)[0]))
 
 
-def _taken(whitened: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """What of whitened errors (n, m) lies along a basis (n, k), over what is left a degree of freedom where that is more than 1."""
-    k, n = basis.shape[1], len(whitened)
-    taken = ((basis.T @ whitened) ** 2).sum(axis=0)
-    left = ((whitened**2).sum(axis=0) - taken) / (n - k)
-    return np.asarray(taken / np.maximum(1.0, left))
+CANDIDATES = 300  # poses to choose from
+FEW = 4  # poses that are proposed
+MOST_RIVALS = 3  # the nearest, of which the poses tell
 
 
-def _least_p(drawn: np.ndarray, bases: Sequence[np.ndarray]) -> np.ndarray:
-    """The smallest p-value of all bases for each draw (n, m), shape (m,): of bases of one rank it is that of the largest share."""
-    most: dict[int, np.ndarray] = {}
-    for basis in bases:
-        k = basis.shape[1]
-        most[k] = np.maximum(most.get(k, 0.0), _taken(drawn, basis))
-    return np.min([chi2.sf(taken, k) for k, taken in most.items()], axis=0)
+@dataclass(frozen=True)
+class Settling:
+    """Poses to measure next: joint readings (n, n_joints), and the chance that the rivals are excluded after them."""
+
+    readings: np.ndarray
+    payload: str
+    marker: str
+    chance: float
 
 
-def _explained(
-    whitened: np.ndarray, movement: Movement, since: int, slope: np.ndarray, p: float, threshold: float
-) -> Explained:
-    """A movement's size by generalised least squares with its usual size as prior, and its evidence beside none."""
-    scaled = slope * movement.sd
-    information = scaled.T @ scaled + np.eye(scaled.shape[1])
-    moment = scaled.T @ whitened
-    inverse = np.linalg.inv(information)
-    size = movement.sd * (inverse @ moment)
-    evidence = 0.5 * float(moment @ inverse @ moment) - 0.5 * float(np.linalg.slogdet(information)[1])
-    seen = norm.isf(threshold / 2) + norm.ppf(FOUND)
-    strength = np.linalg.norm(slope, axis=0)
-    limit = np.divide(seen, strength, out=np.full(len(strength), np.inf), where=strength > 0)
-    covariance = np.outer(movement.sd, movement.sd) * inverse
-    return Explained(movement, since, size, covariance, p, evidence + float(np.log(movement.odds)), limit)
+@dataclass(frozen=True)
+class _Slopes:
+    """Whitened derivatives by what the calibration left open: of the check's coordinates (n, k), and of candidates (m, 3, k)."""
+
+    seen: np.ndarray
+    new: np.ndarray
+
+
+def settling(
+    calibrated: CalibratedModel, data: Measurements, check: CheckProblem, best: Explained, rivals: list[Explained], fitted: bool,
+    rng: np.random.Generator,
+) -> Settling | None:  # fmt: skip
+    """Choose a few poses by which the best explanation is told from its rivals (T-optimality), or known better where it has none.
+
+    None where no poses can be drawn.
+    """
+    payload, marker = (str(data.table[name].iloc[0]) for name in ("payload", "marker"))
+    bare = replace(calibrated, model=replace(calibrated.model, given=()), alternatives=())
+    try:
+        readings, rows = candidates(bare.model, CANDIDATES, payload, marker, None, rng)
+    except InputError:
+        return None
+    model = bare.model
+    new = Measurements.from_arrays(model.robot, readings, None, payload=payload, marker=marker)
+    there = {one.name: one for one in movements(bare, new, not fitted)}
+    sigma = float(np.sqrt(check.own.mean()))
+    if not rivals or best.movement.name not in there:
+        own = there.get(best.movement.name)
+        if own is None:
+            return None
+        slope = own.slope * own.sd / sigma
+        chosen = greedy(slope, np.diag((own.sd / best.sd) ** 2), FEW, Parameters(len(own.sd)))
+        return Settling(readings[chosen], payload, marker, float("nan"))
+    open_ = _left_open(calibrated, data, check, bare, rows, sigma, fitted)
+    every = [best, *rivals[:MOST_RIVALS]]
+    criteria, pairs = {}, []
+    for k, rival in enumerate(every[1:], start=1):
+        if rival.movement.name in there:
+            pairs.append((0, k))
+            for one, other in ((0, k), (k, 0)):
+                criteria[one, other] = _criterion(check, open_, every[one], every[other], there, sigma)
+    if not pairs:
+        return None
+    chosen, after = propose(criteria, pairs, FEW)
+    return Settling(readings[chosen], payload, marker, min(one.chance for one in after.values()))
+
+
+def _left_open(
+    calibrated: CalibratedModel,
+    data: Measurements,
+    check: CheckProblem,
+    bare: CalibratedModel,
+    rows: np.ndarray,
+    sigma: float,
+    fitted: bool,
+) -> _Slopes:
+    """The parameters in units of what the calibration knows of them, and the device's frame where it is fitted."""
+    values, vectors = np.linalg.eigh(calibrated.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    before = data.stating(calibrated.model.given).on(calibrated.model.robot).rows
+    slope = np.einsum("nm,mai->nai", check.share, calibrated.model.point_jacobian(calibrated.estimate, before)) @ root
+    seen = slope.reshape(len(check.error), -1) / np.sqrt(np.repeat(check.own, 3))[:, None]
+    new = bare.model.point_jacobian(calibrated.estimate, rows) @ root / sigma
+    if fitted:  # the further poses are measured in a frame of their own
+        frame = rigid_slope(bare.model.point(calibrated.estimate, rows)) * ANYWHERE / sigma
+        seen = np.hstack([seen, np.zeros((len(seen), 6))])
+        new = np.concatenate([new, frame], axis=2)
+    return _Slopes(seen, new)
+
+
+def _criterion(
+    check: CheckProblem, open_: _Slopes, true: Explained, other: Explained, there: dict[str, Movement], sigma: float
+) -> TCriterion:
+    """What the true movement does, and how well the other one and what is left open can imitate it."""
+    whitening = np.sqrt(np.repeat(check.own, 3))
+    imitates = check.columns(other.movement, other.since) * other.movement.sd / whitening[:, None]
+    seen = np.hstack([open_.seen, imitates])
+    effect = check.columns(true.movement, true.since) @ true.size / whitening
+    new = there[other.movement.name]
+    further = np.concatenate([open_.new, new.slope * new.sd / sigma], axis=2)
+    return TCriterion.of(
+        np.eye(seen.shape[1]) + seen.T @ seen, seen.T @ effect, float(effect @ effect),
+        there[true.movement.name].slope @ true.size / sigma, further, 0.0,
+    )  # fmt: skip
+
+
+Status = Literal["in place", "moved", "conditions", "cannot be told"]
+MOVEMENTS_SHARE = 0.8  # of the false alarms that are allowed: movements', the rest is for what no movement explains
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moved:
+    """Something that has moved since the calibration, beside what was found before it."""
+
+    movement: str = column("what moved")
+    kind: Kind = column(
+        "zero of a joint, station or foot, tool, a dimension, a cause of the model, or a condition, which is no drift"
+    )
+    meaning: str = column("what it is, in words")
+    joint: int | None = column("its joint; empty: none")
+    probability: float = column("that it is this one, of all that may have moved")
+    cannot_tell_from: tuple[str, ...] = column("movements that explain the check poses about as well")
+    p: float = column("chance of anything so unlikely among all movements where nothing moved")
+    since: str = column("session from which on it is there; empty: in all of them")
+    before: str = column("the last session without it; empty: none, or the calibration")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recalibrated:
+    """A number that the smallest recalibration changes: everything else stays as it was calibrated."""
+
+    movement: str = column("what moved")
+    symbol: str = column("which of its numbers")
+    unit: str = column("of the figures in this row (SI)")
+    shift: float = column("by how much it has moved: to be added to what was calibrated", "as `unit` says")
+    sd: float = column("its standard deviation", "as `unit` says")
+    parameter: str = column("the model's parameter that it changes; empty: none of its own")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TestedMovement:
+    """Something that may have moved, tested by itself against nothing having moved."""
+
+    movement: str = column("what may have moved")
+    kind: Kind = column("as in moved.csv")
+    meaning: str = column("what it is, in words")
+    joint: int | None = column("its joint; empty: none")
+    units: tuple[str, ...] = column("of its numbers (SI)")
+    shifts: tuple[float, ...] = column("by how much, if it alone moved", "as `units` says")
+    sds: tuple[float, ...] = column("their standard deviations", "as `units` says")
+    p: float = column("chance of so much where nothing moved, not counting how many were tested")
+    probability: float = column("that it is this one, if anything moved")
+    limits: tuple[float, ...] = column("shift that these check poses would show in 95 of 100 cases", "as `units` says")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedPose:
+    """A check pose: how far it is from where the calibrated robot would be, and what the movements found leave of that."""
+
+    pose: str = column("as in the measurements")
+    marker: str = column("as in the measurements")
+    session: str = column("its session; empty: there is one")
+    error_mm: float = column("distance to where the calibrated robot would be", "mm")
+    expected_mm: float = column("standard deviation of that where nothing moved", "mm")
+    left_mm: float = column("what is left with the smallest recalibration", "mm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettlingPose:
+    """A pose to measure next, so that what moved is told from what else may have."""
+
+    readings: Mapping[str, float] = column("reading of each joint", "as named", name=READINGS)
+    payload: str = column("the load; empty: none")
+    marker: str = column("its name")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriftSummary:
+    """How a drift check ended."""
+
+    status: Status = column("the verdict")
+    false_alarm: float = column("chance that anything is told where nothing moved")
+    family_p: float = column("chance of anything so unlikely among all movements where nothing moved")
+    unexplained_p: float = column("chance of so much error as the movements found leave")
+    poses: int = column("check poses, markers and sessions counted apart")
+    sessions: int = column("sessions in which they were measured")
+    station: Literal["known", "fitted"] = column(
+        "whether the device stood where the calibration's did, or its frame was fitted"
+    )
+    error_mm: float = column("mean error of the check poses", "mm")
+    left_mm: float = column("the same with the smallest recalibration", "mm")
+    expected_mm: float = column("root mean square error that was expected where nothing moved", "mm")
+    chance: float | None = column(
+        "chance that the poses proposed exclude what is not told apart yet; null: nothing to exclude"
+    )
+    notes: tuple[str, ...] = column("what was assumed", default=())
+
+
+TABLES: Mapping[str, type] = {
+    "moved.csv": Moved, "recalibration.csv": Recalibrated, "candidates.csv": TestedMovement, "poses.csv": CheckedPose,
+    "next_poses.csv": SettlingPose, "summary.json": DriftSummary,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Drift:
+    """What a few check poses say of a calibrated robot: what moved, best first, and everything that was tested."""
+
+    moved: tuple[Moved, ...]
+    recalibration: tuple[Recalibrated, ...]
+    candidates: tuple[TestedMovement, ...]
+    poses: tuple[CheckedPose, ...]
+    next_poses: tuple[SettlingPose, ...]
+    summary: DriftSummary
+
+    @property
+    def results(self) -> Results:
+        """Its tables and summary by their file's name."""
+        tables = {
+            "moved.csv": to_frame(self.moved, Moved), "recalibration.csv": to_frame(self.recalibration, Recalibrated),
+            "candidates.csv": to_frame(self.candidates, TestedMovement), "poses.csv": to_frame(self.poses, CheckedPose),
+            "next_poses.csv": to_frame(self.next_poses, SettlingPose),
+        }  # fmt: skip
+        return Results(tables, {"summary.json": to_document(self.summary)})
+
+
+def drift(
+    calibrated: CalibratedModel,
+    needed: list[NeededCondition],
+    data: Measurements,
+    *,
+    false_alarm: float = FALSE_ALARM,
+    station: Station = "auto",
+    seed: int = 1,
+) -> Drift:
+    """Tell whether anything has moved since a robot was calibrated.
+
+    Args:
+        calibrated: the calibrated model.
+        needed: the conditions that it needs; those that the rows lack make the test as much less sharp as they matter.
+        data: check poses, some five to ten, in one session or several.
+        false_alarm: chance that anything is told where nothing moved.
+        station: as in `validate`; where it is fitted nothing is told of the robot's foot.
+        seed: of the draws that false alarms are counted in.
+
+    Raises:
+        InputError: a frame cannot be fitted.
+    """
+    given = tuple(one.condition for one in needed if one.condition in data.given)
+    calibrated = _given(calibrated, given)
+    attained = Attained.of(calibrated, data)
+    own, _ = stands(attained, station)
+    fitted = bool(own.all())  # where some frames are known, they tell of the robot's foot
+    rows = attained.of_rows(data, own)
+    check = CheckProblem.of(calibrated, needed, data, rows)
+    every = movements(calibrated, data, not fitted)
+    rng = np.random.default_rng(seed)
+    steps = searched(check, every, MOVEMENTS_SHARE * false_alarm, rng)
+    told = [step for step in steps if step.family_p < MOVEMENTS_SHARE * false_alarm]
+    doubt = mistaken_poses(calibrated, needed, data, check, told, station, (1 - MOVEMENTS_SHARE) * false_alarm)
+    told = told if doubt is None else []
+    rest = remaining_error_p(check, told)
+    status: Status = "cannot be told" if doubt else _status(told, rest, (1 - MOVEMENTS_SHARE) * false_alarm)
+    best = joint_sizes(check, told)
+    left = _left(check, best)
+    settle = settling(calibrated, data, check, told[0].best, rivals(told[0]), fitted, rng) if told else None
+    summary = DriftSummary(
+        status=status, false_alarm=false_alarm, family_p=steps[0].family_p, unexplained_p=rest, poses=len(check.points),
+        sessions=check.sessions, station="fitted" if own.any() else "known", error_mm=1e3 * float(check.size().mean()),
+        left_mm=1e3 * float(left.mean()), expected_mm=1e3 * float(np.sqrt(np.trace(_still(check, rows)) / len(check.points))),
+        chance=settle.chance if settle and np.isfinite(settle.chance) else None,
+        notes=(*data.notes, *_notes(needed, data, attained, own), *([doubt] if doubt else [])),
+    )  # fmt: skip
+    return Drift(
+        tuple(_moved(step, check) for step in told), tuple(row for one in best for row in _recalibrated(one)),
+        _tested(steps[0]), _poses(check, left, rows), _next(calibrated, settle), summary,
+    )  # fmt: skip
+
+
+def rivals(step: SearchRound) -> list[Explained]:
+    """Return what is not told from a round's best, each movement once, the nearest first."""
+    found: dict[str, Explained] = {}
+    for one in step.explained:
+        if one.movement.name != step.best.movement.name and step.best.evidence - one.evidence < WITHIN:
+            found.setdefault(one.movement.name, one)
+    return list(found.values())
+
+
+def _given(calibrated: CalibratedModel, given: tuple[str, ...]) -> CalibratedModel:
+    return (
+        calibrated
+        if calibrated.model.given == given
+        else replace(calibrated, model=replace(calibrated.model, given=given))
+    )
+
+
+def _status(told: list[SearchRound], rest: float, alarm: float) -> Status:
+    """The verdict: what is explained by conditions, or may be, is no drift for certain."""
+    if not told:
+        return "cannot be told" if rest < alarm else "in place"
+    first = [told[0].best, *rivals(told[0])]
+    known = [one.movement.is_known for one in first]
+    if all(known) and all(step.best.movement.is_known for step in told):
+        return "conditions"
+    return "cannot be told" if any(known) and len(told) == 1 else "moved"
+
+
+def _left(check: CheckProblem, best: tuple[Explained, ...]) -> np.ndarray:
+    """What the movements found leave of each point's error (n / 3,) [m]."""
+    error = check.error - sum(check.columns(one.movement, one.since) @ one.size for one in best)
+    return np.asarray(np.linalg.norm(error.reshape(-1, 3), axis=1))
+
+
+def _still(check: CheckProblem, fitted: np.ndarray) -> np.ndarray:
+    """The covariance of the error where nothing moved; of a fitted frame what each point has for itself."""
+    apart = np.repeat(check.share @ fitted > 0, 3)
+    return np.where(apart | apart[:, None], np.diag(np.repeat(check.own, 3)), check.covariance)
+
+
+def _moved(step: SearchRound, check: CheckProblem) -> Moved:
+    best, names = step.best, step.names
+    since, earlier = best.since, check.names[best.since - 1] if best.since else ""
+    return Moved(
+        movement=best.movement.name, kind=best.movement.kind, meaning=best.movement.meaning, joint=best.movement.joint or None,
+        probability=names[best.movement.name], cannot_tell_from=tuple(one.movement.name for one in rivals(step)), p=step.family_p,
+        since=check.names[since] if since else "", before=earlier,
+    )  # fmt: skip
+
+
+def _recalibrated(best: Explained) -> list[Recalibrated]:
+    """A row a number of a movement that is one of the robot, or of where it is seen from."""
+    of = best.movement
+    return [
+        Recalibrated(movement=of.name, symbol=symbol, unit=unit, shift=float(shift), sd=float(sd), parameter=of.parameter)
+        for symbol, unit, shift, sd in zip(of.symbols, of.units, best.size, best.sd, strict=True) if not of.is_known
+    ]  # fmt: skip
+
+
+def _tested(step: SearchRound) -> tuple[TestedMovement, ...]:
+    """A row a movement, since whenever explains most."""
+    found: dict[str, TestedMovement] = {}
+    for one in step.explained:
+        of = one.movement
+        found.setdefault(of.name, TestedMovement(
+            movement=of.name, kind=of.kind, meaning=of.meaning, joint=of.joint or None, units=of.units,
+            shifts=tuple(map(float, one.size)), sds=tuple(map(float, one.sd)), p=one.p, probability=step.names[of.name],
+            limits=tuple(map(float, one.limit)),
+        ))  # fmt: skip
+    return tuple(found.values())
+
+
+def _poses(check: CheckProblem, left: np.ndarray, fitted: np.ndarray) -> tuple[CheckedPose, ...]:
+    expected = np.sqrt(np.diag(_still(check, fitted)).reshape(-1, 3).sum(axis=1))
+    sessions = [check.names[k] for k in check.session[::3]]
+    rows = zip(check.table.to_dict("records"), sessions, check.size(), expected, left, strict=True)
+    return tuple(
+        CheckedPose(pose=str(labels["pose"]), marker=str(labels["marker"]), session=session, error_mm=1e3 * float(error),
+                    expected_mm=1e3 * float(sd), left_mm=1e3 * float(rest))
+        for labels, session, error, sd, rest in rows
+    )  # fmt: skip
+
+
+def _next(calibrated: CalibratedModel, settle: Settling | None) -> tuple[SettlingPose, ...]:
+    if settle is None:
+        return ()
+    names = reading_columns(calibrated.model.robot)
+    shown = np.round(shown_readings(calibrated.model.robot, settle.readings), 4)
+    readings = [dict(zip(names, map(float, row), strict=True)) for row in shown]
+    return tuple(SettlingPose(readings=one, payload=settle.payload, marker=settle.marker) for one in readings)
+
+
+def _notes(needed: list[NeededCondition], data: Measurements, attained: Attained, fitted: np.ndarray) -> list[str]:
+    notes = [
+        f"without {one.columns} nothing is known of {', '.join(one.effects)} here: the test is less sharp by {one.spread_mm:.3g} mm"
+        for one in needed if one.condition not in data.given
+    ]  # fmt: skip
+    if fitted.any() and not fitted.all():
+        notes.append(
+            f"the device's frame was fitted{of_sessions(attained, fitted)}, where it stood elsewhere, and in no other"
+        )
+    elif fitted.any():
+        notes.append("the device's frame was fitted to the check poses: nothing is told of the robot's foot or the zero of an axis "
+                     "that turns all of it")  # fmt: skip
+    return notes
+
+
+FEWEST = 3  # poses, of fewer nothing can be told apart
+
+
+def check_poses(calibrated: CalibratedModel, data: Measurements, number: int) -> Measurements:
+    """Return the first rows of so many of data's poses: with the load that most poses carry, every marker seen there once.
+
+    They are D-optimal for all that may move, each thing by its usual size (Fedorov's exchange), told of the device's noise and of
+    what the model errs by. Poses for the zeros of the joints alone would see shifts a tenth smaller, and hardly tell them from
+    the dimensions beside them. Poses that were measured once can be reached, and seen, again.
+    """
+    load = data.table.groupby("payload", sort=False)["pose"].nunique().idxmax()
+    loaded = data.only((data.table["payload"] == load).to_numpy())
+    there = loaded.only((~loaded.table.duplicated(["pose", "marker"])).to_numpy())
+    pose = there.table.groupby("pose", sort=False).ngroup().to_numpy()
+    slope = _by_pose(_slopes(calibrated, there), pose)
+    prior, criterion = np.eye(slope.shape[2]), Parameters(slope.shape[2])
+    chosen = exchange(slope, prior, greedy(slope, prior, min(number, len(slope)), criterion), criterion)
+    return there.only(np.isin(pose, chosen))
+
+
+def unmoved(calibrated: CalibratedModel, data: Measurements) -> Measurements:
+    """Return rows as they would be measured where nothing has moved, all in one go and without noise.
+
+    What a check of them says is how much it would see.
+    """
+    at_once = {name: data.table[name].iloc[0] for name in ("session", "time") if name in data.table}
+    data = replace(data, table=data.table.assign(**at_once))
+    rows = data.stating(calibrated.model.given).on(calibrated.model.robot).rows
+    there = calibrated.model.point(calibrated.estimate, rows)
+    return replace(data, table=data.table.assign(**dict(zip(POSITION, there.T, strict=True))))
+
+
+def _slopes(calibrated: CalibratedModel, data: Measurements) -> np.ndarray:
+    """What everything that may move does to rows by its usual size, over what they err by of themselves (n, 3, k)."""
+    noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
+    slopes = [one.slope * one.sd for one in movements(calibrated, data, False)]
+    sigma = np.sqrt(noise**2 + unexplained(calibrated) ** 2)
+    return np.concatenate(slopes, axis=2) / sigma[:, None, None]
+
+
+def _by_pose(slope: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """The slopes of all rows of each pose under one another (n_poses, 3 most, k); rows that a pose lacks tell nothing."""
+    place = pd.Series(pose).groupby(pose).cumcount().to_numpy()
+    whole = np.zeros((pose.max() + 1, place.max() + 1, *slope.shape[1:]))
+    whole[pose, place] = slope
+    return whole.reshape(len(whole), -1, slope.shape[2])

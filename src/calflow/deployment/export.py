@@ -39,7 +39,7 @@ EVERYTHING = "everything that is not a figure of the robot"
 
 
 @dataclass(frozen=True, kw_only=True)
-class LeftOut:
+class NotExported:
     """What a robot's figures cannot hold, and what is lost without it."""
 
     effect: str = column("id of the effect, or what else it is")
@@ -57,29 +57,29 @@ class Exported:
 
     robot: Robot
     nominal: Robot
-    without: tuple[LeftOut, ...]
+    without: tuple[NotExported, ...]
 
 
-def exported(known: CalibratedModel, rows: np.ndarray) -> Exported:
+def exported(calibrated: CalibratedModel, rows: np.ndarray) -> Exported:
     """Return a calibrated model's robot, and what leaving the other effects out costs at packed rows (n_conditions, n)."""
-    model, p = known.model, known.estimate
+    model, p = calibrated.model, calibrated.estimate
     kept = [effect for effect in model.effects if is_of_figures(effect)]
     others = [effect for effect in model.effects if effect not in kept]
     robot = _with(model.robot, _dimensions(model, kept, p))
-    every = expected_point(known, rows)
+    every = expected_point(calibrated, rows)
     bare = Model(robot, (), model.given).point(np.zeros(0), rows)
-    costs = [cost(EVERYTHING, (), every, bare)]
+    costs = [cost_without(EVERYTHING, (), every, bare)]
     for name in dict.fromkeys(effect.id for effect in others):
         own = [effect for effect in others if effect.id == name]
         rest = [effect for effect in model.effects if effect not in own]
         lean = replace(model, effects=tuple(rest))
         without = lean.point(np.concatenate([p[:0], *(p[model.columns(part)] for part in lean.parts)]), rows)
         parts = dict.fromkeys(one.part for effect in own for one in effect.declared)
-        costs.append(cost(name, tuple(parts), model.point(p, rows), without))
-    if known.field:
-        costs.append(cost(f"residual field ({NOT_PHYSICAL})", (), every, model.point(p, rows)))
+        costs.append(cost_without(name, tuple(parts), model.point(p, rows), without))
+    if calibrated.field:
+        costs.append(cost_without(f"residual field ({NOT_PHYSICAL})", (), every, model.point(p, rows)))
     lost = tuple(one for one in costs if one.max_mm > 0)  # what only the measuring device does costs nothing
-    return Exported(robot, model.robot, lost if others or known.field else ())
+    return Exported(robot, model.robot, lost if others or calibrated.field else ())
 
 
 def is_of_figures(effect: Effect) -> bool:
@@ -99,10 +99,10 @@ def _packed(parts: Dimensions | Loads) -> ca.SX:
     return ca.vertcat(*(ca.vec(ca.SX(part)) for part in vars(parts).values()))
 
 
-def cost(name: str, parts: Sequence[str], every: np.ndarray, without: np.ndarray) -> LeftOut:
+def cost_without(name: str, parts: Sequence[str], every: np.ndarray, without: np.ndarray) -> NotExported:
     """Return what leaving something out costs, from points (n, 3) [m] with it and without."""
     off = 1e3 * np.linalg.norm(every - without, axis=1)
-    return LeftOut(effect=name, parts=tuple(parts), mean_mm=float(off.mean()), max_mm=float(off.max()))
+    return NotExported(effect=name, parts=tuple(parts), mean_mm=float(off.mean()), max_mm=float(off.max()))
 
 
 def _dimensions(model: Model, kept: Sequence[Effect], p: np.ndarray) -> dict[str, np.ndarray]:
@@ -240,16 +240,16 @@ class Export:
 
     text: str
     notes: tuple[str, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[NotExported, ...]
 
 
 def export(
-    known: CalibratedModel, rows: np.ndarray, to: Format, maker: Robot | None = None, drives: Mapping[str, Drive] | None = None
+    calibrated: CalibratedModel, rows: np.ndarray, to: Format, maker: Robot | None = None, drives: Mapping[str, Drive] | None = None
 ) -> Export:  # fmt: skip
     """Return a calibrated model in a format.
 
     Args:
-        known: the calibrated model.
+        calibrated: the calibrated model.
         rows: packed conditions (n_conditions, n) of the measured rows, over which costs are told.
         to: the format; dh is a robot file with the calibrated figures in the place of the maker's.
         maker: the robot as its file has it, where the calibration placed base, tool or markers elsewhere before it began.
@@ -258,12 +258,12 @@ def export(
     Raises:
         InputError: the robot's frames cannot be stated in it.
     """
-    found = exported(known, rows)
+    found = exported(calibrated, rows)
     if to == "dh":
         notes, lost = _said(found.without), found.without
         return Export(found.robot.toml_text(), notes, lost)
     if to == "controller":
-        lost = (*found.without, _zeros_alone(known, found, rows))
+        lost = (*found.without, _zeros_alone(calibrated, found, rows))
         table = to_frame(controller_figures(maker or found.nominal, found.robot), ControllerFigure)
         return Export(csv_text(table), _said(lost), lost)
     chain = rigid_chain(found.robot)
@@ -272,15 +272,15 @@ def export(
         own = [(drives or {}).get(joint.name, Drive()) for joint in found.robot.joints]
         notes = (*notes, *said_of_drives(chain, own))
         return Export(urdf_text(chain, _heading(notes), own), notes, found.without)
-    return Export(_written(chain, known, found, notes, to), notes, found.without)
+    return Export(_written(chain, calibrated, found, notes, to), notes, found.without)
 
 
-def _written(chain: RigidChain, known: CalibratedModel, found: Exported, notes: Sequence[str], to: Format) -> str:
+def _written(chain: RigidChain, calibrated: CalibratedModel, found: Exported, notes: Sequence[str], to: Format) -> str:
     if to == "json":
         parameters = [
             {"parameter": one.name, "effect": one.effect, "unit": one.unit, "estimate": float(value), "sd": float(sd)}
             for one, value, sd in zip(
-                known.model.parameters, known.estimate, np.sqrt(np.diag(known.covariance)), strict=True
+                calibrated.model.parameters, calibrated.estimate, np.sqrt(np.diag(calibrated.covariance)), strict=True
             )
         ]
         figures = json.loads(found.robot.canonical())
@@ -293,21 +293,23 @@ def _heading(notes: Sequence[str]) -> str:
     return "; ".join(("calibrated figures, SI units", *notes))
 
 
-def _zeros_alone(known: CalibratedModel, found: Exported, rows: np.ndarray) -> LeftOut:
+def _zeros_alone(calibrated: CalibratedModel, found: Exported, rows: np.ndarray) -> NotExported:
     """What is lost where a controller takes joint zeros, base and tool, and has its own lengths and twists."""
     joints = tuple(
         replace(mine, frame=replace(mine.frame, turn=theirs.frame.turn))
         for mine, theirs in zip(found.nominal.joints, found.robot.joints, strict=True)
     )
     zeros = replace(found.robot, joints=joints, loop=found.nominal.loop)
-    return cost(ALL_BUT_ZEROS, (), _points(known.model, found.robot, rows), _points(known.model, zeros, rows))
+    return cost_without(
+        ALL_BUT_ZEROS, (), _points(calibrated.model, found.robot, rows), _points(calibrated.model, zeros, rows)
+    )
 
 
 def _points(model: Model, robot: Robot, rows: np.ndarray) -> np.ndarray:
     return Model(robot, (), model.given).point(np.zeros(0), rows)
 
 
-def _said(lost: Sequence[LeftOut]) -> tuple[str, ...]:
+def _said(lost: Sequence[NotExported]) -> tuple[str, ...]:
     """What is left out, in words; all effects together only where they are several."""
     if sum(bool(one.parts) for one in lost) == 1:
         lost = [one for one in lost if one.effect != EVERYTHING]

@@ -1,19 +1,31 @@
-"""Movements: what may be elsewhere, or otherwise, than when a robot was calibrated, and what each would do to its poses."""
+"""Movements: what may be elsewhere, or otherwise, than when a robot was calibrated, and the test of each by check poses.
+
+What the check poses miss the calibrated robot by is normal with the device's noise, the model's discrepancy and what the
+calibration itself did not know of the parameters. Every movement is tested against that; the smallest p-value of all is
+compared with those of draws where nothing moved, so that false alarms are as rare as asked for; where that is rarer than draws
+can tell, with the number of tests times itself (Bonferroni).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import casadi as ca
 import numpy as np
+import pandas as pd
+from scipy.stats import chi2, norm
 
-from calflow.deployment.alignment import rigid_slope
+from calflow.deployment.attained import Alignment, can_align, rigid_slope
 from calflow.effects import catalogue
 from calflow.effects.base import unmet
 from calflow.effects.warming import REFERENCE
 from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.certainty import unexplained
+from calflow.estimation.needed_conditions import NeededCondition
+from calflow.estimation.repeats import conditions
+from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import over_rows
 from calflow.robot.parameter import Parameter
@@ -55,42 +67,42 @@ class Movement:
         return self.kind == "condition"
 
 
-def movements(known: CalibratedModel, data: Measurements, station: bool) -> tuple[Movement, ...]:
+def movements(calibrated: CalibratedModel, data: Measurements, station: bool) -> tuple[Movement, ...]:
     """Return what may have moved, with what it does to the rows' points.
 
     Args:
-        known: the calibrated model, for the conditions that it is told of a row.
+        calibrated: the calibrated model, for the conditions that it is told of a row.
         data: the rows.
         station: whether the device's place, or the base's, is among them; not where it was fitted.
     """
-    rows = data.stating(known.model.given).on(known.model.robot).rows
-    found = [*_zeros(known, rows), *_tool(known, data, rows)]
+    rows = data.stating(calibrated.model.given).on(calibrated.model.robot).rows
+    found = [*_zeros(calibrated, rows), *_tool(calibrated, data, rows)]
     if station:
-        found.append(_station(known.model.point(known.estimate, rows)))
-    found += [one for one in _parameters(known, rows) if not any(_same(one, other) for other in found)]
-    return (*found, *_conditions(known, data))
+        found.append(_station(calibrated.model.point(calibrated.estimate, rows)))
+    found += [one for one in _parameters(calibrated, rows) if not any(_same(one, other) for other in found)]
+    return (*found, *_conditions(calibrated, data))
 
 
-def _zeros(known: CalibratedModel, rows: np.ndarray) -> Iterator[Movement]:
+def _zeros(calibrated: CalibratedModel, rows: np.ndarray) -> Iterator[Movement]:
     """The zero of each joint's reading, which couplings and loops carry on to where they lead."""
-    model, n = known.model, known.model.robot.n_joints
+    model, n = calibrated.model, calibrated.model.robot.n_joints
     if ZEROS not in model.made:
         p, c, predicted = model.symbols
         model.made[ZEROS] = ca.Function("zeros", [p, c], [ca.densify(ca.jacobian(predicted.point, c[:n]).T)])
-    slope = over_rows(model.made[ZEROS], known.estimate, rows)[0].T.reshape(rows.shape[1], 3, n)
+    slope = over_rows(model.made[ZEROS], calibrated.estimate, rows)[0].T.reshape(rows.shape[1], 3, n)
     for i in model.robot.driven:
         unit = model.robot.joints[i].unit
         yield Movement(f"joint{i + 1}.zero", "zero", f"zero of joint {i + 1}", i + 1, (unit,), ("zero",), slope[:, :, i : i + 1],
                        np.array([ZERO_SD]))  # fmt: skip
 
 
-def _tool(known: CalibratedModel, data: Measurements, rows: np.ndarray) -> Iterator[Movement]:
+def _tool(calibrated: CalibratedModel, data: Measurements, rows: np.ndarray) -> Iterator[Movement]:
     """The place of all markers on the tool, in the flange's axes, and of each alone where there are several."""
-    model = known.model
+    model = calibrated.model
     if FLANGE not in model.made:
         p, c, predicted = model.symbols
         model.made[FLANGE] = ca.Function("flange", [p, c], [ca.densify(predicted.tool @ predicted.rotation.T)])
-    turn = over_rows(model.made[FLANGE], known.estimate, rows)[0].T.reshape(-1, 3, 3)
+    turn = over_rows(model.made[FLANGE], calibrated.estimate, rows)[0].T.reshape(-1, 3, 3)
     names = list(dict.fromkeys(data.table["marker"]))
     sd, told = np.full(3, PLACED_SD), ("m",) * 3
     yield Movement("tool", "tool", "tool on its flange", 0, told, ("x", "y", "z"), turn, sd)
@@ -117,10 +129,10 @@ def _station(points: np.ndarray) -> Movement:
     )
 
 
-def _parameters(known: CalibratedModel, rows: np.ndarray) -> Iterator[Movement]:
+def _parameters(calibrated: CalibratedModel, rows: np.ndarray) -> Iterator[Movement]:
     """Every dimension of a link, and every cause that the model has; where robot and tool stand is told otherwise."""
-    model = known.model
-    slope = model.point_jacobian(known.estimate, rows)
+    model = calibrated.model
+    slope = model.point_jacobian(calibrated.estimate, rows)
     devices = [k for effect in model.effects if effect.of_device() for k in model.columns(effect)]
     observed = [k for observation in model.observations for k in model.columns(observation)]
     parts: dict[tuple[str, str, str], list[int]] = {}
@@ -148,19 +160,19 @@ def _of(parameters: list[Parameter], slope: np.ndarray, kind: Kind, odds: float)
     )
 
 
-def _conditions(known: CalibratedModel, data: Measurements) -> Iterator[Movement]:
+def _conditions(calibrated: CalibratedModel, data: Measurements) -> Iterator[Movement]:
     """What is no drift: warmth of all links, and a payload that is not as heavy as stated."""
-    robot, plain = known.model.robot, data.on(known.model.robot).stating(known.model.given)
+    robot, plain = calibrated.model.robot, data.on(calibrated.model.robot).stating(calibrated.model.given)
     rows = replace(plain, table=plain.table.assign(temperature=REFERENCE + WARMER))
     kinds = [catalogue()[name] for name in ("thermal-growth", "payload-mass")]
     probes = tuple(kind(robot) for kind in kinds if not unmet(kind.needs, robot, rows.given))
-    n = len(known.estimate)
-    if CONDITIONS not in known.model.made:
-        p, c, predicted = replace(known.model, given=rows.given, probes=probes).symbols
+    n = len(calibrated.estimate)
+    if CONDITIONS not in calibrated.model.made:
+        p, c, predicted = replace(calibrated.model, given=rows.given, probes=probes).symbols
         slopes = ca.jacobian(predicted.point, p[n:]).T
-        known.model.made[CONDITIONS] = ca.Function("conditions", [p, c], [ca.densify(slopes)])
+        calibrated.model.made[CONDITIONS] = ca.Function("conditions", [p, c], [ca.densify(slopes)])
     nominal = [parameter.nominal for probe in probes for parameter in probe.declared]
-    values = over_rows(known.model.made[CONDITIONS], np.concatenate([known.estimate, nominal]), rows.rows)[0]
+    values = over_rows(calibrated.model.made[CONDITIONS], np.concatenate([calibrated.estimate, nominal]), rows.rows)[0]
     slope = values.T.reshape(len(data), 3, len(nominal))
     yield Movement("temperature", "condition", "temperature of all links", 0, ("1",), ("growth",), slope[:, :, :1] / WARMER,
                    np.array([EXPANSION_SD]))  # fmt: skip
@@ -176,3 +188,281 @@ def _same(one: Movement, other: Movement) -> bool:
         return False
     a, b = one.slope.ravel(), other.slope.ravel()
     return bool(abs(a @ b) >= SAME * np.linalg.norm(a) * np.linalg.norm(b))
+
+
+FLAT = 1e4  # times its usual size: what a movement may be of which nothing is to be told
+ANYWHERE = 1.0  # m and rad, about where it was fitted: of a frame that nobody knows
+GAP = 3600.0  # s without a measurement, after which a new session begins
+
+
+@dataclass(frozen=True)
+class CheckProblem:
+    """Check poses as a linear problem: error (n,) [m] of their coordinates, its covariance (n, n), and each one's session (n,).
+
+    points are the coordinates' points (n / 3, 3) [m], table their labels, names those of the sessions in order, share (n / 3, m)
+    what each of the m rows counts in its point, own (n / 3,) the part of the variance that
+    a point has for itself [m²].
+    """
+
+    error: np.ndarray
+    covariance: np.ndarray
+    session: np.ndarray
+    points: np.ndarray
+    table: pd.DataFrame
+    names: tuple[str, ...]
+    share: np.ndarray
+    own: np.ndarray
+
+    @staticmethod
+    def of(
+        calibrated: CalibratedModel, needed: list[NeededCondition], data: Measurements, fitted: np.ndarray
+    ) -> CheckProblem:
+        """Set it up from rows; fitted (n_rows,) says of which the device's frame, one a session, is to be fitted to them.
+
+        Repeats of a session are brought together. The covariance is that of the parameters, of the choice among models, of the
+        discrepancy, which is another at each pose, of the device's noise, and of conditions that the rows lack.
+
+        Raises:
+            InputError: a frame cannot be fitted.
+        """
+        model = calibrated.model
+        rows = data.stating(model.given).on(model.robot).rows
+        date, names = _sessions(data.table)
+        group = np.unique(date * len(data) + conditions(data), return_inverse=True)[1]
+        first = np.unique(group, return_index=True)[1]
+        share = (group == np.arange(len(first))[:, None]) / np.bincount(group)[:, None]
+        table = data.table.iloc[first].reset_index(drop=True)
+        session = date[first]
+        points, seen = share @ model.point(calibrated.estimate, rows), share @ data.position
+        slope = np.einsum("nm,mai->nai", share, model.point_jacobian(calibrated.estimate, rows)).reshape(
+            3 * len(first), -1
+        )
+        noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
+        own = (share**2) @ noise**2 + unexplained(calibrated) ** 2
+        own += sum((one.spread_mm / 1e3) ** 2 for one in needed if one.condition not in data.given)
+        covariance = slope @ calibrated.covariance @ slope.T + np.diag(np.repeat(own, 3))
+        for other in calibrated.alternatives:
+            apart = replace(other.model, given=model.given).point(other.estimate, rows) - model.point(
+                calibrated.estimate, rows
+            )
+            off = (share @ apart).ravel()
+            covariance += other.probability * np.outer(off, off)
+        if fitted.any():
+            for k in np.unique(session[fitted[first]]):
+                there = session == k
+                if not can_align(seen[there]):
+                    raise refuse("the device's frame cannot be fitted to so few check poses, or they lie on one line: expected at "
+                                 "least 4 a session, or say that the station stands where it stood (--station known)")  # fmt: skip
+                seen[there] = Alignment.best(seen[there], points[there], np.ones(there.sum())).of(seen[there])
+                frame = rigid_slope(points).reshape(len(covariance), 6) * np.repeat(there, 3)[:, None] * ANYWHERE
+                covariance += frame @ frame.T
+        return CheckProblem(
+            (seen - points).ravel(), covariance, np.repeat(session, 3), points, table, names, share, own
+        )
+
+    @property
+    def sessions(self) -> int:
+        """How many there are."""
+        return len(self.names)
+
+    def without(self, movement: Movement, since: int) -> CheckProblem:
+        """Return the check with a movement of unknown size in its covariance: what it does tells nothing more."""
+        own = self.columns(movement, since) * (FLAT * movement.sd)
+        return replace(self, covariance=self.covariance + own @ own.T)
+
+    def columns(self, movement: Movement, since: int) -> np.ndarray:
+        """Return what a movement since a session (counted from 0) does (n, k) [m per unit]."""
+        slope = np.einsum("nm,mak->nak", self.share, movement.slope).reshape(len(self.error), -1)
+        return np.asarray(slope * (self.session >= since)[:, None])
+
+    @property
+    def square(self) -> float:
+        """The square of the whitened error: of so many degrees of freedom as coordinates where nothing moved."""
+        whitened = np.linalg.solve(np.linalg.cholesky(self.covariance), self.error)
+        return float(whitened @ whitened)
+
+    def size(self) -> np.ndarray:
+        """Return the length of each point's error, shape (n / 3,) [m]."""
+        return np.linalg.norm(self.error.reshape(-1, 3), axis=1)
+
+
+def _sessions(table: pd.DataFrame) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The number of each row's session in order of time, or of the rows, and their names; hours apart are sessions too."""
+    if "session" in table:
+        order = table.sort_values("time", kind="stable") if "time" in table else table
+        names = tuple(dict.fromkeys(order["session"].astype(str)))
+        return table["session"].astype(str).map({name: k for k, name in enumerate(names)}).to_numpy(), names
+    if "time" not in table:
+        return np.zeros(len(table), dtype=int), ("",)
+    time = np.sort(table["time"].to_numpy(dtype=float))
+    starts = time[np.concatenate([[True], np.diff(time) > GAP])]
+    number = np.searchsorted(starts, table["time"].to_numpy(dtype=float), side="right") - 1
+    return number, tuple(f"{start / 3600:.1f} h" for start in starts) if len(starts) > 1 else ("",)
+
+
+FALSE_ALARM = 0.01
+DRAWS = 4000  # of check poses where nothing moved
+MOST_MOVED = 3  # things that are told to have moved at once
+FOUND = 0.95  # share of movements that a detection limit is found of
+WITHIN = 5.0  # in logarithms of evidence: what is nearer to the best is not told from it
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A movement since a session (counted from 0): its size (k,) with covariance, p-value, and logarithm of its evidence.
+
+    limit (k,) is the size that would be found in FOUND of cases, of each number alone.
+    """
+
+    movement: Movement
+    since: int
+    size: np.ndarray
+    covariance: np.ndarray
+    p: float
+    evidence: float
+    limit: np.ndarray
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard deviations of the size (k,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+@dataclass(frozen=True)
+class SearchRound:
+    """One round of the search: every movement explained, best first, and the chance of so small a p-value where nothing moved."""
+
+    explained: tuple[Explained, ...]
+    family_p: float
+
+    @property
+    def best(self) -> Explained:
+        """The movement that explains most."""
+        return self.explained[0]
+
+    @property
+    def probabilities(self) -> np.ndarray:
+        """The probability of each, one of them being true, shape (n,)."""
+        evidence = np.array([one.evidence for one in self.explained])
+        share = np.exp(evidence - evidence.max())
+        return np.asarray(share / share.sum())
+
+    @property
+    def names(self) -> dict[str, float]:
+        """The probability of each movement by name, since whenever, the largest first."""
+        found: dict[str, float] = {}
+        for one, probability in zip(self.explained, self.probabilities, strict=True):
+            found[one.movement.name] = found.get(one.movement.name, 0.0) + float(probability)
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def searched(
+    check: CheckProblem, every: Sequence[Movement], alarm: float, rng: np.random.Generator
+) -> tuple[SearchRound, ...]:
+    """Return the rounds of the search: the last found nothing, or is the one after which no more is told."""
+    found: list[SearchRound] = []
+    for _ in range(MOST_MOVED):
+        step = explained(check, every, alarm, rng)
+        found.append(step)
+        if step.family_p >= alarm:
+            break
+        check = check.without(step.best.movement, step.best.since)
+        every = [one for one in every if one.name != step.best.movement.name]
+    return tuple(found)
+
+
+def explained(check: CheckProblem, every: Sequence[Movement], alarm: float, rng: np.random.Generator) -> SearchRound:
+    """Test every movement since every session against all at once.
+
+    A movement explains q of the error's whitened square Q with k numbers; q is divided by what is left per degree of freedom
+    where that is more than 1, so that a device that scatters more than stated raises no alarm.
+    """
+    factor = np.linalg.inv(np.linalg.cholesky(check.covariance))
+    whitened, n = factor @ check.error, len(check.error)
+    tested, bases = [], []
+    for movement in every:
+        for since in range(check.sessions):
+            slope = factor @ check.columns(movement, since)
+            basis = _basis(slope)
+            if 0 < basis.shape[1] < n - 1:
+                bases.append(basis)
+                p = float(chi2.sf(_taken(whitened[:, None], basis)[0], basis.shape[1]))
+                tested.append((movement, since, slope, p))
+    if not tested:
+        return SearchRound((), 1.0)
+    least = _least_p(rng.standard_normal((n, DRAWS)), bases)
+    threshold = max(float(np.quantile(least, alarm)), alarm / len(tested))
+    results = sorted((_explained(whitened, *one, threshold) for one in tested), key=lambda one: -one.evidence)
+    smallest = min(one.p for one in results)
+    counted = (1 + (least <= smallest).sum()) / (1 + DRAWS)
+    return SearchRound(tuple(results), float(min(counted, len(tested) * smallest)))
+
+
+def joint_sizes(check: CheckProblem, steps: Sequence[SearchRound]) -> tuple[Explained, ...]:
+    """Return the best movement of each round, the sizes of all of them estimated together."""
+    if not steps:
+        return ()
+    best = [step.best for step in steps]
+    sd = np.concatenate([one.movement.sd for one in best])
+    factor = np.linalg.cholesky(check.covariance)
+    columns = np.hstack([check.columns(one.movement, one.since) for one in best]) * sd
+    scaled, whitened = np.linalg.solve(factor, columns), np.linalg.solve(factor, check.error)
+    inverse = np.linalg.inv(scaled.T @ scaled + np.eye(len(sd)))
+    size, covariance = sd * (inverse @ scaled.T @ whitened), np.outer(sd, sd) * inverse
+    ends = np.cumsum([len(one.size) for one in best])
+    spans = [slice(end - len(one.size), end) for one, end in zip(best, ends, strict=True)]
+    return tuple(
+        replace(one, size=size[own], covariance=covariance[own, own]) for one, own in zip(best, spans, strict=True)
+    )
+
+
+def remaining_error_p(check: CheckProblem, step: Sequence[SearchRound]) -> float:
+    """Return the chance of so much error where nothing moved but what was found (chi² test of all coordinates)."""
+    taken = 0
+    for one in step:
+        check = check.without(one.best.movement, one.best.since)
+        taken += len(one.best.size)
+    return float(chi2.sf(check.square, max(1, len(check.error) - taken)))
+
+
+def _basis(slope: np.ndarray) -> np.ndarray:
+    """Orthonormal directions (n, rank) that a movement's columns span."""
+    scale = np.linalg.norm(slope, axis=0)
+    if not (scale > 0).any():
+        return np.zeros((len(slope), 0))
+    left, values, _ = np.linalg.svd(slope[:, scale > 0] / scale[scale > 0], full_matrices=False)
+    return np.asarray(left[:, values > 1e-6 * values[0]])
+
+
+def _taken(whitened: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """What of whitened errors (n, m) lies along a basis (n, k), over what is left a degree of freedom where that is more than 1."""
+    k, n = basis.shape[1], len(whitened)
+    taken = ((basis.T @ whitened) ** 2).sum(axis=0)
+    left = ((whitened**2).sum(axis=0) - taken) / (n - k)
+    return np.asarray(taken / np.maximum(1.0, left))
+
+
+def _least_p(drawn: np.ndarray, bases: Sequence[np.ndarray]) -> np.ndarray:
+    """The smallest p-value of all bases for each draw (n, m), shape (m,): of bases of one rank it is that of the largest share."""
+    most: dict[int, np.ndarray] = {}
+    for basis in bases:
+        k = basis.shape[1]
+        most[k] = np.maximum(most.get(k, 0.0), _taken(drawn, basis))
+    return np.min([chi2.sf(taken, k) for k, taken in most.items()], axis=0)
+
+
+def _explained(
+    whitened: np.ndarray, movement: Movement, since: int, slope: np.ndarray, p: float, threshold: float
+) -> Explained:
+    """A movement's size by generalised least squares with its usual size as prior, and its evidence beside none."""
+    scaled = slope * movement.sd
+    information = scaled.T @ scaled + np.eye(scaled.shape[1])
+    moment = scaled.T @ whitened
+    inverse = np.linalg.inv(information)
+    size = movement.sd * (inverse @ moment)
+    evidence = 0.5 * float(moment @ inverse @ moment) - 0.5 * float(np.linalg.slogdet(information)[1])
+    seen = norm.isf(threshold / 2) + norm.ppf(FOUND)
+    strength = np.linalg.norm(slope, axis=0)
+    limit = np.divide(seen, strength, out=np.full(len(strength), np.inf), where=strength > 0)
+    covariance = np.outer(movement.sd, movement.sd) * inverse
+    return Explained(movement, since, size, covariance, p, evidence + float(np.log(movement.odds)), limit)

@@ -31,7 +31,7 @@ class Prediction:
 
 
 def predict_positions(
-    known: CalibratedModel, needed: Sequence[NeededCondition], data: Measurements, missing: Missing = "refuse"
+    calibrated: CalibratedModel, needed: Sequence[NeededCondition], data: Measurements, missing: Missing = "refuse"
 ) -> Prediction:
     """Return where the rows' markers will be.
 
@@ -39,7 +39,7 @@ def predict_positions(
     device's noise; where that noise was estimated from the fit the two cannot be told apart, and both are in.
 
     Args:
-        known: the calibrated model; conditions that it does not need are left aside.
+        calibrated: the calibrated model; conditions that it does not need are left aside.
         needed: the conditions that it needs.
         data: the rows.
         missing: whether rows that lack a needed condition are refused, or predicted without what depends on it, with a standard
@@ -48,20 +48,22 @@ def predict_positions(
     Raises:
         InputError: a needed condition is missing.
     """
-    told = as_told(known, needed, data, missing)
-    rows = told.data.rows
-    position = expected_point(told.known, rows)
-    variance = position_variance(told.known, rows) + told.widened
-    notes = (*standing(known), *told.notes, *of_field(told.known, rows), *beyond_limits(data))
-    return Prediction(position, np.sqrt(variance), notes, field_correction(known, rows) if known.field else None)
+    stated = as_stated(calibrated, needed, data, missing)
+    rows = stated.data.rows
+    position = expected_point(stated.calibrated, rows)
+    variance = position_variance(stated.calibrated, rows) + stated.widened
+    notes = (*standing(calibrated), *stated.notes, *of_field(stated.calibrated, rows), *beyond_limits(data))
+    return Prediction(
+        position, np.sqrt(variance), notes, field_correction(calibrated, rows) if calibrated.field else None
+    )
 
 
-def of_field(known: CalibratedModel, rows: np.ndarray) -> list[str]:
+def of_field(calibrated: CalibratedModel, rows: np.ndarray) -> list[str]:
     """Say what a residual field does at packed rows (n_conditions, n_rows); nothing where the model has none."""
-    if known.field is None:
+    if calibrated.field is None:
         return []
-    size = 1e3 * np.linalg.norm(field_correction(known, rows), axis=1)
-    faded = int((known.field.share(readings(known, rows)) < 1).sum())
+    size = 1e3 * np.linalg.norm(field_correction(calibrated, rows), axis=1)
+    faded = int((calibrated.field.share(readings(calibrated, rows)) < 1).sum())
     beyond = (
         f"; {faded} of {len(size)} rows are beyond the measured joint ranges, where it fades to nothing"
         if faded
@@ -72,26 +74,28 @@ def of_field(known: CalibratedModel, rows: np.ndarray) -> list[str]:
     ]
 
 
-def standing(known: CalibratedModel) -> list[str]:
+def standing(calibrated: CalibratedModel) -> list[str]:
     """Say what the measuring frame is where no device saw the robot from outside."""
     unseen = "no device saw the robot from outside: what stands for the measuring frame is the robot's own base"
-    return [unseen] if known.model.robot.base.fixed else []
+    return [unseen] if calibrated.model.robot.base.fixed else []
 
 
 @dataclass(frozen=True)
-class Told:
+class StatedModel:
     """A calibrated model for what rows state of the conditions that it needs, and the rows with these alone.
 
     widened [m²] is what is not known besides of a position along any axis, because a condition is missing; notes say which.
     """
 
-    known: CalibratedModel
+    calibrated: CalibratedModel
     data: Measurements
     widened: float
     notes: tuple[str, ...]
 
 
-def as_told(known: CalibratedModel, needed: Sequence[NeededCondition], data: Measurements, missing: Missing) -> Told:
+def as_stated(
+    calibrated: CalibratedModel, needed: Sequence[NeededCondition], data: Measurements, missing: Missing
+) -> StatedModel:
     """Return the model for what rows state (see `predict_positions` for the arguments).
 
     Raises:
@@ -100,14 +104,16 @@ def as_told(known: CalibratedModel, needed: Sequence[NeededCondition], data: Mea
     if missing == "refuse":
         check_stated(needed, data.given, HOW_TO_GO_ON)
     lacking = [one for one in needed if one.condition not in data.given]
-    stated = tuple(one.condition for one in needed if one.condition in data.given)
+    given = tuple(one.condition for one in needed if one.condition in data.given)
     notes = tuple(
         f"without {one.columns} nothing is predicted of {', '.join(one.effects)}: the standard deviations are wider by "
         f"{one.spread_mm:.3g} mm, what that did to the rows that were fitted"
         for one in lacking
     )
     widened = float(sum((one.spread_mm / 1e3) ** 2 for one in lacking))
-    return Told(replace(known, model=replace(known.model, given=stated)), data.stating(stated), widened, notes)
+    return StatedModel(
+        replace(calibrated, model=replace(calibrated.model, given=given)), data.stating(given), widened, notes
+    )
 
 
 def beyond_limits(data: Measurements, so: str = "the prediction there is extrapolated") -> list[str]:

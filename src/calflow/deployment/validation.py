@@ -21,8 +21,17 @@ from scipy.stats import chi, norm, t
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
-from calflow.deployment.alignment import FREEDOM, Alignment, can_align
-from calflow.deployment.attained import CALIBRATED, COMMANDED, CYCLES, NOMINAL, Attained, cube_edge
+from calflow.deployment.attained import (
+    CALIBRATED,
+    COMMANDED,
+    CYCLES,
+    FREEDOM,
+    NOMINAL,
+    Alignment,
+    Attained,
+    can_align,
+    cube_edge,
+)
 from calflow.deployment.prediction import beyond_limits, of_field
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.needed_conditions import NeededCondition, check_stated
@@ -229,7 +238,7 @@ class Validation:
 
 
 def validate(
-    known: CalibratedModel,
+    calibrated: CalibratedModel,
     needed: list[NeededCondition],
     data: Measurements,
     *,
@@ -244,7 +253,7 @@ def validate(
     tolerance is for errors as measured, the device's noise included, so that noise never makes a robot look better.
 
     Args:
-        known: the calibrated model.
+        calibrated: the calibrated model.
         needed: the conditions that it needs.
         data: the rows, positions or poses, in the frame of the calibration or any other.
         tolerance: what a pose may err by [m].
@@ -258,7 +267,7 @@ def validate(
     """
     check_stated(needed, data.given)
     given = data.stating([one.condition for one in needed]).given
-    stated = replace(known, model=replace(known.model, given=given))
+    stated = replace(calibrated, model=replace(calibrated.model, given=given))
     attained = Attained.of(stated, data)
     field_notes = of_field(stated, data.stating(given).on(stated.model.robot).rows)
     judged: Judged = "commanded" if COMMANDED in attained.expected else "calibrated"
@@ -294,7 +303,7 @@ def validate(
         moved_mm=max((1e3 * far for far, _ in moves), default=None),
         turned_mrad=max((1e3 * angle for _, angle in moves), default=None),
         moved_p=p_moved,
-        noise_mm=1e3 * float(np.sqrt(np.mean(known.noise(data).sigma ** 2))) if known.noise_known else None,
+        noise_mm=1e3 * float(np.sqrt(np.mean(calibrated.noise(data).sigma ** 2))) if calibrated.noise_known else None,
         promised_mm=1e3 * float(np.sqrt(np.mean(attained.sd**2))),
         ap_mm=1e3 * float(size[judged].max()),
         rp_mm=_or_none(1e3 * float(_largest(attained.repeatability))),

@@ -12,11 +12,10 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from calflow.deployment.commands import compensated
-from calflow.deployment.compensation import landing
+from calflow.deployment.compensation import compensated
 from calflow.deployment.conventions import inverse
-from calflow.deployment.prediction import Missing, as_told
-from calflow.deployment.targets import Targets, base_placement, features
+from calflow.deployment.inverse_kinematics import Targets, base_placement, features, landing
+from calflow.deployment.prediction import Missing, as_stated
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.groups import members
 from calflow.estimation.needed_conditions import NeededCondition
@@ -208,11 +207,11 @@ class CalibratedRobot:
         """Return readings that land the flange, and so a rigid tool, where the controller has it at given readings."""
         data = self.rows(readings)
         data = replace(data, table=data.table.assign(pose=list(names)))
-        told = as_told(
+        stated = as_stated(
             self.known, self.needed, data, "widen"
         )  # of where base and tool are: the sides of approach come later
-        _, tool = _frames(told.known.model, self.known.estimate, told.data.rows)
-        aims = base_placement(told.known, told.data.rows) @ self.flange(readings) @ tool
+        _, tool = _frames(stated.calibrated.model, self.known.estimate, stated.data.rows)
+        aims = base_placement(stated.calibrated, stated.data.rows) @ self.flange(readings) @ tool
         oriented = len(self.axes.arm) >= FREE
         asked = Targets(aims[:, :3, 3], aims[:, :3, :3] if oriented else None)
         found = compensated(

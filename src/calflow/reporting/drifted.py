@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from calflow.deployment.drift_verdict import Drift, Moved, Recalibrated, Status
+from calflow.deployment.drift import Drift, Moved, Recalibrated, Status
 from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, Plot, Table
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
 from calflow.reporting.words import first_up, listed, mm, plural, readable, with_sd

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from calflow.deployment.check_poses import FEWEST, check_poses, unmoved
-from calflow.deployment.drift import FALSE_ALARM
-from calflow.deployment.drift_verdict import Drift, drift
+from calflow.deployment.drift import FEWEST, Drift, check_poses, drift, unmoved
+from calflow.deployment.movements import FALSE_ALARM
 from calflow.files.problems import refuse
 from calflow.robot.readings import reading_columns, shown_readings
 from calflow.runs.calibrated_run import CalibratedRun

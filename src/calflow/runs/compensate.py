@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from calflow.deployment.command_table import command_table
-from calflow.deployment.commands import compensated
+from calflow.deployment.compensation import command_table, compensated
+from calflow.deployment.inverse_kinematics import Targets, in_measuring_frame, read_frames
 from calflow.deployment.prediction import Missing, beyond_limits, standing
-from calflow.deployment.targets import Targets, in_measuring_frame, read_frames
 from calflow.estimation.plausibility import plausible
 from calflow.files.problems import InputError, Problem
 from calflow.measurements.columns import FRAME, numbered

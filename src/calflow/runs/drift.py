@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calflow.deployment.drift import FALSE_ALARM
-from calflow.deployment.drift_verdict import TABLES, Drift
-from calflow.deployment.drift_verdict import drift as found_drift
+from calflow.deployment.drift import TABLES, Drift
+from calflow.deployment.drift import drift as found_drift
+from calflow.deployment.movements import FALSE_ALARM
 from calflow.deployment.validation import Station
 from calflow.files.problems import refuse
 from calflow.runs.calibrated_run import CalibratedRun

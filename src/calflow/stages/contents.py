@@ -11,8 +11,9 @@ from pathlib import Path
 
 from pydantic.fields import FieldInfo
 
-from calflow.deployment import comparison, drift_verdict, history, validation
-from calflow.deployment.command_table import Command
+from calflow.deployment import comparison, history, validation
+from calflow.deployment import drift as drift_verdict
+from calflow.deployment.compensation import Command
 from calflow.deployment.export import ControllerFigure
 from calflow.design.measuring.measuring_verdict import MeasuringVerdict, NextMeasurement
 from calflow.files.deviations import Deviation

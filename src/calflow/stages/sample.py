@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from calflow.deployment.orientation import not_known
-from calflow.deployment.prediction import as_told, beyond_limits
+from calflow.deployment.compensation import not_known
+from calflow.deployment.prediction import as_stated, beyond_limits
 from calflow.estimation.calibrated_model import CalibratedModel, calibrated, with_maps_held
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.needed_conditions import NeededCondition
@@ -91,11 +91,11 @@ def _task(
     task = settings.points(context.study, known.model, measured, time_origin, context.rng("task")).on(known.model.robot)
     stage = "diagnose" if "diagnose/effects.csv" in results else "identify"
     needed = results.rows(f"{stage}/needed_conditions.csv", NeededCondition)
-    told = as_told(known, needed, task, "widen")
-    found = task_error(sampled, told.known, told.data.rows, context.rng("task errors"), told.widened)
-    table = task_table(told.known, told.data, measured, found, asked)
-    notes = (*told.notes, *not_known(told.known, told.data.rows), *beyond_limits(task))
-    return table, task_summary(told.known, table, found, asked, notes)
+    stated = as_stated(known, needed, task, "widen")
+    found = task_error(sampled, stated.calibrated, stated.data.rows, context.rng("task errors"), stated.widened)
+    table = task_table(stated.calibrated, stated.data, measured, found, asked)
+    notes = (*stated.notes, *not_known(stated.calibrated, stated.data.rows), *beyond_limits(task))
+    return table, task_summary(stated.calibrated, table, found, asked, notes)
 
 
 def _files(study: Study, settings: SampleSettings) -> tuple[Path, ...]:
