@@ -18,7 +18,7 @@ from scipy.stats import chi2, norm
 from calflow.diagnosis.findings.tables import noncentrality
 from calflow.diagnosis.findings.verdict import verdict
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.regressors import Products
+from calflow.diagnosis.screening.regressors import RegressorProducts
 from calflow.diagnosis.screening.screening import Screening
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Finding, Linearisation, Screened
@@ -298,5 +298,5 @@ def _screened(bare: Bare, residual: np.ndarray, others: Sequence[np.ndarray] = (
     return Screening(replace(
         plain, residual=-residual, pull=np.zeros(jacobian.shape[1]), prior_rss=0.0, jacobian=jacobian,
         precision=np.append(plain.precision, np.zeros(len(others))),
-        products=Products.of(-residual, jacobian, plain.matrix, plain.candidates),
+        products=RegressorProducts.of(-residual, jacobian, plain.matrix, plain.candidates),
     ))  # fmt: skip

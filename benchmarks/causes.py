@@ -24,7 +24,7 @@ import pandas as pd
 from heavy_robot import EFFECTS, NOISE, HeavyRobot
 
 import calflow as cf
-from calflow.diagnosis.findings.rivals import models_in_reach, shown
+from calflow.diagnosis.findings.rivals import models_in_reach, rivals_shown
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.extension import Extended, extend
 from calflow.diagnosis.search.fitted import Fitted
@@ -115,7 +115,7 @@ def diagnosed(case: Case, rng: np.random.Generator) -> tuple[CalibratedModel, Ex
 
 def shown_places(found: Extended, catalogue: Catalogue) -> list[Cause]:
     """A cause of each place that the data show."""
-    return list(shown(found.findings, Linearisation.at(found.fitted, catalogue).beside.scores).values())
+    return list(rivals_shown(found.findings, Linearisation.at(found.fitted, catalogue).beside.scores).values())
 
 
 def every_set(causes: Sequence[Cause]) -> Iterator[ModelInReach]:

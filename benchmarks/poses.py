@@ -20,10 +20,9 @@ import numpy as np
 from calflow.design.candidates import candidates
 from calflow.design.exchange import information
 from calflow.design.optimality import Parameters, ToolError, indices
-from calflow.design.planned import Planned
-from calflow.design.search import search, search_worst
+from calflow.design.planned import Planned, Task
+from calflow.design.search import search_poses, search_worst
 from calflow.design.selection import select
-from calflow.design.task import Task
 from calflow.estimation.progress import draws
 from calflow.measurements.series import Series
 from calflow.model import Model, build
@@ -120,8 +119,8 @@ def _compared(one: Case, poses: int) -> str:
     rng = np.random.default_rng(2)
     tool, checked = one.task.criterion(one.model), one.check.criterion(one.model)
     found = [
-        search(one.whitened, one.prior, poses, Parameters(len(one.prior)), rng),
-        search(one.whitened, one.prior, poses, tool, rng),
+        search_poses(one.whitened, one.prior, poses, Parameters(len(one.prior)), rng),
+        search_poses(one.whitened, one.prior, poses, tool, rng),
         search_worst(one.whitened, one.prior, poses, tool, rng),
     ]
     drawn = [list(rng.choice(CANDIDATES, poses, replace=False)) for _ in range(RANDOM)]
@@ -195,7 +194,7 @@ def figaroh(python: str, number: int, poses: int) -> None:
         path = Path(folder, "candidates.npz")
         np.savez(path, jacobians=base, poses=poses)
         began = time.process_time()
-        found = search(base, 1e-9 * np.eye(len(known)), poses, Parameters(len(known)), np.random.default_rng(1))
+        found = search_poses(base, 1e-9 * np.eye(len(known)), poses, Parameters(len(known)), np.random.default_rng(1))
         print(f"{number} candidates of the UR10, {len(known)} identifiable parameters, {poses} poses")
         seconds = time.process_time() - began
         o1 = indices(base[found.chosen].reshape(-1, len(known)), len(known))[0]

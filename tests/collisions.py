@@ -9,12 +9,12 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from calflow.design.cell import Box, Cell, Cylinder, Station, checked_pairs, free_links
+from calflow.design.cell import Box, Cell, CellStation, Cylinder, checked_pairs, free_links
 from robots import ASKEW, industrial, pinocchio_model, ur10
 
-STATION = Station((4.0, 1.0, 1.2), near=1.0, far=6.0, lowest=np.deg2rad(-30), highest=np.deg2rad(25))
+STATION = CellStation((4.0, 1.0, 1.2), near=1.0, far=6.0, lowest=np.deg2rad(-30), highest=np.deg2rad(25))
 BIG = Cell(
-    stations=(STATION, Station((3.0, -4.5, 2.0))),
+    stations=(STATION, CellStation((3.0, -4.5, 2.0))),
     reflector_axis=(0.3, 0.0, 1.0),
     acceptance=np.deg2rad(100),
     radii=(0.25, 0.2, 0.16, 0.16, 0.12, 0.1),

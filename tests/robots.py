@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from calflow.design.candidates import pack
+from calflow.design.candidates import packed_conditions
 from calflow.model import Model
 from calflow.robot.formats.robot_toml import RobotFile
 from calflow.robot.parts import Base
@@ -128,7 +128,7 @@ def poses(of: Robot, number: int, seed: int = 1) -> np.ndarray:
 
 def rows(model: Model, q: np.ndarray, payload: str = "", marker: str = "E") -> np.ndarray:
     """Packed conditions of joint readings q (n_rows, n_joints); given optional conditions stay zero."""
-    return pack(model, q, payload, marker)
+    return packed_conditions(model, q, payload, marker)
 
 
 def pinocchio_model(of: Robot, payload: str) -> pin.Model:

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2, kstest
 
-from calflow.design.candidates import pack
+from calflow.design.candidates import packed_conditions
 from calflow.files.problems import InputError
 from calflow.model import build
 from calflow.robot.robot import Robot
@@ -31,7 +31,9 @@ def true_positions(small, table):
     found = np.empty((len(table), 3))
     for payload in ("light", "heavy"):
         own = (table["payload"] == payload).to_numpy()
-        found[own] = model.position(values, pack(model, np.deg2rad(table.loc[own, Q].to_numpy()), payload, "tool"))
+        found[own] = model.position(
+            values, packed_conditions(model, np.deg2rad(table.loc[own, Q].to_numpy()), payload, "tool")
+        )
     return 1e3 * found
 
 

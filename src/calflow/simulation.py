@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, field_validator, model_validator
 
-from calflow.design.candidates import candidates, pack
+from calflow.design.candidates import candidates, packed_conditions
 from calflow.design.planned import stated_poses
 from calflow.effects import catalogue
 from calflow.effects.base import unmet
@@ -244,7 +244,7 @@ def _measure(
         position = np.empty((len(readings), 3))
         for payload in payloads:
             own = carried == payload
-            rows = pack(model, readings[own], payload, marker)
+            rows = packed_conditions(model, readings[own], payload, marker)
             if truth.approach:
                 rows[-robot.n_joints :] = approach[own].T
             position[own] = model.position(values, rows)

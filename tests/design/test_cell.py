@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from calflow.design.candidates import allowed, candidates, pack
-from calflow.design.cell import RULES, Cell, Skeleton, Station, between_segments, configuration, from_box
+from calflow.design.candidates import allowed, candidates, packed_conditions
+from calflow.design.cell import RULES, Cell, CellStation, Skeleton, between_segments, configuration, from_box
 from calflow.files.problems import InputError
 from calflow.model import build
 from collisions import BIG, CASES, Outside
@@ -58,7 +58,7 @@ def test_all_candidates_keep_to_the_cell(name):
 
 def test_a_cell_that_allows_nothing_says_what_refused():
     """Fails if a search for poses that there are not goes on for ever, or does not say which rule leaves none."""
-    cell = Cell(stations=(Station((30.0, 0.0, 0.0), far=1.0),))
+    cell = Cell(stations=(CellStation((30.0, 0.0, 0.0), far=1.0),))
     with pytest.raises(InputError, match=r"only 0 are left.*the cell allows 0 of \d+ poses; refused by range \d+$"):
         candidates(build(ur10(), ()), 10, "load", "E", None, np.random.default_rng(1), None, cell)
 
@@ -108,7 +108,7 @@ def test_nobody_sees_through_a_box():
     )  # the first station is behind the first box
     model = build(industrial(), ())
     readings = near + np.random.default_rng(4).uniform(-1e-3, 1e-3, (20_000, 6))
-    assert BIG.refusals(model, pack(model, readings, "load", "E"), "E").all()
+    assert BIG.refusals(model, packed_conditions(model, readings, "load", "E"), "E").all()
 
 
 def test_the_skeleton_is_the_robots():
@@ -154,7 +154,7 @@ def test_loads_that_joints_cannot_hold_are_refused():
     refusals = cell.refusals(model, rows, "E")
     assert np.array_equal(refusals == 0, worst <= 0.5 * rated)
     assert set(np.unique(refusals)) == {0, list(RULES).index("payload") + 1}
-    empty = cell.refusals(model, pack(model, readings, "", "E"), "E")
+    empty = cell.refusals(model, packed_conditions(model, readings, "", "E"), "E")
     assert (empty == 0).sum() > (refusals == 0).sum()
 
 
@@ -172,6 +172,6 @@ def test_sight_begins_where_it_is_said():
     robot = ur10(markers={"E": {"point_m": [0.0, 0.0, 0.01]}})
     model = build(robot, ())
     _, rows = candidates(model, 100, "load", "E", None, np.random.default_rng(2))
-    cell = Cell(stations=(Station((4.0, 0.0, 1.0)),), self_collision=False)
+    cell = Cell(stations=(CellStation((4.0, 0.0, 1.0)),), self_collision=False)
     assert not (cell.refusals(model, rows, "E") == 0).any()
     assert (replace(cell, sight_from=0.15).refusals(model, rows, "E") == 0).sum() > 20

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calflow.design.exchange import information
-from calflow.design.how_many import enough, knee, next_best
 from calflow.design.optimality import ToolError
+from calflow.design.worth import enough, knee, next_best
 
 PRIOR = np.eye(4)
 

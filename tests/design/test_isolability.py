@@ -17,7 +17,7 @@ from calflow.design.separability import (
     isolability_table,
 )
 from calflow.diagnosis.linear import Block
-from calflow.diagnosis.screening.regressors import Candidate, Held, Products, Regressors
+from calflow.diagnosis.screening.regressors import Candidate, Held, RegressorProducts, Regressors
 from calflow.diagnosis.screening.screening import Family, Screening
 from calflow.measurements.series import Series
 from calflow.observations.position import Position
@@ -97,7 +97,7 @@ def test_chances_are_those_of_fits_to_simulated_measurements():
     taken = float(np.trace(np.linalg.solve(information + np.diag(prior**-2.0), information)))
     regressors = Regressors(
         noise, fitted, prior**-2.0, np.zeros(4), 0.0, Held(matrix), np.concatenate([block.sd for block in blocks]),
-        tuple(candidates), Products.of(noise, fitted, Held(matrix), candidates), taken,
+        tuple(candidates), RegressorProducts.of(noise, fitted, Held(matrix), candidates), taken,
     )  # fmt: skip
     family = Family({}, 5.0)
     seen, told = chances(Screening(regressors), family, alarm, rng, draws=number)

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from calflow.design import discrimination
-from calflow.design.candidates import pack
+from calflow.design.candidates import packed_conditions
 from calflow.design.discrimination import THINNEST, NextPose, poses_table, question, separations_table
 from calflow.diagnosis.findings.verdict import Rival, Verdict
 from calflow.diagnosis.screening.screening import Family
@@ -37,7 +37,7 @@ PAYLOAD, MARKER = next(iter(ROBOT.payloads), ""), next(iter(ROBOT.markers))
 
 def position(readings):
     """Where the robot is told to be."""
-    return MODEL.position(MODEL.nominal, pack(MODEL, readings, PAYLOAD, MARKER))
+    return MODEL.position(MODEL.nominal, packed_conditions(MODEL, readings, PAYLOAD, MARKER))
 
 
 @cache

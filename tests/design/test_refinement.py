@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calflow.design.candidates import allowed, candidates, pack
-from calflow.design.cell import Cell, Station
+from calflow.design.candidates import allowed, candidates, packed_conditions
+from calflow.design.cell import Cell, CellStation
 from calflow.design.exchange import information
 from calflow.design.optimality import Parameters
-from calflow.design.planned import Planned
-from calflow.design.refinement import refined
-from calflow.design.task import Task
+from calflow.design.planned import Planned, Task
+from calflow.design.refinement import refined_poses
 from calflow.measurements.series import Series
 from calflow.model import build
 from calflow.observations.pose import Pose
@@ -38,10 +37,14 @@ def test_refined_poses_are_better_and_allowed(model, for_tool):
     readings, rows = candidates(model, 30, "rated", "E", REGION, np.random.default_rng(2))
     prior = np.eye(len(model.parameters))
     criterion = Task(rows).criterion(model) if for_tool else Parameters(len(prior))
-    found = refined(model, planned, readings, "rated", "E", REGION, prior, criterion)
+    found = refined_poses(model, planned, readings, "rated", "E", REGION, prior, criterion)
 
     def loss(poses):
-        jacobian = model.position_jacobian(model.nominal, pack(model, poses, "rated", "E")) * model.prior_sd / 5e-5
+        jacobian = (
+            model.position_jacobian(model.nominal, packed_conditions(model, poses, "rated", "E"))
+            * model.prior_sd
+            / 5e-5
+        )
         return criterion.loss(np.linalg.inv(information(jacobian, prior)))
 
     assert loss(found) < 0.9 * loss(readings)
@@ -51,13 +54,13 @@ def test_refined_poses_are_better_and_allowed(model, for_tool):
 def test_refined_poses_keep_to_the_cell(model):
     """Fails if a pose is moved to where the cell refuses it; or none would be without it, or none is moved."""
     cell = Cell(
-        stations=(Station((7.0, 0.0, 1.0)),), reflector_axis=(1.0, 0.0, 1.0), acceptance=np.deg2rad(60), floor=0.2
+        stations=(CellStation((7.0, 0.0, 1.0)),), reflector_axis=(1.0, 0.0, 1.0), acceptance=np.deg2rad(60), floor=0.2
     )
     planned = Planned(model.observations[0], 5e-5)
     readings, _ = candidates(model, 30, "rated", "E", REGION, np.random.default_rng(2), None, cell)
     prior = np.eye(len(model.parameters))
     free, kept = (
-        refined(model, planned, readings, "rated", "E", REGION, prior, Parameters(len(prior)), one)
+        refined_poses(model, planned, readings, "rated", "E", REGION, prior, Parameters(len(prior)), one)
         for one in (None, cell)
     )
     assert not allowed(model, free, "rated", "E", REGION, cell).all()
@@ -71,5 +74,5 @@ def test_poses_whose_reports_matter_stay(model):
     readings, _ = candidates(posed, 10, "rated", "E", REGION, np.random.default_rng(2))
     n = len(posed.parameters)
     planned = Planned(posed.observations[0], 5e-5, 1e-4)
-    found = refined(posed, planned, readings, "rated", "E", REGION, np.eye(n), Parameters(n))
+    found = refined_poses(posed, planned, readings, "rated", "E", REGION, np.eye(n), Parameters(n))
     assert (found == readings).all()

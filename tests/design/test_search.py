@@ -10,8 +10,7 @@ import pytest
 
 from calflow.design.exchange import exchange, greedy, information
 from calflow.design.optimality import Parameters, ToolError
-from calflow.design.relaxation import relaxed
-from calflow.design.search import search, search_worst
+from calflow.design.search import relaxed, search_poses, search_worst
 
 N, CANDIDATES, CHOSEN = 5, 12, 4
 PRIOR = np.diag([1.0, 2.0, 0.5, 1.0, 3.0])
@@ -66,7 +65,7 @@ def test_the_choice_is_that_of_an_exhaustive_search(seed):
     jacobians, tool = case(seed)
     for criterion in criteria(tool):
         losses = [criterion.loss(covariance(jacobians, each)) for each in combinations(range(CANDIDATES), CHOSEN)]
-        found = search(jacobians, PRIOR, CHOSEN, criterion, np.random.default_rng(seed))
+        found = search_poses(jacobians, PRIOR, CHOSEN, criterion, np.random.default_rng(seed))
         assert found.loss == pytest.approx(min(losses), rel=1e-9)
         assert found.loss == pytest.approx(criterion.loss(covariance(jacobians, found.chosen)), rel=1e-9)
         assert len(set(found.chosen)) == CHOSEN
@@ -109,6 +108,6 @@ def test_a_point_that_counts_more_is_surer():
     """Fails if the shares of the task's points do not reach the choice."""
     jacobians, tool = case(5, 60)
     one = replace(tool, shares=np.eye(20)[7])
-    chosen, other = (search(jacobians, PRIOR, 6, each, np.random.default_rng(1)).chosen for each in (one, tool))
+    chosen, other = (search_poses(jacobians, PRIOR, 6, each, np.random.default_rng(1)).chosen for each in (one, tool))
     variance = [tool.variances(covariance(jacobians, each))[7] for each in (chosen, other)]
     assert variance[0] < 0.95 * variance[1]

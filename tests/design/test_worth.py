@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from calflow.design.candidates import pack
+from calflow.design.candidates import packed_conditions
 from calflow.design.exchange import information
 from calflow.design.measuring_order import drift_pulls, orders
-from calflow.design.planned import Planned
-from calflow.design.task import Task
+from calflow.design.planned import Planned, Task
 from calflow.design.worth import ASIDE, PlanInformation
 from calflow.measurements.series import Series
 from calflow.model import build
@@ -30,9 +29,10 @@ def plan_of(robot):
     model = build(robot, ("geometry",), (), (PLANNED.observation,))
     drawn = qmc.scale(qmc.Sobol(robot.n_joints, rng=np.random.default_rng(1)).random(64), *robot.limits.T)
     marker = next(iter(robot.markers))
-    task = Task(pack(model, drawn[POSES + 10 :], "", marker)).criterion(model)
+    task = Task(packed_conditions(model, drawn[POSES + 10 :], "", marker)).criterion(model)
     further = (
-        PLANNED.whitened(model, model.nominal, pack(model, drawn[POSES : POSES + 10], "", marker)) * model.prior_sd
+        PLANNED.whitened(model, model.nominal, packed_conditions(model, drawn[POSES : POSES + 10], "", marker))
+        * model.prior_sd
     )
     return PlanInformation(model, PLANNED, drawn[:POSES], "", marker, np.eye(len(model.parameters)), task, further)
 
@@ -62,7 +62,7 @@ def test_measuring_twice_and_ten_more_are_what_their_rows_tell(plan):
 
 def test_a_second_station_has_its_own_place_to_tell(plan):
     """Fails if where a second device stands counts as known, or its readings do not count."""
-    points = plan.model.point(plan.model.nominal, pack(plan.model, plan.readings, "", plan.marker))
+    points = plan.model.point(plan.model.nominal, packed_conditions(plan.model, plan.readings, "", plan.marker))
     own = plan.own.reshape(-1, len(plan.prior))
     motion = np.concatenate([np.concatenate([-np.eye(3), np.cross(np.eye(3), point).T], axis=1) for point in points])
     motion *= 0.5 / SIGMA  # m and rad: nobody knows where it stands

@@ -15,7 +15,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from calflow.design.candidates import pack
+from calflow.design.candidates import packed_conditions
 from calflow.effects import catalogue
 from calflow.effects.joint_error_map import AMPLITUDE, LENGTHS
 from calflow.faults import checks, plain_checks
@@ -136,7 +136,7 @@ def conventions() -> Callable[[str], list[np.ndarray]]:
         p, c = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("c", model.n_conditions)
         position = ca.Function("position", [p, c], [ca.densify(model.expression(p, c).position)])
         found.append((model, position))
-    rows = pack(found[0][0], q, "load", "E")
+    rows = packed_conditions(found[0][0], q, "load", "E")
     rest = [rng.choice([-1.0, 1.0], (6, 20)), rng.uniform(0, 1, (6, 20)), rng.uniform(0, 7e3, (1, 20)),
             rng.uniform(290, 310, (1, 20)), np.arange(20.0)[None]]  # fmt: skip
     rows[-15:] = np.vstack(rest)

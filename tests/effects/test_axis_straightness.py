@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calflow import Measurements, diagnose, identify
-from calflow.design.candidates import pack
+from calflow.design.candidates import packed_conditions
 from calflow.effects.axis_straightness import AxisStraightness
 from calflow.model import Model
 from calflow.robot.frames import modified_dh
@@ -71,7 +71,7 @@ def test_a_carriage_moves_and_turns_the_arm_as_in_plain_numpy():
     assert np.count_nonzero(p) == 6
     wave = np.sin(np.outer(q[:, 0] / TRAVEL + 0.05, pi * np.arange(1, 4)) / 1.1)
     off = wave[:, [0, 1, 2, 0, 1, 2]] * list(values.values())
-    found = model.position(p, pack(model, q, "", "tool"))
+    found = model.position(p, packed_conditions(model, q, "", "tool"))
     assert_allclose(found, points(q, off), rtol=0, atol=1e-7)
     assert np.abs(found - points(q, 0 * off)).max() > 1e-4
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from calflow.design.candidates import pack
+from calflow.design.candidates import packed_conditions
 from calflow.effects.joint_compliance import JointCompliance
 from calflow.model import build
 from calflow.robot.robot import Robot
@@ -77,7 +77,7 @@ def test_measured_torques_wind_the_springs_up() -> None:
     model = build(robot, ["joint-compliance"], given=("torque",))
     q = robots.poses(robot, 10)
     measured = np.random.default_rng(7).normal(scale=50, size=q.shape)
-    rows = pack(model, q, payload, "E")
+    rows = packed_conditions(model, q, payload, "E")
     rows[-6:] = measured.T
     assert_allclose(model.position(s, rows), robots.marker_position(robot, q - s * measured), atol=1e-12)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.design.candidates import pack
+from calflow.design.candidates import packed_conditions
 from calflow.effects import catalogue
 from calflow.effects.joint_hysteresis import JointHysteresis
 from calflow.model import build
@@ -85,7 +85,7 @@ def test_hysteresis_says_its_travel_in_the_units_of_the_joints():
 def test_a_slides_backlash_moves_it_by_metres():
     """Fails if a slide's play does not shift what it carries by half of it."""
     model = build(GANTRY, ["joint-backlash"], given=("approach",))
-    rows = pack(model, np.array([[0.5, 0.5, 0.1, 0.2, 0.3, 0.4]]), "", "tool")
+    rows = packed_conditions(model, np.array([[0.5, 0.5, 0.1, 0.2, 0.3, 0.4]]), "", "tool")
     rows[-6:, 0] = [1, -1, 1, 1, 1, 1]
     at = model.position(np.zeros(6), rows)
     for joint, sign in ((0, 1.0), (1, -1.0)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.faults.odd_row import limit_of_length
+from calflow.faults.outlier import limit_of_length
 
 
 def longest_and_limit(draw, rows, times):

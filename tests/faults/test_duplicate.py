@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.faults import as_table, corrected, search
+from calflow.faults import as_table, corrected, search_faults
 from calflow.faults.duplicate import Duplicate
 from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
@@ -30,7 +30,7 @@ def test_copies_count_once_and_are_told_with_their_lines(tmp_path, repeats):
     """Fails if a copy counts as a repeat without scatter, its original is left out, or a line is not told."""
     data = measured(tmp_path, (3, 20), repeats=repeats)
     n = len(data)
-    after, found = search(data)
+    after, found = search_faults(data)
     assert [(one.cause, one.action, one.lines) for one in found] == [("duplicate", "left out", (n, n + 1))]
     assert "lines 5, 22" in found[0].statement
     assert np.flatnonzero(~after.train & ~after.held_out).tolist() == [n - 2, n - 1]

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.faults import examined
-from calflow.faults.base_elsewhere import base_elsewhere
-from calflow.faults.joint_limits import past_limits
-from calflow.faults.nominal_misfit import nominal_misfit
+from calflow.faults.implausible import base_elsewhere, nominal_misfit, past_limits
 from calflow.files.problems import InputError
 from calflow.robot.parts import Coupling
 from calflow.study import load_study

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.faults import as_table, corrected, search
+from calflow.faults import as_table, corrected, search_faults
 from calflow.faults.measured_torque import TorqueScale, TorqueSign, comparisons
 from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
@@ -49,7 +49,7 @@ def test_all_signs_wrong_are_turned(tmp_path, masses):
     """Fails if torques that all count the other way are let stand, a column of no load is forgotten, or a later stage differs."""
     data = with_torques(tmp_path, masses=masses)
     wrong = times(data, dict.fromkeys(range(1, 7), -1.0))
-    after, found = search(wrong)
+    after, found = search_faults(wrong)
     assert [(one.cause, one.joint, one.action) for one in found] == [
         ("torque-sign", k, "corrected") for k in range(1, 7)
     ]
@@ -71,7 +71,7 @@ def test_torques_as_the_readings_count_are_turned(tmp_path):
 def test_one_wrong_sign_is_said_and_not_changed(tmp_path):
     """Fails if a single column is turned although nobody knows what it means, or nothing is said."""
     data = times(with_torques(tmp_path), {3: -1.0})
-    after, found = search(data)
+    after, found = search_faults(data)
     assert [(one.cause, one.joint, one.action, one.lines) for one in found] == [("torque-sign", 3, "told", ())]
     assert after.table["tau3"].equals(data.table["tau3"])
 
@@ -80,7 +80,7 @@ def test_one_wrong_sign_is_said_and_not_changed(tmp_path):
 def test_a_scale_is_said_and_not_changed(tmp_path, masses):
     """Fails if torques 1.4 times too large pass, another joint is named, or the column is changed."""
     data = times(with_torques(tmp_path, masses=masses), {2: 1.4, 3: 1.4})
-    after, found = search(data)
+    after, found = search_faults(data)
     assert [(one.cause, one.joint, one.action) for one in found] == [("torque-scale", k, "told") for k in (2, 3)]
     assert "1.4 times" in found[0].statement
     assert after.table.equals(data.table)

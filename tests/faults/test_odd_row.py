@@ -11,7 +11,7 @@ from calflow.diagnosis.search.fitted import FAR, Fitted
 from calflow.estimation.identification import identify
 from calflow.estimation.judgement import Studentised, judged_table
 from calflow.faults import as_table, corrected
-from calflow.faults.odd_row import odd_rows
+from calflow.faults.outlier import odd_rows
 from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
 from hidden.case import Case, write_case

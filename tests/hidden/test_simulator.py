@@ -11,7 +11,7 @@ import pandas as pd
 import pinocchio as pin
 import pytest
 
-from calflow.design.candidates import pack
+from calflow.design.candidates import packed_conditions
 from calflow.model import build
 from calflow.robot import robot as stated
 from hidden.case import Case, draw, effect_rms, write_case
@@ -269,5 +269,5 @@ def test_calflow_reads_the_robot_as_it_was_simulated(tmp_path, name):
     point = measured_points(robot, world.rows, ())
     for i, marker in enumerate("EF"):
         own = world.rows.marker == i
-        theirs = model.position(values, pack(model, world.rows.q[own], "full", marker))
+        theirs = model.position(values, packed_conditions(model, world.rows.q[own], "full", marker))
         np.testing.assert_allclose(point[own], theirs, atol=2e-8)

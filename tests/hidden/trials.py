@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calflow.design.candidates import pack
+from calflow.design.candidates import packed_conditions
 from calflow.effects.geometry import Geometry
 from calflow.estimation.fit import Fit, fit
 from calflow.estimation.least_squares import LeastSquares
@@ -60,7 +60,7 @@ def tool_error(nominal: Robot, observe: Callable[[Arm, np.random.Generator], Mea
     arm = Arm.drawn(nominal, rng)
     found = calibrated(observe(arm, rng), ("geometry",)).fit
     q = arm.random(TASK, rng)
-    rows = pack(found.model, q, "", next(iter(nominal.markers)))
+    rows = packed_conditions(found.model, q, "", next(iter(nominal.markers)))
     said, jacobian = found.model.point(found.estimate, rows), found.model.point_jacobian(found.estimate, rows)
     return Error(aligned(said, arm.tool(q)), promised(said, jacobian, found.covariance))
 

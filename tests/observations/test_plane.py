@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.design.candidates import candidates, pack
+from calflow.design.candidates import candidates, packed_conditions
 from calflow.files.problems import InputError
 from calflow.files.toml import Origin, validate
 from calflow.measurements.combined import combined
@@ -134,7 +134,7 @@ def test_touches_of_a_plane_and_a_wire_calibrate_a_robot():
     squared = float((found.residual**2).sum()) / (found.residual.size - found.effective_parameters)
     assert 0.6 < squared < 1.5
     q = arm.random(300, rng)
-    rows = pack(found.model, q, "", "E")
+    rows = packed_conditions(found.model, q, "", "E")
     said, slope = found.model.point(found.estimate, rows), found.model.point_jacobian(found.estimate, rows)
     assert aligned(said, arm.tool(q)) < 1.5 * promised(said, slope, found.covariance)
 

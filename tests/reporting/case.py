@@ -13,7 +13,7 @@ from calflow.design.candidates import candidates
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.diagnosis.findings.curves import CurvePoint
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary
-from calflow.diagnosis.findings.misfit import Region
+from calflow.diagnosis.findings.misfit import MisfitRegion
 from calflow.diagnosis.findings.tables import CandidateRow, FindingRow
 from calflow.diagnosis.findings.verdict import label
 from calflow.effects import catalogue
@@ -152,7 +152,7 @@ WAVING = Found(
     statement="it depends on time",
     inputs=("time",),
 )
-WORST = Region(input="q2", low=20.0, high=45.0, unit="deg", there_mm=0.2, elsewhere_mm=0.1)
+WORST = MisfitRegion(input="q2", low=20.0, high=45.0, unit="deg", there_mm=0.2, elsewhere_mm=0.1)
 MISFIT = Found(
     "unexplained",
     detail="joint 2 is between 20 and 45 deg",

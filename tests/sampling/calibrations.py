@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import calflow as cf
-from calflow.design.candidates import candidates, pack
+from calflow.design.candidates import candidates, packed_conditions
 from calflow.estimation.accuracy import errors
 from calflow.estimation.certainty import position_variance
 from calflow.estimation.progress import draws
@@ -99,7 +99,7 @@ class Case:
 
 def packed(model: Model, readings: np.ndarray, marker: str) -> np.ndarray:
     """Conditions of joint readings (n, n_joints) under the load."""
-    return pack(model, readings, "load", marker)
+    return packed_conditions(model, readings, "load", marker)
 
 
 def from_prior(model: Model, rng: np.random.Generator) -> np.ndarray:

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings.extended_model import summary
+from calflow.diagnosis.findings.extended_model import diagnosis_summary
 from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.extension import Extended
@@ -60,5 +60,5 @@ def test_the_summary_tells_whether_the_extended_fit_converged(fitted, converged)
     last = replace(fitted, fit=replace(fitted.fit, converged=converged, status="Maximum_Iterations_Exceeded"))
     first = Linearisation.at(fitted, Catalogue((), {})).screened(np.random.default_rng(1))
     found = Diagnosis(fitted, Extended(last, (), (), first), (), (), None, {}, {}, 0.01)
-    told = summary(found, SimpleNamespace(sigma=3e-5))
+    told = diagnosis_summary(found, SimpleNamespace(sigma=3e-5))
     assert (told.converged, told.solver.status) == (converged, "Maximum_Iterations_Exceeded")

@@ -83,17 +83,17 @@ def candidates(
     for _ in range(rounds):
         drawn = qmc.scale(sobol.random(size), *model.robot.limits.T)
         readings = drawn @ model.robot.angle_matrix.T
-        rows = pack(model, readings, payload, marker)
+        rows = packed_conditions(model, readings, payload, marker)
         angles = readings @ model.robot.reading_matrix.T
         good = model.robot.within_limits(angles, ROUNDING)
         if observation is not None and observation.touches:
             readings, touching = brought(model, observation, readings, rows)
-            rows = pack(model, readings, payload, marker)
+            rows = packed_conditions(model, readings, payload, marker)
             angles = readings @ model.robot.reading_matrix.T
             low, high = model.robot.limits.T  # of a joint that nobody limits one turn, as drawn
             good &= touching & ((angles >= low) & (angles <= high)).all(axis=1)
         elif region is not None:
-            position = rigid.position(rigid.nominal, pack(rigid, readings, payload, marker))
+            position = rigid.position(rigid.nominal, packed_conditions(rigid, readings, payload, marker))
             good &= ((position > region[0]) & (position < region[1])).all(axis=1)
         good[good] = reachable(model.robot, angles[good])
         if cell is not None:
@@ -104,7 +104,7 @@ def candidates(
             readings = np.vstack(kept)[:number]
             if cell is not None:
                 say(f"of those drawn within joint limits and region {refused_words(np.concatenate(refusals))}")
-            return readings, pack(model, readings, payload, marker)
+            return readings, packed_conditions(model, readings, payload, marker)
     left, refused = "reach the region", ""
     if cell is not None:
         left, refused = "are left", f" Of those there {refused_words(np.concatenate(refusals))}"
@@ -120,7 +120,7 @@ def allowed(
 ) -> np.ndarray:  # fmt: skip
     """Return which of stated joint readings (n, n_joints) are within limits and region, and allowed by the cell, shape (n,)."""
     angles = readings @ model.robot.reading_matrix.T
-    rows = pack(model, readings, payload, marker)
+    rows = packed_conditions(model, readings, payload, marker)
     good = model.robot.within_limits(angles) & reachable(model.robot, angles)
     if region is not None:
         position = model.position(model.nominal, rows)
@@ -132,7 +132,7 @@ def allowed(
     return np.asarray(good)
 
 
-def pack(model: Model, readings: np.ndarray, payload: str, marker: str) -> np.ndarray:
+def packed_conditions(model: Model, readings: np.ndarray, payload: str, marker: str) -> np.ndarray:
     """Return packed conditions (n_conditions, n_rows) of readings (n_rows, n_joints) under one payload, for one marker."""
     robot, n = model.robot, len(readings)
     payloads = [np.full(n, float(name == payload)) for name in robot.payloads]

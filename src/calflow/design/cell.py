@@ -136,7 +136,7 @@ BLOCK = 8192  # poses at once: what a processor's cache holds
 
 
 @dataclass(frozen=True)
-class Station:
+class CellStation:
     """A device in the measuring frame [m]: how near and how far it measures [m], how low and how high about the frame's z [rad]."""
 
     origin: Vector
@@ -174,7 +174,7 @@ class Cell:
     joint readings (n_joints,) whose elbow and wrist are kept, torque_share how much of each rated torque holding may take.
     """
 
-    stations: tuple[Station, ...] = ()
+    stations: tuple[CellStation, ...] = ()
     reflector_axis: Vector = (0.0, 0.0, 1.0)
     acceptance: float | None = None
     line_of_sight: bool = True
@@ -273,7 +273,7 @@ def _drawn(cell: Cell, robot: Robot, points: np.ndarray) -> np.ndarray:
     return points if cell.drawn_in_base else points @ stands[:3, :3].T + stands[:3, 3]
 
 
-def _views(cell: Cell, robot: Robot, at: Skeleton) -> Iterator[tuple[Station, np.ndarray]]:
+def _views(cell: Cell, robot: Robot, at: Skeleton) -> Iterator[tuple[CellStation, np.ndarray]]:
     """Each station, and the way (n, 3) from the reflector to it, in the base's frame."""
     stands = _stands(robot)
     for station in cell.stations:

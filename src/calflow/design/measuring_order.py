@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from calflow.design.candidates import allowed, pack
+from calflow.design.candidates import allowed, packed_conditions
 from calflow.design.cell import Cell
 from calflow.design.worth import PlanInformation
 from calflow.files.tables import column
@@ -118,7 +118,7 @@ def drift_pulls(
 def displacements(plan: PlanInformation) -> dict[Drifting, np.ndarray]:
     """Return in which ways each pose's point would move by 1 m (of the robot: on average), (n, 3, n_ways)."""
     model = plan.model
-    rows = pack(model, plan.readings, plan.payload, plan.marker)
+    rows = packed_conditions(model, plan.readings, plan.payload, plan.marker)
     out = model.point(model.nominal, rows) - model.robot.base.origin
     grown = out / np.linalg.norm(out, axis=1).mean()
     return {"device": np.tile(np.eye(3), (len(out), 1, 1)), "robot": grown[:, :, None]}

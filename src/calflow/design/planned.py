@@ -1,16 +1,20 @@
 """A planned measurement: how a further pose will be observed, and how surely.
 
 Stated poses: a CSV of joint readings, such as a robot's taught poses.
+
+The task: poses and payloads at which the tool's error is what counts, whatever the parameters are.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from calflow.design.candidates import pack
+from calflow.design.candidates import candidates, packed_conditions
+from calflow.design.optimality import ToolError
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.noise import Noise
 from calflow.files.problems import InputError, Problem, nearest
@@ -83,7 +87,7 @@ def stated_poses(file: Path, model: Model) -> np.ndarray:
     stated[:, model.robot.driven] = np.transpose([column.values for column in read])
     empty = np.any([column.empty for column in read], axis=0)
     finite = np.asarray(np.isfinite(stated).all(axis=1))
-    packed = pack(model, np.where(finite[:, None], stated, 0.0), "", "")
+    packed = packed_conditions(model, np.where(finite[:, None], stated, 0.0), "", "")
     closed = np.abs(model.closure_cosine(model.nominal, packed)) < 1
     lines = cells.index.to_numpy()
     problems = [Problem("a joint reading is empty or not a number", file, int(line)) for line in lines[empty]]
@@ -112,3 +116,33 @@ def _joint_columns(there: list[str], robot: Robot, file: Path) -> list[ReadColum
     if problems:
         raise InputError(problems)
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Where the tool must be right: packed conditions (n_conditions, n_points), all points alike."""
+
+    rows: np.ndarray
+
+    @staticmethod
+    def within(
+        model: Model, payloads: Sequence[str], marker: str, region: np.ndarray | None, number: int,
+        rng: np.random.Generator,
+    ) -> Task:  # fmt: skip
+        """Return so many poses, drawn over a region (2, 3) [m] of the measuring frame, under each of these payloads.
+
+        Raises:
+            InputError: hardly any pose reaches the region.
+        """
+        readings, _ = candidates(model, number, payloads[0], marker, region, rng)
+        return Task.of(model, readings, payloads, marker)
+
+    @staticmethod
+    def of(model: Model, readings: np.ndarray, payloads: Sequence[str], marker: str) -> Task:
+        """Return these joint readings (n, n_joints), each under each of these payloads."""
+        return Task(np.hstack([packed_conditions(model, readings, payload, marker) for payload in payloads]))
+
+    def criterion(self, model: Model) -> ToolError:
+        """Return the tool's error over the task, of a model whose parameters are scaled by their priors."""
+        slopes = model.point_jacobian(model.nominal, self.rows) * model.prior_sd
+        return ToolError(slopes, np.full(len(slopes), 1 / len(slopes)))

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from calflow.design.candidates import allowed, pack
+from calflow.design.candidates import allowed, packed_conditions
 from calflow.design.cell import Cell, reflector
 from calflow.design.exchange import information
 from calflow.design.optimality import Criterion
@@ -53,7 +53,7 @@ OPTIONS: dict[str, Any] = {
 }
 
 
-def refined(
+def refined_poses(
     model: Model, planned: Planned, readings: np.ndarray, payload: str, marker: str, region: np.ndarray | None,
     prior: np.ndarray, criterion: Criterion, cell: Cell | None = None,
 ) -> np.ndarray:  # fmt: skip
@@ -72,7 +72,7 @@ def refined(
     found = np.array(solver(x0=start, lbx=start - far, ubx=start + far, **bounds)["x"]).reshape(readings.shape)
 
     def loss(poses: np.ndarray) -> float:
-        own = planned.whitened(model, model.nominal, pack(model, poses, payload, marker)) * model.prior_sd
+        own = planned.whitened(model, model.nominal, packed_conditions(model, poses, payload, marker)) * model.prior_sd
         return criterion.loss(np.linalg.inv(information(own, prior)))
 
     whole = allowed(model, found, payload, marker, region, cell)
@@ -101,7 +101,7 @@ def _slope(model: Model, planned: Planned, payload: str, marker: str) -> ca.Func
 
 def _packed(model: Model, q: ca.SX, payload: str, marker: str) -> ca.SX:
     """One row's packed conditions at these readings."""
-    fixed = pack(model, np.zeros((1, model.robot.n_joints)), payload, marker)[model.robot.n_joints :]
+    fixed = packed_conditions(model, np.zeros((1, model.robot.n_joints)), payload, marker)[model.robot.n_joints :]
     return ca.vertcat(q, ca.DM(fixed))
 
 

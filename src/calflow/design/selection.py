@@ -12,17 +12,15 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from calflow.design.candidates import allowed, candidates, pack
+from calflow.design.candidates import allowed, candidates, packed_conditions
 from calflow.design.cell import Cell
 from calflow.design.exchange import greedy, information
-from calflow.design.how_many import HowMany, enough, knee, next_best
 from calflow.design.measuring_order import USUAL_DRIFT, DriftPull, Order, drift_pulls, orders, reached, vias
 from calflow.design.optimality import Criterion, Parameters, ToolError, indices
-from calflow.design.planned import Planned
-from calflow.design.refinement import refined
-from calflow.design.search import Found, search, search_worst
-from calflow.design.task import Task
-from calflow.design.worth import PlanInformation, Worth
+from calflow.design.planned import Planned, Task
+from calflow.design.refinement import refined_poses
+from calflow.design.search import SearchResult, search_poses, search_worst
+from calflow.design.worth import HowMany, PlanInformation, Worth, enough, knee, next_best
 from calflow.estimation.identifiability import NULL
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.problems import refuse
@@ -212,7 +210,7 @@ def select(
         )
     else:
         readings = stated[allowed(model, stated, payload, marker, region, cell, say)]
-        rows = pack(model, readings, payload, marker)
+        rows = packed_conditions(model, readings, payload, marker)
         if len(readings) < number:
             raise refuse(
                 f"of {len(stated)} stated poses {len(readings)} are within joint limits{' and' if cell is None else ','} region"
@@ -232,7 +230,7 @@ def select(
     if aim == "worst":
         found = search_worst(whitened, prior, number, tool, rng("search"))
     else:
-        found = search(whitened, prior, number, criterion, rng("search"))
+        found = search_poses(whitened, prior, number, criterion, rng("search"))
     certificate = _certificate(found, aim, whitened)
     say(
         f"no other {number} of these candidates are better by more than {certificate.could_gain_percent:.2g} % "
@@ -242,8 +240,8 @@ def select(
 
     poses, own = readings[found.chosen], whitened[found.chosen]
     if refine:
-        poses = refined(model, planned, poses, payload, marker, region, prior, criterion, cell)
-        own = planned.whitened(model, model.nominal, pack(model, poses, payload, marker)) * model.prior_sd
+        poses = refined_poses(model, planned, poses, payload, marker, region, prior, criterion, cell)
+        own = planned.whitened(model, model.nominal, packed_conditions(model, poses, payload, marker)) * model.prior_sd
         gained = 100 * (1 - criterion.loss(np.linalg.inv(information(own, prior))) / found.loss)
         certificate = replace(certificate, refined_percent=gained)
         say(f"moved between the candidates they are better by {gained:.2g} %")
@@ -271,7 +269,7 @@ def select(
     )  # fmt: skip
 
 
-def _certificate(found: Found, aim: Aim, whitened: np.ndarray) -> Certificate:
+def _certificate(found: SearchResult, aim: Aim, whitened: np.ndarray) -> Certificate:
     unit = 1.0 if aim == "parameters" else 1e3
     return Certificate(
         criterion=aim,
@@ -302,6 +300,6 @@ def planned_poses(
         for stem, values in (("via", reached_from), ("travel", travel)):
             columns = [f"{stem}{name.removeprefix('q')}" for name in names]
             table |= dict(zip(columns, np.round(shown_readings(robot, values), 4).T, strict=True))
-    position = 1e3 * model.position(model.nominal, pack(model, readings, payload, marker))
+    position = 1e3 * model.position(model.nominal, packed_conditions(model, readings, payload, marker))
     table |= {f"nominal_{axis}_mm": np.round(position[:, i], 1) for i, axis in enumerate("xyz")}
     return typed(pd.DataFrame({**table, "marker": marker, "payload": payload}), PlannedPose)

@@ -25,7 +25,7 @@ from calflow.design.planned import Planned
 from calflow.diagnosis.findings.verdict import WITHIN, label
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.screening.hypothesis import H
-from calflow.diagnosis.screening.regressors import Candidate, Held, Products, Regressors, candidates_of
+from calflow.diagnosis.screening.regressors import Candidate, Held, RegressorProducts, Regressors, candidates_of
 from calflow.diagnosis.screening.screening import Family, Screening
 from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES
 from calflow.effects import Effect, catalogue
@@ -236,7 +236,7 @@ def _regressors(
     _, matrix = probed(planned.problem(model, point, rows), point, effects)
     jacobian, found, candidates = matrix[:, :n], Held(matrix[:, n:]), candidates_of(effects)
     residual, precision = rng.standard_normal(len(matrix)), sd**-2.0
-    products = Products.of(residual, jacobian, found, candidates)
+    products = RegressorProducts.of(residual, jacobian, found, candidates)
     known = cho_solve(cho_factor(products.fitted + np.diag(precision)), products.fitted)
     prior_sd = np.array([parameter.prior_sd for effect in effects for parameter in effect.declared])
     return Regressors(

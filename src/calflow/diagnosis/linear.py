@@ -18,13 +18,20 @@ from scipy.optimize import lsq_linear
 from scipy.stats import chi2 as chi2_distribution
 
 from calflow.diagnosis.findings.verdict import verdict
-from calflow.diagnosis.screening.regressors import Candidate, Held, Products, Regressors, counted_once, shared_error
+from calflow.diagnosis.screening.regressors import (
+    Candidate,
+    Held,
+    RegressorProducts,
+    Regressors,
+    counted_once,
+    shared_error,
+)
 from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.screening.screening import Family
+from calflow.diagnosis.search.exchange import verified
 from calflow.diagnosis.search.linearisation import Finding, Linearisation
 from calflow.diagnosis.search.stepwise import Stepwise
 from calflow.diagnosis.search.trial import FALSE_ALARM, Acceptance, Trial, bic, relief
-from calflow.diagnosis.search.verification import verified
 from calflow.files.problems import InputError, Problem
 
 LACK_OF_FIT = 0.01  # significance from which a model leaves more than noise that is known
@@ -233,7 +240,7 @@ class LinearTrial(Trial[Block]):
             matrix=matrix,
             prior_sd=np.concatenate([block.sd for block in problem.blocks]),
             candidates=problem.candidates,
-            products=Products.of(residual, jacobian, matrix, problem.candidates),
+            products=RegressorProducts.of(residual, jacobian, matrix, problem.candidates),
             determined=found.effective_parameters,
         )
         columns = tuple(np.flatnonzero(np.isin(free, own)) for own in self._own)

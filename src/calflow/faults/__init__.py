@@ -12,10 +12,8 @@ import numpy as np
 import pandas as pd
 
 from calflow.faults.base import Check, Correction, Fault, FaultyRow, PlainCheck, correct
-from calflow.faults.base_elsewhere import base_elsewhere
-from calflow.faults.elsewhere import gross_rows, is_position
-from calflow.faults.joint_limits import past_limits
-from calflow.faults.nominal_misfit import nominal_misfit
+from calflow.faults.implausible import base_elsewhere, nominal_misfit, past_limits
+from calflow.faults.outlier import gross_rows, is_position
 from calflow.faults.reference import Models, Reference
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import to_frame
@@ -23,7 +21,7 @@ from calflow.measurements.measurements import Measurements
 
 __all__ = [
     "Check", "Correction", "Fault", "FaultyRow", "PlainCheck", "as_table", "checks", "corrected", "examined", "plain_checks",
-    "search",
+    "search_faults",
 ]  # fmt: skip
 
 
@@ -54,7 +52,7 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
     Raises:
         InputError: what is left cannot be of this robot: poses past its limits, or positions far from where it can be.
     """
-    data, faults = search(data)
+    data, faults = search_faults(data)
     problems = []
     for past, said in past_limits(data):
         series = data.series_number[past]
@@ -68,7 +66,7 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
     return data, faults
 
 
-def search(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
+def search_faults(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
     """Return the rows as the fits are to see them, and what was wrong with them.
 
     What has one clear correction is corrected; rows that nothing puts right are left out of fit and judgement.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calflow.faults.reference import FIT_ROWS, LEAST_GROSS, Reference, changed, chosen, lengths
+from calflow.faults.reference import FIT_ROWS, LEAST_GROSS, Reference, chosen_rows, lengths, rows_with_reading
 from calflow.measurements.measurements import Measurements
 
 FEWEST = 3  # rows inside and outside
@@ -17,7 +17,7 @@ FAR = 3.0  # times the largest step up to which a row's error counts
 
 
 @dataclass(frozen=True)
-class Block:
+class RowBlock:
     """Rows (n_rows,) that step is to be added to, in the readings of a joint (index from 0) [rad, or m].
 
     gain is the fall of the squared errors and of the squared deviations from the nominal robot, in standard deviations.
@@ -29,7 +29,7 @@ class Block:
     gain: float
 
     @property
-    def others(self) -> Block:
+    def others(self) -> RowBlock:
         """The same with all other rows, to the other side: only the joint's zero tells them apart."""
         return replace(self, step=-self.step, rows=~self.rows)
 
@@ -49,7 +49,7 @@ class Linear:
     def of(data: Measurements, reference: Reference, step: float) -> Linear:
         """Linearise at the fit of a reference, at the rows whose errors a step [m] may explain."""
         fit = reference.fit
-        here = np.flatnonzero(chosen(np.flatnonzero(data.train), FIT_ROWS, len(data)))
+        here = np.flatnonzero(chosen_rows(np.flatnonzero(data.train), FIT_ROWS, len(data)))
         predicted = fit.predicted(data.rows[:, here])
         error = data.position[here] - predicted
         usable = lengths(error) < FAR * step
@@ -65,7 +65,7 @@ class Linear:
             data, here, predicted, fitted.reshape(len(here), 3, fitted.shape[-1]), left.reshape(-1, 3), reference
         )
 
-    def best(self, joint: int, step: float) -> Block | None:
+    def best(self, joint: int, step: float) -> RowBlock | None:
         """Return the rows between two that gain most from a step, to either side."""
         there, n = {sign: self._moved(joint, sign * step) for sign in (1, -1)}, len(self.rows)
         if n < 2 * FEWEST or any(not np.isfinite(moved).all() for moved in there.values()):
@@ -86,11 +86,11 @@ class Linear:
         gain, sign, begin, end = best
         rows = np.zeros(len(self.data), dtype=bool)
         rows[self.rows[begin] : self.rows[end - 1] + 1] = True
-        return Block(joint, sign * step, rows, gain)
+        return RowBlock(joint, sign * step, rows, gain)
 
     def _moved(self, joint: int, step: float) -> np.ndarray:
         """Return how a step of the reading moves what is predicted, shape (n_rows, 3), in standard deviations."""
-        read = changed(self.data, joint, self.data.joints[self.rows, joint] + step, self.rows)
+        read = rows_with_reading(self.data, joint, self.data.joints[self.rows, joint] + step, self.rows)
         return np.asarray((self.reference.fit.predicted(read) - self.predicted) / LEAST_GROSS)
 
     def _sums(self, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -107,7 +107,7 @@ class Linear:
 ABSENT = 10.0  # what a row costs that a state says nothing about
 
 
-def cost(error: np.ndarray, scale: float) -> np.ndarray:
+def state_cost(error: np.ndarray, scale: float) -> np.ndarray:
     """Return what errors (…) [m] cost against a scale [m]: hardly anything where usual, and growing slowly."""
     return np.where(np.isfinite(error), np.log1p((error / (3 * max(scale, 1e-9))) ** 2), ABSENT)
 

@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import Check, Correction, Fault, correct, fault
-from calflow.faults.blocks import Block, Linear, cost, states
-from calflow.faults.reference import Reference, changed, chosen, lengths
+from calflow.faults.blocks import Linear, RowBlock, state_cost, states
+from calflow.faults.reference import Reference, chosen_rows, lengths, rows_with_reading
 from calflow.measurements.measurements import Measurements
 
 TURN = 2 * np.pi
@@ -95,11 +95,11 @@ class EncoderTurn(Check):
         why = f"turn of its motor ({abs(np.rad2deg(found.step)):.4g} deg at gear ratio {ratio:g})"
         return (self._fault(data, block.joint, found.rows, found.step, why, "does not agree with the position"),)
 
-    def _refined(self, data: Measurements, reference: Reference, block: Block) -> Turned | None:
+    def _refined(self, data: Measurements, reference: Reference, block: RowBlock) -> Turned | None:
         """Return the rows that need the turn by a robot that is fitted with it; None where it does not explain them."""
         pose = data.table["pose"].to_numpy()
         rows = np.flatnonzero(block.rows)
-        read = changed(data, block.joint, data.joints[:, block.joint] + block.step, np.arange(len(data)))
+        read = rows_with_reading(data, block.joint, data.joints[:, block.joint] + block.step, np.arange(len(data)))
         for _ in range(REFINED):
             turned = self._turned(data, block, rows)
             again = Reference.of(turned, reference.models)
@@ -107,7 +107,7 @@ class EncoderTurn(Check):
                 return None
             fit = again.fit
             before, after = (lengths(data.position - fit.predicted(own)) for own in (data.rows, read))
-            needed = states(np.stack([cost(before, fit.scale), cost(after, fit.scale)]), CHANGE) == 1
+            needed = states(np.stack([state_cost(before, fit.scale), state_cost(after, fit.scale)]), CHANGE) == 1
             # Nearly all rows may need a turn that the fit has followed: the others must be right without it.
             if not all(
                 len(set(pose[part])) >= FEWEST and fit.better(wrong[part], right[part]).mean() >= BELIEVED
@@ -120,7 +120,7 @@ class EncoderTurn(Check):
         outside = _turns_outside(self._turned(data, block, rows), block.joint).any()
         return Turned(rows, block.step, fit.deviation, bool(outside))
 
-    def _turned(self, data: Measurements, block: Block, rows: np.ndarray) -> Measurements:
+    def _turned(self, data: Measurements, block: RowBlock, rows: np.ndarray) -> Measurements:
         turns = tuple(Correction(int(row) + 1, f"q{block.joint + 1}", offset=block.step) for row in rows)
         return correct(data, Fault(self.id, 0, (), "", "corrected", turns))
 
@@ -136,8 +136,8 @@ class EncoderTurn(Check):
 
 def _size(data: Measurements, reference: Reference, joint: int, step: float) -> float:
     """Return how far a step of a joint's reading typically moves the tool [m]."""
-    few = np.flatnonzero(chosen(np.arange(len(data)), FEW_ROWS, len(data)))
-    read = changed(data, joint, data.joints[few, joint] + step, few)
+    few = np.flatnonzero(chosen_rows(np.arange(len(data)), FEW_ROWS, len(data)))
+    read = rows_with_reading(data, joint, data.joints[few, joint] + step, few)
     return float(
         np.nanmedian(np.linalg.norm(reference.fit.predicted(read) - reference.fit.predicted(data.rows[:, few]), axis=1))
     )

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calflow.faults.base import Check, Correction, Fault, fault
 from calflow.faults.joint_sign import FAR_OFF, ROWS, Signs, likely
-from calflow.faults.reference import Models, Reference, chosen, lengths, level, motion, rough
+from calflow.faults.reference import Models, Reference, chosen_rows, lengths, level, motion, rough
 from calflow.measurements.measurements import Measurements
 
 FAR_BETTER = 5.0  # times by which the mirrored positions must be met better than as read
@@ -33,7 +33,7 @@ REFLECTIONS = {  # what was done to the axes, by the quantity that is mended
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedRobot:
     """The nominal robot where it fits best: error [m], the base's turn (3, 3), and how far known markers are off [m]."""
 
     error: float
@@ -41,7 +41,7 @@ class Placed:
     tool: float
 
     @staticmethod
-    def of(few: Measurements, models: Models, signs: Signs = (), mirror: np.ndarray = RIGHT) -> Placed:
+    def of(few: Measurements, models: Models, signs: Signs = (), mirror: np.ndarray = RIGHT) -> PlacedRobot:
         """Place it with the signs of some joints (index from 0) turned, at positions that are mirrored (3, 3)."""
         rows, position = few.rows.copy(), few.position @ mirror.T
         rows[list(signs)] *= -1
@@ -50,7 +50,7 @@ class Placed:
         known = {name for name, marker in few.robot.markers.items() if marker.known}
         moved = [value for p, value in zip(fit.model.parameters, fit.estimate, strict=True) if p.part in known]
         error = float(level(lengths(position - fit.predicted(rows))))
-        return Placed(error, turn, float(np.abs(moved).max(initial=0.0)))
+        return PlacedRobot(error, turn, float(np.abs(moved).max(initial=0.0)))
 
 
 class FrameMirrored(Check):
@@ -66,13 +66,13 @@ class FrameMirrored(Check):
 
     def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         """Return one fault, of all positions."""
-        few = data.only(chosen(np.flatnonzero(data.train), ROWS, len(data)))
+        few = data.only(chosen_rows(np.flatnonzero(data.train), ROWS, len(data)))
         far = FAR_OFF * reference.spread
-        as_read = Placed.of(few, reference.models)
+        as_read = PlacedRobot.of(few, reference.models)
         if as_read.error < far:
             return ()
         mirror = REFLECTIONS["y"]
-        mirrored = Placed.of(few, reference.models, mirror=mirror)
+        mirrored = PlacedRobot.of(few, reference.models, mirror=mirror)
         if mirrored.error > min(far, as_read.error / FAR_BETTER):
             return ()
         expected = _expected(few, reference.models)
@@ -82,7 +82,7 @@ class FrameMirrored(Check):
             (j for j, error in likely(data, reference).items() if error < ALIKE * mirrored.error), key=len, default=()
         )
         if signs:
-            turned = Placed.of(few, reference.models, signs)
+            turned = PlacedRobot.of(few, reference.models, signs)
             nearer = mirrored.tool - turned.tool
             if data.robot.base.known:
                 nearer = max(nearer, from_there[name] - _angle(expected.T @ turned.turn))

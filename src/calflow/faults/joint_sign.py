@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import Check, Correction, Fault, correct, fault
-from calflow.faults.reference import Reference, chosen, lengths, level, motion, rough
+from calflow.faults.reference import Reference, chosen_rows, lengths, level, motion, rough
 from calflow.measurements.measurements import Measurements
 
 ROWS = 60  # that tell joint signs apart
@@ -85,7 +85,7 @@ def likely(data: Measurements, reference: Reference) -> dict[Signs, float]:
 
     Each stands with that error [m].
     """
-    few = data.only(chosen(np.flatnonzero(data.train), ROWS, len(data)))
+    few = data.only(chosen_rows(np.flatnonzero(data.train), ROWS, len(data)))
     n = data.robot.n_joints
     every = [turned for k in range(n + 1 if n <= EVERY else 3) for turned in combinations(range(n), k)]
     rows = np.repeat(few.rows[None], len(every), axis=0)

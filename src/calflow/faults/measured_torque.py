@@ -23,7 +23,7 @@ SURE = 5.0  # standard deviations
 
 
 @dataclass(frozen=True)
-class Comparison:
+class TorqueComparison:
     """A joint's measured torques (index from 0) against those that masses ask for, offset and friction taken off."""
 
     joint: int
@@ -55,7 +55,9 @@ class TorqueSign(PlainCheck):
                 return tuple(self._fault(data, one, compared) for one in sorted(alike))
         return tuple(self._fault(data, one, compared, False) for one in sorted(turned))
 
-    def _fault(self, data: Measurements, joint: int, compared: tuple[Comparison, ...], clear: bool = True) -> Fault:
+    def _fault(
+        self, data: Measurements, joint: int, compared: tuple[TorqueComparison, ...], clear: bool = True
+    ) -> Fault:
         own = next((one for one in compared if one.joint == joint), None)
         why = (
             "as those of the joints that gravity loads"
@@ -96,7 +98,7 @@ class TorqueScale(PlainCheck):
         return tuple(found)
 
 
-def comparisons(data: Measurements) -> tuple[Comparison, ...]:
+def comparisons(data: Measurements) -> tuple[TorqueComparison, ...]:
     """Compare the torque columns with computed loads, joint by joint where gravity loads it enough.
 
     Where masses are not known, known payloads tell the scale: the links' own part, linear in unknown first moments, is
@@ -134,7 +136,7 @@ def comparisons(data: Measurements) -> tuple[Comparison, ...]:
 
 def _compared(
     joint: int, measured: np.ndarray, held: np.ndarray, beside: np.ndarray, against: str
-) -> Comparison | None:
+) -> TorqueComparison | None:
     """Compare torques (n,) with loads (n,), both freed of other terms (n, k); None where the loads are not to be seen."""
     u, s, _ = np.linalg.svd(beside / np.maximum(np.linalg.norm(beside, axis=0), 1e-12), full_matrices=False)
     u = u[:, s > 1e-9 * s[0]]
@@ -145,7 +147,9 @@ def _compared(
         return None
     slope = float(x @ y) / xx
     left = y - slope * x
-    return Comparison(joint, float(x @ y) / np.sqrt(xx * yy), slope, float(np.sqrt(left @ left / free / xx)), against)
+    return TorqueComparison(
+        joint, float(x @ y) / np.sqrt(xx * yy), slope, float(np.sqrt(left @ left / free / xx)), against
+    )
 
 
 def _payload(data: Measurements) -> np.ndarray:

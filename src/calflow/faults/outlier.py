@@ -1,15 +1,35 @@
-"""Outlier: a row that is grossly off, and nobody knows why."""
+"""Outlier: a row that is grossly off, and nobody knows why.
+
+Gross errors of rows that are no positions in the measuring frame: lengths, contacts, further stations.
+
+What is wrong with such rows is not searched for kind by kind, as with positions: rows are found that a robust fit of the
+geometry leaves far off.
+Odd rows: outliers by the final model, once what explains the others is in it.
+
+The tail of residuals: how far the largest of so many may be, by how heavy-tailed the others are.
+"""
 
 from __future__ import annotations
 
 from typing import ClassVar
 
 import numpy as np
-from scipy.stats import t
+from scipy.optimize import minimize_scalar
+from scipy.special import gammaln
+from scipy.stats import chi, norm, t
 
-from calflow.faults.base import Check, Correction, Fault, fault
-from calflow.faults.reference import Reference, Rough, changed
+from calflow.estimation.accuracy import distances, errors
+from calflow.estimation.fit import Fit
+from calflow.estimation.judgement import Studentised
+from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.registration import in_measuring_frame, registered
+from calflow.estimation.repeats import measured_noise
+from calflow.estimation.reweighting import fit_reweighted
+from calflow.faults.base import Check, Correction, Fault, fault, lines_in_words
+from calflow.faults.reference import EQUATIONS, GROSS, LEAST_GROSS, NORMAL_LENGTH, Reference, Rough, rows_with_reading
 from calflow.measurements.measurements import Measurements
+from calflow.model import build
+from calflow.observations import observations
 
 # Nothing but its size speaks for an outlier, so noise with heavy tails must not look like one: the limit is what the
 # largest of so many rows exceeds once in 300 data sets if each axis has Student's t with 3 degrees of freedom, measured by
@@ -38,7 +58,7 @@ class Outlier(Check):
         miss, used = reference.miss, data.train | data.held_out
         limit = limit_of(miss[used], fit.scale, fit.gross)
         off = used & (miss > limit)
-        off &= ~together(data, error, off)
+        off &= ~off_together(data, error, off)
         if not 0 < off.sum() <= MOST * used.sum() or _of_a_joint(data, fit, error, np.flatnonzero(off)):
             return ()
         rows = np.flatnonzero(off)
@@ -62,7 +82,7 @@ def limit_of(miss: np.ndarray, scale: float, gross: float) -> float:
     return max(gross, float(usual / TAIL_LENGTH * largest))
 
 
-def together(data: Measurements, error: np.ndarray, off: np.ndarray) -> np.ndarray:
+def off_together(data: Measurements, error: np.ndarray, off: np.ndarray) -> np.ndarray:
     """Return the rows that are off together with others: of one payload or marker, or in a row and the same way."""
     groups = np.zeros(len(off), dtype=bool)
     for label in ("payload", "marker"):
@@ -83,8 +103,159 @@ def _of_a_joint(data: Measurements, fit: Rough, error: np.ndarray, rows: np.ndar
         return False
     here, wrong = fit.predicted(data.rows[:, rows]), error[rows] / np.linalg.norm(error[rows], axis=1, keepdims=True)
     for joint in range(data.robot.n_joints):
-        moved = fit.predicted(changed(data, joint, data.joints[rows, joint] + SMALL, rows)) - here
+        moved = fit.predicted(rows_with_reading(data, joint, data.joints[rows, joint] + SMALL, rows)) - here
         along = np.abs((moved * wrong).sum(axis=1)) > ALONG * np.linalg.norm(moved, axis=1)
         if along.mean() >= SHARE:
             return True
     return False
+
+
+MEDIAN_LENGTH = (np.nan, 0.6745, 1.1774, NORMAL_LENGTH)  # of so many unit normals
+
+
+def is_position(data: Measurements) -> np.ndarray:
+    """Return which rows are positions in the measuring frame, shape (n_rows,)."""
+    return in_measuring_frame(observations(data), data)
+
+
+def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
+    """Return the outliers among some rows (n_rows,), a fault a series, which a robust fit of all training rows leaves far off."""
+    train = data.only(data.train)
+    robot, observed = registered(data.robot, observations(train), train)
+    here, train = data.on(robot), train.on(robot)
+    model = build(robot, ("geometry",), data.given, observed)
+    nominal = build(robot, (), data.given, observed)
+    noise = measured_noise(here, "estimated", nominal).only(data.train)
+    if LeastSquares.of(model, train, noise).size < EQUATIONS * len(model.parameters):
+        return ()
+    fit = fit_reweighted(model, train, noise, model.prior_mean[None], "cauchy")[0]
+    miss = errors(model, fit.estimate, here)
+    faults = []
+    far = distances(miss)
+    for k in np.unique(data.series_number[which]):
+        own = which & data.of_series(int(k)) & (data.train | data.held_out)
+        scale = float(np.median(far[own])) / MEDIAN_LENGTH[int((~np.isnan(miss[own][0])).sum())]
+        found = own & (far > limit_of(far[own], scale, max(GROSS * scale, LEAST_GROSS)))
+        if found.any() and found.sum() <= MOST * own.sum():
+            faults.append(_outliers(data, int(k), found, far, float(np.median(far[own & ~found]))))
+    return tuple(faults)
+
+
+def _outliers(data: Measurements, k: int, found: np.ndarray, far: np.ndarray, others: float) -> Fault:
+    """Tell the rows (n_rows,) of a series that are too far [m] from what all others say."""
+    rows = np.flatnonzero(found)
+    lines = tuple(dict.fromkeys(int(line) for line in data.table["line"].iloc[rows]))
+    several = f" of measurements {data.series[k].name or k + 1}" if len(data.series) > 1 else ""
+    low, high = (f"{1e3 * end:.3g}" for end in (far[found].min(), far[found].max()))
+    statement = (
+        f"what was measured in {lines_in_words(lines)}{several} is {low if low == high else f'{low} to {high}'} mm from what all "
+        f"other rows say, which miss by {1e3 * others:.2g} mm; left out, measure again"
+    )
+    return Fault(Outlier.id, 0, lines, statement, "left out", tuple(Correction(int(row) + 1) for row in rows))
+
+
+FALSE_ODD_ROW = (
+    1 / 500
+)  # data sets that a gap's limit is made for; with several gaps tried, an outlier is named in fewer than one of 300
+REMOVED, LEAST_REMOVED = 0.1, 3  # share and number of the rows that are held against the others at most
+GAPS = 3  # gaps that are tried
+TAIL_DEGREES = (
+    2.5,
+    3.0,
+    3.5,
+    4.0,
+    5.0,
+    6.0,
+    8.0,
+    11.0,
+    15.0,
+    22.0,
+    35.0,
+    60.0,
+    1e3,
+)  # of Student's t, that are tried
+DOUBT = 2.0  # fall of twice the log-likelihood up to which heavier tails are reckoned with
+FEWEST = 60  # values, of which a tail can be told
+TINY = 1e-12  # standard deviations: below it residuals are rounding
+TOGETHER = 1.06  # by which three values of a heavy tail are longer together than the largest of them
+
+
+def limit_of_length(values: np.ndarray) -> float:
+    """Return the length that a row of independent residuals exceeds in fewer than one of 300 data sets; infinite where no row does.
+
+    values (n_rows, size) are the studentised residuals of good and bad rows. The longest rows are held against the tail of all
+    others, Student's t with as few degrees of freedom as these allow; as many rows at once as stand out by a gap, so that bad
+    rows neither hide each other nor make the tail heavy.
+    """
+    n_rows, size = values.shape
+    if values.size < FEWEST:
+        return np.inf
+    length = np.linalg.norm(values, axis=1)
+    order = np.argsort(length)[::-1]
+    most = max(LEAST_REMOVED, round(REMOVED * n_rows))
+    ratio = length[order[:most]] / np.maximum(length[order[1 : most + 1]], TINY)
+    for removed in sorted(1 + np.argsort(ratio)[::-1][:GAPS], reverse=True):
+        limit = _limit(np.sort(np.abs(values[order[removed:]]).ravel()), size, n_rows)
+        if length[order[removed - 1]] > limit:
+            return limit
+    return np.inf
+
+
+def _limit(good: np.ndarray, size: int, rows: int) -> float:
+    """Return the limit by the tail of the sorted sizes (n,) of values, size of which make each of so many rows."""
+    fitted = [_fitted(good, degrees) for degrees in TAIL_DEGREES]
+    best = min(cost for cost, _ in fitted)
+    degrees, scale = next(
+        (degrees, scale)
+        for degrees, (cost, scale) in zip(TAIL_DEGREES, fitted, strict=True)
+        if 2 * (cost - best) <= DOUBT
+    )
+    chance = FALSE_ODD_ROW / rows
+    alone = t.isf(chance / (2 * size), degrees) if degrees < TAIL_DEGREES[-1] else norm.isf(chance / (2 * size))
+    return float(scale * max(chi.isf(chance, size), TOGETHER * alone))
+
+
+def _fitted(good: np.ndarray, degrees: float) -> tuple[float, float]:
+    """Return minus the log-likelihood and the scale of Student's t for sorted sizes (n,)."""
+
+    def cost(log_scale: float) -> float:
+        inside = len(good) * (constant - log_scale)
+        return -float(inside - (degrees + 1) / 2 * np.log1p(squared / np.exp(2 * log_scale)).sum())
+
+    squared = good**2 / degrees
+    constant = gammaln((degrees + 1) / 2) - gammaln(degrees / 2) - np.log(degrees * np.pi) / 2
+    middle = np.log(max(float(np.median(good)), TINY) / t.isf(0.25, degrees))
+    found = minimize_scalar(cost, bounds=(middle - 1.0, middle + 1.0), method="bounded", options={"xatol": 1e-3})
+    return float(found.fun), float(np.exp(found.x))
+
+
+def odd_rows(result: Fit, data: Measurements, found: Studentised) -> tuple[np.ndarray, tuple[Fault, ...]]:
+    """Return which rows (n_rows,) are outliers by the final model, and the fault that says so, by its lines.
+
+    The limit is by the residuals' own tail. Rows that are off together (a payload, a marker, poses in a row the same way) are no
+    outliers. They are told, not left out: the fit has given them little weight, and accuracy counts them.
+    """
+    used = data.train | data.held_out
+    odd = np.zeros(len(data), dtype=bool)
+    length = np.sqrt(found.squared)
+    for size in np.unique(found.units[used]):
+        alike = used & (found.units == size)
+        values = found.values[alike]
+        odd[alike] = length[alike] > limit_of_length(values[~np.isnan(values)].reshape(-1, int(size)))
+    error = errors(result.model, result.estimate, data)
+    odd &= ~off_together(data, np.nan_to_num(error), odd)
+    if not 0 < odd.sum() <= MOST * used.sum():
+        return np.zeros(len(data), dtype=bool), ()
+    far, times = 1e3 * distances(error[odd]), found.whitened[odd]
+    statement = (
+        f"the measured values in LINES do not fit the final model: off by {_span(far, '.3g')} mm, {_span(times, '.2g')} times the "
+        "expected; they hardly count in the fit, and count in the accuracy: measure again"
+    )
+    corrections = [Correction(int(row) + 1) for row in np.flatnonzero(odd)]
+    return odd, (fault(Outlier(), data, 0, corrections, "told", statement),)
+
+
+def _span(values: np.ndarray, digits: str) -> str:
+    """Say from where to where values (n,) go."""
+    low, high = (format(float(end), digits) for end in (values.min(), values.max()))
+    return low if low == high else f"{low} to {high}"

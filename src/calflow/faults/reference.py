@@ -142,7 +142,7 @@ class Reference:
     @staticmethod
     def of(data: Measurements, models: Models) -> Reference | None:
         """Fit the richest robot that the training rows are enough for; of many rows a random choice is fitted."""
-        train = data.only(chosen(np.flatnonzero(data.train), FIT_ROWS, len(data)))
+        train = data.only(chosen_rows(np.flatnonzero(data.train), FIT_ROWS, len(data)))
         model = models.richest(3 * len(np.unique(conditions(train))))
         if model is None:
             return None
@@ -240,14 +240,16 @@ def level(error: np.ndarray) -> np.ndarray:
     return np.asarray(np.exp(np.log(np.minimum(error, FAR) + TINY).mean(axis=-1)))
 
 
-def chosen(rows: np.ndarray, most: int, total: int) -> np.ndarray:
+def chosen_rows(rows: np.ndarray, most: int, total: int) -> np.ndarray:
     """Return a mask (total,) of at most so many of the rows; at random, since markers or payloads may take turns."""
     mask = np.zeros(total, dtype=bool)
     mask[np.random.default_rng(0).permutation(rows)[:most]] = True
     return mask
 
 
-def changed(data: Measurements, column: int, values: np.ndarray, rows: Sequence[int] | np.ndarray) -> np.ndarray:
+def rows_with_reading(
+    data: Measurements, column: int, values: np.ndarray, rows: Sequence[int] | np.ndarray
+) -> np.ndarray:
     """Return the packed conditions (n_conditions, n) of some rows with other readings of a joint (index from 0)."""
     packed = data.rows[:, rows].copy()
     packed[column] = values

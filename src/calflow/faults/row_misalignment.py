@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import Check, Correction, Fault, correct, fault
-from calflow.faults.blocks import cost, states
+from calflow.faults.blocks import state_cost, states
 from calflow.faults.reference import Reference, Rough, best_turn, motion
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -117,7 +117,9 @@ def _realigning(data: Measurements, fit: Rough, lags: list[int]) -> Iterator[tup
     if (miss > fit.gross).sum() < FEWEST:
         return
     predicted, position = fit.predicted(data.rows), data.position
-    costs = np.stack([cost(np.linalg.norm(position - _later(predicted, lag), axis=1), fit.scale) for lag in (0, *lags)])
+    costs = np.stack(
+        [state_cost(np.linalg.norm(position - _later(predicted, lag), axis=1), fit.scale) for lag in (0, *lags)]
+    )
     source = _from_shifts(np.array([0, *lags])[states(costs, CHANGE)])
     moved = np.flatnonzero(source != np.arange(len(data)))
     partnered = moved[source[moved] >= 0]

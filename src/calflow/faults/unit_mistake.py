@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import POSITION, Check, Correction, Fault, fault
-from calflow.faults.reference import Reference, Rough, changed, lengths
+from calflow.faults.reference import Reference, Rough, lengths, rows_with_reading
 from calflow.measurements.measurements import Measurements
 
 LENGTHS = ((1e3, "m instead of mm"), (1e-3, "mm instead of m"))
@@ -55,5 +55,5 @@ def _tried(data: Measurements, fit: Rough, rows: np.ndarray) -> Iterator[tuple[i
     for i, joint in enumerate(data.robot.joints):
         if joint.kind == "revolute":
             for factor, what in ANGLES:
-                read = changed(data, i, factor * data.joints[rows, i], rows)
+                read = rows_with_reading(data, i, factor * data.joints[rows, i], rows)
                 yield i + 1, factor, what, lengths(position - fit.predicted(read))

@@ -18,10 +18,9 @@ from calflow.design.measuring.lacks import Lacks
 from calflow.design.measuring.measuring_verdict import CONFIDENCE, MeasuringVerdict, NextMeasurement, Status, Suspect
 from calflow.design.measuring.task_error import Measure, Site, TaskError, task_error
 from calflow.design.measuring_order import shortest_tour
-from calflow.design.planned import Planned, stated_poses
+from calflow.design.planned import Planned, Task, stated_poses
 from calflow.design.selection import TASK_POSES, planned_poses, select
 from calflow.design.t_optimality import Choices
-from calflow.design.task import Task
 from calflow.diagnosis.diagnosis import diagnose
 from calflow.diagnosis.findings.extended_model import extended_model
 from calflow.diagnosis.findings.tables import Diagnosis, findings_table

@@ -13,9 +13,9 @@ from calflow.diagnosis.findings.curves import CurvePoint, curves
 from calflow.diagnosis.findings.extended_model import (
     DiagnosisSummary,
     accuracy_table,
+    diagnosis_summary,
     extended_model,
     extended_noise,
-    summary,
 )
 from calflow.diagnosis.findings.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint, confirm
 from calflow.diagnosis.findings.rivals import alternatives_table
@@ -33,7 +33,7 @@ from calflow.estimation.parameters import Covariances, FittedParameter, covarian
 from calflow.estimation.progress import Draws, Say
 from calflow.estimation.rival_models import AlternativeParameter, CauseInReach, in_reach_table
 from calflow.faults import FaultyRow, as_table, corrected, examined
-from calflow.faults.odd_row import odd_rows
+from calflow.faults.outlier import odd_rows
 from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
 from calflow.files.toml import FileModel
@@ -107,7 +107,7 @@ def results(
         "diagnose/curves.csv": curves(final, found.causes, data),
         "diagnose/needed_conditions.csv": to_frame(extended.needed, NeededCondition),
     }
-    return Results(tables, {"diagnose/summary.json": to_document(summary(found, known))})
+    return Results(tables, {"diagnose/summary.json": to_document(diagnosis_summary(found, known))})
 
 
 def _confirmed(found: Fitted, other: Study, say: Say) -> dict[str, pd.DataFrame]:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import pandas as pd
 
 from calflow.design.candidates import candidates
-from calflow.design.how_many import HowMany
 from calflow.design.measuring_order import DriftPull, drift_words, sides_words
 from calflow.design.planned import Planned, stated_poses
 from calflow.design.selection import Certificate, Observability, PlannedPose, Selection, select
@@ -20,7 +19,7 @@ from calflow.design.separability import (
     isolability_summary,
     isolability_table,
 )
-from calflow.design.worth import Worth, worth_words
+from calflow.design.worth import HowMany, Worth, worth_words
 from calflow.diagnosis.search.trial import FALSE_ALARM
 from calflow.files.problems import InputError
 from calflow.files.results import Results, to_document

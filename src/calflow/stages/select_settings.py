@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from calflow.design.cell import Box, Cell, Cylinder, Station
+from calflow.design.cell import Box, Cell, CellStation, Cylinder
 from calflow.design.measuring_order import USUAL_DRIFT, Order
 from calflow.design.selection import Aim
 from calflow.design.separability import Record
@@ -45,10 +45,10 @@ class StationSettings(FileModel):
         return self
 
     @property
-    def station(self) -> Station:
+    def station(self) -> CellStation:
         """The same as an object."""
         far = np.inf if self.range_max is None else self.range_max
-        return Station(self.origin, self.range_min, far, self.elevation_min, self.elevation_max)
+        return CellStation(self.origin, self.range_min, far, self.elevation_min, self.elevation_max)
 
 
 class BoxSettings(FileModel):

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.design.planned import stated_poses
+from calflow.design.planned import Task, stated_poses
 from calflow.design.separability import Record
-from calflow.design.task import Task
 from calflow.effects import catalogue
 from calflow.effects.base import unmet
 from calflow.files.problems import Problem, nearest

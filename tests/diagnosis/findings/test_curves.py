@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from calflow.design.candidates import pack
+from calflow.design.candidates import packed_conditions
 from calflow.diagnosis.findings.curves import CurvePoint, curves
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import catalogue
@@ -56,7 +56,9 @@ def drawn(*names, q, approach):
 def lever(joint, q):
     """How far [m/rad] the tool moves with a joint."""
     model, step = build(ROBOT, ()), np.eye(6)[joint - 1] * 1e-6
-    ahead, back = (model.position(model.nominal, pack(model, q + way * step, "load", "E")) for way in (1, -1))
+    ahead, back = (
+        model.position(model.nominal, packed_conditions(model, q + way * step, "load", "E")) for way in (1, -1)
+    )
     return np.linalg.norm(ahead - back, axis=1) / 2e-6
 
 

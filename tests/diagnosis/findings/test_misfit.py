@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings.misfit import Region, largest, misfit
+from calflow.diagnosis.findings.misfit import MisfitRegion, largest, misfit
 from diagnosis.findings.test_remainder import fitted
 
 RNG = 3
@@ -69,7 +69,7 @@ def test_one_of_several_payloads_or_markers_is_named():
 
 def test_a_region_is_told_in_words():
     """Fails if a place is told without its unit, its figures or its joint."""
-    there = Region(input="q3", low=20.3, high=44.8, unit="deg", there_mm=0.2134, elsewhere_mm=0.0811)
+    there = MisfitRegion(input="q3", low=20.3, high=44.8, unit="deg", there_mm=0.2134, elsewhere_mm=0.0811)
     assert there.words == "largest where joint 3 is between 20 and 45 deg: 0.213 mm against 0.0811 mm elsewhere"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings.rivals import models_in_reach, shown
+from calflow.diagnosis.findings.rivals import models_in_reach, rivals_shown
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.screening.screening import Family
 from calflow.diagnosis.search.linearisation import Linearisation
@@ -30,7 +30,7 @@ def test_one_cause_is_to_be_expected_of_the_whole_catalogue(found):
     final, look, every = found
     findings = look.findings(Family({}, 1.0))
     first, *near = models_in_reach(final, findings, every)
-    places = shown(findings, look.beside.scores)
+    places = rivals_shown(findings, look.beside.scores)
     assert first.causes == final.causes
     assert first.change == "found"
     assert near

@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import binom, kstest
 
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.correlation import Correlation
-from calflow.diagnosis.screening.regressors import Products, Regressors, shared_error
+from calflow.diagnosis.screening.correlation import ErrorCorrelation
+from calflow.diagnosis.screening.regressors import RegressorProducts, Regressors, shared_error
 from calflow.diagnosis.screening.screening import Screening, prior_cost
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
@@ -89,7 +89,7 @@ def test_sums_without_a_parameter_are_those_of_the_rows(regressors):
     """Fails if what was added up once is not what the rows of the model without some parameters add up to."""
     rng = np.random.default_rng(6)
     modes = np.linalg.qr(rng.standard_normal((len(regressors.residual), 3)))[0]
-    whole = replace(regressors, correlation=Correlation(modes, np.ones(3), (), 1.0))
+    whole = replace(regressors, correlation=ErrorCorrelation(modes, np.ones(3), (), 1.0))
     whole = replace(whole, products=summed(whole))
     less = whole.without(np.array([1, 4]), np.array([2e-3, -1e-3]))
     for one, other in zip(vars(less.products).values(), vars(summed(less)).values(), strict=True):
@@ -98,7 +98,7 @@ def test_sums_without_a_parameter_are_those_of_the_rows(regressors):
 
 def summed(r):
     """The products that tests need, from the rows."""
-    return Products.of(r.residual, r.jacobian, r.matrix, r.candidates, r.correlation)
+    return RegressorProducts.of(r.residual, r.jacobian, r.matrix, r.candidates, r.correlation)
 
 
 def with_residual(r, residual, **changes):

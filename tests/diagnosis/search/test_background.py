@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.search.background import Basis, Sizes, background, possible
-from calflow.diagnosis.search.weighing import evidence, unnamed
+from calflow.diagnosis.search.background import BackgroundBasis, Sizes, background, possible
+from calflow.diagnosis.search.weighing import unnamed, unnamed_evidence
 from calflow.effects.cause import Cause
 from diagnosis.findings.test_remainder import fitted
 from diagnosis.found import cause, hidden, start
@@ -30,14 +30,14 @@ def test_noise_has_no_background():
     """Fails if independent noise is taken for errors that rows share."""
     for seed in (1, 2, 3):
         known = fitted(seed=seed)
-        left = background(known, Basis.of(known))
+        left = background(known, BackgroundBasis.of(known))
         assert left is None or left.gain < 8
 
 
 def test_what_wanders_is_found_at_its_size():
     """Fails if a slow walk of the device is missed, or put down to something else, or its size is not the data's."""
     known = fitted(wander(SIGMA))
-    left = background(known, Basis.of(known))
+    left = background(known, BackgroundBasis.of(known))
     assert ("time",) in left.inputs
     k = left.inputs.index(("time",))
     assert left.gain > 20
@@ -49,7 +49,7 @@ def test_what_wanders_is_found_at_its_size():
 def test_the_likelihood_is_that_of_the_whole_covariance():
     """Fails if what the modes leave out, or the model's own parameters, enter otherwise than in the textbook."""
     known = fitted(wander(SIGMA), poses=60)
-    basis = Basis.of(known)
+    basis = BackgroundBasis.of(known)
     regressors = known.regressors(())
     sizes = Sizes.of(regressors, basis, known.problem.weight)
     variance = np.zeros(len(basis.parts))
@@ -69,7 +69,7 @@ def test_the_likelihood_is_that_of_the_whole_covariance():
 def test_intervals_are_wider_where_errors_are_shared():
     """Fails if the covariance of the estimates forgets the background, or narrows by it."""
     known = fitted(wander(2 * SIGMA))
-    beside = replace(known, possible=possible(known, Basis.of(known)))
+    beside = replace(known, possible=possible(known, BackgroundBasis.of(known)))
     ratio = np.sqrt(np.diag(beside.covariance) / np.diag(known.covariance))
     assert np.isfinite(ratio).all()
     assert ratio.max() > 1.3
@@ -79,7 +79,7 @@ def test_a_cause_stands_against_what_nobody_can_name_and_a_step_does_not():
     """Fails if a true cause gives way to a background, or a step stands where the device wanders."""
     eccentric = cause("joint-eccentricity", "joint1", order=2)
     known = start(hidden([(eccentric, (1.5e-4, -1e-4))])).with_causes([eccentric])
-    assert unnamed(known, Basis.of(known), {eccentric.place: 10})[eccentric] > 20
+    assert unnamed(known, BackgroundBasis.of(known), {eccentric.place: 10})[eccentric] > 20
     walked = fitted(wander(1.5 * SIGMA))
     moments = np.arange(8, 92, 12)
     robot = walked.data.robot
@@ -87,14 +87,16 @@ def test_a_cause_stands_against_what_nobody_can_name_and_a_step_does_not():
     steps = [Cause(robot, effect(robot, moment=float(moment)), "device") for moment in moments]
     best = min((walked.with_causes([step]) for step in steps), key=lambda one: one.misfit)
     (step,) = best.causes
-    assert unnamed(best, Basis.of(walked), {step.place: len(moments)})[step] < 10
+    assert unnamed(best, BackgroundBasis.of(walked), {step.place: len(moments)})[step] < 10
 
 
 def test_models_are_compared_as_their_causes_are():
     """Fails if the likelihood of whole models and of a cause in its model tell another story, or a needless cause costs nothing."""
     eccentric, needless = cause("joint-eccentricity", "joint1", order=2), cause("gear-ratio-error", "joint4")
     plain = start(hidden([(eccentric, (1.5e-4, -1e-4))]))
-    known, basis, variants = plain.with_causes([eccentric]), Basis.of(plain), {eccentric.place: 10}
-    apart = evidence(plain, basis, variants) - evidence(known, basis, variants)
+    known, basis, variants = plain.with_causes([eccentric]), BackgroundBasis.of(plain), {eccentric.place: 10}
+    apart = unnamed_evidence(plain, basis, variants) - unnamed_evidence(known, basis, variants)
     assert apart == pytest.approx(unnamed(known, basis, variants)[eccentric], abs=3)
-    assert evidence(known.with_causes([eccentric, needless]), basis, variants) > evidence(known, basis, variants)
+    assert unnamed_evidence(known.with_causes([eccentric, needless]), basis, variants) > unnamed_evidence(
+        known, basis, variants
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calflow.diagnosis.search.weighing import carried_over, left_out
+from calflow.diagnosis.search.weighing import blocks_left_out, carried_over
 from diagnosis.found import cause, hidden, start
 
 
@@ -12,7 +12,7 @@ def test_a_true_cause_carries_over_to_blocks_that_were_left_out():
     """Fails if left-out blocks are not predicted from the others alone, or a needless cause is said to help there."""
     eccentric, needless = cause("joint-eccentricity", "joint1", order=2), cause("gear-ratio-error", "joint4")
     known = start(hidden([(eccentric, (1.5e-4, -1e-4))])).with_causes([eccentric, needless])
-    kinds = left_out(known)
+    kinds = blocks_left_out(known)
     assert all(len(kind.rows) > 3 for kind in kinds)
     found, not_there = (carried_over(known, one, kinds) for one in known.causes)
     assert found.holds
@@ -29,7 +29,7 @@ def test_what_is_missed_is_that_of_a_fit_to_the_other_rows():
         (whole, lambda kind: kind.missed),
         (whole.without(gone, value), lambda kind: kind.missed_without(gone, value)),
     ):
-        for kind in left_out(known):
+        for kind in blocks_left_out(known):
             for out, missed in zip(kind.rows, kind_missed(kind), strict=True):
                 j, e = (np.delete(array, out, axis=0) for array in (regressors.jacobian, regressors.residual))
                 change = np.linalg.solve(j.T @ j + np.diag(regressors.precision), j.T @ e + regressors.pull)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.findings.tables import detection_limit, noncentrality
-from calflow.diagnosis.screening.regressors import Candidate, Held, Products, Regressors
+from calflow.diagnosis.screening.regressors import Candidate, Held, RegressorProducts, Regressors
 from calflow.diagnosis.screening.screening import Family, Screening
 from calflow.diagnosis.search.exchange import Exchange
 from calflow.effects import catalogue
@@ -41,7 +41,7 @@ def regressors():
     candidates = tuple(
         Candidate(cause, np.arange(i, j)) for cause, i, j in zip(every, ends[:-1], ends[1:], strict=True)
     )
-    products = Products.of(residual, jacobian, Held(matrix), candidates)
+    products = RegressorProducts.of(residual, jacobian, Held(matrix), candidates)
     return Regressors(
         residual, jacobian, np.full(OWN, 0.1), np.zeros(OWN), 0.0, Held(matrix), prior_sd, candidates, products
     )

@@ -6,9 +6,8 @@ import numpy as np
 
 from calflow.diagnosis.linear import Block, LinearProblem, LinearTrial
 from calflow.diagnosis.screening.screening import Family
-from calflow.diagnosis.search.merging import kindred, merged
 from calflow.diagnosis.search.stepwise import Stepwise
-from calflow.diagnosis.search.trial import Acceptance
+from calflow.diagnosis.search.trial import Acceptance, kindred, merged
 
 N = 150
 TIME = np.linspace(0.0, 1.0, N)

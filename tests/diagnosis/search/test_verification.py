@@ -9,8 +9,8 @@ import pytest
 
 from calflow.diagnosis.findings.verdict import verdict
 from calflow.diagnosis.screening.screening import Family, by_place
+from calflow.diagnosis.search.exchange import corrected_rivals, doubted, doubtful, verified
 from calflow.diagnosis.search.linearisation import Finding
-from calflow.diagnosis.search.verification import corrected, doubted, doubtful, verified
 from diagnosis.findings.test_verdict import score
 
 N = 300
@@ -55,7 +55,7 @@ def test_a_fitted_rival_is_as_near_as_its_fit_says():
     place = rivals[0].cause.place
     seen = finding(own, other, *rivals)
     assert verdict(seen).status == "named"
-    now = corrected(seen, {place: 1.5}, N)
+    now = corrected_rivals(seen, {place: 1.5}, N)
     (rival,) = verdict(now).rivals
     assert (rival.id, rival.bic) == ("joint-eccentricity", pytest.approx(1.5))
     places = by_place(now.scores)

@@ -16,8 +16,7 @@ import numpy as np
 
 from calflow.design.discrimination import rows_like
 from calflow.design.measuring.lacks import Form, Lacks
-from calflow.design.planned import Planned
-from calflow.design.task import Task
+from calflow.design.planned import Planned, Task
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import Effect
 from calflow.estimation.elsewhere import left_out

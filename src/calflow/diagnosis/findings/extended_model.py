@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from calflow.diagnosis.findings.misfit import Region
+from calflow.diagnosis.findings.misfit import MisfitRegion
 from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.estimation.accuracy import Accuracy, accuracy, errors
 from calflow.estimation.calibrated_model import CalibratedModel, noise_table, series_noise
@@ -29,7 +29,7 @@ class DiagnosisSummary(FitSummary):
     reduced_chi2_before: float | None = column("of the study's own model; null: cannot be told")
     causes_tested: int = column("places of effects that were tested")
     tests: float = column("independent tests that these are worth")
-    worst: Region | None = column(
+    worst: MisfitRegion | None = column(
         "where the extended model's lack of fit is largest; null: no lack of fit, or about alike everywhere",
         default=None,
     )
@@ -74,7 +74,7 @@ def extended_noise(found: Diagnosis, known: CalibratedModel, data: Measurements)
     return noise_table(_noise(found, known, data), found.extended.fitted.model.observations, _growth(found))
 
 
-def summary(found: Diagnosis, known: CalibratedModel) -> DiagnosisSummary:
+def diagnosis_summary(found: Diagnosis, known: CalibratedModel) -> DiagnosisSummary:
     """Say how the search ended."""
     final, first = found.extended.fitted, found.start
     sigma = found.growth.floor if found.growth else known.sigma

@@ -39,7 +39,7 @@ LABELS = ("payload", "marker")  # what has few values
 
 
 @dataclass(frozen=True, kw_only=True)
-class Region:
+class MisfitRegion:
     """Where a model leaves more than elsewhere: a range of one input, or one of its few values."""
 
     input: str = column("q1 … (joints), x, y, z, time, order, payload, marker")
@@ -77,7 +77,7 @@ class Misfit:
 
     reduced_chi2: float
     p: float
-    region: Region | None
+    region: MisfitRegion | None
 
     @property
     def times(self) -> float:
@@ -121,7 +121,7 @@ def misfit(fitted: Fitted, rng: np.random.Generator) -> Misfit | None:
     return Misfit(lack.reduced_chi2, lack.p, largest(fitted, rng))
 
 
-def largest(fitted: Fitted, rng: np.random.Generator) -> Region | None:
+def largest(fitted: Fitted, rng: np.random.Generator) -> MisfitRegion | None:
     """Return where a fitted model leaves most; None where that is no more than chance makes of an even misfit.
 
     The regions' mean squared whitened residuals are compared as variances are, by their likelihood ratio; its chance is that of
@@ -201,13 +201,13 @@ def _constant(values: np.ndarray, groups: np.ndarray) -> bool:
     return bool((values == values[first][group]).all())
 
 
-def _region(one: _Input, inside: np.ndarray, fitted: Fitted) -> Region:
+def _region(one: _Input, inside: np.ndarray, fitted: Fitted) -> MisfitRegion:
     size = 1e3 * distances(errors(fitted.model, fitted.fit.estimate, fitted.data))
     there, elsewhere = float(size[inside].mean()), float(size[~inside].mean())
     if one.values.dtype == object:
-        return Region(input=one.name, value=str(one.values[inside][0]), there_mm=there, elsewhere_mm=elsewhere)
+        return MisfitRegion(input=one.name, value=str(one.values[inside][0]), there_mm=there, elsewhere_mm=elsewhere)
     low, high = float(one.values[inside].min()), float(one.values[inside].max())
-    return Region(input=one.name, low=low, high=high, unit=one.unit, there_mm=there, elsewhere_mm=elsewhere)
+    return MisfitRegion(input=one.name, low=low, high=high, unit=one.unit, there_mm=there, elsewhere_mm=elsewhere)
 
 
 def _said(value: float | None) -> str:

@@ -100,7 +100,7 @@ def models_in_reach(
     if not any(_is_small(finding.cause) for finding in findings):
         return ()
     beside = Linearisation.at(final, catalogue).beside.scores
-    places = float(np.log(len(shown(findings, beside))))
+    places = float(np.log(len(rivals_shown(findings, beside))))
 
     def log_prior(causes: Sequence[Cause]) -> float:
         return -sum(places + float(np.log(catalogue.variants.get(cause.place, 1))) for cause in causes)
@@ -115,7 +115,7 @@ def models_in_reach(
     return (found, *sorted(near, key=lambda one: -one.log_weight)[: MOST_IN_REACH - 1])
 
 
-def shown(findings: Sequence[Finding[Cause]], beside: Sequence[Score[Cause]]) -> dict[tuple[str, str], Cause]:
+def rivals_shown(findings: Sequence[Finding[Cause]], beside: Sequence[Score[Cause]]) -> dict[tuple[str, str], Cause]:
     """Return the places that the data show, in place of what was found or beside it, each with a cause there."""
     scores = [*beside, *(score for finding in findings for score in finding.scores)]
     return {score.cause.place: score.cause for score in scores}

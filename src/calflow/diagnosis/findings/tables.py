@@ -31,8 +31,8 @@ from calflow.diagnosis.screening.screening import Family, Screening, by_place
 from calflow.diagnosis.search.extension import Extended
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Finding
-from calflow.diagnosis.search.merging import kindred
 from calflow.diagnosis.search.noise_growth import RANGE, Growth
+from calflow.diagnosis.search.trial import kindred
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import distances, error_jacobian, errors

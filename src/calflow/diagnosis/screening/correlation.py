@@ -16,7 +16,7 @@ SMALL = 0.02  # of a mode's variance over the noise's: less changes no test
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class CorrelatedPart:
     """What one of a background's inputs does: its waves by modes (n_modes, n_waves), and its size's degrees of freedom."""
 
     waves: np.ndarray
@@ -24,7 +24,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Correlation:
+class ErrorCorrelation:
     """The modes (n, n_modes), orthonormal, of a background, their variance (n_modes,) over the noise's, and its parts.
 
     shared is the factor at which what the rows of a pose have in common counts (see `counted_once`).
@@ -32,7 +32,7 @@ class Correlation:
 
     modes: np.ndarray
     variance: np.ndarray
-    parts: tuple[Part, ...]
+    parts: tuple[CorrelatedPart, ...]
     shared: float
 
     def whiten(self, values: np.ndarray) -> None:
@@ -99,12 +99,14 @@ class Background:
     gain: float
     tried: int
 
-    def correlation(self, weight: np.ndarray) -> Correlation:
+    def correlation(self, weight: np.ndarray) -> ErrorCorrelation:
         """Return the correlation of residuals that are multiplied by other weights (n,), of the same noise but for its level."""
         ratio = weight / self.weight
         basis, scaled = np.linalg.qr((ratio / np.median(ratio))[:, None] * self.modes)
         left, value, _ = np.linalg.svd(scaled @ np.hstack(self.parts), full_matrices=False)
         kept = value**2 > SMALL
         turned = left[:, kept].T @ scaled
-        parts = tuple(Part(turned @ part, sure) for part, sure in zip(self.parts, self.degrees_of_freedom, strict=True))
-        return Correlation(basis @ left[:, kept], value[kept] ** 2, parts, self.shared)
+        parts = tuple(
+            CorrelatedPart(turned @ part, sure) for part, sure in zip(self.parts, self.degrees_of_freedom, strict=True)
+        )
+        return ErrorCorrelation(basis @ left[:, kept], value[kept] ** 2, parts, self.shared)

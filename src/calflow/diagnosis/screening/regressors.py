@@ -14,7 +14,7 @@ from typing import Generic
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from calflow.diagnosis.screening.correlation import Correlation
+from calflow.diagnosis.screening.correlation import ErrorCorrelation
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.effects import Effect
 from calflow.effects.cause import Cause, parts
@@ -88,7 +88,7 @@ class Remade(TallMatrix):
     probe: Probe
     poses: np.ndarray
     shared: float
-    correlation: Correlation | None
+    correlation: ErrorCorrelation | None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -148,7 +148,7 @@ class Candidate(Generic[H]):
 
 
 @dataclass(frozen=True)
-class Products:
+class RegressorProducts:
     """The sums over all rows that tests need, worked out once for a model and for all that is taken out of it.
 
     fitted (n_free, n_free) are the Jacobian's with itself, mixed (n_free, n_columns) those with the regressors, own
@@ -172,8 +172,8 @@ class Products:
         jacobian: np.ndarray,
         matrix: TallMatrix,
         candidates: Sequence[Candidate],
-        correlation: Correlation | None = None,
-    ) -> Products:
+        correlation: ErrorCorrelation | None = None,
+    ) -> RegressorProducts:
         """Add up the products of the residual (n,), the Jacobian (n, n_free) and the regressors (n, n_columns)."""
         own = np.zeros((matrix.shape[1], max((len(c.columns) for c in candidates), default=0)))
         squared, left = np.zeros(len(own)), np.zeros(len(own))
@@ -189,11 +189,11 @@ class Products:
             mixed += jacobian[rows].T @ values
             left += values.T @ residual[rows]
             along += modes[rows].T @ values
-        return Products(
+        return RegressorProducts(
             jacobian.T @ jacobian, mixed, own, squared, jacobian.T @ residual, left, modes.T @ jacobian, along
         )
 
-    def without(self, gone: np.ndarray, value: np.ndarray) -> Products:
+    def without(self, gone: np.ndarray, value: np.ndarray) -> RegressorProducts:
         """Return the products without some free parameters (their numbers), which have these values."""
         keep = np.setdiff1d(np.arange(len(self.fitted)), gone)
         return replace(
@@ -224,12 +224,12 @@ class Regressors(Generic[H]):
     matrix: TallMatrix
     prior_sd: np.ndarray
     candidates: tuple[Candidate[H], ...]
-    products: Products
+    products: RegressorProducts
     determined: float = 0.0
     scale: float = 1.0
     shared: float = 1.0
     shared_p: float = 1.0
-    correlation: Correlation | None = None
+    correlation: ErrorCorrelation | None = None
 
     @staticmethod
     def of(
@@ -237,7 +237,7 @@ class Regressors(Generic[H]):
         problem: LeastSquares,
         effects: Sequence[Effect],
         poses: np.ndarray | None = None,
-        correlation: Correlation | None = None,
+        correlation: ErrorCorrelation | None = None,
     ) -> Regressors[Cause]:
         """Linearise the fitted model with all these effects at zero, which costs one Jacobian.
 
@@ -253,7 +253,7 @@ class Regressors(Generic[H]):
         left, slopes = probe.whole() if probe and not tall else problem.screened(fit.estimate)
         shared = chance = 1.0
         if poses is not None:
-            group = shared_by(problem.stacking, poses)
+            group = shared_error_groups(problem.stacking, poses)
             shared, chance = shared_error(left, group, fit.effective_parameters)
             shared = correlation.shared if correlation else shared
             left, slopes = (counted_once(values, group, shared) for values in (left, slopes))
@@ -276,7 +276,7 @@ class Regressors(Generic[H]):
             matrix,
             large.prior_sd[n:] * scale,
             candidates,
-            Products.of(left, jacobian, matrix, candidates, correlation),
+            RegressorProducts.of(left, jacobian, matrix, candidates, correlation),
             fit.effective_parameters,
             scale,
             shared,
@@ -299,7 +299,7 @@ class Regressors(Generic[H]):
         )
 
 
-def shared_by(stacking: Stacking, poses: np.ndarray) -> np.ndarray:
+def shared_error_groups(stacking: Stacking, poses: np.ndarray) -> np.ndarray:
     """Number the residuals by what the rows of a pose measure alike: the same unit of the same kind, shape (n,).
 
     poses (n_rows,) numbers the rows by pose and series.

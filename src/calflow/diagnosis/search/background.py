@@ -16,9 +16,9 @@ import numpy as np
 from scipy.stats import norm
 
 from calflow.diagnosis.screening.correlation import Background
-from calflow.diagnosis.screening.regressors import Held, Products, Regressors
+from calflow.diagnosis.screening.regressors import Held, RegressorProducts, Regressors
 from calflow.diagnosis.screening.screening import Screening
-from calflow.diagnosis.search.decoys import Decoy, InTime, JointField, Shift, placed, under_payloads
+from calflow.diagnosis.search.decoys import Decoy, InTime, JointField, Shift, placed_decoys, under_payloads
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects.cause import Cause
 
@@ -34,7 +34,7 @@ BELIEVED = 3.0  # in twice the logarithm of the likelihood: what a part must add
 
 
 @dataclass(frozen=True, eq=False)
-class Basis:
+class BackgroundBasis:
     """What a background may be made of, for the rows of one diagnosis: modes (n, n_modes), orthonormal over the noise.
 
     parts hold each input's functions in these modes, (n_modes, n_waves), of a decoy's size. weight (n,) is what the rows'
@@ -47,7 +47,7 @@ class Basis:
     weight: np.ndarray
 
     @staticmethod
-    def of(fitted: Fitted) -> Basis:
+    def of(fitted: Fitted) -> BackgroundBasis:
         """Work out all functions at a fitted model, without inputs on which nothing here depends."""
         kinds = functions(fitted)
         regressors = replace(fitted, background=None).regressors([effect for _, effects in kinds for effect in effects])
@@ -63,7 +63,7 @@ class Basis:
         whole = np.sqrt(square[kept])[:, None] * turns[:, kept].T
         parts = tuple(_few(whole[:, spans[k]]) for k in moving)
         modes = regressors.matrix.times(scale[:, None] * turns[:, kept] / np.sqrt(square[kept]))
-        return Basis(modes, tuple(kinds[k][0] for k in moving), parts, fitted.problem.weight)
+        return BackgroundBasis(modes, tuple(kinds[k][0] for k in moving), parts, fitted.problem.weight)
 
     @cached_property
     def waves(self) -> np.ndarray:
@@ -103,7 +103,7 @@ def functions(fitted: Fitted) -> list[tuple[tuple[str, ...], list[Decoy]]]:
     ]
     if len(turning) > 1:
         found.append((("joints",), [Shift(robot, pair) for pair in combinations(turning, 2)]))
-    found.append((("x", "y", "z"), [placed(fitted)]))
+    found.append((("x", "y", "z"), [placed_decoys(fitted)]))
     if loaded := under_payloads(fitted):
         found.append((("payload",), [*loaded]))
     clock = next((clock for clock in ("time", "order") if clock in data.given), None)
@@ -113,7 +113,7 @@ def functions(fitted: Fitted) -> list[tuple[tuple[str, ...], list[Decoy]]]:
     return found
 
 
-def background(fitted: Fitted, basis: Basis) -> Background | None:
+def background(fitted: Fitted, basis: BackgroundBasis) -> Background | None:
     """Return the background that a fitted model leaves; none where the data show none.
 
     Along an input of which one of its causes is any smooth function there is none: that cause is its name.
@@ -123,7 +123,7 @@ def background(fitted: Fitted, basis: Basis) -> Background | None:
     return sizes.background(variance) if variance.any() else None
 
 
-def possible(fitted: Fitted, basis: Basis) -> Background:
+def possible(fitted: Fitted, basis: BackgroundBasis) -> Background:
     """Return the background that a fitted model may leave as well as not: each part's size as it is to be expected.
 
     What the data do not show is not excluded by them. Intervals go by this, tests by what is shown.
@@ -141,7 +141,7 @@ class Sizes:
     is what the model leaves, of n residuals, with total degrees of freedom. shared is as in `Background`.
     """
 
-    basis: Basis
+    basis: BackgroundBasis
     weight: np.ndarray
     shared: float
     modes: np.ndarray
@@ -168,16 +168,16 @@ class Sizes:
         return np.asarray(self.basis.waves.T @ self.score)
 
     @staticmethod
-    def beside(fitted: Fitted, basis: Basis) -> Sizes:
+    def beside(fitted: Fitted, basis: BackgroundBasis) -> Sizes:
         """Take a fitted model's own parameters out of the modes."""
         return Sizes.of(fitted.alone, basis, fitted.problem.weight)
 
     @staticmethod
-    def of(regressors: Regressors[Cause], basis: Basis, weight: np.ndarray) -> Sizes:
+    def of(regressors: Regressors[Cause], basis: BackgroundBasis, weight: np.ndarray) -> Sizes:
         """Take the model's own parameters out of the modes."""
         modes = basis.weighed(weight)
         held = Held(modes)
-        products = Products.of(regressors.residual, regressors.jacobian, held, ())
+        products = RegressorProducts.of(regressors.residual, regressors.jacobian, held, ())
         own = replace(regressors, matrix=held, candidates=(), products=products)
         seen = Screening(own)
         columns = np.arange(modes.shape[1])

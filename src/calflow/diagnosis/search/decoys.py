@@ -239,7 +239,7 @@ def decoys(fitted: Fitted) -> list[Decoy]:
     chosen: list[Decoy] = [JointField(robot, (i,)) for i in turning]
     chosen += [Shift(robot, (i,)) for i in turning]
     chosen += [kind(robot, pair) for pair in combinations(turning, 2) for kind in (JointField, Shift)]
-    chosen.append(placed(fitted))
+    chosen.append(placed_decoys(fitted))
     chosen += under_payloads(fitted)
     if "order" in data.given:
         order = np.unique(data.table["order"].to_numpy(float))
@@ -257,7 +257,7 @@ def under_payloads(fitted: Fitted) -> list[UnderPayload]:
     return [UnderPayload(fitted.data.robot, name) for name in carried[1 if all(carried) else 0 :] if name]
 
 
-def placed(fitted: Fitted) -> InPlace:
+def placed_decoys(fitted: Fitted) -> InPlace:
     """Return the smooth functions of place where a fitted model's rows are."""
     place = fitted.model.point(fitted.fit.estimate, fitted.data.rows)
     centre = place.mean(axis=0)

@@ -10,12 +10,12 @@ from typing import cast
 import numpy as np
 
 from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.search.exchange import verified
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.fitted_trial import FittedTrial, among
 from calflow.diagnosis.search.linearisation import Finding, Linearisation, Screened
 from calflow.diagnosis.search.stepwise import Stepwise
 from calflow.diagnosis.search.trial import Acceptance, Trial
-from calflow.diagnosis.search.verification import verified
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 

@@ -35,7 +35,7 @@ def finest(score: Score[Cause], now: Fitted) -> Score[Cause]:
     return best if best.drop > score.drop else score
 
 
-def refined(now: Fitted) -> Iterator[list[Cause]]:
+def refined_causes(now: Fitted) -> Iterator[list[Cause]]:
     """Yield a model's causes with one in a variant that is clearly better, now that the others are in the model."""
     finer = [_finer(cause, now) for cause in now.causes]
     if not any(finer):
@@ -111,7 +111,7 @@ class FittedTrial(Trial[Cause]):
 
     def refined(self) -> Iterator[list[Cause]]:
         """Yield the causes with one in a variant between its neighbours that is clearly better."""
-        return refined(self.fitted)
+        return refined_causes(self.fitted)
 
     def in_place(self, gone: Sequence[Cause], cause: Cause) -> Cause:
         """Return the form of a cause that is best in the place of others."""

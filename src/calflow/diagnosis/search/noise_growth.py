@@ -44,7 +44,7 @@ class Growth:
 
 
 @dataclass(frozen=True)
-class Spread:
+class SpreadByRange:
     """Squared scatter (n,) [m²] of single measurements, its degrees of freedom, and the ranges [m] that it was seen at.
 
     stated [m] is the noise that the device is taken to have there.
@@ -79,13 +79,13 @@ def growth_of_residuals(fitted: Fitted, significance: float) -> Growth | None:
     return _fitted(rough, _rank_test(left)) if _rank_test(rough) < STILL else None
 
 
-def _rank_test(spread: Spread) -> float:
+def _rank_test(spread: SpreadByRange) -> float:
     """The chance of so much growth by ranks (Spearman 1904), which keep their promise whatever the noise's tails are."""
     beyond = spread.squared / spread.freedom / spread.stated**2
     return float(spearmanr(beyond, spread.distance, alternative="greater").pvalue)
 
 
-def _of_repeats(fitted: Fitted) -> Spread | None:
+def _of_repeats(fitted: Fitted) -> SpreadByRange | None:
     """The scatter of repeats that have a range; None where it is too little."""
     noise, data = fitted.device, fitted.data
     if noise.scatter is None or RANGE not in data.given:
@@ -97,10 +97,10 @@ def _of_repeats(fitted: Fitted) -> Spread | None:
     found = noise.scatter.only(own)
     if found.freedom.sum() < MIN_REPEATS:
         return None
-    return Spread(found.squared, found.freedom, (noise.sigma * np.sqrt(data.repeats))[own], distance[own])
+    return SpreadByRange(found.squared, found.freedom, (noise.sigma * np.sqrt(data.repeats))[own], distance[own])
 
 
-def _of_residuals(fitted: Fitted, smooth: bool = True) -> Spread:
+def _of_residuals(fitted: Fitted, smooth: bool = True) -> SpreadByRange:
     """What the model leaves of positions seen from outside, freed of leverage; with what is smooth in it, or without."""
     error, rows = [np.zeros((0, 3))], [np.zeros(0, dtype=int)]
     for block in fitted.problem.blocks:
@@ -116,7 +116,9 @@ def _of_residuals(fitted: Fitted, smooth: bool = True) -> Spread:
     if not smooth and len(row):
         metres = _without_what_is_smooth(metres, fitted.data.joints[row], fitted.data.position[row])
     stated = (fitted.device.sigma * np.sqrt(fitted.data.repeats))[row]
-    return Spread((metres**2).sum(axis=1), np.full(len(row), 3.0), stated, fitted.data.table[RANGE].to_numpy()[row])
+    return SpreadByRange(
+        (metres**2).sum(axis=1), np.full(len(row), 3.0), stated, fitted.data.table[RANGE].to_numpy()[row]
+    )
 
 
 def _without_what_is_smooth(error: np.ndarray, joints: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -134,7 +136,7 @@ def _without_what_is_smooth(error: np.ndarray, joints: np.ndarray, place: np.nda
     )
 
 
-def _fitted(spread: Spread, p: float) -> Growth:
+def _fitted(spread: SpreadByRange, p: float) -> Growth:
     """Maximum likelihood of floor and slope, in logarithms."""
     middle = float(np.sqrt(np.median(spread.squared / spread.freedom)))
     x = ca.SX.sym("x", 2)

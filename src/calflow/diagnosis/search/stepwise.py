@@ -13,11 +13,9 @@ from calflow.diagnosis.findings.verdict import WITHIN
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.screening.screening import Family, by_place
-from calflow.diagnosis.search.exchange import COLUMNS, SPLIT, Exchange
+from calflow.diagnosis.search.exchange import COLUMNS, SPLIT, Exchange, doubted
 from calflow.diagnosis.search.linearisation import Finding, Screened
-from calflow.diagnosis.search.merging import merged
-from calflow.diagnosis.search.trial import Acceptance, Trial, forget_all_but, is_worth_trying, swapped
-from calflow.diagnosis.search.verification import doubted
+from calflow.diagnosis.search.trial import Acceptance, Trial, forget_all_but, is_worth_trying, merged, swapped
 
 CLEAR = 1e-3  # share of the acceptance below which the cost of the tests need not be worked out anew
 ALONE = Family({}, 1.0)  # the cost of a single test: what does not pass at that passes at none

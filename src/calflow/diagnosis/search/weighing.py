@@ -24,7 +24,7 @@ from scipy.stats import t as student
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.screening.regressors import Regressors
 from calflow.diagnosis.screening.screening import prior_cost
-from calflow.diagnosis.search.background import Basis, Sizes, background, possible
+from calflow.diagnosis.search.background import BackgroundBasis, Sizes, background, possible
 from calflow.diagnosis.search.exchange import SPLIT
 from calflow.diagnosis.search.extension import Extended, extended
 from calflow.diagnosis.search.fitted import Fitted
@@ -57,7 +57,7 @@ class CarriedOver:
         return max(self.gain) > 0 and self.p > WORSE
 
 
-def blocks(fitted: Fitted) -> list[np.ndarray]:
+def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
     """Number the training rows by blocks of poses, near in joint space, and where the order is known in time; (n_rows,) each."""
     data = fitted.data
     first, number = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
@@ -84,7 +84,7 @@ def _halved(places: np.ndarray, levels: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class LeftOut:
+class BlocksLeftOut:
     """The blocks of one kind, each to be predicted by what the others tell of a linearised model.
 
     rows are the numbers of each block's residuals, fitted (n_blocks, n_free, n_free) the products of the Jacobian with itself
@@ -97,11 +97,13 @@ class LeftOut:
     left: np.ndarray
 
     @staticmethod
-    def of(regressors: Regressors[Cause], block: np.ndarray) -> LeftOut:
+    def of(regressors: Regressors[Cause], block: np.ndarray) -> BlocksLeftOut:
         """Add up the products block by block, by which the residuals are numbered (n,)."""
         rows = tuple(np.flatnonzero(block == one) for one in np.unique(block))
         parts = [(regressors.jacobian[own], regressors.residual[own]) for own in rows]
-        return LeftOut(regressors, rows, np.array([j.T @ j for j, _ in parts]), np.array([j.T @ e for j, e in parts]))
+        return BlocksLeftOut(
+            regressors, rows, np.array([j.T @ j for j, _ in parts]), np.array([j.T @ e for j, e in parts])
+        )
 
     @cached_property
     def missed(self) -> list[np.ndarray]:
@@ -124,13 +126,13 @@ class LeftOut:
         return found
 
 
-def left_out(fitted: Fitted) -> list[LeftOut]:
+def blocks_left_out(fitted: Fitted) -> list[BlocksLeftOut]:
     """Return a fitted model's blocks, a kind at a time."""
     row = fitted.problem.stacking.row
-    return [LeftOut.of(fitted.alone, kind[row]) for kind in blocks(fitted)]
+    return [BlocksLeftOut.of(fitted.alone, kind[row]) for kind in pose_blocks(fitted)]
 
 
-def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[LeftOut]) -> CarriedOver:
+def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[BlocksLeftOut]) -> CarriedOver:
     """Predict each block of each kind from the others, with a cause of the model and without it."""
     free = np.flatnonzero(~fitted.fit.at_bound)
     own = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
@@ -148,7 +150,7 @@ def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[LeftOut]) -> Carr
 Variants = dict[tuple[str, str], int]
 
 
-def unnamed(fitted: Fitted, basis: Basis, variants: Variants) -> dict[Cause, float]:
+def unnamed(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> dict[Cause, float]:
     """Return twice the logarithm by which each cause makes the data more likely than a background in its place does.
 
     Negative where what nobody can name explains the data better. Each model has the background that suits it best; the cause's
@@ -176,7 +178,7 @@ def unnamed(fitted: Fitted, basis: Basis, variants: Variants) -> dict[Cause, flo
     return found
 
 
-def evidence(fitted: Fitted, basis: Basis, variants: Variants) -> float:
+def unnamed_evidence(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> float:
     """Return twice minus the logarithm of a model's likelihood beside the background that suits it best, causes integrated out."""
     regressors, free = fitted.alone, np.flatnonzero(~fitted.fit.at_bound)
     weight = fitted.problem.weight  # each fit has its own, by the noise that it leaves
@@ -204,7 +206,9 @@ def _unusual(pull: np.ndarray) -> float:
     return float(pull @ pull - prior_cost(np.array(pull @ pull), len(pull)))
 
 
-def _evidence(regressors: Regressors[Cause], basis: Basis, weight: np.ndarray, without: Collection[str] = ()) -> float:
+def _evidence(
+    regressors: Regressors[Cause], basis: BackgroundBasis, weight: np.ndarray, without: Collection[str] = ()
+) -> float:
     sizes = Sizes.of(regressors, basis, weight)
     return sizes.evidence(sizes.believed(without))
 
@@ -222,7 +226,7 @@ def weighed(
     say: Callable[[str], None],
 ) -> Extended:
     """Drop and exchange causes that do not hold beside a background of the size that is left, until they agree with it."""
-    basis = Basis.of(start)
+    basis = BackgroundBasis.of(start)
     now, rounds = found, list[Extended]()
     for _ in range(ROUNDS):
         against = unnamed(now.fitted, basis, catalogue.variants)
@@ -243,7 +247,7 @@ def weighed(
             break
         if any(same(now.fitted.causes, other.fitted.causes) for other in rounds[:-1]):
             now = min(
-                rounds, key=lambda one: evidence(one.fitted, basis, catalogue.variants)
+                rounds, key=lambda one: unnamed_evidence(one.fitted, basis, catalogue.variants)
             )  # they go round in circles
             break
     if not same(list(against), now.fitted.causes):
@@ -257,7 +261,7 @@ def _weakest(fitted: Fitted, against: dict[Cause, float]) -> Cause | None:
     weakest = min(against, key=lambda cause: against[cause], default=None)
     if weakest is None or against[weakest] < 0:
         return weakest
-    kinds = left_out(fitted)
+    kinds = blocks_left_out(fitted)
     failing = [cause for cause in against if not carried_over(fitted, cause, kinds).holds]
     return min(failing, key=lambda cause: against[cause], default=None)
 
@@ -306,7 +310,7 @@ def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepw
 
 
 def _judged(found: Extended, against: dict[Cause, float]) -> tuple[Finding[Cause], ...]:
-    kinds = left_out(found.fitted)
+    kinds = blocks_left_out(found.fitted)
     return tuple(
         replace(
             finding,

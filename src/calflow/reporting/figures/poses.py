@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from calflow.design.how_many import HowMany
 from calflow.design.selection import Certificate
+from calflow.design.worth import HowMany
 from calflow.reporting.style import ALONE, DARK, MIDDLE, figure, panels
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")

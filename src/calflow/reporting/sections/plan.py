@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
-from calflow.design.how_many import HowMany
 from calflow.design.separability import isolability_gaps, isolability_summary
-from calflow.design.worth import Worth
+from calflow.design.worth import HowMany, Worth
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Item, Paragraph, Plot, RestOfPage
 from calflow.reporting.figures.poses import expected_error

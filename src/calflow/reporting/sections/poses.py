@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pandas as pd
 
-from calflow.design.how_many import HowMany
 from calflow.design.selection import Aim, Certificate
+from calflow.design.worth import HowMany
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table
 from calflow.reporting.figures.poses import observability
 from calflow.reporting.figures.residuals import map_of_poses

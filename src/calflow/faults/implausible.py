@@ -1,0 +1,130 @@
+"""Base elsewhere: a base whose place the robot file states as known, where the positions say that it does not stand.
+
+Nominal misfit: a robot file and measurements that are not of one robot, which no calibration can mend.
+Joint limits: measured poses where no joint can be, once all that can be put right is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calflow.effects.geometry import PLACED_BOUND
+from calflow.faults.base import lines_in_words
+from calflow.faults.reference import Models, chosen_rows, lengths, motion, rough
+from calflow.measurements.measurements import Measurements
+from calflow.robot.transforms import angles
+
+FAR, SHARE = 0.1, 0.1  # m, and of its reach: no robot is built so far from what its maker says
+FEWEST = 8  # poses: fewer are met by placing base and tool
+ROWS = 400  # that are compared
+
+
+def nominal_misfit(data: Measurements) -> str:
+    """Say how far the nominal robot is from positions, base and tool placed where they fit best; empty where it may be right.
+
+    Half of all rows must be farther off than a robot can be, so that single ones do not decide.
+    """
+    train = data.only(chosen_rows(np.flatnonzero(data.train), ROWS, len(data)))
+    if train.table["pose"].nunique() < FEWEST:
+        return ""
+    models = Models.of(train)
+    nominal = models.nominal
+    points = nominal.position(nominal.nominal, train.rows)
+    turn, shift, _ = motion(points, train.position)
+    placed = rough(models.placed, train.rows, train.position, turn, shift)
+    far = float(np.median(placed.miss(train)))
+    reach = float(np.nanmax(np.linalg.norm(points, axis=1)))
+    limit = min(FAR, SHARE * reach)
+    if far <= limit:
+        return ""
+    return (
+        f"the nominal robot, with base and tool placed where they fit best, misses half of all positions by {1e3 * far:.3g} mm or "
+        f"more, which no calibration mends (at most {1e3 * limit:.3g} mm): check the units of readings and positions, the order "
+        "and the signs of the joints, their zeros (theta), the convention (dh or modified-dh), the order of the rows, and that "
+        "x, y, z are a right-handed frame"
+    )
+
+
+FAR_BETTER = 3.0  # times by which the positions must be met better than with the base as stated
+
+
+def base_elsewhere(data: Measurements) -> str:
+    """Say where the positions have the base, if that is farther from where it is stated than any fit may move it; else nothing."""
+    train = data.only(chosen_rows(np.flatnonzero(data.train), ROWS, len(data)))
+    base = data.robot.base
+    if not base.known or base.fixed or train.table["pose"].nunique() < FEWEST:
+        return ""
+    models = Models.of(train)
+    points = models.nominal.position(models.nominal.nominal, train.rows)
+    turn, shift, _ = motion(points, train.position)
+    placed = rough(models.placed, train.rows, train.position, turn, shift)
+    as_stated = Rotation.from_euler("XYZ", base.rotation)
+    angle = float((as_stated.inv() * Rotation.from_matrix(placed.turn)).magnitude())
+    distance = float(np.linalg.norm(placed.shift - base.origin))
+    if max(angle, distance) <= PLACED_BOUND:
+        return ""
+    stated = points @ as_stated.as_matrix().T + base.origin
+    before, after = float(np.nanmedian(lengths(train.position - stated))), float(np.median(placed.miss(train)))
+    if before < FAR_BETTER * after:
+        return ""
+    origin = ", ".join(f"{1e3 * value:.4g}" for value in placed.shift)
+    degrees = ", ".join(f"{value:.4g}" for value in np.rad2deg(angles(Rotation.from_matrix(placed.turn))) + 0.0)
+    return (
+        f"the base does not stand where the robot file says: with it the positions are missed by {1e3 * before:.3g} mm, with a "
+        f"base turned by {np.rad2deg(angle):.3g} deg and shifted by {1e3 * distance:.3g} mm from there by {1e3 * after:.3g} mm: "
+        f"expected about origin_mm = [{origin}], rotation_deg = [{degrees}] in [base] (a turn about joint 1's axis may as well be "
+        "that joint's zero), or known = false, for the poses to say where it stands"
+    )
+
+
+TOLERANCE = {"rad": np.deg2rad(0.5), "m": 1e-3}  # past a limit: less may be rounding, or a stop that gives way
+
+
+def past_limits(data: Measurements) -> Iterator[tuple[np.ndarray, str]]:
+    """Yield for each joint that is past its limits in rows that are used which rows (n_rows,), and what is wrong in words.
+
+    Limits are of the joint's own variable, after sign and couplings; it is said where they seem to be the reading's.
+    """
+    used = data.train | data.held_out
+    angles = data.joints @ data.robot.reading_matrix.T
+    for i, joint in enumerate(data.robot.joints):
+        if joint.limits is None:
+            continue
+        unit, factor = joint.shown
+        low, high = (factor * limit for limit in joint.limits)
+        by = _past(angles[:, i], joint.limits)
+        past = used & (by > TOLERANCE[joint.unit])
+        if past.any():
+            lines = lines_in_words([int(line) for line in data.table["line"][past]])
+            yield (
+                past,
+                (
+                    f"joint {i + 1}: in {lines} its {joint.noun} is past the limits {low:.6g} to {high:.6g} {unit}, "
+                    f"by up to {factor * by[past].max():.3g} {unit}; {_hint(data, i, angles[used, i], data.joints[used, i])}"
+                ),
+            )
+
+
+def _hint(data: Measurements, i: int, angle: np.ndarray, reading: np.ndarray) -> str:
+    """Say what may be meant by limits that a joint (from 0) is past at these angles and readings (n,)."""
+    joint, slack = data.robot.joints[i], TOLERANCE[data.robot.joints[i].unit]
+    limits, (unit, factor) = joint.range, joint.shown
+    coupled = any(own.joint == i + 1 for own in data.robot.couplings)
+    if (_past(reading, limits) < slack).all() and (joint.sign == -1 or coupled):
+        low, high = -factor * limits[1], -factor * limits[0]
+        before, here = ("its coupling", "") if coupled else ("`sign`", f", here {low:.6g} to {high:.6g} {unit}")
+        return (
+            f"the readings themselves are inside, so the limits seem to be given before {before}: expected the joint's own, after "
+            f"`sign` and couplings{here}"
+        )
+    if (_past(-angle, limits) < slack).all():
+        return f"with the sign turned all would be inside: expected sign = {-joint.sign}, or limits of the angle after `sign`"
+    return "correct these readings, or the limits in the robot file"
+
+
+def _past(values: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
+    """Return how far values (n,) are past limits; below zero inside."""
+    return np.asarray(np.maximum(limits[0] - values, values - limits[1]))
