@@ -38,8 +38,8 @@ from calflow.estimation.calibrated_model import CalibratedModel, series_noise
 from calflow.estimation.repeats import averaged
 from calflow.estimation.rival_models import ModelInReach
 from calflow.measurements.measurements import Measurements
+from calflow.sampling.log_posterior import log_posterior_of
 from calflow.sampling.models import WeighedModels, weighed_models
-from calflow.sampling.posterior import posterior_of
 from hidden.causes import PAYLOADS, Hidden, measured_points
 from hidden.simulator import Rows
 
@@ -134,7 +134,7 @@ def compared(seed: int, number: int) -> pd.DataFrame:
         if _ambiguous(extended.in_reach):
             break
     places = shown_places(found, catalogue)
-    problem = posterior_of(extended, case.data.on(extended.model.robot))[0].problem
+    problem = log_posterior_of(extended, case.data.on(extended.model.robot))[0].problem
     began = time.process_time()
     few = weighed_models(extended, problem, rng)
     took = time.process_time() - began

@@ -16,7 +16,7 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.repeats import measured_noise
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
-from calflow.sampling.posterior import Laplace, Posterior, moves
+from calflow.sampling.log_posterior import Laplace, LogPosterior, move_mixture
 from calflow.study import load_study
 
 STUDY = Path(__file__).parents[1] / "studies" / "hh800" / "study.toml"
@@ -57,7 +57,7 @@ def _stiff(found: Fit, seed: int) -> np.ndarray:
 
 
 def _compared(name: str, found: Fit, seed: int) -> list[dict[str, object]]:
-    posterior = Posterior.about(found.problem, Laplace.of(found.problem, found.estimate, found.at_bound))
+    posterior = LogPosterior.about(found.problem, Laplace.of(found.problem, found.estimate, found.at_bound))
     n, active = posterior.n_dimensions, int(found.at_bound.sum())
     start = posterior.start(2 * n, np.random.default_rng(seed))
     print(
@@ -75,8 +75,8 @@ def _compared(name: str, found: Fit, seed: int) -> list[dict[str, object]]:
     mixtures: dict[str, tuple[list | None, int, Callable, Callable]] = {
         "stretch (emcee's default), parameters": (None, LONG, plain, same),
         "stretch (emcee's default), coordinates": (None, LONG, own, mapped),
-        "differential evolution, coordinates": (moves(0.0), LONG, own, mapped),
-        "independent t + DE (calflow)": (moves(0.8), SHORT, own, mapped),
+        "differential evolution, coordinates": (move_mixture(0.0), LONG, own, mapped),
+        "independent t + DE (calflow)": (move_mixture(0.8), SHORT, own, mapped),
     }
     rows = []
     for mixture, (chosen, steps, density, parameters) in mixtures.items():

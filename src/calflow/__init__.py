@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from calflow.api.fit import Fit, identify
     from calflow.api.model import Model
     from calflow.api.report import report
-    from calflow.api.sampled import Posterior, sample
+    from calflow.api.sampled import sample
     from calflow.deployment.comparison import Comparison
     from calflow.deployment.compensation import Compensation
     from calflow.deployment.drift import Drift
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from calflow.runs.reproduce import Reproduction, reproduce
     from calflow.runs.run import Run, run
     from calflow.runs.validate import validate
+    from calflow.sampling.posterior import Posterior
     from calflow.simulation import simulate
     from calflow.study import Study, load_study
 
@@ -60,7 +61,7 @@ _HOMES = {
     "api.fit": ("Fit", "identify"),
     "api.model": ("Model",),
     "api.report": ("report",),
-    "api.sampled": ("Posterior", "sample"),
+    "api.sampled": ("sample",),
     "deployment.commands": ("Compensation",),
     "deployment.comparison": ("Comparison",),
     "deployment.drift_verdict": ("Drift",),
@@ -85,6 +86,7 @@ _HOMES = {
     "runs.reproduce": ("Reproduction", "reproduce"),
     "runs.run": ("Run", "run"),
     "runs.validate": ("validate",),
+    "sampling.posterior": ("Posterior",),
     "simulation": ("simulate",),
     "study": ("Study", "load_study"),
 }

@@ -11,7 +11,7 @@ import calflow as cf
 from calflow.effects.expected import mistaken
 from calflow.estimation.fit import fit
 from calflow.model import build
-from calflow.sampling.posterior import Laplace, Posterior
+from calflow.sampling.log_posterior import Laplace, LogPosterior
 from estimation.data import measured, problem
 from robots import hh800
 
@@ -61,7 +61,7 @@ def test_the_posterior_is_about_what_is_expected():
     model = build(robot, EFFECTS)
     own = problem(model, measured(model, means, 40, np.random.default_rng(4)))
     result, _ = fit(own)
-    posterior = Posterior.about(own, Laplace.of(own, result.estimate, result.at_bound))
+    posterior = LogPosterior.about(own, Laplace.of(own, result.estimate, result.at_bound))
     at = np.zeros((1, posterior.n_dimensions))
     prior, _ = posterior.log_densities(at)
     values = posterior.parameters(at)[0]

@@ -9,7 +9,7 @@ from calflow.estimation.fit import fit
 from calflow.estimation.intraclass import MOST, Products, found_alike
 from calflow.estimation.least_squares import LeastSquares, Sharing
 from calflow.estimation.repeats import measured_noise
-from calflow.sampling.posterior import Posterior, posterior_of
+from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
 from sampling.calibrations import SIGMA, Case, Design
 
 SHARED = Design(poses=30, markers=3, shared=2 * SIGMA, level=0.0)
@@ -59,8 +59,8 @@ def test_intervals_of_shared_errors_cover(calibrations):
 def test_the_posterior_and_the_fit_are_of_one_likelihood(calibrations):
     """Fails if the sampler counts squares otherwise than the fit: compared with the fit's own at some draws."""
     _, fitted = calibrations[0]
-    posterior, laplace = posterior_of(fitted.identification.known, fitted.identification.data)
-    assert isinstance(posterior, Posterior)
+    posterior, laplace = log_posterior_of(fitted.identification.known, fitted.identification.data)
+    assert isinstance(posterior, LogPosterior)
     assert laplace.variance == pytest.approx(1.0, abs=0.02)
     x = posterior.parameters(0.3 * np.random.default_rng(2).standard_normal((3, posterior.n_dimensions)))[:, :-1]
     expected = [(posterior.problem.reduced(one)[0] ** 2).sum() for one in x]

@@ -22,7 +22,7 @@ from calflow.estimation.judgement import Studentised
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
 from calflow.measurements.measurements import Measurements
-from calflow.sampling.posterior import Laplace, Posterior
+from calflow.sampling.log_posterior import Laplace, LogPosterior
 from sampling.calibrations import SIGMA, Case, Design
 
 FEW, ALL = 64, 10**9  # rows of a part: of some thousand rows many parts, or one
@@ -79,7 +79,7 @@ def studentised(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
 
 
 def squares(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
-    posterior = Posterior.about(result.problem, Laplace.of(result.problem, result.estimate, result.at_bound))
+    posterior = LogPosterior.about(result.problem, Laplace.of(result.problem, result.estimate, result.at_bound))
     near = result.estimate + 0.1 * result.model.prior_sd * np.array([[0.0], [1e-3], [2e-3]])
     return (posterior.squares(near.T),)
 

@@ -28,7 +28,7 @@ from calflow.model import Model, build
 from calflow.reporting.material import latest
 from calflow.robot.robot import Robot
 from calflow.sampling.models import ONLY, CauseProbability, ModelRow
-from calflow.sampling.posterior_tables import ChainSummary
+from calflow.sampling.posterior import ChainSummary
 from calflow.stages.identify import STAGE as IDENTIFY
 from calflow.stages.stage import Context
 from calflow.study import load_study

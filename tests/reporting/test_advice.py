@@ -39,8 +39,8 @@ from calflow.reporting.sections import (
 )
 from calflow.reporting.sections.further_steps import SECTION as FURTHER_STEPS
 from calflow.reporting.sections.verdict import FEWEST, headline, leftover, next_steps, split_steps
-from calflow.sampling.posterior_tables import ChainSummary
-from calflow.sampling.task_error import TaskSummary
+from calflow.sampling.posterior import ChainSummary
+from calflow.sampling.task_points import TaskSummary
 
 SUMMARY = IdentifySummary(
     noise_sources=("file",), sigma_mm=0.05, discrepancy_mm=0.0, loss="linear", reduced_chi2=1.02, lack_of_fit_p=0.5,

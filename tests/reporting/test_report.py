@@ -161,13 +161,15 @@ def test_every_section_has_a_place_of_its_own() -> None:
 
 def test_the_chain_is_drawn_in_the_parameters_own_units(whole: Context) -> None:
     from calflow.reporting.sections.posterior import Chain
-    from calflow.sampling.posterior import posterior_of
+    from calflow.sampling.log_posterior import log_posterior_of
 
     material = Material.of(whole.study, whole.results, whole.run_folder)
     chain = Chain.read(whole.run_folder / "sample" / "chain.h5", material)
     parameters = whole.tables["identify/parameters.csv"]
     k = int(np.flatnonzero(parameters["parameter"] == "joint2.a")[0])
-    _, laplace = posterior_of(material.sampled[0], material.data)  # the made-up estimate is not the posterior's mode
+    _, laplace = log_posterior_of(
+        material.sampled[0], material.data
+    )  # the made-up estimate is not the posterior's mode
     sd = np.sqrt(laplace.covariance[k, k])
     drawn = chain.draws(np.array([k, len(parameters)]), 10**6)
     assert drawn[:, 0].mean() == pytest.approx(laplace.mean[k], abs=0.1 * sd)

@@ -21,7 +21,7 @@ from calflow.files.results import Results
 from calflow.files.toml import FileModel
 from calflow.run_folder import default_folder
 from calflow.runs import cache_key, kept, planning
-from calflow.sampling.backend import BlockBackend
+from calflow.sampling.chain import Chain
 from calflow.stages.stage import Stage
 from conftest import Folder
 
@@ -263,6 +263,7 @@ import os, signal, sys
 from calflow import cli
 from calflow.files import csv, writing
 from calflow.runs import execution, kept, manifest, run
+from calflow.sampling.chain import Chain
 
 how, what, *arguments = sys.argv[1:]
 calls = []
@@ -281,15 +282,15 @@ def replace(source, target, real=os.replace):
         die()
     real(source, target)
 
-def append(self, block, state, real=BlockBackend.append):
+def save(self, real=Chain.save):
     calls.append(0)
-    if how == "append" and len(calls) == int(what):
+    if how == "save" and len(calls) == int(what):
         die()
-    real(self, block, state)
+    real(self)
 
 for module in (csv, writing, execution, kept, manifest, run):
     module.write_whole = write
-os.replace, BlockBackend.append = replace, append
+os.replace, Chain.save = replace, save
 sys.argv = ["calflow", *arguments]
 cli.main()
 """
@@ -318,7 +319,7 @@ def test_a_run_killed_while_it_writes_leaves_nothing_half_written(small, finishe
 
 def test_a_run_killed_while_it_samples_goes_on_where_it_was(small, finished):
     """Fails if saved steps are sampled again, or the chain differs by a bit from that of a run that was left alone."""
-    killed = small.apart("-c", KILL, "append", 7, "run", small.path, "--out", small / "runs")
+    killed = small.apart("-c", KILL, "save", 7, "run", small.path, "--out", small / "runs")
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     assert not (small / "runs" / "sample").exists()
     answer = small.calflow("run")
@@ -330,18 +331,18 @@ def test_a_run_killed_while_it_samples_goes_on_where_it_was(small, finished):
 
 
 def interrupt_after(blocks):
-    """Interrupt the next run after so many appended blocks, as Ctrl-C does."""
+    """Interrupt the next run after so many blocks were saved, as Ctrl-C does."""
     calls = []
 
-    def append(self, block, state, real=BlockBackend.append):
+    def save(self, real=Chain.save):
         if len(calls) == blocks:
             patch.undo()
             raise KeyboardInterrupt
         calls.append(0)
-        real(self, block, state)
+        real(self)
 
     patch = pytest.MonkeyPatch()
-    patch.setattr(BlockBackend, "append", append)
+    patch.setattr(Chain, "save", save)
 
 
 @pytest.fixture(scope="module")

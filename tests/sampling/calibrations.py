@@ -21,7 +21,8 @@ from calflow.estimation.progress import draws
 from calflow.model import Model, build
 from calflow.robot.parts import Marker
 from calflow.robot.robot import Robot
-from calflow.sampling.sample import ChainLength, sample
+from calflow.sampling.chain import ChainLength
+from calflow.sampling.sample import sample
 from robots import industrial
 from sampling.ranks import rank
 
@@ -134,7 +135,7 @@ def told(case: Case, design: Design, rng: np.random.Generator) -> Told:
     seed = int(rng.integers(2**31))
     with TemporaryDirectory() as folder:
         sampled = sample(known, fit.identification.data, Path(folder, "chain.h5"), length, rng=draws(seed))
-    chosen = sampled.values.reshape(-1, len(case.truth) + 1)
+    chosen = sampled.points.reshape(-1, len(case.truth) + 1)
     chosen = chosen[rng.choice(len(chosen), DRAWS, replace=False)]
     values, truth, names = [chosen[:, :-1]], [case.truth], [p.name for p in case.model.parameters]
     if not design.shared and not design.repeating:  # else what is left is no single noise

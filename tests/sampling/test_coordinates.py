@@ -13,9 +13,10 @@ from scipy.stats import truncnorm
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.fit import fit
 from calflow.model import build
-from calflow.sampling.posterior import Coordinates, Laplace, Posterior, moves
-from calflow.sampling.posterior_tables import chain_summary, posterior_table
-from calflow.sampling.sample import ChainLength, sample
+from calflow.sampling.chain import ChainLength
+from calflow.sampling.log_posterior import Coordinates, Laplace, LogPosterior, move_mixture
+from calflow.sampling.posterior import chain_summary, posterior_table
+from calflow.sampling.sample import sample
 from estimation.data import SIGMA, drawn_truth, measured, problem
 from robots import industrial, robot
 
@@ -38,7 +39,7 @@ def drawn(coordinates, log_density, rng, steps=1500):
         x, log_slope = coordinates.mapped(u)
         return log_density(x) + log_slope
 
-    sampler = emcee.EnsembleSampler(4 * n, n, in_coordinates, vectorize=True, moves=moves(0.8))
+    sampler = emcee.EnsembleSampler(4 * n, n, in_coordinates, vectorize=True, moves=move_mixture(0.8))
     state = emcee.State(
         rng.standard_normal((4 * n, n)), random_state=np.random.RandomState(rng.integers(2**31)).get_state()
     )
@@ -134,7 +135,7 @@ def test_springs_that_do_not_give_way_are_sampled_as_integrated():
     model = build(arm, ("joint-compliance",))
     given = problem(model, measured(model, np.zeros(3), 12, rng, sigma=SIGMA))
     found, _ = fit(given)
-    posterior = Posterior.about(given, Laplace.of(given, found.estimate, found.at_bound))
+    posterior = LogPosterior.about(given, Laplace.of(given, found.estimate, found.at_bound))
     assert posterior.coordinates.n_cut == 3  # the first turns about an upright axis: its prior alone
 
     def log_density(x):

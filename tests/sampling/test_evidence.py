@@ -16,8 +16,8 @@ from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.fit import fit
 from calflow.estimation.rival_models import ModelInReach
 from calflow.model import Model
-from calflow.sampling.models import WeighedModels, cause_table, evidence, models_table, weighed_models
-from calflow.sampling.posterior import Laplace, Posterior
+from calflow.sampling.log_posterior import Laplace, LogPosterior
+from calflow.sampling.models import WeighedModels, cause_table, integrated_evidence, models_table, weighed_models
 from estimation.data import SIGMA, measured, problem
 from robots import robot
 
@@ -97,8 +97,8 @@ def test_evidence_is_the_integral_over_all_parameters(causes, size):
     model = Model(ARM, causes)
     given = problem(model, data({RATIO: size}))
     found, _ = fit(given)
-    posterior = Posterior.about(given, Laplace.of(given, found.estimate, found.at_bound))
-    told = evidence(posterior, np.random.default_rng(2), exact=0.01)
+    posterior = LogPosterior.about(given, Laplace.of(given, found.estimate, found.at_bound))
+    told = integrated_evidence(posterior, np.random.default_rng(2), exact=0.01)
     assert told.error < 0.02
     assert told.log == pytest.approx(integrated(given), abs=4 * told.error + 0.01)
 

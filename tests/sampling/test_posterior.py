@@ -9,8 +9,8 @@ import pytest
 
 from calflow.estimation.fit import fit
 from calflow.model import build
-from calflow.sampling.backend import joined, joined_kept, open_ensembles
-from calflow.sampling.posterior import Laplace, Posterior, moves
+from calflow.sampling.chain import BLOBS, Chain
+from calflow.sampling.log_posterior import Laplace, LogPosterior, move_mixture
 from calflow.sampling.sample import _extend
 from estimation.data import SIGMA, drawn_truth, measured, problem
 from robots import industrial
@@ -30,7 +30,7 @@ def test_moves_recover_a_known_covariance(independent, steps):
 
     # walkers start from the target itself, so nothing has to be thrown away
     start = rng.standard_normal((4 * n, n)) @ root.T
-    sampler = emcee.EnsembleSampler(4 * n, n, log_probability, vectorize=True, moves=moves(independent))
+    sampler = emcee.EnsembleSampler(4 * n, n, log_probability, vectorize=True, moves=move_mixture(independent))
     sampler.run_mcmc(emcee.State(start, random_state=np.random.RandomState(1).get_state()), steps)
     whitened = sampler.get_chain(flat=True) @ inverse.T
     covariance = np.cov(whitened.T)
@@ -46,7 +46,7 @@ def posterior():
     model = build(industrial(), ("geometry", "joint-compliance"))
     given = problem(model, measured(model, drawn_truth(model, rng), 50, rng))
     result, _ = fit(given)
-    return Posterior.about(given, Laplace.of(given, result.estimate, result.at_bound))
+    return LogPosterior.about(given, Laplace.of(given, result.estimate, result.at_bound))
 
 
 def test_log_probability_is_the_models(posterior):
@@ -79,12 +79,12 @@ def test_starts_are_inside_the_bounds(posterior):
     assert len(np.unique(start, axis=0)) == len(start)
 
 
-def extended(posterior, start, path, blocks, said=lambda line: None):
-    """The ensemble of a chain's file that was lengthened by these numbers of steps, each time opened anew."""
-    for steps in blocks:
-        (backend,) = open_ensembles(path, 1, start.shape, 0.8, said)
-        _extend(backend, posterior, start, 5, 0.8, steps)
-    return [backend]
+def extended(posterior, start, path, lengths, said=lambda line: None):
+    """A chain of one ensemble that was lengthened to these numbers of steps, its file opened anew each time."""
+    for steps in lengths:
+        chain = Chain.open(path, 1, start.shape, 0.8, said)
+        _extend(chain, 0, posterior, start, 5, steps)
+    return chain
 
 
 @pytest.fixture(scope="module")
@@ -95,9 +95,28 @@ def start(posterior):
 def test_interrupted_and_resumed_is_the_same_chain(posterior, start, tmp_path):
     """Fails if the random state, the last positions or what is kept of them are lost between two blocks."""
     whole = extended(posterior, start, tmp_path / "whole.h5", [30])
-    parts = extended(posterior, start, tmp_path / "parts.h5", [10, 7, 13])
-    np.testing.assert_array_equal(joined(whole, 0, 30), joined(parts, 0, 30))
-    np.testing.assert_array_equal(joined_kept(whole, 0, 30), joined_kept(parts, 0, 30))
+    parts = extended(posterior, start, tmp_path / "parts.h5", [10, 17, 30])
+    np.testing.assert_array_equal(whole.walkers(0, 30), parts.walkers(0, 30))
+    np.testing.assert_array_equal(whole.densities(0, 30), parts.densities(0, 30))
+
+
+def test_the_file_is_emcees(posterior, start, tmp_path):
+    """Fails if emcee cannot read the file, or go on from it to the same steps."""
+    chain = extended(posterior, start, tmp_path / "chain.h5", [10])
+    backend = emcee.backends.HDFBackend(str(tmp_path / "chain.h5"), name="ensemble1")
+    np.testing.assert_array_equal(backend.get_chain(), chain.walkers(0, 10)[0])
+    np.testing.assert_array_equal(backend.get_blobs(), chain.densities(0, 10)[0])
+    np.testing.assert_array_equal(backend.accepted, chain.ensembles[0].accepted)
+
+    def densities(u):
+        return list(zip(*posterior.densities(u), strict=True))
+
+    sampler = emcee.EnsembleSampler(
+        *start.shape, densities, vectorize=True, backend=backend, blobs_dtype=BLOBS, moves=move_mixture(0.8)
+    )
+    sampler.run_mcmc(None, 5, skip_initial_state_check=True)
+    longer = extended(posterior, start, tmp_path / "longer.h5", [15])
+    np.testing.assert_array_equal(backend.get_chain(), longer.walkers(0, 15)[0])
 
 
 def test_a_block_that_was_not_finished_leaves_the_chain_as_it_was(posterior, start, tmp_path, monkeypatch):
@@ -110,51 +129,56 @@ def test_a_block_that_was_not_finished_leaves_the_chain_as_it_was(posterior, sta
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("calflow.sampling.backend.os.replace", stopped)
+        patch.setattr("calflow.files.writing.os.replace", stopped)
         with pytest.raises(KeyboardInterrupt):
-            extended(posterior, start, path, [20])
+            extended(posterior, start, path, [30])
     assert path.read_bytes() == before
-    parts = extended(posterior, start, path, [20], said.append)
+    parts = extended(posterior, start, path, [30], said.append)
     assert said == ["resuming after 10 steps"]
     assert [file.name for file in tmp_path.iterdir()] == ["chain.h5"]
     whole = extended(posterior, start, tmp_path / "whole.h5", [30])
-    np.testing.assert_array_equal(joined(whole, 0, 30), joined(parts, 0, 30))
+    np.testing.assert_array_equal(whole.walkers(0, 30), parts.walkers(0, 30))
 
 
 def test_prior_and_likelihood_are_kept_of_the_draw_they_belong_to(posterior, start, tmp_path):
     """Fails if a rejected proposal's densities stand beside the draw that was kept, or the two are swapped."""
-    (backend,) = extended(posterior, start, tmp_path / "chain.h5", [20])
-    prior, likelihood = posterior.log_densities(backend.get_chain(flat=True))
-    kept = backend.get_blobs(flat=True)
+    chain = extended(posterior, start, tmp_path / "chain.h5", [20])
+    prior, likelihood = posterior.log_densities(chain.walkers(0, 20).reshape(-1, posterior.n_dimensions))
+    kept = chain.densities(0, 20).ravel()
     np.testing.assert_allclose(kept["log_prior"], prior, rtol=1e-9)
     np.testing.assert_allclose(kept["log_likelihood"], likelihood, rtol=1e-9)
     with h5py.File(tmp_path / "chain.h5") as file:
         np.testing.assert_array_equal(file["ensemble1"]["blobs"]["log_prior"].ravel(), kept["log_prior"])
 
 
-def test_a_chain_without_prior_and_likelihood_is_sampled_anew(posterior, start, tmp_path):
+def test_a_chain_of_an_earlier_version_is_sampled_anew(posterior, start, tmp_path):
     """Fails if a chain of an earlier version is gone on from, ends in a traceback, or is thrown away without a word."""
     path, said = tmp_path / "chain.h5", []
-    (fresh,) = extended(posterior, start, path, [10])
-    before = fresh.get_chain()
-    with h5py.File(path, "a") as file:
-        del file["ensemble1"]["blobs"]
-        file["ensemble1"].attrs["has_blobs"] = False
-    (backend,) = extended(posterior, start, path, [10], said.append)
-    assert backend.iteration == 10
-    assert backend.has_blobs()
-    np.testing.assert_array_equal(backend.get_chain(), before)
+    before = extended(posterior, start, path, [10]).walkers(0, 10)
+    with h5py.File(tmp_path / "earlier.h5", "w") as earlier, h5py.File(path) as file:
+        for name in file:
+            file.copy(name, earlier)
+        del earlier["ensemble1"]["blobs"]
+        earlier["ensemble1"].attrs["has_blobs"] = False
+    (tmp_path / "earlier.h5").rename(path)
+    chain = extended(posterior, start, path, [10], said.append)
+    assert chain.ensembles[0].iteration == 10
+    assert chain.ensembles[0].has_blobs()
+    np.testing.assert_array_equal(chain.walkers(0, 10), before)
     (line,) = said
-    assert "log prior" in line
+    assert "not of this version" in line
     assert "sampling starts anew" in line
 
 
 def test_a_likelihood_that_was_changed_is_not_gone_on_from(posterior, start, tmp_path):
     """Fails if the checksum leaves out what is kept of each draw."""
-    (backend,) = extended(posterior, start, tmp_path / "chain.h5", [10])
-    assert backend.whole
-    with h5py.File(tmp_path / "chain.h5", "a") as file:
+    path, said = tmp_path / "chain.h5", []
+    before = extended(posterior, start, path, [10])
+    with h5py.File(path, "a") as file:
         kept = file["ensemble1"]["blobs"][:]
         kept["log_likelihood"][3, 2] += 1e-9
         file["ensemble1"]["blobs"][:] = kept
-    assert not backend.whole
+    after = extended(posterior, start, path, [10], said.append)
+    (line,) = said
+    assert "its checksum is wrong" in line
+    np.testing.assert_array_equal(before.densities(0, 10), after.densities(0, 10))

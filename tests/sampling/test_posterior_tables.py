@@ -10,7 +10,7 @@ import numpy as np
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.rival_models import Alternative
 from calflow.sampling.models import WeighedModels
-from calflow.sampling.posterior_tables import predictive_table
+from calflow.sampling.posterior import predictive_table
 from diagnosis.found import cause, hidden, start
 from estimation.data import SIGMA
 
@@ -20,7 +20,7 @@ ECCENTRIC = cause("joint-eccentricity", "joint2", order=1)
 def interval(known, data):
     """The mean upper end of the intervals, of a chain that stays at the estimate."""
     values = np.tile([*known.estimate, 0.0], (2, 10, 8, 1))
-    sampled = SimpleNamespace(values=values, known=known, data=data, models=WeighedModels())
+    sampled = SimpleNamespace(points=values, calibrated=known, data=data, weighed=WeighedModels())
     return predictive_table(sampled, np.random.default_rng(1))["high_mm"].mean()
 
 

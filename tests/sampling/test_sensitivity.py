@@ -11,8 +11,9 @@ from scipy.stats import norm
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.fit import fit
 from calflow.model import build
-from calflow.sampling.posterior_tables import ALPHAS, posterior_table, power_weights, prior_dominates, sensitivity
-from calflow.sampling.sample import ChainLength, sample
+from calflow.sampling.chain import ChainLength
+from calflow.sampling.posterior import ALPHAS, posterior_table, power_weights, prior_dominates, sensitivity
+from calflow.sampling.sample import sample
 from estimation.data import SIGMA, drawn_truth, measured, problem
 from robots import industrial
 

@@ -11,19 +11,20 @@ from scipy.stats import chi
 from calflow.deployment.compensation import turn_sd
 from calflow.estimation.certainty import position_variance
 from calflow.estimation.progress import draws
-from calflow.sampling.sample import ChainLength, sample
-from calflow.sampling.task_error import AskedSpread, Spread, TaskError, task_error, task_summary, task_table
+from calflow.sampling.chain import ChainLength
+from calflow.sampling.sample import sample
+from calflow.sampling.task_points import ErrorDraws, PointErrors, TaskTolerances, point_errors, task_summary, task_table
 from sampling.calibrations import Case, Design
 
 SMALL = Design(joints=3, poses=30, further=12, level=0.0)
 
 
-def spread(parameters: float, own: float, points: int, rng: np.random.Generator) -> Spread:
+def spread(parameters: float, own: float, points: int, rng: np.random.Generator) -> ErrorDraws:
     """Errors of which a part is the same at all points, and another is each point's own."""
     n = 20_000
     drawn = parameters * rng.standard_normal((n, 1, 3)) * np.ones((1, points, 1))
     alike = own * rng.standard_normal((n, 1, 3)) * np.ones((1, points, 1))
-    return Spread(drawn, own * rng.standard_normal((n, points, 3)), alike)
+    return ErrorDraws(drawn, own * rng.standard_normal((n, points, 3)), alike)
 
 
 def test_probabilities_are_those_of_normal_errors():
@@ -40,7 +41,7 @@ def test_probabilities_are_those_of_normal_errors():
 def test_a_point_meets_both_tolerances_or_none():
     """Fails if a point counts as within where only its place, or only its orientation, is."""
     rng = np.random.default_rng(3)
-    found = TaskError(spread(0.0, 1.0, 2, rng), spread(0.0, 1.0, 2, rng))
+    found = PointErrors(spread(0.0, 1.0, 2, rng), spread(0.0, 1.0, 2, rng))
     expected = chi.cdf(1.5, 3) * chi.cdf(2.0, 3)
     assert found.within(1.5, 2.0).mean() == pytest.approx(expected, abs=0.01)
     assert found.within(None, None).all()
@@ -57,7 +58,7 @@ def calibrations(tmp_path_factory):
         chain = tmp_path_factory.mktemp("chains") / f"{k}.h5"
         sampled = sample(known, data, Path(chain), ChainLength(max_steps=80, block=80), rng=draws(k))
         task = data.only(data.held_out)
-        found.append((case, sampled, known, task, task_error(sampled, known, task.rows, np.random.default_rng(k))))
+        found.append((case, sampled, known, task, point_errors(sampled, known, task.rows, np.random.default_rng(k))))
     return found
 
 
@@ -85,7 +86,7 @@ def test_what_was_not_measured_is_said(calibrations):
     _, sampled, known, task, found = calibrations[0]
     measured = sampled.data.only(sampled.data.train)
     near = measured.only(measured.joints[:, 0] > np.median(measured.joints[:, 0]))
-    asked = AskedSpread(tolerance=1e-4)
+    asked = TaskTolerances(tolerance=1e-4)
     whole, part = (task_table(known, task, own, found, asked) for own in (measured, near))
     far = task.joints[:, 0] < near.joints[:, 0].min() - 0.1 * np.ptp(near.joints[:, 0])
     assert far.any()

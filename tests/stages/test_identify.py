@@ -11,7 +11,7 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.model import build
-from calflow.sampling.posterior import Laplace
+from calflow.sampling.log_posterior import Laplace
 from estimation.data import SIGMA, drawn_truth, measured, stated
 from robots import industrial
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from calflow.files.results import Results
 from calflow.reporting.style import ALONE, crowded, figure
 from calflow.reporting.words import mm
-from calflow.sampling.task_error import LIKELY, TaskSummary
+from calflow.sampling.task_points import LIKELY, TaskSummary
 
 SURE = 0.999  # probability from which no further digits are told
 

@@ -1,9 +1,7 @@
 """The models that may be right: how probable each of them is, and each cause, by the evidence of the same data.
 
-Evidence: the probability of the data under a model, all its parameters integrated out, by importance sampling.
-
-The draws are those of a Student t in the coordinates in which the posterior is round and has no bounds, so that few are enough.
-What the weighed models say: each model's probability, and each cause's.
+A model's evidence is the probability of the data under it, all its parameters integrated out, by importance sampling: draws of a
+Student t in the coordinates in which the posterior is round and has no bounds, so that few are enough.
 """
 
 from __future__ import annotations
@@ -25,14 +23,14 @@ from calflow.estimation.progress import Advance, nobody
 from calflow.estimation.rival_models import Change, ModelInReach
 from calflow.files.tables import column, to_frame
 from calflow.model import Model
-from calflow.sampling.posterior import LOG_NOISE_SD, Laplace, Posterior, drawn_student, log_student
+from calflow.sampling.log_posterior import LOG_NOISE_SD, Laplace, LogPosterior, drawn_student, log_student
 
 BATCH, MOST_BATCHES = 1000, 8  # draws of a model
 EXACT = 0.05  # of the evidence, relative: with less error no more draws are made
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class ModelEvidence:
     """The logarithm of a model's evidence, its standard error, and weighted draws of its posterior.
 
     The evidence is up to a constant that is the same for all models of the same data and weights. values (n, n_parameters + 1)
@@ -49,7 +47,7 @@ class Evidence:
         return self.values[rng.choice(len(self.weights), size=number, p=self.weights)]
 
 
-def evidence(posterior: Posterior, rng: np.random.Generator, exact: float = EXACT) -> Evidence:
+def integrated_evidence(posterior: LogPosterior, rng: np.random.Generator, exact: float = EXACT) -> ModelEvidence:
     """Integrate the posterior of a model over all its parameters and the noise level, until the relative error is below exact."""
     drawn, logs = [], np.zeros(0)
     for _ in range(MOST_BATCHES):
@@ -61,7 +59,7 @@ def evidence(posterior: Posterior, rng: np.random.Generator, exact: float = EXAC
     level = posterior.coordinates.log_scale - _log_mass(posterior.problem.model)
     weights = np.exp(logs - logsumexp(logs))
     values = posterior.parameters(np.concatenate(drawn))
-    return Evidence(float(logsumexp(logs) - np.log(len(logs)) + level), _error(logs), values, weights)
+    return ModelEvidence(float(logsumexp(logs) - np.log(len(logs)) + level), _error(logs), values, weights)
 
 
 def _error(logs: np.ndarray) -> float:
@@ -82,7 +80,7 @@ class WeighedModel:
 
     reached: ModelInReach
     model: Model
-    evidence: Evidence
+    evidence: ModelEvidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,34 +98,34 @@ class WeighedModels:
         """
         if not self.independent:
             return self.by_tests
-        return _shares([one.evidence.log + one.reached.log_prior for one in self.models])
+        return _shares([model.evidence.log + model.reached.log_prior for model in self.models])
 
     @property
     def independent(self) -> bool:
         """Whether what the models leave counts as independent noise."""
-        return all(one.reached.independent for one in self.models)
+        return all(model.reached.independent for model in self.models)
 
     @cached_property
     def by_tests(self) -> np.ndarray:
         """The same by the linear tests of diagnose (BIC), (n_models,)."""
-        return _shares([one.reached.log_weight for one in self.models])
+        return _shares([model.reached.log_weight for model in self.models])
 
     @property
     def places(self) -> dict[tuple[str, str], Cause]:
         """A cause of each place that any of the models has one at, those found first."""
-        found: dict[tuple[str, str], Cause] = {}
-        for one in self.models:
-            for cause in one.reached.causes:
-                found.setdefault(cause.place, cause)
-        return found
+        places: dict[tuple[str, str], Cause] = {}
+        for model in self.models:
+            for cause in model.reached.causes:
+                places.setdefault(cause.place, cause)
+        return places
 
     def with_a_cause_at(self, place: tuple[str, str]) -> np.ndarray:
         """Whether each model has a cause at a place, (n_models,)."""
-        return np.array([any(cause.place == place for cause in one.reached.causes) for one in self.models])
+        return np.array([any(cause.place == place for cause in model.reached.causes) for model in self.models])
 
 
 def weighed_models(
-    known: CalibratedModel,
+    calibrated: CalibratedModel,
     problem: LeastSquares,
     rng: np.random.Generator,
     advance: Advance = nobody,
@@ -135,30 +133,30 @@ def weighed_models(
 ) -> WeighedModels:
     """Fit all models in reach to the problem's data, by its weights, and integrate over their parameters.
 
-    advance is told the share of work done; exact is the relative error of each evidence that is good enough.
+    advance gets the share of work done; exact is the relative error of each evidence that is good enough.
     """
-    found, seed = [], int(rng.integers(2**63))
-    for number, reached in enumerate(known.in_reach, start=1):
-        posterior = _about_its_fit(problem.on(_with_causes(known, reached.causes)), known)
+    weighed, seed = [], int(rng.integers(2**63))
+    for number, reached in enumerate(calibrated.in_reach, start=1):
+        posterior = _about_its_fit(problem.on(_with_causes(calibrated, reached.causes)), calibrated)
         same = np.random.default_rng(seed)  # the same draws for all: what errors they have in common does not count
-        found.append(WeighedModel(reached, posterior.problem.model, evidence(posterior, same, exact)))
-        advance(number / len(known.in_reach))
-    return WeighedModels(tuple(found))
+        weighed.append(WeighedModel(reached, posterior.problem.model, integrated_evidence(posterior, same, exact)))
+        advance(number / len(calibrated.in_reach))
+    return WeighedModels(tuple(weighed))
 
 
-def _with_causes(known: CalibratedModel, causes: Sequence[Cause]) -> Model:
+def _with_causes(calibrated: CalibratedModel, causes: Sequence[Cause]) -> Model:
     """The model with these causes; those that are held at their estimates stay as they are."""
-    plain = [effect for effect in known.model.effects if not isinstance(effect, Cause)]
+    plain = [effect for effect in calibrated.model.effects if not isinstance(effect, Cause)]
     held = [effect.cause for effect in plain if isinstance(effect, Carried)]
     free = [cause for cause in causes if cause not in held]
-    return replace(known.model, effects=(*plain, *free))
+    return replace(calibrated.model, effects=(*plain, *free))
 
 
-def _about_its_fit(problem: LeastSquares, known: CalibratedModel) -> Posterior:
-    there = dict(zip((one.identity for one in known.model.parameters), known.estimate, strict=True))
-    start = np.array([there.get(one.identity, one.nominal) for one in problem.model.parameters])
-    found, _ = fit(problem, start[None])
-    return Posterior.about(problem, Laplace.of(problem, found.estimate, found.at_bound), BATCH)
+def _about_its_fit(problem: LeastSquares, calibrated: CalibratedModel) -> LogPosterior:
+    there = dict(zip((p.identity for p in calibrated.model.parameters), calibrated.estimate, strict=True))
+    start = np.array([there.get(p.identity, p.nominal) for p in problem.model.parameters])
+    fitted, _ = fit(problem, start[None])
+    return LogPosterior.about(problem, Laplace.of(problem, fitted.estimate, fitted.at_bound), BATCH)
 
 
 def _shares(logs: Sequence[float]) -> np.ndarray:
@@ -209,14 +207,14 @@ def models_table(weighed: WeighedModels) -> pd.DataFrame:
     """Return the table of `ModelRow`s."""
     rows = [
         ModelRow(
-            model=number, change=one.reached.change, causes=tuple(cause.id for cause in one.reached.causes),
-            joints=tuple(cause.joint for cause in one.reached.causes), parts=tuple(cause.part for cause in one.reached.causes),
-            details=tuple(cause.detail or ONLY for cause in one.reached.causes),
-            log_evidence=one.evidence.log - weighed.models[0].evidence.log if weighed.independent else np.nan,
-            error=one.evidence.error if weighed.independent else np.nan,
-            log_prior=one.reached.log_prior, probability=float(probability), by_tests=float(by_tests),
+            model=number, change=model.reached.change, causes=tuple(cause.id for cause in model.reached.causes),
+            joints=tuple(cause.joint for cause in model.reached.causes), parts=tuple(cause.part for cause in model.reached.causes),
+            details=tuple(cause.detail or ONLY for cause in model.reached.causes),
+            log_evidence=model.evidence.log - weighed.models[0].evidence.log if weighed.independent else np.nan,
+            error=model.evidence.error if weighed.independent else np.nan,
+            log_prior=model.reached.log_prior, probability=float(probability), by_tests=float(by_tests),
         )
-        for number, (one, probability, by_tests) in enumerate(
+        for number, (model, probability, by_tests) in enumerate(
             zip(weighed.models, weighed.probabilities, weighed.by_tests, strict=True), start=1
         )
     ]  # fmt: skip
@@ -227,11 +225,11 @@ def cause_table(weighed: WeighedModels) -> pd.DataFrame:
     """Return the table of `CauseProbability`s."""
     rows = []
     for place, cause in weighed.places.items():
-        own = weighed.with_a_cause_at(place)
+        having = weighed.with_a_cause_at(place)
         rows.append(
             CauseProbability(
-                cause=cause.id, joint=cause.joint or None, part=cause.part, probability=float(weighed.probabilities[own].sum()),
-                by_tests=float(weighed.by_tests[own].sum()), found=bool(own[0]),
+                cause=cause.id, joint=cause.joint or None, part=cause.part, probability=float(weighed.probabilities[having].sum()),
+                by_tests=float(weighed.by_tests[having].sum()), found=bool(having[0]),
             )
         )  # fmt: skip
     return to_frame(sorted(rows, key=lambda row: -row.probability), CauseProbability)

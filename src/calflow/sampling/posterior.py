@@ -1,325 +1,443 @@
-"""The posterior in coordinates that make it round, and the moves that sample it.
+"""The sampled posterior: each parameter's, how much of it is its prior's, each row's predicted error, and the chain's length.
 
-Coordinates in which a posterior is round and has no bounds: a normal that bounds cut, as a function of a standard normal.
-
-Parameters near a bound come first, each given those before it a normal that is cut at its bounds: the triangular map that
-draws cut normals one by one (Geweke 1991; Hajivassiliou and McFadden 1998). All others are linear in the coordinates.
+Predictions are of all models that may be right, each as often as it is probable; prior and data are told apart by power scaling.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+import warnings
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
-import casadi as ca
-import emcee
 import numpy as np
-from scipy.special import gammaln, log_ndtr, ndtri_exp
-from scipy.stats import norm
+import pandas as pd
 
-from calflow.compiled import compiled
+from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.fit import expansion, fit
-from calflow.estimation.least_squares import LeastSquares, SeriesBlock
-from calflow.estimation.repeats import averaged
+from calflow.estimation.parameters import UNIT
+from calflow.estimation.progress import Draws
+from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
-
-NEAR = 5.0  # standard deviations of the fit from a bound, within which a parameter is transformed
-
-
-@dataclass(frozen=True)
-class Coordinates:
-    """The map from coordinates u (..., n) to parameters x (..., n).
-
-    Parameter number order[k] is mean[k] + factor[k] @ z, factor (n, n) lower triangular; of the first n_cut parameters z[k] is u[k]
-    mapped into the bounds, of the others it is u[k]. lower and upper (n_cut,) are the bounds of the former.
-    """
-
-    order: np.ndarray
-    mean: np.ndarray
-    factor: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-
-    @staticmethod
-    def about(estimate: np.ndarray, mean: np.ndarray, covariance: np.ndarray, bounds: np.ndarray) -> Coordinates:
-        """Return the coordinates of a normal (mean, covariance) cut at bounds (n, 2), whose mode within them is the estimate."""
-        sd = np.sqrt(np.diag(covariance))
-        near = (np.abs(bounds - estimate[:, None]) < NEAR * sd[:, None]).any(axis=1)
-        inside = np.diff(norm.cdf((bounds - mean[:, None]) / sd[:, None]), axis=1).ravel()
-        order = np.lexsort((inside, ~near))  # what is cut most is drawn first
-        scaled = covariance[np.ix_(order, order)] / np.outer(sd[order], sd[order])
-        factor = np.linalg.cholesky(scaled) * sd[order][:, None]
-        cut = order[: np.count_nonzero(near)]
-        return Coordinates(order, mean[order], factor, *bounds[cut].T)
-
-    @property
-    def n_cut(self) -> int:
-        """How many parameters are transformed."""
-        return len(self.lower)
-
-    @property
-    def cut(self) -> np.ndarray:
-        """The numbers of these parameters."""
-        return self.order[: self.n_cut]
-
-    @property
-    def log_scale(self) -> float:
-        """Logarithm of the determinant of the linear part."""
-        return float(np.log(np.diag(self.factor)).sum())
-
-    def mapped(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return x (..., n) and the logarithm of |dx/du| (...) without that of the linear part, for u (..., n)."""
-        z = np.array(u)
-        log_slope = np.zeros(u.shape[:-1])
-        for k in range(self.n_cut):
-            least, most = self._allowed(z, k)
-            z[..., k], slope = _into(u[..., k], least, most)
-            log_slope += slope
-        x = np.empty_like(z)
-        x[..., self.order] = self.mean + z @ self.factor.T
-        x[..., self.cut] = np.clip(x[..., self.cut], self.lower, self.upper)  # they are beyond by round-off alone
-        return x, log_slope
-
-    def _allowed(self, z: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Between which z[k] must be, given those before it."""
-        middle = self.mean[k] + z[..., :k] @ self.factor[k, :k]
-        return (self.lower[k] - middle) / self.factor[k, k], (self.upper[k] - middle) / self.factor[k, k]
+from calflow.sampling.chain import ENOUGH_TAU, ChainLength
+from calflow.sampling.log_posterior import Laplace, LogPosterior
+from calflow.sampling.models import WeighedModels, cause_table, models_table
 
 
-def _into(u: np.ndarray, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Map a standard normal onto one that is cut at least and most; the second result is the logarithm of its slope."""
-    sign, low, high = _lower_half(least, most)
-    z = sign * ndtri_exp(np.logaddexp(log_ndtr(low) + log_ndtr(-sign * u), log_ndtr(high) + log_ndtr(sign * u)))
-    return z, (z**2 - u**2) / 2 + _log_mass(low, high)
+@dataclass(frozen=True, kw_only=True)
+class Cut:
+    """A parameter whose posterior its bounds cut, so that its quantiles say more than its mean and sd."""
+
+    parameter: str = column("its name")
+    unit: str = column("of the bounds (SI)")
+    lower: float = column("the least that is allowed")
+    upper: float = column("the most that is allowed")
 
 
-def _lower_half(least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Turn an interval round where it lies above zero: logarithms of the normal's distribution are exact below."""
-    turned = least + most > 0
-    return np.where(turned, -1.0, 1.0), np.where(turned, -most, least), np.where(turned, -least, most)
+@dataclass(frozen=True, kw_only=True)
+class ChainSummary:
+    """How sample ended: length and mixing of the chain."""
 
-
-def _log_mass(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Logarithm of a standard normal's share between low and high, of which low is the farther from zero, or below it."""
-    top = log_ndtr(high)
-    with np.errstate(divide="ignore"):
-        return np.asarray(top + np.log(-np.expm1(np.minimum(log_ndtr(low) - top, 0.0))))
-
-
-LOG_NOISE_SD = 1.0  # prior on the log of the noise level: a factor e either way
-VARIANCE_PASSES = 3  # the noise level and the number of parameters it leaves undetermined depend on each other, weakly
-DEGREES = 8.0  # of the Student t that proposes: tails heavy enough to reach what Laplace's normal would miss
-EXPECTED_EVALUATIONS = 10_000  # of each row: sampling always pays for compiling
-
-
-@dataclass(frozen=True)
-class Laplace:
-    """A normal approximation of the posterior without its bounds, from an expansion about the estimate within them.
-
-    mean (n,) and covariance (n, n) are that normal's, its mean beyond a bound where one is active; sd (n,) are the fit's
-    standard deviations, for which parameters at a bound are held there, and 0 for these. variance is the noise's, relative to the
-    problem's weights.
-    """
-
-    estimate: np.ndarray
-    mean: np.ndarray
-    covariance: np.ndarray
-    sd: np.ndarray
-    variance: float
-
-    @staticmethod
-    def of(problem: LeastSquares, estimate: np.ndarray, at_bound: np.ndarray) -> Laplace:
-        """Approximate the posterior of a problem about its estimate; the noise level is what the fit leaves."""
-        prior_sd = problem.model.prior_sd
-        there = expansion(problem, estimate / prior_sd, "linear")
-        pull = (estimate - problem.model.prior_mean) / prior_sd
-        told, free = there.hessian - np.eye(len(estimate)), ~at_bound
-        variance = 1.0
-        for _ in range(VARIANCE_PASSES):
-            information = told / variance + np.eye(len(estimate))
-            inverse = np.linalg.inv(information[np.ix_(free, free)])
-            determined = len(inverse) - np.trace(inverse)
-            variance = float((there.independent**2).sum() / max(1.0, there.independent.size - determined))
-        sd = np.zeros(len(estimate))
-        sd[free] = np.sqrt(np.diag(inverse)) * prior_sd[free]
-        covariance = np.linalg.inv(information) * np.outer(prior_sd, prior_sd)
-        gradient = ((there.gradient - pull) / variance + pull) / prior_sd
-        return Laplace(estimate, estimate - covariance @ gradient, covariance, sd, variance)
-
-
-@dataclass(frozen=True)
-class Posterior:
-    """Log posterior of the parameters and the log of the noise level, as a function of coordinates that make it round.
-
-    Parameters and coordinates have n_parameters + 1 entries, the last for the log of the noise relative to the problem's weights.
-    evaluations is of how many parameter sets it will be asked: many pay for compiling.
-    """
-
-    problem: LeastSquares
-    coordinates: Coordinates
-    evaluations: int = EXPECTED_EVALUATIONS
-
-    @staticmethod
-    def about(problem: LeastSquares, laplace: Laplace, evaluations: int = EXPECTED_EVALUATIONS) -> Posterior:
-        """Take the coordinates in which Laplace's normal, cut at the bounds, is a standard normal."""
-        n = len(laplace.estimate)
-        middle = 0.5 * np.log(laplace.variance)
-        covariance = np.zeros((n + 1, n + 1))
-        covariance[:n, :n], covariance[n, n] = laplace.covariance, 1 / (2 * problem.size)
-        bounds = np.vstack([problem.model.bounds, (-np.inf, np.inf)])
-        estimate, mean = np.append(laplace.estimate, middle), np.append(laplace.mean, middle)
-        return Posterior(problem, Coordinates.about(estimate, mean, covariance, bounds), evaluations)
-
-    @cached_property
-    def squares(self) -> Callable[[np.ndarray], np.ndarray]:
-        """The function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,)."""
-        return _sum_of_squares(self.problem, self.evaluations)
-
-    @property
-    def n_dimensions(self) -> int:
-        """Number of coordinates."""
-        return len(self.coordinates.mean)
-
-    def parameters(self, u: np.ndarray) -> np.ndarray:
-        """Return the parameters and the log noise level for coordinates (..., n_dimensions)."""
-        return self.coordinates.mapped(u)[0]
-
-    def densities_at(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return log prior and log likelihood, each (n_walkers,) and up to a constant, of parameters (n_walkers, n_dimensions).
-
-        Outside the bounds the prior's is -inf, and the likelihood, which is not evaluated there, 0.
-        """
-        model = self.problem.model
-        values, log_noise = x[:, :-1], x[:, -1]
-        lower, upper = model.bounds.T
-        inside = ((values >= lower) & (values <= upper)).all(axis=1)
-        prior, likelihood = np.full(len(x), -np.inf), np.zeros(len(x))
-        if inside.any():
-            values, log_noise = values[inside], log_noise[inside]
-            scaled = (values - model.prior_mean) / model.prior_sd
-            prior[inside] = -0.5 * (scaled**2).sum(axis=1) - 0.5 * (log_noise / LOG_NOISE_SD) ** 2
-            likelihood[inside] = -0.5 * self.squares(values.T) * np.exp(-2 * log_noise) - self.problem.size * log_noise
-        return prior, likelihood
-
-    def densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the log posterior of coordinates (n_walkers, n_dimensions), and log prior and log likelihood of their parameters.
-
-        Each (n_walkers,) and up to a constant. The first has besides the other two what the map stretches there.
-        """
-        x, log_slope = self.coordinates.mapped(u)
-        prior, likelihood = self.densities_at(x)
-        return prior + likelihood + log_slope, prior, likelihood
-
-    def log_densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return log prior and log likelihood of the parameters at coordinates (n_walkers, n_dimensions), see `densities_at`."""
-        return self.densities_at(self.parameters(u))
-
-    def log_probability(self, u: np.ndarray) -> np.ndarray:
-        """Return the log posterior, up to a constant, of coordinates (n_walkers, n_dimensions); -inf outside bounds."""
-        return self.densities(u)[0]
-
-    def start(self, n_walkers: int, rng: np.random.Generator) -> np.ndarray:
-        """Return walkers (n_walkers, n_dimensions) drawn from the coordinates' normal, redrawn until all are inside the bounds."""
-        walkers = rng.standard_normal((n_walkers, self.n_dimensions))
-        for _ in range(200):
-            outside = ~np.isfinite(self.log_probability(walkers))
-            if not outside.any():
-                return walkers
-            walkers[outside] = rng.standard_normal((int(outside.sum()), self.n_dimensions))
-        raise RuntimeError("no start inside the bounds: Laplace's approximation lies outside them almost everywhere")
-
-
-def moves(independent: float) -> list[tuple[emcee.moves.Move, float]]:
-    """Return the mixture of moves: an independent Student t in round coordinates, and differential evolution.
-
-    independent is the share of the first move. `DESnookerMove` is left
-    out on purpose: in emcee 3.1.6 its acceptance lacks a factor and it samples too narrow a posterior.
-    """
-    mixture = [
-        (emcee.moves.MHMove(propose_student), independent),
-        (emcee.moves.DEMove(), 1 - independent),
-    ]
-    return [(move, weight) for move, weight in mixture if weight > 0]
-
-
-def propose_student(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
-    """Propose, as emcee asks for it, draws (n_walkers, n_dimensions) of a multivariate Student t with unit scale."""
-    proposed = drawn_student(u.shape, rng)
-    return proposed, log_student(u) - log_student(proposed)
-
-
-def drawn_student(shape: tuple[int, int], rng: np.random.RandomState | np.random.Generator) -> np.ndarray:
-    """Return draws (n, n_dimensions) of that density."""
-    mixing = rng.chisquare(DEGREES, size=(shape[0], 1)) / DEGREES
-    return np.asarray(rng.standard_normal(shape) / np.sqrt(mixing))
-
-
-def log_student(u: np.ndarray) -> np.ndarray:
-    """Return its logarithm (n,) at u (n, n_dimensions)."""
-    n = u.shape[1]
-    constant = gammaln((DEGREES + n) / 2) - gammaln(DEGREES / 2) - 0.5 * n * np.log(DEGREES * np.pi)
-    return np.asarray(constant - 0.5 * (DEGREES + n) * np.log1p((u**2).sum(axis=1) / DEGREES))
-
-
-def _sum_of_squares(problem: LeastSquares, evaluations: int) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,)."""
-    blocks = [_squares_of(block, evaluations) for block in problem.blocks]
-
-    def squares(values: np.ndarray) -> np.ndarray:
-        return np.sum([block(values) for block in blocks], axis=0)
-
-    return squares
-
-
-def _squares_of(block: SeriesBlock, evaluations: int) -> Callable[[np.ndarray], np.ndarray]:
-    """The same of one series' rows; where these share errors, of what of them is independent."""
-    inputs, residual = block.expression()
-    if block.sharing is None:
-        alone = _over_walkers(block, ca.Function("squares", inputs, [ca.sumsqr(residual)]), evaluations)
-        return lambda values: np.sum([squares[0].sum(axis=1) for squares in alone(values)], axis=0)
-    errors = _over_walkers(block, ca.Function("residual", inputs, [residual]), evaluations)
-    shared = [block.sharing.only(part) for part in block.parts()]
-    return lambda values: np.sum(
-        [own.squares(one.transpose(2, 0, 1)) for own, one in zip(shared, errors(values), strict=True)], axis=0
+    steps: int = column("of each walker")
+    burn_in_steps: int = column("of these, left out at the start")
+    ensembles: int = column("independent ensembles of walkers")
+    walkers: int = column("in each ensemble")
+    autocorrelation_steps: float | None = column("steps until a walker forgets; null: some never moved")
+    acceptance_independent: float | None = column("share of independent proposals that are accepted; null: not used")
+    worst_rhat: float = column("the largest R-hat of all parameters")
+    smallest_ess: float = column("the smallest effective sample size")
+    sd_over_laplace_least: float | None = column(
+        "sampled sd over the fit's, the least; null: every parameter is at a bound"
+    )
+    sd_over_laplace_most: float | None = column("the same, the most")
+    missing_steps: int = column("about how many more are needed; 0: long enough")
+    cut: tuple[Cut, ...] = column(
+        "parameters whose posterior their bounds cut: parameter, unit, lower, upper", default=()
     )
 
 
-def _over_walkers(
-    block: SeriesBlock, row: ca.Function, evaluations: int
-) -> Callable[[np.ndarray], Iterator[np.ndarray]]:
-    """Return the function (n_parameters, n_walkers) -> a row's outputs (n_outputs, n_walkers, n_rows), by the block's parts.
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """Draws of what may be predicted for some rows.
 
-    CasADi lays out each walker's copy of the rows, which would take 750 bytes for each of both.
+    errors (n_draws, n_rows, 3) [m] are predicted minus measured lengths, level (n_draws,) the factors on the noise, model
+    (n_draws,) the number of the model, from 0, that a draw is of.
     """
-    row = compiled(row, evaluations * len(block.rows))
-    parts = [[np.asfortranarray(values[:, part]) for values in block.data] for part in block.parts()]
 
-    @lru_cache
-    def mapped(n_rows: int, n_walkers: int) -> ca.Function:
-        over_rows = row.map("rows", "serial", n_rows, [0], [])
-        return over_rows.map("walkers", "serial", n_walkers, [1, 2, 3], [])
+    errors: np.ndarray
+    level: np.ndarray
+    model: np.ndarray
 
-    def outputs(values: np.ndarray) -> Iterator[np.ndarray]:
-        n_walkers = values.shape[1]
-        for data in parts:
-            n_rows = data[0].shape[1]
-            yield np.asarray(mapped(n_rows, n_walkers)(values, *data)).reshape(-1, n_walkers, n_rows)
+    @property
+    def mean(self) -> np.ndarray:
+        """Mean of the errors, (n_rows, 3) [m]."""
+        return np.asarray(self.errors.mean(axis=0))
 
-    return outputs
+    @property
+    def covariance(self) -> np.ndarray:
+        """Their covariance, (n_rows, 3, 3) [m²]: what is not known of the parameters, and which model is right."""
+        off = self.errors - self.mean
+        return np.asarray(np.einsum("dri,drj->rij", off, off) / max(len(off) - 1, 1))
+
+    @property
+    def of_choice(self) -> np.ndarray:
+        """Share of the variance, over all axes, that is there because another model may be right, (n_rows,)."""
+        off = self.errors - self.mean
+        means = np.array([off[self.model == k].mean(axis=0) for k in self.model])
+        between, whole = (np.nansum(part**2, axis=(0, 2)) for part in (means, off))
+        return np.divide(between, whole, out=np.zeros_like(whole), where=whole > 0)
 
 
-def posterior_of(known: CalibratedModel, data: Measurements) -> tuple[Posterior, Laplace]:
-    """Return the posterior of what was identified, given the training rows, and its approximation.
+def mixture(posterior: Posterior, data: Measurements, number: int, rng: np.random.Generator) -> Mixture:
+    """Draw a model, then its parameters, so many times, and predict the rows.
 
-    Where markers of a standstill err in common it is about the estimate that counts this once, as not every fit does.
+    Of what was found the chain's draws count, of the others those of their evidence. A cause that was held at its estimates gives
+    way to its own rivals as often as these are right: its predictions are shifted as theirs are.
     """
-    means = averaged(data.only(data.train), known.noise(data).only(data.train))
-    problem = LeastSquares.of(known.model, *means).reweighted(known.estimate, known.loss)
-    estimate, at_bound = known.estimate, known.at_bound
-    if problem.shares:
-        counted_once, _ = fit(problem, estimate[None])
-        estimate, at_bound = counted_once.estimate, counted_once.at_bound
-    laplace = Laplace.of(problem, estimate, at_bound)
-    return Posterior.about(problem, laplace), laplace
+    calibrated, flat = posterior.calibrated, posterior.points.reshape(-1, posterior.points.shape[-1])
+    number = min(number, len(flat))
+    models, probabilities = posterior.weighed.models, posterior.weighed.probabilities
+    chosen = np.sort(rng.choice(len(models), size=number, p=probabilities)) if models else np.zeros(number, dtype=int)
+    predicted, level = np.empty((number, len(data), 3)), np.empty(number)
+    for k in np.unique(chosen):
+        of_model = np.flatnonzero(chosen == k)
+        model = models[k].model if k else calibrated.model
+        values = (
+            models[k].evidence.draws(len(of_model), rng)
+            if k
+            else flat[rng.choice(len(flat), len(of_model), replace=False)]
+        )
+        predicted[of_model] = [errors(model, value[:-1], data) for value in values]
+        level[of_model] = np.exp(values[:, -1])
+    return Mixture(predicted + _shifts(posterior, data, number, rng), level, chosen)
+
+
+def _shifts(posterior: Posterior, data: Measurements, number: int, rng: np.random.Generator) -> np.ndarray | float:
+    """By how much the rivals of what was held shift the predictions, (n_draws, n_rows, 3) [m]; they do not exclude each other."""
+    calibrated = posterior.calibrated
+    if not calibrated.alternatives:
+        return 0.0
+    here = errors(calibrated.model, calibrated.estimate, data)
+    others = [(replace(other.model, given=calibrated.model.given), other.estimate) for other in calibrated.alternatives]
+    shifts = np.array([errors(model, estimate, data) - here for model, estimate in others])
+    chosen = rng.random((number, len(shifts))) < [other.probability for other in calibrated.alternatives]
+    return np.einsum("dk,kri->dri", chosen.astype(float), shifts)
+
+
+ALPHAS = (0.99, 1.01)  # powers to which a density is raised: near enough to 1 that the draws need no new sampling
+SENSITIVE = (
+    0.05  # from here on the posterior changes with a density; a normal that is this density alone has about 0.08
+)
+
+
+def sensitivity(values: np.ndarray, log_density: np.ndarray) -> np.ndarray:
+    """Return how much each parameter's posterior changes when one of its factors is raised to a power near 1.
+
+    The cumulative Jensen-Shannon distance per log2 of the power, by importance weights density^(alpha - 1), Pareto-smoothed
+    (Kallioinen et al. 2023, eq. 11).
+
+    Args:
+        values: the draws, shape (n_chains, n_draws, n_parameters).
+        log_density: of each draw the log of the prior, or of the likelihood, up to a constant, shape (n_chains, n_draws).
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from arviz_stats.base import array_stats
+
+    lower, upper = (power_weights(log_density, alpha) for alpha in ALPHAS)
+    return np.array([float(array_stats.power_scale_sense(values[..., k], lower, upper, *ALPHAS))
+                     for k in range(values.shape[-1])])  # fmt: skip
+
+
+def power_weights(log_density: np.ndarray, alpha: float) -> np.ndarray:
+    """Return each draw's weight where a factor of the posterior is raised to the power alpha; they add up to 1."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from arviz_stats.base import array_stats
+
+    log_weights = array_stats.power_scale_lw(log_density, alpha=alpha, axis=(0, 1))
+    weights = np.exp(log_weights - log_weights.max())
+    return weights / weights.sum()
+
+
+def prior_dominates(table: pd.DataFrame) -> np.ndarray:
+    """Return of which rows of `sample/posterior.csv` the prior says where they lie, and the data hardly anything."""
+    prior, likelihood = _sensitive(table)
+    return prior & ~likelihood
+
+
+def shared(table: pd.DataFrame) -> np.ndarray:
+    """Return of which rows of `sample/posterior.csv` both the prior and the data say where they lie."""
+    prior, likelihood = _sensitive(table)
+    return prior & likelihood
+
+
+def _sensitive(table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+    prior, likelihood = (table[f"{name}_sensitivity"].to_numpy(dtype=float) for name in ("prior", "likelihood"))
+    return prior > SENSITIVE, likelihood > SENSITIVE
+
+
+NOISE = "noise.factor"
+NO_ARVIZ = "to_inference_data needs ArviZ: pip install 'calflow[arviz]' (or arviz-base)"
+NEAR_BOUND, CUT = 0.1, 0.01  # a posterior is cut where 1 % of it lies within a tenth of its sd from a bound
+DRAWS = 500  # for predictions
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosteriorRow:
+    """The sampled posterior of a parameter; `noise.factor` is the noise over that which the fit used."""
+
+    parameter: str = column("its name")
+    unit: str = column("of the figures in this row (SI)")
+    mean: float = column("of all draws", UNIT, sd="sd")
+    sd: float = column("their standard deviation", UNIT)
+    q025: float = column("their 2.5 % quantile", UNIT, sd="sd")
+    q500: float = column("their median", UNIT, sd="sd")
+    q975: float = column("their 97.5 % quantile", UNIT, sd="sd")
+    rhat: float = column("whether the ensembles agree: near 1")
+    ess: float = column("effective number of independent draws")
+    prior_sensitivity: float = column(
+        "how much the posterior changes with the prior (power scaling); above 0.05: it counts; empty: "
+        "all draws are alike"
+    )
+    likelihood_sensitivity: float = column(
+        "the same with the likelihood; below 0.05 where the prior's is above: the prior, not the data, says where it lies"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictedError:
+    """A measured row's error, and the interval in which the posterior and the noise say it should be."""
+
+    pose: str = column("as in the measurements")
+    repeat: str = column("as in the measurements")
+    marker: str = column("as in the measurements")
+    split: str = column("train, holdout")
+    error_mm: float = column("distance from the mean prediction of all draws and models to the measured position", "mm")
+    expected_mm: float = column("median of what was expected", "mm")
+    low_mm: float = column("lower end of its 95 % interval", "mm")
+    high_mm: float = column("upper end of it", "mm")
+    covered: bool = column("whether the error lies inside")
+    heldout_coverage: float = column("share of the held-out rows whose error lies inside; empty: none held out")
+    dx_mm: float = column(
+        "mean prediction minus measured position, along the measuring frame's x; empty: not measured", "mm"
+    )
+    dy_mm: float = column("the same along y", "mm")
+    dz_mm: float = column("the same along z", "mm")
+    covariance_xx_mm2: float = column(
+        "variance of the prediction along x: of parameters, and of which model is right", "mm2"
+    )
+    covariance_xy_mm2: float = column("covariance of x and y", "mm2")
+    covariance_xz_mm2: float = column("covariance of x and z", "mm2")
+    covariance_yy_mm2: float = column("variance along y", "mm2")
+    covariance_yz_mm2: float = column("covariance of y and z", "mm2")
+    covariance_zz_mm2: float = column("variance along z", "mm2")
+    choice_share: float = column("share of these variances because another model than the one found may be right")
+
+
+def posterior_table(posterior: Posterior) -> pd.DataFrame:
+    """Return a summary of each parameter; the noise level as a factor on the noise that identify used.
+
+    R-hat compares the ensembles, each flattened, since only they are independent; the effective sample size counts the
+    autocorrelation of each walker (both rank-normalised, Vehtari et al. 2021). Sensitivities are to prior and likelihood.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from arviz_stats.base import array_stats
+
+    values = posterior.values
+    n_ensembles, n_steps, n_walkers, n = values.shape
+    flat = values.reshape(-1, n)
+    by_ensemble = values.reshape(n_ensembles, n_steps * n_walkers, n)
+    by_walker = values.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, n)
+    prior, likelihood = (
+        density.transpose(0, 2, 1).reshape(n_ensembles * n_walkers, n_steps)
+        for density in (posterior.log_prior, posterior.log_likelihood)
+    )
+    quantiles = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
+    table = pd.DataFrame(
+        {
+            "parameter": posterior.names,
+            "unit": [*(p.unit for p in posterior.calibrated.model.parameters), "1"],
+            "mean": flat.mean(axis=0),
+            "sd": flat.std(axis=0, ddof=1),
+            "q025": quantiles[0],
+            "q500": quantiles[1],
+            "q975": quantiles[2],
+            "rhat": [float(array_stats.rhat(by_ensemble[:, :, k])) for k in range(n)],
+            "ess": [float(array_stats.ess(by_walker[:, :, k])) for k in range(n)],
+            "prior_sensitivity": sensitivity(by_walker, prior),
+            "likelihood_sensitivity": sensitivity(by_walker, likelihood),
+        }
+    )
+    return typed(table, PosteriorRow)
+
+
+def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataFrame:
+    """Return each row's error and the interval in which posterior and noise say it should be, without rows left out.
+
+    Draws are of all models that may be right, each as often as it is probable.
+    """
+    calibrated = posterior.calibrated
+    data = posterior.data.only(posterior.data.train | posterior.data.held_out)
+    sigma = np.hypot(calibrated.noise(data).total, np.where(data.held_out, calibrated.elsewhere, 0.0))
+    drawn = mixture(posterior, data, DRAWS, rng)
+    centre, covariance = drawn.mean, drawn.covariance
+    error = 1e3 * distances(centre)
+    expected = np.empty((len(drawn.level), len(data)))
+    for k, level in enumerate(drawn.level):
+        noise = (level * sigma)[:, None] * rng.standard_normal(centre.shape)
+        expected[k] = 1e3 * distances(drawn.errors[k] + noise - centre)
+    low, middle, high = np.quantile(expected, [0.025, 0.5, 0.975], axis=0)
+    table = data.table[["pose", "repeat", "marker", "split"]].assign(
+        error_mm=error, expected_mm=middle, low_mm=low, high_mm=high, covered=(error >= low) & (error <= high),
+        **{f"d{axis}_mm": 1e3 * centre[:, i] for i, axis in enumerate("xyz")},
+        **{f"covariance_{'xyz'[i]}{'xyz'[j]}_mm2": 1e6 * covariance[:, i, j] for i in range(3) for j in range(i, 3)},
+        choice_share=drawn.of_choice,
+    )  # fmt: skip
+    heldout = table[table["split"] == "holdout"]
+    coverage = heldout["covered"].mean() if len(heldout) else np.nan
+    return typed(table.assign(heldout_coverage=coverage), PredictedError)
+
+
+def chain_summary(posterior: Posterior, table: pd.DataFrame) -> ChainSummary:
+    """Say how long the chain is, and whether that is enough; table is its posterior's."""
+    values, calibrated, laplace = posterior.points, posterior.calibrated, posterior.laplace
+    ratio = (table["sd"].to_numpy()[:-1][~calibrated.at_bound]) / laplace.sd[~calibrated.at_bound]
+    cut = []
+    for i, parameter in enumerate(calibrated.model.parameters):
+        sample = values[..., i].ravel()
+        near = NEAR_BOUND * sample.std()
+        if ((sample - parameter.lower < near) | (parameter.upper - sample < near)).mean() > CUT:
+            cut.append(Cut(parameter=parameter.name, unit=parameter.unit, lower=parameter.lower, upper=parameter.upper))
+    return ChainSummary(
+        steps=posterior.steps,
+        burn_in_steps=posterior.discard,
+        ensembles=values.shape[0],
+        walkers=values.shape[2],
+        autocorrelation_steps=posterior.tau,
+        acceptance_independent=posterior.accepted,
+        worst_rhat=table["rhat"].max(),
+        smallest_ess=table["ess"].min(),
+        sd_over_laplace_least=ratio.min() if len(ratio) else None,
+        sd_over_laplace_most=ratio.max() if len(ratio) else None,
+        missing_steps=_missing_steps(posterior.steps, posterior.tau, table["ess"].min(), posterior.length),
+        cut=tuple(cut),
+    )
+
+
+def _missing_steps(steps: int, tau: float, ess: float, length: ChainLength) -> int:
+    """About how many more steps are needed for enough autocorrelation times and samples; 0 where there are enough."""
+    missing = int(np.ceil(min(ENOUGH_TAU * tau, 1e9))) - steps
+    if missing <= 0 and ess >= length.ess:
+        return 0
+    return max(missing, int(np.ceil(steps * (length.ess / ess - 1))))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Posterior:
+    """A sampled posterior; its tables are those of a run's folder `sample`.
+
+    calibrated is the model without what was held, data the rows (all of them), walkers (n_ensembles, n_steps, n_walkers,
+    n_dimensions) those after the burn-in in the coordinates of log_posterior, log_prior and log_likelihood (n_ensembles, n_steps,
+    n_walkers) theirs, up to a constant; steps, discard and tau [steps] are those made, left out at the start, and until a walker
+    forgets; accepted is the share of independent proposals that are, None where there are none. weighed are the models that may be
+    right as well, and rng draws predictions.
+    """
+
+    calibrated: CalibratedModel
+    data: Measurements
+    log_posterior: LogPosterior
+    laplace: Laplace
+    walkers: np.ndarray
+    log_prior: np.ndarray
+    log_likelihood: np.ndarray
+    steps: int
+    discard: int
+    tau: float
+    accepted: float | None
+    length: ChainLength
+    weighed: WeighedModels
+    rng: Draws
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """The walkers in the parameters' units [SI], the last of them the log of the noise's factor; shape as walkers."""
+        return self.log_posterior.parameters(self.walkers)
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """All draws [SI], the last of them the noise's factor, shape (n_ensembles, n_steps, n_walkers, n_names)."""
+        return np.concatenate([self.points[..., :-1], np.exp(self.points[..., -1:])], axis=-1)
+
+    @property
+    def names(self) -> list[str]:
+        """The parameters' names, the noise's factor last."""
+        return [*(parameter.name for parameter in self.calibrated.model.parameters), NOISE]
+
+    @cached_property
+    def draws(self) -> pd.DataFrame:
+        """All draws [SI], a row a draw: ensemble, walker and step, and a column a parameter."""
+        n_ensembles, n_steps, n_walkers, n = self.values.shape
+        index = pd.MultiIndex.from_product(
+            [range(n_ensembles), range(n_steps), range(n_walkers)], names=["ensemble", "step", "walker"]
+        )
+        return pd.DataFrame(self.values.reshape(-1, n), columns=self.names, index=index).reset_index()
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """Each parameter's mean, quantiles and convergence (see `sample/posterior.csv`)."""
+        return posterior_table(self)
+
+    @cached_property
+    def predictive(self) -> pd.DataFrame:
+        """Each row's error, and the interval in which it should be (see `sample/predictive.csv`)."""
+        return predictive_table(self, self.rng("predictive"))
+
+    @cached_property
+    def models(self) -> pd.DataFrame:
+        """The models that may be right, and how probable each is (see `sample/models.csv`); none where nothing was found."""
+        return models_table(self.weighed)
+
+    @cached_property
+    def causes(self) -> pd.DataFrame:
+        """How probable each cause of these models is (see `sample/cause_probabilities.csv`)."""
+        return cause_table(self.weighed)
+
+    @cached_property
+    def summary(self) -> ChainSummary:
+        """Length and mixing of the chain."""
+        return chain_summary(self, self.table)
+
+    def to_inference_data(self) -> Any:
+        """Return the draws as ArviZ takes them; each walker is a chain.
+
+        The groups are `posterior`, and `log_prior` and `log_likelihood` of all parameters and of all rows together, as ArviZ's
+        `psense` wants them; `loo` would want them row by row.
+
+        Raises:
+            ImportError: ArviZ is not installed.
+        """
+        try:
+            from arviz_base import from_dict
+        except ImportError:
+            raise ImportError(NO_ARVIZ) from None
+
+        def by_walker(draws: np.ndarray) -> np.ndarray:
+            return np.concatenate(draws.swapaxes(1, 2))
+
+        chains = by_walker(self.values)
+        return from_dict({
+            "posterior": {name: chains[..., k] for k, name in enumerate(self.names)},
+            "log_prior": {"parameters": by_walker(self.log_prior)},
+            "log_likelihood": {"measurements": by_walker(self.log_likelihood)},
+        })  # fmt: skip
+
+    def __repr__(self) -> str:
+        summary = self.summary
+        short = f"; about {summary.missing_steps} more steps are needed" if summary.missing_steps else ""
+        return (f"Posterior of {len(self.names)} parameters: {summary.ensembles} ensembles of {summary.walkers} walkers, "
+                f"{summary.steps} steps, worst R-hat {summary.worst_rhat:.3f}{short}")  # fmt: skip
+
+    def _repr_html_(self) -> str:
+        return f"<p>{self!r}</p>{self.table.to_html(index=False)}"

@@ -21,18 +21,17 @@ from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated
 from calflow.observations import observations
-from calflow.sampling.models import CauseProbability, ModelRow, cause_table, models_table
-from calflow.sampling.posterior_tables import (
+from calflow.sampling.chain import ChainLength
+from calflow.sampling.models import CauseProbability, ModelRow
+from calflow.sampling.posterior import (
     DRAWS,
     ChainSummary,
+    Posterior,
     PosteriorRow,
     PredictedError,
-    chain_summary,
-    posterior_table,
-    predictive_table,
 )
-from calflow.sampling.sample import ChainLength, Sampled, sample, too_few_walkers
-from calflow.sampling.task_error import TaskPoint, TaskSummary, task_error, task_summary, task_table
+from calflow.sampling.sample import sample, too_few_walkers
+from calflow.sampling.task_points import TaskPoint, TaskSummary, point_errors, task_summary, task_table
 from calflow.stages.demand import BYTES, Demand
 from calflow.stages.stage import Context, Stage
 from calflow.stages.task_settings import WorkSettings
@@ -65,37 +64,35 @@ def run(context: Context) -> Results:
     if wrong := too_few_walkers(length.walkers, len(with_maps_held(known)[0].model.parameters) + 1):
         raise refuse(wrong, study.path, key="stages.sample.walkers")
     path = context.folder / "sample" / "chain.h5"
-    sampled = sample(known, data, path, length, rng=context.rng, say=context.say, advance=context.advance)
-    table = posterior_table(sampled)
-    predictive = predictive_table(sampled, context.rng("predictive"))
+    posterior = sample(known, data, path, length, rng=context.rng, say=context.say, advance=context.advance)
     tables = {
-        "sample/posterior.csv": table,
-        "sample/predictive.csv": predictive,
-        "sample/models.csv": models_table(sampled.models),
-        "sample/cause_probabilities.csv": cause_table(sampled.models),
+        "sample/posterior.csv": posterior.table,
+        "sample/predictive.csv": posterior.predictive,
+        "sample/models.csv": posterior.models,
+        "sample/cause_probabilities.csv": posterior.causes,
     }
-    documents = {"sample/summary.json": to_document(chain_summary(sampled, table))}
+    documents = {"sample/summary.json": to_document(posterior.summary)}
     if context.settings.task is not None:
-        points, summary = _task(context, context.settings.task, known, sampled)
+        points, summary = _task(context, context.settings.task, known, posterior)
         tables["sample/task.csv"], documents["sample/task_summary.json"] = points, to_document(summary)
     return Results(tables, documents)
 
 
 def _task(
-    context: Context, settings: WorkSettings, known: CalibratedModel, sampled: Sampled
+    context: Context, settings: WorkSettings, known: CalibratedModel, posterior: Posterior
 ) -> tuple[pd.DataFrame, TaskSummary]:
     """Say how accurate the robot is where it works."""
     asked, results = settings.asked(context.study), context.results
-    measured = sampled.data.only(sampled.data.train)
+    measured = posterior.data.only(posterior.data.train)
     time_origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
     task = settings.points(context.study, known.model, measured, time_origin, context.rng("task")).on(known.model.robot)
     stage = "diagnose" if "diagnose/effects.csv" in results else "identify"
     needed = results.rows(f"{stage}/needed_conditions.csv", NeededCondition)
     stated = as_stated(known, needed, task, "widen")
-    found = task_error(sampled, stated.calibrated, stated.data.rows, context.rng("task errors"), stated.widened)
-    table = task_table(stated.calibrated, stated.data, measured, found, asked)
+    errors = point_errors(posterior, stated.calibrated, stated.data.rows, context.rng("task errors"), stated.widened)
+    table = task_table(stated.calibrated, stated.data, measured, errors, asked)
     notes = (*stated.notes, *not_known(stated.calibrated, stated.data.rows), *beyond_limits(task))
-    return table, task_summary(stated.calibrated, table, found, asked, notes)
+    return table, task_summary(stated.calibrated, table, errors, asked, notes)
 
 
 def _files(study: Study, settings: SampleSettings) -> tuple[Path, ...]:

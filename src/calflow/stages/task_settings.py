@@ -16,7 +16,7 @@ from calflow.files.toml import Angle, Length
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.robot import Robot
-from calflow.sampling.task_error import AskedSpread as Asked
+from calflow.sampling.task_points import TaskTolerances
 from calflow.stages.select_settings import Region
 from calflow.study import Study
 
@@ -53,10 +53,12 @@ class WorkSettings(Region):
             raise ValueError("a path needs its poses, a CSV")
         return self
 
-    def asked(self, study: Study) -> Asked:
+    def asked(self, study: Study) -> TaskTolerances:
         """Return what is asked of the task."""
         accepted = study.file.acceptance.tolerance if study.file.acceptance else None
-        return Asked(tolerance=self.tolerance or accepted, turn_tolerance=self.turn_tolerance, in_order=self.path)
+        return TaskTolerances(
+            tolerance=self.tolerance or accepted, turn_tolerance=self.turn_tolerance, in_order=self.path
+        )
 
     def wrong(self, robot: Robot) -> Iterator[tuple[str, str]]:
         """Say which names the robot file lacks, with the key that says them."""

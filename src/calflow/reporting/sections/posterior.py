@@ -21,8 +21,8 @@ from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Advice, Section
 from calflow.reporting.style import WIDTH
 from calflow.reporting.words import listed, readable, short_names, with_sd
-from calflow.sampling.posterior import Posterior, posterior_of
-from calflow.sampling.posterior_tables import ChainSummary, prior_dominates, shared
+from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
+from calflow.sampling.posterior import ChainSummary, prior_dominates, shared
 
 SHOWN_STEPS = 600
 
@@ -31,7 +31,7 @@ SHOWN_STEPS = 600
 class Chain:
     """Walkers in round coordinates, shape (n_ensembles, n_shown, n_walkers, n_dimensions), at these steps."""
 
-    posterior: Posterior
+    posterior: LogPosterior
     walkers: np.ndarray
     steps: np.ndarray
     discard: int
@@ -41,7 +41,7 @@ class Chain:
         """Read the steps that the stage sample used, and rebuild the coordinates in which it sampled them."""
         import h5py
 
-        posterior, _ = posterior_of(material.sampled[0], material.data)
+        posterior, _ = log_posterior_of(material.sampled[0], material.data)
         summary = material.results.document("sample/summary.json", ChainSummary)
         steps, discard = summary.steps, summary.burn_in_steps
         stride = -(-steps // SHOWN_STEPS)

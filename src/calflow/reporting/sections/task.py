@@ -11,7 +11,7 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
 from calflow.reporting.task_answer import LIKELY, Course, along, answer, chance, strange, task_map, task_of
 from calflow.reporting.words import mm
-from calflow.sampling.task_error import TaskSummary
+from calflow.sampling.task_points import TaskSummary
 
 MAPS = 3  # payloads that have a line of maps, the least sure ones
 WORST = 5  # points in the table

@@ -1,9 +1,7 @@
-"""The task's error: how far off its model a robot may be where it works, by draws of the posterior.
+"""The points of a task: how far off its model a robot may be at each of them, by draws of the posterior.
 
 Draws of the parameters, and of the causes that explain the data as well, go through the graph; what the model lacks beside its
 parameters is added to each, as large as the fit found it at poses that it had not seen.
-
-What is told of a task: a row a point, and a summary.
 """
 
 from __future__ import annotations
@@ -21,29 +19,29 @@ from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations.pose import Pose
-from calflow.sampling.sample import Sampled
+from calflow.sampling.posterior import Posterior
 
-Asked = Callable[[Model, np.ndarray, np.ndarray], np.ndarray]  # of a model at an estimate, of packed rows
+Quantity = Callable[[Model, np.ndarray, np.ndarray], np.ndarray]  # of a model at an estimate, of packed rows
 DRAWS = 1000
 SURE = 0.95  # of the errors are below what is promised
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
+class ErrorDraws:
     """Errors of one kind at a task's points [m, or rad].
 
-    drawn (n_draws, n_points, 3) are those of the parameters, own (n_draws, n_points, 3) what the model errs by beside them, at each
-    point for itself, alike (n_draws, n_points, 3) the same where it is one error at all points.
+    drawn (n_draws, n_points, 3) are those of the parameters, lacking (n_draws, n_points, 3) what the model errs by beside them, at
+    each point for itself, alike (n_draws, n_points, 3) the same where it is one error at all points.
     """
 
     drawn: np.ndarray
-    own: np.ndarray
+    lacking: np.ndarray
     alike: np.ndarray
 
     @property
     def errors(self) -> np.ndarray:
         """Draws of the error, shape (n_draws, n_points, 3)."""
-        return self.drawn + self.own
+        return self.drawn + self.lacking
 
     @property
     def lengths(self) -> np.ndarray:
@@ -67,16 +65,16 @@ class Spread:
 
     def within(self, tolerance: float, alike: bool = False) -> np.ndarray:
         """Return in which draws the error at each point is below a tolerance, shape (n_draws, n_points)."""
-        errors = self.drawn + (self.alike if alike else self.own)
+        errors = self.drawn + (self.alike if alike else self.lacking)
         return np.asarray(np.linalg.norm(errors, axis=2) < tolerance)
 
 
 @dataclass(frozen=True, eq=False)
-class TaskError:
+class PointErrors:
     """What a calibrated robot may err by at a task's points: positions [m] and orientations [rad]."""
 
-    position: Spread
-    turn: Spread
+    position: ErrorDraws
+    turn: ErrorDraws
 
     def within(self, tolerance: float | None, turn_tolerance: float | None, alike: bool = False) -> np.ndarray:
         """Return in which draws each point meets all tolerances that are asked, shape (n_draws, n_points)."""
@@ -88,43 +86,46 @@ class TaskError:
         return met
 
 
-def task_error(
-    sampled: Sampled, known: CalibratedModel, rows: np.ndarray, rng: np.random.Generator, widened: float = 0.0
-) -> TaskError:
+def point_errors(
+    posterior: Posterior, calibrated: CalibratedModel, rows: np.ndarray, rng: np.random.Generator, widened: float = 0.0
+) -> PointErrors:
     """Return what draws say of the robot's errors at a task's points, against the model as it was fitted.
 
     Args:
-        sampled: the posterior.
-        known: the whole model, of which sampled may hold some causes at their estimates, for conditions that the rows state.
+        posterior: the sampled one.
+        calibrated: the whole model, of which the posterior may hold some causes at their estimates, for conditions that the rows
+            state.
         rows: packed conditions (n_conditions, n_points).
         rng: draws.
         widened: further variance of positions [m²].
     """
-    lean = replace(sampled.known, model=replace(sampled.known.model, given=known.model.given))
-    flat = sampled.values.reshape(-1, sampled.values.shape[-1])
+    lean = replace(posterior.calibrated, model=replace(posterior.calibrated.model, given=calibrated.model.given))
+    flat = posterior.points.reshape(-1, posterior.points.shape[-1])
     draws = flat[rng.choice(len(flat), size=min(DRAWS, len(flat)), replace=False)]
-    chosen = rng.random((len(draws), len(known.alternatives))) < [one.probability for one in known.alternatives]
+    chosen = rng.random((len(draws), len(calibrated.alternatives))) < [
+        other.probability for other in calibrated.alternatives
+    ]
     factor = np.exp(2 * draws[:, -1])[:, None, None]  # of the noise's variance
 
-    def spread(asked: Asked, slope: Asked, left: np.ndarray) -> Spread:
-        here = asked(known.model, known.estimate, rows)
-        drawn = np.array([asked(lean.model, draw[:-1], rows) for draw in draws]) - here
-        for one, own in zip(known.alternatives, chosen.T, strict=True):
-            other = asked(replace(one.model, given=known.model.given), one.estimate, rows)
-            drawn += own[:, None, None] * (other - here)
-        size = np.sqrt(left + _held(known, lean, rows, slope))
+    def errors(quantity: Quantity, slope: Quantity, left: np.ndarray) -> ErrorDraws:
+        here = quantity(calibrated.model, calibrated.estimate, rows)
+        drawn = np.array([quantity(lean.model, draw[:-1], rows) for draw in draws]) - here
+        for other, acts in zip(calibrated.alternatives, chosen.T, strict=True):
+            there = quantity(replace(other.model, given=calibrated.model.given), other.estimate, rows)
+            drawn += acts[:, None, None] * (there - here)
+        size = np.sqrt(left + _held(calibrated, lean, rows, slope))
         alike = rng.standard_normal((len(draws), 1, 3))
-        return Spread(drawn, size * rng.standard_normal(drawn.shape), size * alike)
+        return ErrorDraws(drawn, size * rng.standard_normal(drawn.shape), size * alike)
 
-    return TaskError(
-        spread(Model.point, Model.point_jacobian, factor * left_variance(known, rows) + widened),
-        spread(_turn_from(known, rows), Model.rotation_jacobian, factor * known.rotation_discrepancy**2),
+    return PointErrors(
+        errors(Model.point, Model.point_jacobian, factor * left_variance(calibrated, rows) + widened),
+        errors(_turn_from(calibrated, rows), Model.rotation_jacobian, factor * calibrated.rotation_discrepancy**2),
     )
 
 
-def _turn_from(known: CalibratedModel, rows: np.ndarray) -> Asked:
+def _turn_from(calibrated: CalibratedModel, rows: np.ndarray) -> Quantity:
     """Return how a model's tool is turned from the fitted one's, about its own axes (n_points, 3) [rad]; small."""
-    fitted = known.model.rotation(known.estimate, rows)
+    fitted = calibrated.model.rotation(calibrated.estimate, rows)
 
     def turn(model: Model, estimate: np.ndarray, of: np.ndarray) -> np.ndarray:
         apart = np.einsum("nji,njk->nik", fitted, model.rotation(estimate, of))
@@ -134,11 +135,11 @@ def _turn_from(known: CalibratedModel, rows: np.ndarray) -> Asked:
     return turn
 
 
-def _held(known: CalibratedModel, lean: CalibratedModel, rows: np.ndarray, slope: Asked) -> np.ndarray:
+def _held(calibrated: CalibratedModel, lean: CalibratedModel, rows: np.ndarray, slope: Quantity) -> np.ndarray:
     """Variance (n_points, 3) of what was held at its estimate while the rest was sampled."""
-    if len(known.estimate) == len(lean.estimate):
+    if len(calibrated.estimate) == len(lean.estimate):
         return np.zeros((rows.shape[1], 3))
-    whole = of_parameters(slope(known.model, known.estimate, rows), known.covariance)
+    whole = of_parameters(slope(calibrated.model, calibrated.estimate, rows), calibrated.covariance)
     return np.maximum(whole - of_parameters(slope(lean.model, lean.estimate, rows), lean.covariance), 0.0)
 
 
@@ -202,7 +203,7 @@ class TaskSummary:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AskedSpread:
+class TaskTolerances:
     """What is asked of a task [m, rad], None for nothing, and whether its points are a path."""
 
     tolerance: float | None = None
@@ -216,13 +217,13 @@ class AskedSpread:
 
 
 def task_table(
-    known: CalibratedModel, task: Measurements, measured: Measurements, found: TaskError, asked: AskedSpread
+    calibrated: CalibratedModel, task: Measurements, measured: Measurements, errors: PointErrors, asked: TaskTolerances
 ) -> pd.DataFrame:
     """Return a row a point of the task; measured are the rows that were fitted."""
-    place = expected_point(known, task.rows)
-    nominal = known.model.point(known.model.nominal, task.rows)
-    within = found.within(asked.tolerance, asked.turn_tolerance).mean(axis=0)
-    position, turn, table = found.position, found.turn, task.table
+    place = expected_point(calibrated, task.rows)
+    nominal = calibrated.model.point(calibrated.model.nominal, task.rows)
+    within = errors.within(asked.tolerance, asked.turn_tolerance).mean(axis=0)
+    position, turn, table = errors.position, errors.turn, task.table
     strange = _strange(task, measured)
     rows = [
         TaskPoint(
@@ -241,11 +242,13 @@ def task_table(
 
 
 def task_summary(
-    known: CalibratedModel, table: pd.DataFrame, found: TaskError, asked: AskedSpread, notes: tuple[str, ...]
+    calibrated: CalibratedModel, table: pd.DataFrame, errors: PointErrors, asked: TaskTolerances, notes: tuple[str, ...]
 ) -> TaskSummary:
     """Say how accurate the robot is over the whole task."""
     together = [
-        float(found.within(asked.tolerance, asked.turn_tolerance, alike).all(axis=1).mean()) if asked.anything else None
+        float(errors.within(asked.tolerance, asked.turn_tolerance, alike).all(axis=1).mean())
+        if asked.anything
+        else None
         for alike in (False, True)
     ]
     return TaskSummary(
@@ -255,17 +258,17 @@ def task_summary(
         nominal_mm=table["nominal_mm"].mean(), expected_mm=table["expected_mm"].mean(),
         worst_radius95_mm=table["radius95_mm"].max(), worst_turn95_mrad=table["turn95_mrad"].max(),
         likely_points=int((table["within"] >= LIKELY).sum()) if asked.anything else None,
-        likely_positions=_likely(found.position, asked.tolerance), likely_turns=_likely(found.turn, asked.turn_tolerance),
-        orientation_measured=any(isinstance(one, Pose) for one in known.model.observations),
+        likely_positions=_likely(errors.position, asked.tolerance), likely_turns=_likely(errors.turn, asked.turn_tolerance),
+        orientation_measured=any(isinstance(seen, Pose) for seen in calibrated.model.observations),
         least_within=float(table["within"].min()) if asked.anything else None,
         all_within=together[0], all_within_alike=together[1],
         beyond_measured=int((table["beyond"] != "").sum()), notes=notes,
     )  # fmt: skip
 
 
-def _likely(spread: Spread, tolerance: float | None) -> int | None:
+def _likely(draws: ErrorDraws, tolerance: float | None) -> int | None:
     """How many points meet a tolerance with enough probability."""
-    return None if tolerance is None else int((spread.within(tolerance).mean(axis=0) >= LIKELY).sum())
+    return None if tolerance is None else int((draws.within(tolerance).mean(axis=0) >= LIKELY).sum())
 
 
 def _strange(task: Measurements, measured: Measurements) -> list[str]:

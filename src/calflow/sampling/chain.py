@@ -1,0 +1,152 @@
+"""The chain: how long it is to be, and the file that keeps it, emcee's HDF backend, written whole after every block of steps."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+import emcee
+import h5py
+import numpy as np
+from emcee.backends import Backend
+
+from calflow.files.writing import write_whole
+
+ENOUGH_TAU = 50  # autocorrelation times that a chain must be long
+BLOBS = np.dtype([("log_prior", np.float64), ("log_likelihood", np.float64)])  # of each draw
+COORDINATES = "cut normals"  # in which walkers are kept; a chain in others is not gone on from
+DIGEST = 512  # bytes before HDF5's own (its user block): SHA-256 of what follows, without which no run samples on
+
+
+@dataclass(frozen=True)
+class ChainLength:
+    """How long a chain is to be, and its mixture of moves.
+
+    Each of the ensembles has so many walkers (None: twice the dimensions); they are lengthened by block steps until there are
+    ess effective samples, max_steps at most. independent is the share of the independence proposal.
+    """
+
+    ensembles: int = 4
+    walkers: int | None = None
+    block: int = 50
+    max_steps: int = 2000
+    ess: int = 4000
+    independent: float = 0.8
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Independent ensembles of walkers in memory, and the file that keeps them, with the share of independent moves they made.
+
+    A file appears whole (see `write_whole`): HDF5 writes its tables and their index piece by piece, and a file in which it was
+    stopped between two of them cannot be opened; nor does it survive a disk that is full.
+    """
+
+    path: Path
+    ensembles: tuple[Backend, ...]
+    independent: float
+
+    @staticmethod
+    def open(path: Path, number: int, shape: tuple[int, int], independent: float, say: Callable[[str], None]) -> Chain:
+        """Open a chain of so many ensembles of shape (n_walkers, n_dimensions), to go on where they end.
+
+        A file that was damaged, or was sampled otherwise (independent is the share of independent moves), starts anew.
+        """
+        if path.exists():
+            try:
+                chain = _read(path)
+                if chain.independent == independent and [kept.shape for kept in chain.ensembles] == number * [shape]:
+                    say(f"resuming after {min(kept.iteration for kept in chain.ensembles)} steps")
+                    return chain
+            except (OSError, ValueError) as error:
+                say(f"chain.h5 cannot be read ({error}): sampling starts anew")
+        ensembles = tuple(Backend() for _ in range(number))
+        for ensemble in ensembles:
+            ensemble.reset(*shape)
+        return Chain(path, ensembles, independent)
+
+    def save(self) -> None:
+        """Write all steps so far.
+
+        Raises:
+            OSError: there is no room on the disk.
+        """
+        image = io.BytesIO()
+        with h5py.File(image, "w", userblock_size=DIGEST) as file:
+            file.attrs["independent"], file.attrs["coordinates"] = self.independent, COORDINATES
+            for number, ensemble in enumerate(self.ensembles, start=1):
+                _store(ensemble, _Group(file, f"ensemble{number}"))
+        content = image.getbuffer()[DIGEST:]
+        write_whole(self.path, _digest(content) + content)
+
+    def walkers(self, discard: int, steps: int) -> np.ndarray:
+        """Return the steps from discard to steps, shape (n_ensembles, n_steps, n_walkers, n_dimensions)."""
+        return np.array([ensemble.get_chain()[discard:steps] for ensemble in self.ensembles])
+
+    def densities(self, discard: int, steps: int) -> np.ndarray:
+        """Return log prior and log likelihood of the same, a structured array (n_ensembles, n_steps, n_walkers) of type BLOBS."""
+        return np.array([ensemble.get_blobs()[discard:steps] for ensemble in self.ensembles])
+
+
+class _Group(emcee.backends.HDFBackend):
+    """emcee's HDF backend in a file that is open."""
+
+    initialized = True
+
+    def __init__(self, file: h5py.File, name: str) -> None:
+        super().__init__("", name=name)
+        self._file = file
+
+    def open(self, mode: str = "r") -> AbstractContextManager[h5py.File]:
+        """Return the file, which stays open."""
+        return nullcontext(self._file)
+
+
+def _store(ensemble: Backend, kept: _Group) -> None:
+    """Write an ensemble as emcee would have done step by step."""
+    kept.reset(*ensemble.shape)
+    if not ensemble.iteration:
+        return
+    kept.grow(ensemble.iteration, ensemble.blobs[0])
+    with kept.open() as file:
+        group = file[kept.name]
+        for name in ("chain", "log_prob", "blobs", "accepted"):
+            group[name][:] = getattr(ensemble, name)
+        for number, value in enumerate(ensemble.random_state):
+            group.attrs[f"random_state_{number}"] = value
+        group.attrs["iteration"] = ensemble.iteration
+
+
+def _read(path: Path) -> Chain:
+    """Read a chain's file.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is not as it was written, or an earlier version wrote it.
+    """
+    content = path.read_bytes()
+    if content[:DIGEST] != _digest(content[DIGEST:]):
+        raise ValueError("its checksum is wrong, or it is not of this version")
+    with h5py.File(io.BytesIO(content), "r") as file:
+        if file.attrs["coordinates"] != COORDINATES:
+            raise ValueError("its walkers are in the coordinates of an earlier version")
+        ensembles = tuple(_loaded(_Group(file, f"ensemble{number}")) for number in range(1, len(file) + 1))
+        return Chain(path, ensembles, float(file.attrs["independent"]))
+
+
+def _loaded(kept: _Group) -> Backend:
+    """Return an ensemble of a file in memory."""
+    ensemble = Backend()
+    ensemble.reset(*kept.shape)
+    if kept.iteration:
+        ensemble.iteration, ensemble.accepted, ensemble.random_state = kept.iteration, kept.accepted, kept.random_state
+        ensemble.chain, ensemble.log_prob, ensemble.blobs = kept.get_chain(), kept.get_log_prob(), kept.get_blobs()
+    return ensemble
+
+
+def _digest(content: bytes | memoryview) -> bytes:
+    return hashlib.sha256(content).hexdigest().encode().ljust(DIGEST, b"\0")

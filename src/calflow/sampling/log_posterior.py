@@ -1,0 +1,324 @@
+"""The log posterior in coordinates in which it is round and has no bounds, and the moves that sample it.
+
+The coordinates are those of a standard normal, of which a normal that bounds cut is a function.
+Parameters near a bound come first, each given those before it a normal that is cut at its bounds: the triangular map that
+draws cut normals one by one (Geweke 1991; Hajivassiliou and McFadden 1998). All others are linear in the coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import casadi as ca
+import emcee
+import numpy as np
+from scipy.special import gammaln, log_ndtr, ndtri_exp
+from scipy.stats import norm
+
+from calflow.compiled import compiled
+from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.fit import expansion, fit
+from calflow.estimation.least_squares import LeastSquares, SeriesBlock
+from calflow.estimation.repeats import averaged
+from calflow.measurements.measurements import Measurements
+
+NEAR = 5.0  # standard deviations of the fit from a bound, within which a parameter is transformed
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """The map from coordinates u (..., n) to parameters x (..., n).
+
+    Parameter number order[k] is mean[k] + factor[k] @ z, factor (n, n) lower triangular; of the first n_cut parameters z[k] is u[k]
+    mapped into the bounds, of the others it is u[k]. lower and upper (n_cut,) are the bounds of the former.
+    """
+
+    order: np.ndarray
+    mean: np.ndarray
+    factor: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @staticmethod
+    def about(estimate: np.ndarray, mean: np.ndarray, covariance: np.ndarray, bounds: np.ndarray) -> Coordinates:
+        """Return the coordinates of a normal (mean, covariance) cut at bounds (n, 2), whose mode within them is the estimate."""
+        sd = np.sqrt(np.diag(covariance))
+        near = (np.abs(bounds - estimate[:, None]) < NEAR * sd[:, None]).any(axis=1)
+        inside = np.diff(norm.cdf((bounds - mean[:, None]) / sd[:, None]), axis=1).ravel()
+        order = np.lexsort((inside, ~near))  # what is cut most is drawn first
+        scaled = covariance[np.ix_(order, order)] / np.outer(sd[order], sd[order])
+        factor = np.linalg.cholesky(scaled) * sd[order][:, None]
+        cut = order[: np.count_nonzero(near)]
+        return Coordinates(order, mean[order], factor, *bounds[cut].T)
+
+    @property
+    def n_cut(self) -> int:
+        """How many parameters are transformed."""
+        return len(self.lower)
+
+    @property
+    def cut(self) -> np.ndarray:
+        """The numbers of these parameters."""
+        return self.order[: self.n_cut]
+
+    @property
+    def log_scale(self) -> float:
+        """Logarithm of the determinant of the linear part."""
+        return float(np.log(np.diag(self.factor)).sum())
+
+    def mapped(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return x (..., n) and the logarithm of |dx/du| (...) without that of the linear part, for u (..., n)."""
+        z = np.array(u)
+        log_slope = np.zeros(u.shape[:-1])
+        for k in range(self.n_cut):
+            least, most = self._allowed(z, k)
+            z[..., k], slope = _into(u[..., k], least, most)
+            log_slope += slope
+        x = np.empty_like(z)
+        x[..., self.order] = self.mean + z @ self.factor.T
+        x[..., self.cut] = np.clip(x[..., self.cut], self.lower, self.upper)  # they are beyond by round-off alone
+        return x, log_slope
+
+    def _allowed(self, z: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Between which z[k] must be, given those before it."""
+        middle = self.mean[k] + z[..., :k] @ self.factor[k, :k]
+        return (self.lower[k] - middle) / self.factor[k, k], (self.upper[k] - middle) / self.factor[k, k]
+
+
+def _into(u: np.ndarray, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Map a standard normal onto one that is cut at least and most; the second result is the logarithm of its slope."""
+    sign, low, high = _lower_half(least, most)
+    z = sign * ndtri_exp(np.logaddexp(log_ndtr(low) + log_ndtr(-sign * u), log_ndtr(high) + log_ndtr(sign * u)))
+    return z, (z**2 - u**2) / 2 + _log_mass(low, high)
+
+
+def _lower_half(least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Turn an interval round where it lies above zero: logarithms of the normal's distribution are exact below."""
+    turned = least + most > 0
+    return np.where(turned, -1.0, 1.0), np.where(turned, -most, least), np.where(turned, -least, most)
+
+
+def _log_mass(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Logarithm of a standard normal's share between low and high, of which low is the farther from zero, or below it."""
+    top = log_ndtr(high)
+    with np.errstate(divide="ignore"):
+        return np.asarray(top + np.log(-np.expm1(np.minimum(log_ndtr(low) - top, 0.0))))
+
+
+LOG_NOISE_SD = 1.0  # prior on the log of the noise level: a factor e either way
+VARIANCE_PASSES = 3  # the noise level and the number of parameters it leaves undetermined depend on each other, weakly
+DEGREES = 8.0  # of the Student t that proposes: tails heavy enough to reach what Laplace's normal would miss
+EXPECTED_EVALUATIONS = 10_000  # of each row: sampling always pays for compiling
+
+
+@dataclass(frozen=True)
+class Laplace:
+    """A normal approximation of the posterior without its bounds, from an expansion about the estimate within them.
+
+    mean (n,) and covariance (n, n) are that normal's, its mean beyond a bound where one is active; sd (n,) are the fit's
+    standard deviations, for which parameters at a bound are held there, and 0 for these. variance is the noise's, relative to the
+    problem's weights.
+    """
+
+    estimate: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+    sd: np.ndarray
+    variance: float
+
+    @staticmethod
+    def of(problem: LeastSquares, estimate: np.ndarray, at_bound: np.ndarray) -> Laplace:
+        """Approximate the posterior of a problem about its estimate; the noise level is what the fit leaves."""
+        prior_sd = problem.model.prior_sd
+        there = expansion(problem, estimate / prior_sd, "linear")
+        pull = (estimate - problem.model.prior_mean) / prior_sd
+        of_data, free = there.hessian - np.eye(len(estimate)), ~at_bound
+        variance = 1.0
+        for _ in range(VARIANCE_PASSES):
+            information = of_data / variance + np.eye(len(estimate))
+            inverse = np.linalg.inv(information[np.ix_(free, free)])
+            determined = len(inverse) - np.trace(inverse)
+            variance = float((there.independent**2).sum() / max(1.0, there.independent.size - determined))
+        sd = np.zeros(len(estimate))
+        sd[free] = np.sqrt(np.diag(inverse)) * prior_sd[free]
+        covariance = np.linalg.inv(information) * np.outer(prior_sd, prior_sd)
+        gradient = ((there.gradient - pull) / variance + pull) / prior_sd
+        return Laplace(estimate, estimate - covariance @ gradient, covariance, sd, variance)
+
+
+@dataclass(frozen=True)
+class LogPosterior:
+    """Log posterior of the parameters and the log of the noise level, as a function of coordinates that make it round.
+
+    Parameters and coordinates have n_parameters + 1 entries, the last for the log of the noise relative to the problem's weights.
+    evaluations is of how many parameter sets it will be asked: many pay for compiling.
+    """
+
+    problem: LeastSquares
+    coordinates: Coordinates
+    evaluations: int = EXPECTED_EVALUATIONS
+
+    @staticmethod
+    def about(problem: LeastSquares, laplace: Laplace, evaluations: int = EXPECTED_EVALUATIONS) -> LogPosterior:
+        """Take the coordinates in which Laplace's normal, cut at the bounds, is a standard normal."""
+        n = len(laplace.estimate)
+        middle = 0.5 * np.log(laplace.variance)
+        covariance = np.zeros((n + 1, n + 1))
+        covariance[:n, :n], covariance[n, n] = laplace.covariance, 1 / (2 * problem.size)
+        bounds = np.vstack([problem.model.bounds, (-np.inf, np.inf)])
+        estimate, mean = np.append(laplace.estimate, middle), np.append(laplace.mean, middle)
+        return LogPosterior(problem, Coordinates.about(estimate, mean, covariance, bounds), evaluations)
+
+    @cached_property
+    def squares(self) -> Callable[[np.ndarray], np.ndarray]:
+        """The function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,)."""
+        return _sum_of_squares(self.problem, self.evaluations)
+
+    @property
+    def n_dimensions(self) -> int:
+        """Number of coordinates."""
+        return len(self.coordinates.mean)
+
+    def parameters(self, u: np.ndarray) -> np.ndarray:
+        """Return the parameters and the log noise level for coordinates (..., n_dimensions)."""
+        return self.coordinates.mapped(u)[0]
+
+    def densities_at(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return log prior and log likelihood, each (n_walkers,) and up to a constant, of parameters (n_walkers, n_dimensions).
+
+        Outside the bounds the prior's is -inf, and the likelihood, which is not evaluated there, 0.
+        """
+        model = self.problem.model
+        values, log_noise = x[:, :-1], x[:, -1]
+        lower, upper = model.bounds.T
+        inside = ((values >= lower) & (values <= upper)).all(axis=1)
+        prior, likelihood = np.full(len(x), -np.inf), np.zeros(len(x))
+        if inside.any():
+            values, log_noise = values[inside], log_noise[inside]
+            scaled = (values - model.prior_mean) / model.prior_sd
+            prior[inside] = -0.5 * (scaled**2).sum(axis=1) - 0.5 * (log_noise / LOG_NOISE_SD) ** 2
+            likelihood[inside] = -0.5 * self.squares(values.T) * np.exp(-2 * log_noise) - self.problem.size * log_noise
+        return prior, likelihood
+
+    def densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the log posterior of coordinates (n_walkers, n_dimensions), and log prior and log likelihood of their parameters.
+
+        Each (n_walkers,) and up to a constant. The first has besides the other two what the map stretches there.
+        """
+        x, log_slope = self.coordinates.mapped(u)
+        prior, likelihood = self.densities_at(x)
+        return prior + likelihood + log_slope, prior, likelihood
+
+    def log_densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return log prior and log likelihood of the parameters at coordinates (n_walkers, n_dimensions), see `densities_at`."""
+        return self.densities_at(self.parameters(u))
+
+    def log_probability(self, u: np.ndarray) -> np.ndarray:
+        """Return the log posterior, up to a constant, of coordinates (n_walkers, n_dimensions); -inf outside bounds."""
+        return self.densities(u)[0]
+
+    def start(self, n_walkers: int, rng: np.random.Generator) -> np.ndarray:
+        """Return walkers (n_walkers, n_dimensions) drawn from the coordinates' normal, redrawn until all are inside the bounds."""
+        walkers = rng.standard_normal((n_walkers, self.n_dimensions))
+        for _ in range(200):
+            outside = ~np.isfinite(self.log_probability(walkers))
+            if not outside.any():
+                return walkers
+            walkers[outside] = rng.standard_normal((int(outside.sum()), self.n_dimensions))
+        raise RuntimeError("no start inside the bounds: Laplace's approximation lies outside them almost everywhere")
+
+
+def move_mixture(independent: float) -> list[tuple[emcee.moves.Move, float]]:
+    """Return the mixture of moves: an independent Student t in round coordinates, and differential evolution.
+
+    independent is the share of the first move. `DESnookerMove` is left
+    out on purpose: in emcee 3.1.6 its acceptance lacks a factor and it samples too narrow a posterior.
+    """
+    mixture = [
+        (emcee.moves.MHMove(propose_student), independent),
+        (emcee.moves.DEMove(), 1 - independent),
+    ]
+    return [(move, weight) for move, weight in mixture if weight > 0]
+
+
+def propose_student(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+    """Propose, as emcee asks for it, draws (n_walkers, n_dimensions) of a multivariate Student t with unit scale."""
+    proposed = drawn_student(u.shape, rng)
+    return proposed, log_student(u) - log_student(proposed)
+
+
+def drawn_student(shape: tuple[int, int], rng: np.random.RandomState | np.random.Generator) -> np.ndarray:
+    """Return draws (n, n_dimensions) of that density."""
+    mixing = rng.chisquare(DEGREES, size=(shape[0], 1)) / DEGREES
+    return np.asarray(rng.standard_normal(shape) / np.sqrt(mixing))
+
+
+def log_student(u: np.ndarray) -> np.ndarray:
+    """Return its logarithm (n,) at u (n, n_dimensions)."""
+    n = u.shape[1]
+    constant = gammaln((DEGREES + n) / 2) - gammaln(DEGREES / 2) - 0.5 * n * np.log(DEGREES * np.pi)
+    return np.asarray(constant - 0.5 * (DEGREES + n) * np.log1p((u**2).sum(axis=1) / DEGREES))
+
+
+def _sum_of_squares(problem: LeastSquares, evaluations: int) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,)."""
+    blocks = [_squares_of(block, evaluations) for block in problem.blocks]
+
+    def squares(values: np.ndarray) -> np.ndarray:
+        return np.sum([block(values) for block in blocks], axis=0)
+
+    return squares
+
+
+def _squares_of(block: SeriesBlock, evaluations: int) -> Callable[[np.ndarray], np.ndarray]:
+    """The same of one series' rows; where these share errors, of what of them is independent."""
+    inputs, residual = block.expression()
+    if block.sharing is None:
+        alone = _over_walkers(block, ca.Function("squares", inputs, [ca.sumsqr(residual)]), evaluations)
+        return lambda values: np.sum([squares[0].sum(axis=1) for squares in alone(values)], axis=0)
+    errors = _over_walkers(block, ca.Function("residual", inputs, [residual]), evaluations)
+    shared = [block.sharing.only(part) for part in block.parts()]
+    return lambda values: np.sum(
+        [own.squares(one.transpose(2, 0, 1)) for own, one in zip(shared, errors(values), strict=True)], axis=0
+    )
+
+
+def _over_walkers(
+    block: SeriesBlock, row: ca.Function, evaluations: int
+) -> Callable[[np.ndarray], Iterator[np.ndarray]]:
+    """Return the function (n_parameters, n_walkers) -> a row's outputs (n_outputs, n_walkers, n_rows), by the block's parts.
+
+    CasADi lays out each walker's copy of the rows, which would take 750 bytes for each of both.
+    """
+    row = compiled(row, evaluations * len(block.rows))
+    parts = [[np.asfortranarray(values[:, part]) for values in block.data] for part in block.parts()]
+
+    @lru_cache
+    def mapped(n_rows: int, n_walkers: int) -> ca.Function:
+        over_rows = row.map("rows", "serial", n_rows, [0], [])
+        return over_rows.map("walkers", "serial", n_walkers, [1, 2, 3], [])
+
+    def outputs(values: np.ndarray) -> Iterator[np.ndarray]:
+        n_walkers = values.shape[1]
+        for data in parts:
+            n_rows = data[0].shape[1]
+            yield np.asarray(mapped(n_rows, n_walkers)(values, *data)).reshape(-1, n_walkers, n_rows)
+
+    return outputs
+
+
+def log_posterior_of(calibrated: CalibratedModel, data: Measurements) -> tuple[LogPosterior, Laplace]:
+    """Return the posterior of what was identified, given the training rows, and its approximation.
+
+    Where markers of a standstill err in common it is about the estimate that counts this once, as not every fit does.
+    """
+    means = averaged(data.only(data.train), calibrated.noise(data).only(data.train))
+    problem = LeastSquares.of(calibrated.model, *means).reweighted(calibrated.estimate, calibrated.loss)
+    estimate, at_bound = calibrated.estimate, calibrated.at_bound
+    if problem.shares:
+        counted_once, _ = fit(problem, estimate[None])
+        estimate, at_bound = counted_once.estimate, counted_once.at_bound
+    laplace = Laplace.of(problem, estimate, at_bound)
+    return LogPosterior.about(problem, laplace), laplace
