@@ -260,9 +260,9 @@ def test_a_renamed_measurement_file_replaces_the_old_one(finished):
 
 KILL = """
 import os, signal, sys
-from calflow import cli
+from calflow import cli, run_folder
 from calflow.files import csv, writing
-from calflow.runs import execution, kept, manifest, run
+from calflow.runs import execution, kept, run
 from calflow.sampling.chain import Chain
 
 how, what, *arguments = sys.argv[1:]
@@ -288,7 +288,7 @@ def save(self, real=Chain.save):
         die()
     real(self)
 
-for module in (csv, writing, execution, kept, manifest, run):
+for module in (csv, writing, execution, kept, run_folder, run):
     module.write_whole = write
 os.replace, Chain.save = replace, save
 sys.argv = ["calflow", *arguments]
