@@ -21,9 +21,9 @@ from calflow.diagnosis.findings.curves import CurvePoint, curves
 from calflow.diagnosis.findings.extended_model import (
     DiagnosisSummary,
     accuracy_table,
+    diagnosis_summary,
     extended_model,
     extended_noise,
-    summary,
 )
 from calflow.diagnosis.findings.rivals import alternatives_table
 from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, FindingRow, candidates_table, findings_table
@@ -453,4 +453,4 @@ def _diagnosed_tables(
         "diagnose/curves.csv": curves(final, found.causes, data),
         "diagnose/needed_conditions.csv": to_frame(extended.needed, NeededCondition),
     }
-    return Results(tables, {"diagnose/summary.json": to_document(summary(found, before))})
+    return Results(tables, {"diagnose/summary.json": to_document(diagnosis_summary(found, before))})
