@@ -10,6 +10,7 @@ import click
 
 from calflow.commands import COMMANDS
 from calflow.commands.console import say
+from calflow.files.problems import InputError
 
 TROUBLE = 1  # exit code of trouble of the machine
 THREADS = "OMP_NUM_THREADS"  # what the libraries of linear algebra read when they are loaded
@@ -44,11 +45,7 @@ def main() -> None:
         )
         say(f"error: {error}. {so}", err=True)
         sys.exit(TROUBLE)
-    except Exception as error:
-        from calflow.files.problems import InputError
-
-        if not isinstance(error, InputError):
-            raise
+    except InputError as error:
         say(*error.problems, err=True)
         sys.exit(2)
 
