@@ -21,7 +21,7 @@ from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.screening.regressors import RegressorProducts
 from calflow.diagnosis.screening.screening import Screening
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.linearisation import Finding, Linearisation, Screened
+from calflow.diagnosis.search.linearisation import Detection, Linearisation, Screened
 from calflow.diagnosis.search.trial import SHARES
 from calflow.estimation.calibrated_model import identified
 from calflow.estimation.repeats import averaged
@@ -276,7 +276,7 @@ def _expected(bare: Bare, h: Hidden, shift: np.ndarray) -> tuple[int, float]:
     ]  # fmt: skip
     own = [score for score in scores if (score.cause.id, score.cause.joint) == (h.cause, h.joint)]
     best = min(own, key=lambda score: score.delta_bic)
-    rivals = verdict(Finding(best.cause, tuple(scores), bare.screened.family)).rivals
+    rivals = verdict(Detection(best.cause, tuple(scores), bare.screened.family)).rivals
     chances = [
         _leads(rival.bic, best.drop - rival.score.drop, rival.score.shown - best.shown)
         for rival in rivals

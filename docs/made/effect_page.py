@@ -11,7 +11,7 @@ import numpy as np
 
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import NEEDS
-from calflow.reporting.words import first_up, part_words
+from calflow.files.words import first_up, part_words
 from made import pictures
 from made.bench import FITTED, Bench, benches
 from made.rivals import NOTHING, WORTH, Likeness, likenesses

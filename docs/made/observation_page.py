@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 
 from calflow.design.candidates import candidates
 from calflow.design.planned import Planned
+from calflow.files.words import first_up
 from calflow.measurements.series import Series, Setting
 from calflow.model import build
 from calflow.observations import Observation, Position
-from calflow.reporting.words import first_up
 from calflow.robot.parameter import Parameter
 from calflow.robot.parts import Base
 from made.bench import benches

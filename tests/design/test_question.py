@@ -15,7 +15,7 @@ from calflow.design.discrimination import THINNEST, NextPose, poses_table, quest
 from calflow.diagnosis.findings.verdict import Rival, Verdict
 from calflow.diagnosis.screening.screening import Family
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.linearisation import Finding
+from calflow.diagnosis.search.linearisation import Detection
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.reweighting import fit_reweighted
@@ -83,7 +83,7 @@ def asked(where, rivals=(ECCENTRIC,), size=2e-4, untestable=()):
     scores = [replace(score(bic, cause.id, cause.joint),
                       estimate=np.full(cause.n_parameters, size))
               for cause, bic in ((RATIO, -9.0), *((rival, -7.0) for rival in rivals))]  # fmt: skip
-    finding = Finding(RATIO, tuple(scores), Family({}, 1.0))
+    finding = Detection(RATIO, tuple(scores), Family({}, 1.0))
     others = [Rival(one.cause.id, one.cause.joint, 2.0, one) for one in scores[1:]]
     others += [Rival(name, 0, 0.0, None) for name in untestable]
     verdict = Verdict(finding, "one_of", 0.7, tuple(others))

@@ -13,11 +13,13 @@ from calflow.design.candidates import candidates
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.diagnosis.findings.curves import CurvePoint
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary
+from calflow.diagnosis.findings.finding import Finding
 from calflow.diagnosis.findings.misfit import MisfitRegion
-from calflow.diagnosis.findings.tables import CandidateRow, FindingRow
+from calflow.diagnosis.findings.tables import CandidateRow
 from calflow.diagnosis.findings.verdict import label
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
+from calflow.effects.words import NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import calibrated, effect_table, identified, with_maps_held
 from calflow.estimation.fit_summary import FitSummary
@@ -229,16 +231,15 @@ def _findings(found: tuple[Found, ...]) -> pd.DataFrame:
     for one in found:
         gain, low, high = one.gain if one.status != "data_fault" else (np.nan,) * 3
         rows.append(
-            FindingRow(
+            Finding(
                 status=one.status, cause=one.cause, joint=one.joint or None, estimate=one.estimate, sd=one.sd, unit=one.unit,
                 p_family=one.p, probability=0.97, cannot_tell_from=tuple(dict.fromkeys(cause for cause, _ in one.others)),
                 gain_mean_mm=gain, gain_low_mm=low, gain_high_mm=high, heldout_mean_mm=0.08, detail=one.detail,
-                rivals=tuple(label(*other) for other in one.others), rows=one.rows, statement=one.statement,
-                rival_causes=tuple(cause for cause, _ in one.others), rival_joints=tuple(joint for _, joint in one.others),
-                inputs=one.inputs,
+                rivals=tuple(NamedCause(*other) for other in one.others), rows=one.rows, statement=one.statement,
+                inputs=one.inputs, numbers=(sum(row.is_cause for row in rows) + 1,) if one.status in ("named", "one_of") else (),
             )
         )  # fmt: skip
-    return to_frame(rows, FindingRow)
+    return to_frame(rows, Finding)
 
 
 def _candidates(told: list[Found]) -> pd.DataFrame:

@@ -12,7 +12,9 @@ import pytest
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.design.separability import IsolabilityCell
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary
-from calflow.diagnosis.findings.tables import CandidateRow, FindingRow
+from calflow.diagnosis.findings.finding import Finding
+from calflow.diagnosis.findings.tables import CandidateRow
+from calflow.effects.words import NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.fit_summary import Extrapolation, FitSummary, IdentifySummary, Solver
 from calflow.estimation.identifiability import Statement
@@ -132,13 +134,12 @@ def faulty(*lines: int) -> pd.DataFrame:
 def found(*statuses: str) -> pd.DataFrame:
     """Findings: backlash of joint 2, or what its angle explains and no cause does."""
     rows = [
-        FindingRow(status="unexplained", statement="", inputs=("q2",))
+        Finding(status="unexplained", statement="", inputs=("q2",))
         if status == "unexplained"
-        else FindingRow(status=status, cause="joint-backlash", joint=2, statement="", rivals=("joint-hysteresis 2",),
-                        rival_causes=("joint-hysteresis",), rival_joints=(2,))  # type: ignore[arg-type]
+        else Finding(status=status, cause="joint-backlash", joint=2, statement="", rivals=(NamedCause("joint-hysteresis", 2),))  # type: ignore[arg-type]
         for status in statuses
     ]  # fmt: skip
-    return to_frame(rows, FindingRow)
+    return to_frame(rows, Finding)
 
 
 def candidates(*lacking: str) -> pd.DataFrame:

@@ -17,23 +17,16 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from calflow.effects import catalogue
+from calflow.effects.words import amount, cause_name, place_name, place_names
 from calflow.files.results import Results
+from calflow.files.words import chance, chance_figure, sureness
 from calflow.reporting import document
 from calflow.reporting.causes.finding import how_sure
 from calflow.reporting.causes.first_page import lacked, unsure
 from calflow.reporting.causes.gain import gain_words
 from calflow.reporting.causes.search import candidates, untestable
 from calflow.reporting.figures.causes import evidence, explained, gains, in_space, waterfall
-from calflow.reporting.findings import (
-    amount,
-    cause_name,
-    chance,
-    chance_figure,
-    findings,
-    place_name,
-    place_names,
-    sureness,
-)
+from calflow.reporting.findings import findings
 from calflow.reporting.material import Material, ModelAccuracy, gathered, steps
 from calflow.reporting.section import Section, chosen, sections
 from calflow.reporting.sections.parameters import estimates

@@ -11,12 +11,12 @@ from matplotlib import font_manager
 from matplotlib.font_manager import findfont, fontManager
 from matplotlib.ft2font import FT2Font
 
+from calflow.files.words import AXIS, cut
 from calflow.reporting import document
 from calflow.reporting.blocks import Heading, Table
 from calflow.reporting.document import OWN, fonts_for
 from calflow.reporting.sections.parameters import estimates
 from calflow.reporting.style import style
-from calflow.reporting.words import AXIS, cut
 
 
 def test_letters_that_no_font_has_are_told_by_their_numbers(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,11 +12,11 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.fit_summary import FitSummary, Solver
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
+from calflow.files.words import interval, listed, mm, number, part_words, plural, readable, with_sd
 from calflow.reporting.figures.residuals import magnification
 from calflow.reporting.material import steps
 from calflow.reporting.sections.parameters import known_from, lines
-from calflow.reporting.sections.posterior import corner_names
-from calflow.reporting.words import interval, listed, mm, number, part_words, plural, readable, short_names, with_sd
+from calflow.reporting.sections.posterior import corner_names, short_names
 from calflow.robot.parameter import Parameter
 
 

@@ -17,7 +17,8 @@ from calflow.api.rows import Rows
 from calflow.design.discrimination import NextPose, SeparationRow, questions
 from calflow.diagnosis.diagnosis import diagnose as diagnosed
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary, extended_model
-from calflow.diagnosis.findings.tables import CandidateRow, FindingRow
+from calflow.diagnosis.findings.finding import Finding
+from calflow.diagnosis.findings.tables import CandidateRow
 from calflow.diagnosis.search.trial import FALSE_ALARM
 from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.progress import Say, draws, nobody
@@ -40,9 +41,9 @@ class Diagnosis:
     false_alarm: float
 
     @cached_property
-    def findings(self) -> Rows[FindingRow]:
+    def findings(self) -> Rows[Finding]:
         """Faults of the data, causes, and what no cause explains, best first; none where nothing is lacking."""
-        return Rows(self.results.tables["diagnose/findings.csv"], FindingRow)
+        return Rows(self.results.tables["diagnose/findings.csv"], Finding)
 
     @cached_property
     def candidates(self) -> Rows[CandidateRow]:

@@ -17,7 +17,7 @@ from calflow.design.t_optimality import Choices, Explanation, Pair, TCriterion, 
 from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.diagnosis.findings.verdict import Rival, Verdict, label
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.linearisation import Finding
+from calflow.diagnosis.search.linearisation import Detection
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.progress import Draws
@@ -195,7 +195,7 @@ def _lacking(rival: Rival, fitted: Fitted) -> str:
 
 
 def _asked(
-    finding: Finding[Cause],
+    finding: Detection[Cause],
     rivals: Sequence[Rival],
     untested: tuple[Separation, ...],
     fitted: Fitted,

@@ -29,7 +29,7 @@ from calflow.diagnosis.screening.regressors import (
 from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.screening.screening import Family
 from calflow.diagnosis.search.exchange import verified
-from calflow.diagnosis.search.linearisation import Finding, Linearisation
+from calflow.diagnosis.search.linearisation import Detection, Linearisation
 from calflow.diagnosis.search.stepwise import Stepwise
 from calflow.diagnosis.search.trial import FALSE_ALARM, Acceptance, Trial, bic, relief
 from calflow.files.problems import InputError, Problem
@@ -342,7 +342,7 @@ def diagnose_linear(
     )
 
 
-def _finding(finding: Finding[Block]) -> LinearFinding:
+def _finding(finding: Detection[Block]) -> LinearFinding:
     told, own = verdict(finding), finding.own
     rivals = tuple(LinearRival(rival.id, rival.cause.detail if rival.cause else "", rival.bic) for rival in told.rivals)
     held = (own.estimate == finding.cause.bounds).any(axis=0)

@@ -8,6 +8,7 @@
 
 A field's type is its column's: `str`, `int`, `float`, `bool`, a `Literal` of texts, `T | None` where cells may be empty, a
 `tuple[T, ...]` for a list in a cell. A `Mapping[str, T]` stands for the columns of a pattern, such as `q{joint}_{deg|mm}`.
+A tuple of a dataclass of its own is `spread` over columns that hold a list each.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class Column:
     """A column, or with braces in its name a pattern of columns: its field, type, unit and meaning.
 
     many: a cell holds a list, with separator between its items; gaps: a cell may be empty; choices: what a text may be;
-    sd: the column that holds the values' standard deviations.
+    sd: the column that holds the values' standard deviations; attribute: what of the field's items it holds, where they are spread
+    over several columns.
     """
 
     field: str
@@ -48,6 +50,7 @@ class Column:
     separator: str
     choices: tuple[str, ...]
     sd: str = ""
+    attribute: str = ""
 
     @property
     def is_pattern(self) -> bool:
@@ -88,6 +91,15 @@ def column(
     return field(default=default, metadata={"column": told})
 
 
+def spread(**attributes: Any) -> Any:
+    """Declare a field that holds a tuple of dataclasses as columns that hold a list each, one an attribute of them.
+
+    An attribute that is a property is written only.
+    """
+    told = {attribute: declared.metadata["column"] for attribute, declared in attributes.items()}
+    return field(default=(), metadata={"spread": told})
+
+
 def columns(row_type: type) -> tuple[Column, ...]:
     """Return the columns that a row's dataclass declares, in order."""
     return _columns(row_type)
@@ -99,15 +111,28 @@ def _columns(row_type: Hashable) -> tuple[Column, ...]:
     hints = get_type_hints(row_type)
     found = []
     for one in fields(row_type):
-        told = one.metadata["column"]
-        kind, many, gaps, choices = _kind(hints[one.name])
-        name = told["name"] or one.name
-        found.append(
-            Column(
-                one.name, name, kind, told["meaning"], told["unit"], many, gaps, told["separator"], choices, told["sd"]
-            )
-        )
+        if "column" in one.metadata:
+            found.append(_column(one.name, hints[one.name], one.metadata["column"]))
+            continue
+        item = get_args(hints[one.name])[0]
+        for attribute, told in one.metadata["spread"].items():
+            found.append(_column(one.name, _attribute_type(item, attribute), told, attribute))
     return tuple(found)
+
+
+def _column(name: str, hint: Any, told: Mapping[str, str], attribute: str = "") -> Column:
+    kind, many, gaps, choices = _kind(hint)
+    return Column(name, told["name"] or name, kind, told["meaning"], told["unit"], many or bool(attribute), gaps,
+                  told["separator"], choices, told["sd"], attribute)  # fmt: skip
+
+
+def _attribute_type(item: type, attribute: str) -> type:
+    declared = getattr(item, attribute, None)
+    kind = (
+        get_type_hints(declared.fget)["return"] if isinstance(declared, property) else get_type_hints(item)[attribute]
+    )
+    assert isinstance(kind, type)
+    return kind
 
 
 def to_frame(rows: Iterable[Row], row_type: type[Row]) -> pd.DataFrame:
@@ -116,7 +141,9 @@ def to_frame(rows: Iterable[Row], row_type: type[Row]) -> pd.DataFrame:
     made: dict[str, list[Any]] = {}
     for one in columns(row_type):
         values = [getattr(row, one.field) for row in rows]
-        if one.is_pattern:
+        if one.attribute:
+            made[one.name] = [tuple(getattr(item, one.attribute) for item in value) for value in values]
+        elif one.is_pattern:
             made |= {name: [value[name] for value in values] for name in dict.fromkeys(n for v in values for n in v)}
         else:
             made[one.name] = values
@@ -149,9 +176,12 @@ def from_frame(frame: pd.DataFrame, row_type: type[Row], name: str = "a table of
         raise refuse(f"{name} lacks columns: {', '.join(missing)}; run the study again")
     try:
         cells = {name: [_value(cell, one) for cell in frame[name]] for name, one in found.items()}
+        joined = _joined(cells, row_type)
     except (TypeError, ValueError) as error:
         raise refuse(f"{name} was changed: {error}; run the study again") from None
-    single = {one.field: cells[name] for name, one in found.items() if not one.is_pattern}
+    single = {
+        one.field: cells[name] for name, one in found.items() if not one.is_pattern and not one.attribute
+    } | joined
     several = [one for one in columns(row_type) if one.is_pattern]
     rows = []
     for k in range(len(frame)):
@@ -160,6 +190,25 @@ def from_frame(frame: pd.DataFrame, row_type: type[Row], name: str = "a table of
             values[pattern.field] = {name: cells[name][k] for name, one in found.items() if one is pattern}
         rows.append(row_type(**values))
     return rows
+
+
+def _joined(cells: Mapping[str, Sequence[Any]], row_type: type) -> dict[str, list[Any]]:
+    """Return the values of the fields that are spread over columns.
+
+    Raises:
+        ValueError: the lists of a row are not equally long.
+    """
+    made: dict[str, list[Any]] = {}
+    for one in fields(row_type):
+        if "spread" not in one.metadata:
+            continue
+        item = get_args(get_type_hints(row_type)[one.name])[0]
+        names = {of.attribute: of.name for of in columns(row_type) if of.field == one.name}
+        own = [part.name for part in fields(item) if part.name in names]
+        lists = [cells[names[attribute]] for attribute in own]
+        made[one.name] = [tuple(item(**dict(zip(own, values, strict=True))) for values in zip(*row, strict=True))
+                          for row in zip(*lists, strict=True)]  # fmt: skip
+    return made
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.diagnosis.findings.tables import FindingRow
+from calflow.diagnosis.findings.finding import Finding
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.csv import read_csv
 from calflow.files.problems import refuse
@@ -71,6 +71,6 @@ def _calibration(made: Path, placed: frozenset[str]) -> Calibration:
 
 
 def _causes(findings: Path) -> Iterator[Shown]:
-    for row in from_frame(read_csv(findings), FindingRow, "diagnose/findings.csv"):
-        if row.status in ("named", "one_of"):
+    for row in from_frame(read_csv(findings), Finding, "diagnose/findings.csv"):
+        if row.is_cause:
             yield Shown(row.cause, row.joint or 0, row.detail, row.estimate, row.sd, row.unit)

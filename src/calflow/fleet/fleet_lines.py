@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import median
 
+from calflow.files.words import first_up, listed, mm, plural
 from calflow.fleet.outcome import Outcome
-from calflow.reporting.words import first_up, listed, mm, plural
 
 
 def fleet_lines(found: Sequence[Outcome]) -> list[str]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from calflow.files.tables import to_frame
+from calflow.files.words import first_up, listed, plural, ratio
 from calflow.fleet.fleet_lines import error, fleet_lines, why
 from calflow.fleet.outcome import Outcome, worst_first
 from calflow.fleet.type_blocks import type_blocks
 from calflow.fleet.types import TypeFindings, type_lines, unlike_parameters
 from calflow.reporting.blocks import Block, Gap, Heading, Paragraph, Part, Plot, RestOfPage, Table
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, plain_decades
-from calflow.reporting.words import first_up, listed, plural, ratio
 
 MOST_TOLD = 18  # robots on the first page
 MOST_ON_TYPES = 3  # sentences on the first page

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from calflow.effects.words import amount, cause_name
+from calflow.files.words import chance_figure, plural
 from calflow.fleet.types import TypeFindings, type_lines
 from calflow.population.type_prior import FEWEST
 from calflow.reporting.blocks import Block, Heading, Paragraph, Table
-from calflow.reporting.findings import amount, cause_name, chance_figure
-from calflow.reporting.words import plural
 
 WHOSE = {"type": "the type's", "robot": "each robot's own", "cannot tell": "cannot tell"}
 

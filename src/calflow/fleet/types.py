@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from calflow.effects.words import amount, cause_name
 from calflow.estimation.parameters import UNIT
 from calflow.files.tables import column
+from calflow.files.words import listed, plural
 from calflow.fleet.collected import Collected
 from calflow.population.common_causes import CommonCause, Whose, common_causes
 from calflow.population.told import Told, shared_parameters
 from calflow.population.type_prior import FEWEST, TypePrior
 from calflow.population.unlike import Unlike, unlike
-from calflow.reporting.findings import amount, cause_name
-from calflow.reporting.words import listed, plural
 from calflow.robot.robot import Robot
 
 

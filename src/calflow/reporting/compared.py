@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calflow.deployment.comparison import Comparison, ParameterDifference, RunAccuracy, RunPair
+from calflow.files.words import effect_words, listed, mm, plural, readable, with_sd
 from calflow.reporting.blocks import Block, Gap, Heading, Paragraph, Table
-from calflow.reporting.words import effect_words, listed, mm, plural, readable, with_sd
 
 MOST_TOLD = 25  # parameters that are told, the most significant first
 DIFFERENT = 0.01  # chance below which runs are said to differ

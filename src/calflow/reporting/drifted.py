@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calflow.deployment.drift import Drift, Moved, Recalibrated, Status
+from calflow.files.words import first_up, listed, mm, plural, readable, with_sd
 from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, Plot, Table
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
-from calflow.reporting.words import first_up, listed, mm, plural, readable, with_sd
 
 VERDICTS: dict[Status, str] = {
     "in place": "Nothing has moved that these check poses could show.",

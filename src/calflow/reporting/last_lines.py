@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary
+from calflow.diagnosis.findings.finding import Finding
+from calflow.effects.words import place_name
 from calflow.estimation.accuracy import Accuracy
 from calflow.files.results import Results
 from calflow.files.tables import from_frame
-from calflow.reporting.findings import Found, findings, place_name
+from calflow.files.words import mm, number
+from calflow.reporting.findings import findings
 from calflow.reporting.material import gathered, latest, split_judged, steps
 from calflow.reporting.section import advice, sections
 from calflow.reporting.sections.verdict import SECTION, headline, judgement
-from calflow.reporting.words import mm, number
 
 WRONG = 2  # urgency of advice that is repeated; what could be better is left to the report
 
@@ -28,7 +30,7 @@ def _accuracy(results: Results) -> list[str]:
         return []
     own = set(results.tables["identify/accuracy.csv"]["model"])
     rows = from_frame(latest(results, "accuracy"), Accuracy)
-    names = [row.model if row.model in own else f"+ {place_name(row.effect, row.joint or 0, row.part)}" for row in rows]
+    names = [row.model if row.model in own else f"+ {place_name(row.effect, row.joint, row.part)}" for row in rows]
     width = max(map(len, names))
     return [
         f"{'position error':{width}}  split      mean mm    max mm",
@@ -47,7 +49,7 @@ def _findings(results: Results) -> list[str]:
     return told or [f"found: nothing that the model lacks{f'; {unseen}' if unseen else ''}"]
 
 
-def _told(one: Found) -> str:
+def _told(one: Finding) -> str:
     """A finding with its cause, joint, size and gain."""
     said, (gain, low, high) = one.in_short, one.gain
     if one.is_misfit or one.status == "data_fault":

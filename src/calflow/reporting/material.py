@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.effects.cause import Cause
+from calflow.effects.words import place_name
 from calflow.estimation.accuracy import Accuracy, errors
 from calflow.estimation.calibrated_model import CalibratedModel, calibrated, with_maps_held
 from calflow.estimation.certainty import parameter_variance, position_variance
@@ -18,9 +19,8 @@ from calflow.estimation.registration import in_measuring_frame
 from calflow.faults import corrected
 from calflow.files.results import Results
 from calflow.files.tables import Tables, from_frame
+from calflow.files.words import effect_words
 from calflow.measurements.measurements import Measurements
-from calflow.reporting.findings import place_name
-from calflow.reporting.words import effect_words
 from calflow.study import Study
 
 MEAN_OF_NOISE = np.sqrt(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from calflow.design.measuring.measuring_verdict import MeasuringVerdict, Suspect
-from calflow.reporting.words import mm, number
+from calflow.files.words import mm, number
 
 TOLD = 4  # suspects in words
 HOPELESS = 0.5  # probability at best below which more poses of the same kind are no way

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calflow.deployment.history import History, MovedParameter, ParameterInRun, Verdict
+from calflow.files.words import effect_words, first_up, listed, plural, readable, with_sd
 from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, Plot, Table
 from calflow.reporting.style import ACCENT, DARK, panels, turned
-from calflow.reporting.words import effect_words, first_up, listed, plural, readable, with_sd
 
 VERDICTS: dict[Verdict, str] = {
     "in place": "Nothing has moved between these calibrations that they could show.",

@@ -11,9 +11,9 @@ from scipy.stats import norm
 
 from calflow.deployment.attained import CYCLES
 from calflow.deployment.validation import Status, ValidatedModel, ValidatedPose, Validation, ValidationSummary
+from calflow.files.words import first_up, mm, plural
 from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Paragraph, Plot, Table
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
-from calflow.reporting.words import first_up, mm, plural
 
 NAMES = {
     "nominal": "nominal robot",

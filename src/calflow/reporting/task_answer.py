@@ -16,8 +16,8 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from calflow.files.results import Results
+from calflow.files.words import mm
 from calflow.reporting.style import ALONE, crowded, figure
-from calflow.reporting.words import mm
 from calflow.sampling.task_points import LIKELY, TaskSummary
 
 SURE = 0.999  # probability from which no further digits are told

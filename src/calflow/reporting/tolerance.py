@@ -8,9 +8,9 @@ import pandas as pd
 from scipy.stats import beta
 
 from calflow.files.results import Results
+from calflow.files.words import mm, percent, plural
 from calflow.reporting.material import Material, ModelAccuracy, latest, split_judged, steps
 from calflow.reporting.section import advice, sections
-from calflow.reporting.words import mm, percent, plural
 
 USELESS = 0.95  # share of the nominal error above which calibration gained nothing
 SURE = 0.95  # how sure it is that at least so many poses are within

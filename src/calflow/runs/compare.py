@@ -20,7 +20,7 @@ from calflow.deployment.comparison import (
     RunPair,
     Setting,
 )
-from calflow.diagnosis.findings.tables import FindingRow
+from calflow.diagnosis.findings.finding import Finding
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.difference import Difference
 from calflow.estimation.fit_summary import IdentifySummary
@@ -177,7 +177,7 @@ def _accuracy(run: CalibratedRun, name: str) -> list[RunAccuracy]:
 
 def _causes(runs: Sequence[CalibratedRun], names: Sequence[str]) -> tuple[RunCause, ...]:
     every = [
-        run.results.rows("diagnose/findings.csv", FindingRow) if run.stage == "diagnose" else list[FindingRow]()
+        run.results.rows("diagnose/findings.csv", Finding) if run.stage == "diagnose" else list[Finding]()
         for run in runs
     ]
     places = [{(one.cause, one.joint) for one in own} for own in every]

@@ -23,9 +23,10 @@ from calflow.design.selection import TASK_POSES, planned_poses, select
 from calflow.design.t_optimality import Choices
 from calflow.diagnosis.diagnosis import diagnose
 from calflow.diagnosis.findings.extended_model import extended_model
-from calflow.diagnosis.findings.tables import Diagnosis, findings_table
-from calflow.diagnosis.findings.verdict import UNEXPLAINED, label
+from calflow.diagnosis.findings.tables import Diagnosis, findings
+from calflow.diagnosis.findings.verdict import label
 from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.effects.words import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.elsewhere import left_out
@@ -208,7 +209,7 @@ class _Asked:
         )
         heldout = data.only(data.held_out)
         outside = distances(errors(fitted.model, fitted.fit.estimate, heldout)) if len(heldout) else None
-        told = findings_table(found, data, as_table((), data), self.rng("resamples"))
+        lacking = findings(found, data, as_table((), data), self.rng("resamples"))
         return MeasuringVerdict(
             status=status, poses=data.table["pose"].nunique(), fitted_poses=fitted.data.table["pose"].nunique(),
             measure=self.measure, tolerance_mm=_mm(tolerance), confidence=self.confidence, probability=probability,
@@ -217,8 +218,8 @@ class _Asked:
             heldout_rms_mm=None if outside is None else _mm(float(np.sqrt(np.mean(outside**2)))),
             leftout_rms_mm=_mm(left_out(fitted.fit, fitted.poses).rms), elsewhere_mm=_mm(fitted.elsewhere),
             noise_mm=_mm(float(np.sqrt(np.mean(fitted.noise.sigma**2)))), noise_known=fitted.noise.known,
-            found=tuple(told["statement"]), suspected=_suspects(found, lacks), untested=tuple(sorted(catalogue.lacking)),
-            notes=data.notes,
+            found=tuple(finding.statement for finding in lacking), suspected=_suspects(found, lacks),
+            untested=tuple(sorted(catalogue.lacking)), notes=data.notes,
         )  # fmt: skip
 
     def _stated(self, model: Model) -> np.ndarray | None:

@@ -17,9 +17,10 @@ from calflow.diagnosis.findings.extended_model import (
     extended_model,
     extended_noise,
 )
+from calflow.diagnosis.findings.finding import Finding
 from calflow.diagnosis.findings.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint, confirm
 from calflow.diagnosis.findings.rivals import alternatives_table
-from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, FindingRow, candidates_table, findings_table
+from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, candidates_table, findings
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.screening.regressors import HELD
 from calflow.diagnosis.search.background import MODES
@@ -91,7 +92,7 @@ def results(
     faults = pd.concat([table for table in (before.tables["identify/faults.csv"], own) if len(table)] or [own])
     steps = before.rows("identify/accuracy.csv", Accuracy)
     tables = {
-        "diagnose/findings.csv": findings_table(found, data, faults, rng("resamples")),
+        "diagnose/findings.csv": to_frame(findings(found, data, faults, rng("resamples")), Finding),
         "diagnose/candidates.csv": candidates_table(found),
         "diagnose/accuracy.csv": accuracy_table(found, data, steps),
         "diagnose/next_poses.csv": poses_table(asked, final),
@@ -151,7 +152,7 @@ STAGE = Stage(
     demand=demand,
     needs=("identify",),
     tables={
-        "diagnose/findings.csv": FindingRow,
+        "diagnose/findings.csv": Finding,
         "diagnose/candidates.csv": CandidateRow,
         "diagnose/accuracy.csv": Accuracy,
         "diagnose/next_poses.csv": NextPose,

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.findings.rivals import MOST_FITTED, alternatives_table, fitted_alternatives
-from calflow.diagnosis.findings.verdict import UNEXPLAINED, Rival, verdict
+from calflow.diagnosis.findings.verdict import Rival, verdict
 from calflow.diagnosis.screening.screening import Family
-from calflow.diagnosis.search.linearisation import Finding
+from calflow.diagnosis.search.linearisation import Detection
 from calflow.effects.cause import Cause
+from calflow.effects.words import UNEXPLAINED
 from calflow.estimation.calibrated_model import _alternatives
 from calflow.estimation.rival_models import Alternative, AlternativeParameter, choice_variance
 from calflow.files.tables import from_frame
@@ -29,7 +30,7 @@ def final():
 
 def judged(*rivals):
     """A verdict on the cause with these rivals' BIC above its own."""
-    found = verdict(Finding(ECCENTRIC, (score(-50.0, "joint-eccentricity", 2, order=1),), Family({}, 1.0)))
+    found = verdict(Detection(ECCENTRIC, (score(-50.0, "joint-eccentricity", 2, order=1),), Family({}, 1.0)))
     weight = 1 + sum(np.exp(-rival.bic / 2) for rival in rivals)
     return replace(found, rivals=rivals, probability=1 / weight)
 

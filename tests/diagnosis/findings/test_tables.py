@@ -8,12 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calflow.diagnosis.findings.finding import Finding
 from calflow.diagnosis.findings.misfit import misfit
-from calflow.diagnosis.findings.tables import Diagnosis, FindingRow, _kept_together, _together, findings_table
+from calflow.diagnosis.findings.tables import Diagnosis, _kept_together, _together, findings
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.extension import Extended
 from calflow.diagnosis.search.linearisation import Linearisation
-from calflow.files.tables import from_frame
+from calflow.effects.words import NamedCause
+from calflow.files.tables import from_frame, to_frame
 from diagnosis.findings.test_misfit import rng, rough
 from diagnosis.findings.test_remainder import fitted
 from diagnosis.findings.test_verdict import judged, score
@@ -35,7 +37,10 @@ def diagnosis(last, **more):
 
 def told(found):
     """The rows of findings.csv."""
-    return from_frame(findings_table(found, found.start.data, FAULTS, np.random.default_rng(1)), FindingRow)
+    made = findings(found, found.start.data, FAULTS, np.random.default_rng(1))
+    read = from_frame(to_frame(made, Finding), Finding)
+    assert [one.statement for one in read] == [one.statement for one in made]
+    return read
 
 
 def test_a_lack_of_fit_has_a_row_though_no_input_explains_it(uneven):
@@ -52,7 +57,7 @@ def test_a_lack_of_fit_has_a_row_though_no_input_explains_it(uneven):
 def member(number, bic, name, **variant):
     """A finding of joint 2, as the table tells it alone, with its verdict."""
     verdict_ = judged(score(bic, name, 2, **variant), *([score(bic + 3, "gear-ratio-error", 2)] if number == 1 else []))
-    row = FindingRow(status=verdict_.status, cause=verdict_.finding.cause.id, joint=2, estimate=3e-4 * number, sd=1e-5, unit="rad",
+    row = Finding(status=verdict_.status, cause=verdict_.finding.cause.id, joint=2, estimate=3e-4 * number, sd=1e-5, unit="rad",
                      p_family=1e-4 * number, probability=0.9, detail=verdict_.finding.cause.detail, statement="alone",
                      cannot_tell_from=tuple(rival.id for rival in verdict_.rivals), numbers=(number,))  # fmt: skip
     return row, verdict_
@@ -67,7 +72,7 @@ def test_several_orders_of_a_joint_are_one_finding_of_their_family():
     row = _together([first, second], [one, two])
     assert (row.status, row.cause, row.joint, row.numbers) == ("one_of", "periodic-joint-error", 2, (1, 2))
     assert {"joint-eccentricity", "joint-error-map", "gear-ratio-error"} <= set(row.cannot_tell_from)
-    assert row.rivals == ("gear-ratio-error 2",)
+    assert row.rivals == (NamedCause("gear-ratio-error", 2),)
     assert (row.estimate, row.p_family) == (pytest.approx(3e-4 * np.sqrt(5)), 1e-4)
     assert row.statement.startswith("angular transmission error, joint 2: periodic error (order 5), and ")
     assert row.detail.startswith("order 5, with ")

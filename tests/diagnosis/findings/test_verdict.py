@@ -11,7 +11,7 @@ from calflow.diagnosis.findings.verdict import WITHIN, verdict
 from calflow.diagnosis.screening.regressors import Candidate
 from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.screening.screening import Family, by_place
-from calflow.diagnosis.search.linearisation import Finding
+from calflow.diagnosis.search.linearisation import Detection
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from robots import industrial
@@ -33,7 +33,7 @@ def score(bic, name, joint=0, **variant):
 def judged(*scores):
     """The verdict on the first score's cause, the others tested in its place."""
     ordered = sorted(scores, key=lambda s: s.delta_bic)
-    return verdict(Finding(scores[0].cause, tuple(ordered), Family({}, 1.0)))
+    return verdict(Detection(scores[0].cause, tuple(ordered), Family({}, 1.0)))
 
 
 def names(found):
@@ -121,7 +121,7 @@ def test_what_was_tested_there_is_judged_by_its_score():
 def test_what_the_data_could_not_test_is_not_excluded():
     """Fails if a drift without a clock is named for certain though the robot may have warmed up, or the reason is lost."""
     drift = score(-50.0, "frame-drift")
-    lone = Finding(drift.cause, (drift,), Family({}, 1.0))
+    lone = Detection(drift.cause, (drift,), Family({}, 1.0))
     found = verdict(lone, {"thermal-growth": "a column time_s"})
     assert (found.status, found.probability) == ("one_of", pytest.approx(0.5))
     assert [(rival.id, rival.needs, rival.score) for rival in found.rivals] == [
@@ -185,6 +185,6 @@ def test_a_cause_without_a_family_is_named_by_itself():
 def test_what_nobody_can_name_is_a_rival_whose_form_is_a_guess(unnamed, status):
     """Fails if evidence against a background counts in full though nobody knows the background's form."""
     only = score(-50.0, "gear-ratio-error", 2)
-    found = verdict(Finding(only.cause, (only,), Family({}, 1.0), unnamed=unnamed))
+    found = verdict(Detection(only.cause, (only,), Family({}, 1.0), unnamed=unnamed))
     assert found.status == status
     assert found.probability >= 1 / (1 + np.exp(-unnamed / 4)) - 1e-12

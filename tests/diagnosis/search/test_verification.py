@@ -10,7 +10,7 @@ import pytest
 from calflow.diagnosis.findings.verdict import verdict
 from calflow.diagnosis.screening.screening import Family, by_place
 from calflow.diagnosis.search.exchange import corrected_rivals, doubted, doubtful, verified
-from calflow.diagnosis.search.linearisation import Finding
+from calflow.diagnosis.search.linearisation import Detection
 from diagnosis.findings.test_verdict import score
 
 N = 300
@@ -37,7 +37,7 @@ class Seen:
 
 def finding(*scores):
     """A finding of the first one's cause."""
-    return Finding(scores[0].cause, tuple(sorted(scores, key=lambda s: s.delta_bic)), Family({}, 1.0))
+    return Detection(scores[0].cause, tuple(sorted(scores, key=lambda s: s.delta_bic)), Family({}, 1.0))
 
 
 def test_only_a_large_cause_leaves_doubts():

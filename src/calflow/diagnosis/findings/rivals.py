@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from calflow.diagnosis.findings.verdict import UNEXPLAINED, Rival, Verdict
+from calflow.diagnosis.findings.verdict import Rival, Verdict
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.linearisation import Finding, Linearisation
+from calflow.diagnosis.search.linearisation import Detection, Linearisation
 from calflow.diagnosis.search.trial import swapped
 from calflow.effects.cause import Cause
+from calflow.effects.words import UNEXPLAINED
 from calflow.estimation.calibrated_model import MANY
 from calflow.estimation.fit import Fit
 from calflow.estimation.rival_models import Alternative, AlternativeParameter, Change, ModelInReach
@@ -89,7 +90,7 @@ MOST_IN_REACH = 24  # models: the likeliest
 
 
 def models_in_reach(
-    final: Fitted, findings: Sequence[Finding[Cause]], catalogue: Catalogue
+    final: Fitted, findings: Sequence[Detection[Cause]], catalogue: Catalogue
 ) -> tuple[ModelInReach, ...]:
     """Return the models in reach, what was found first, then by how likely the linear tests make them; none of nothing found.
 
@@ -115,14 +116,14 @@ def models_in_reach(
     return (found, *sorted(near, key=lambda one: -one.log_weight)[: MOST_IN_REACH - 1])
 
 
-def rivals_shown(findings: Sequence[Finding[Cause]], beside: Sequence[Score[Cause]]) -> dict[tuple[str, str], Cause]:
+def rivals_shown(findings: Sequence[Detection[Cause]], beside: Sequence[Score[Cause]]) -> dict[tuple[str, str], Cause]:
     """Return the places that the data show, in place of what was found or beside it, each with a cause there."""
     scores = [*beside, *(score for finding in findings for score in finding.scores)]
     return {score.cause.place: score.cause for score in scores}
 
 
 def _neighbours(
-    final: Fitted, findings: Sequence[Finding[Cause]], beside: Sequence[Score[Cause]], places: float
+    final: Fitted, findings: Sequence[Detection[Cause]], beside: Sequence[Score[Cause]], places: float
 ) -> Iterator[tuple[list[Cause], Change, float]]:
     """Yield the causes of all models one step away, the step, and the logarithm of how likely it makes them (BIC).
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -23,6 +22,7 @@ from scipy.optimize import brentq
 from scipy.stats import f as f_distribution
 from scipy.stats import ncf
 
+from calflow.diagnosis.findings.finding import NAN, Finding
 from calflow.diagnosis.findings.misfit import POSE, Misfit, Remainder
 from calflow.diagnosis.findings.rivals import FittedAlternative
 from calflow.diagnosis.findings.verdict import Rival, Verdict, label
@@ -30,11 +30,12 @@ from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.screening.screening import Family, Screening, by_place
 from calflow.diagnosis.search.extension import Extended
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.linearisation import Finding
+from calflow.diagnosis.search.linearisation import Detection
 from calflow.diagnosis.search.noise_growth import RANGE, Growth
 from calflow.diagnosis.search.trial import kindred
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Cause
+from calflow.effects.words import UNEXPLAINED, NamedCause
 from calflow.estimation.accuracy import distances, error_jacobian, errors
 from calflow.estimation.parameters import UNIT
 from calflow.estimation.rival_models import ModelInReach
@@ -53,7 +54,7 @@ def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple
     return float(figure[0]), float(np.sqrt(slope @ covariance @ slope))
 
 
-def found_amplitude(finding: Finding, fitted: Fitted) -> tuple[float, float]:
+def found_amplitude(finding: Detection, fitted: Fitted) -> tuple[float, float]:
     """Return a found cause's amplitude in the final model, and its standard deviation whatever its form may be.
 
     Another form in its place (another order, say) can explain the data as well with another amplitude. Each form counts by its
@@ -182,58 +183,7 @@ def detection_limit(score: Score[Cause], family: Family, false_alarm: float) -> 
     return float(np.sqrt(needed / shown))
 
 
-NAN = float("nan")
-UNEXPLAINED = "unexplained"  # what a cause is not told from where something without a name depends on the same input
 IN_TIME = {"time", "order"}  # the inputs that causes of the measuring device depend on
-
-
-@dataclass(frozen=True, kw_only=True)
-class FindingRow:
-    """A verdict: a fault of the data, a cause, or what no cause explains. No row: nothing was found that the model lacks."""
-
-    status: Literal["named", "one_of", "unexplained", "data_fault"] = column(
-        "a cause; one of several; structure without a cause (its gain is that of a Gaussian process of its inputs, which is not "
-        "physical and in no model); a mistake in the file"
-    )
-    cause: str = column("id of the effect, or of the fault; empty: unexplained", default="")
-    joint: int | None = column("number of its joint or link; empty: none", default=None)
-    estimate: float = column("its size", UNIT, sd="sd", default=NAN)
-    sd: float = column("standard deviation of the size, whichever form of the cause is true", UNIT, default=NAN)
-    unit: str = column("of the size (SI)", default="")
-    p_family: float = column("chance that noise alone makes any of all tests look like this", default=NAN)
-    probability: float = column("that it is this cause rather than a rival", default=NAN)
-    cannot_tell_from: tuple[str, ...] = column(
-        "ids of what it may be instead, also of what these data could not test; `unexplained` where what nobody can name "
-        "depends on the same input",
-        default=(),
-    )
-    gain_mean_mm: float = column("what it takes off the mean error at held-out poses", "mm", default=NAN)
-    gain_low_mm: float = column("lower end of the gain's 95 % interval", "mm", default=NAN)
-    gain_high_mm: float = column("upper end of it", "mm", default=NAN)
-    heldout_mean_mm: float = column("mean error at held-out poses with it", "mm", default=NAN)
-    detail: str = column("the variant, in words", default="")
-    rivals: tuple[str, ...] = column("what else could explain the data: id and joint", separator="; ", default=())
-    rows: tuple[int, ...] = column("lines of the file, of a data fault", default=())
-    statement: str = column("the verdict in words")
-    rival_causes: tuple[str, ...] = column("ids of the rivals, in their order", default=())
-    rival_joints: tuple[int, ...] = column("their joints; 0: none", default=())
-    inputs: tuple[str, ...] = column(
-        "what something unexplained depends on: q1 … (joints), x, y, z, order, time, payload; empty: a lack of fit that is told "
-        "whether an input explains it or not, with where it is largest in `detail`",
-        default=(),
-    )
-    not_tested: tuple[str, ...] = column(
-        "ids of `cannot_tell_from` that these data could not test; `statement` says what that would take", default=()
-    )
-    carries_over: bool | None = column(
-        "whether it holds in blocks of the training poses that it was not fitted to; empty: not looked at", default=None
-    )
-    numbers: tuple[int, ...] = column(
-        "its numbers among the causes of the extended model, as in `curves.csv`: several where several of one family at one place "
-        "(orders of a joint, moves of the device) are told as one finding, whose gain is that of all of them and whose size the "
-        "root of their squares' sum",
-        default=(),
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -290,10 +240,10 @@ class Diagnosis:
         return [verdict.finding.cause for verdict in self.verdicts]
 
 
-def findings_table(
+def findings(
     found: Diagnosis, data: Measurements, faults: pd.DataFrame, rng: np.random.Generator
-) -> pd.DataFrame:
-    """Return diagnose/findings.csv: data faults, causes, the noise's growth and what nobody can name."""
+) -> tuple[Finding, ...]:
+    """Return what was found, best first: data faults, causes, the noise's growth and what nobody can name."""
     heldout, final = data.only(data.held_out), found.extended.fitted
     rows = [_fault(group) for _, group in faults.groupby(["cause", "joint", "action", "statement"], sort=False)]
     steps = [errors(one.model, one.estimate, heldout) for one in (found.start.fit, *found.extended.path)]
@@ -313,12 +263,12 @@ def findings_table(
     for remainder in found.left:
         after = steps[-1] + predicted(final, remainder.functions, heldout)
         rows.append(_gained(_left(remainder), steps[-1], after, heldout, rng))
-    return to_frame(rows, FindingRow)
+    return tuple(rows)
 
 
 def _gained(
-    row: FindingRow, before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator
-) -> FindingRow:
+    row: Finding, before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator
+) -> Finding:
     gained = gain(before, after, heldout, rng)
     mean = float(distances(after).mean()) if len(after) else NAN
     return replace(
@@ -387,7 +337,7 @@ def _kept_together(causes: Sequence[Cause]) -> list[list[int]]:
     return [members for k, members in enumerate(told) if members[0] == k]
 
 
-def _together(rows: Sequence[FindingRow], verdicts: Sequence[Verdict]) -> FindingRow:
+def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     """One row of several causes of a family at one place: named by the family, best described as the one that explains most."""
     order = sorted(range(len(rows)), key=lambda k: verdicts[k].finding.own.delta_bic)
     lead, causes = rows[order[0]], [verdicts[k].finding.cause for k in order]
@@ -405,15 +355,14 @@ def _together(rows: Sequence[FindingRow], verdicts: Sequence[Verdict]) -> Findin
         lead, status="one_of", estimate=size, sd=sd, p_family=min(row.p_family for row in rows),
         probability=min(row.probability for row in rows), cannot_tell_from=tuple(name for name in alike if name != lead.cause),
         detail=", with ".join([lead.detail or causes[0].title, *said[1:]]),
-        rivals=tuple(label(rival.id, rival.joint) for rival in others), rival_causes=tuple(rival.id for rival in others),
-        rival_joints=tuple(rival.joint for rival in others), statement=f"{family}{where}: {', and '.join(said)}",
+        rivals=tuple(NamedCause(rival.id, rival.joint) for rival in others), statement=f"{family}{where}: {', and '.join(said)}",
         not_tested=tuple(dict.fromkeys(name for row in rows for name in row.not_tested)),
         carries_over=False if False in carried else None if None in carried else True,
         numbers=tuple(number for row in rows for number in row.numbers),
     )  # fmt: skip
 
 
-def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int) -> FindingRow:
+def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int) -> Finding:
     """One finding's row; left is what nobody can name along the same input, which makes a certain name uncertain."""
     cause = verdict.finding.cause
     estimate, sd = found_amplitude(verdict.finding, fitted)
@@ -422,13 +371,12 @@ def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int
     )
     if left:
         others += [name for name in _relatives(cause) or [UNEXPLAINED] if name not in others]
-    return FindingRow(
+    return Finding(
         status="one_of" if others else verdict.status, cause=cause.id, joint=cause.joint or None, estimate=estimate,
         sd=sd if sd > 0 else NAN, unit=cause.declared[0].unit, p_family=verdict.finding.p, probability=verdict.probability,
         cannot_tell_from=tuple(others), detail=cause.detail,
-        rivals=tuple(label(rival.id, rival.joint) for rival in verdict.rivals),
-        rival_causes=tuple(rival.id for rival in verdict.rivals),
-        rival_joints=tuple(rival.joint for rival in verdict.rivals), statement=_statement(verdict, left) + _carried(verdict),
+        rivals=tuple(NamedCause(rival.id, rival.joint) for rival in verdict.rivals),
+        statement=_statement(verdict, left) + _carried(verdict),
         not_tested=tuple(dict.fromkeys(rival.id for rival in verdict.rivals if rival.score is None)),
         carries_over=verdict.carries_over, numbers=(number,),
     )  # fmt: skip
@@ -479,38 +427,36 @@ def _relatives(cause: Cause) -> list[str]:
     return [name for name, kind in catalogue().items() if family and kind.family == family and name != cause.id]
 
 
-def _growth(grown: Growth) -> FindingRow:
+def _growth(grown: Growth) -> Finding:
     kind = next(kind for kind in catalogue().values() if kind.grows_with == RANGE)
-    return FindingRow(
+    return Finding(
         status="named", cause=kind.id, estimate=grown.slope, sd=grown.sd, unit="m/m", p_family=grown.p,
         probability=1 - grown.p, statement=f"{kind.title}: {1e6 * grown.floor:.3g} um and {1e6 * grown.slope:.3g} um/m",
     )  # fmt: skip
 
 
-def _misfit(misfit: Misfit, left: tuple[Remainder, ...]) -> FindingRow:
+def _misfit(misfit: Misfit, left: tuple[Remainder, ...]) -> Finding:
     why = (
         "only a part of it depends on an input" if left else "no cause of the catalogue and no single input explains it"
     )
     where = misfit.region.words if misfit.region else "about alike everywhere"
     said = f"the model leaves {misfit.times:.2f} times the noise (chance of so much: {misfit.p:.2g}); {why}; {where}"
-    return FindingRow(
+    return Finding(
         status="unexplained", p_family=misfit.p, detail=misfit.region.where if misfit.region else "", statement=said
     )
 
 
-def _left(remainder: Remainder) -> FindingRow:
+def _left(remainder: Remainder) -> Finding:
     inputs, detail = " and ".join(remainder.inputs), remainder.detail
     said = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it"
     if remainder.inputs == (POSE,):
         said = "the rows of a pose share an error that changes from pose to pose, more than their own scatter explains"
-    return FindingRow(
-        status="unexplained", p_family=remainder.p, detail=detail, statement=said, inputs=remainder.inputs
-    )
+    return Finding(status="unexplained", p_family=remainder.p, detail=detail, statement=said, inputs=remainder.inputs)
 
 
-def _fault(group: pd.DataFrame) -> FindingRow:
+def _fault(group: pd.DataFrame) -> Finding:
     first, lines = group.iloc[0], tuple(group["line"].dropna().astype(int))
-    return FindingRow(
+    return Finding(
         status="data_fault",
         cause=first["cause"],
         joint=first["joint"] or None,

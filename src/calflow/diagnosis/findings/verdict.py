@@ -12,11 +12,11 @@ import numpy as np
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.screening.screening import by_place
-from calflow.diagnosis.search.linearisation import Finding
+from calflow.diagnosis.search.linearisation import Detection
+from calflow.effects.words import UNEXPLAINED, NamedCause
 
 WITHIN = 10.0  # of the best BIC: closer rivals cannot be told apart (Kass and Raftery 1995: "very strong" beyond)
 
-UNEXPLAINED = "unexplained"  # what nobody can name, as a rival
 TEMPERED = (
     0.5  # of the evidence against it: the form of what nobody can name is itself a guess (Grünwald and van Ommen 2017)
 )
@@ -50,7 +50,7 @@ class Verdict(Generic[H]):
     carries_over says whether it holds in blocks of the training poses that it was not fitted to; None: not looked at.
     """
 
-    finding: Finding[H]
+    finding: Detection[H]
     status: Status
     probability: float
     rivals: tuple[Rival[H], ...]
@@ -68,7 +68,7 @@ class Verdict(Generic[H]):
         return own if own and self.rivals and same else ""
 
 
-def verdict(finding: Finding[H], untestable: Mapping[str, str] = MappingProxyType({})) -> Verdict[H]:
+def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyType({})) -> Verdict[H]:
     """Weigh a finding against all rivals in its place by their BIC, the variants of each taken together.
 
     untestable are ids of what may be behind it and could not be tested, with what that would take: as likely as the finding.
@@ -96,4 +96,4 @@ def verdict(finding: Finding[H], untestable: Mapping[str, str] = MappingProxyTyp
 
 def label(cause: str, joint: int) -> str:
     """Name a cause with its joint, if it has one."""
-    return f"{cause} {joint}" if joint else cause
+    return NamedCause(cause, joint).label

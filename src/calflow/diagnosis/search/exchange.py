@@ -21,7 +21,7 @@ from calflow.diagnosis.findings.verdict import WITHIN
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.screening.screening import INVISIBLE, MATERIAL, Family, Screening, by_place
-from calflow.diagnosis.search.linearisation import Finding
+from calflow.diagnosis.search.linearisation import Detection
 from calflow.diagnosis.search.trial import Trial, swapped
 
 COLUMNS = 4  # of a candidate at most: error maps have rivals of their own
@@ -155,7 +155,7 @@ WORTH = WITHIN  # of BIC: smaller doubts do not decide anything
 Place = tuple[str, str]
 
 
-def doubtful(finding: Finding[H]) -> list[Score[H]]:
+def doubtful(finding: Detection[H]) -> list[Score[H]]:
     """Return the best variants of the rivals that might explain the data as well, the nearest first; none of a small cause."""
     doubt = -DOUBT * finding.own.delta_bic
     if doubt < WORTH:
@@ -184,7 +184,7 @@ def doubted(best: Trial[H]) -> Iterator[list[H]]:
             yield swapped(stay, other, best.in_place([cause, other], other))
 
 
-def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Finding[H], ...]:
+def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Detection[H], ...]:
     """Return the findings, with the rivals' evidence from the fits that there were with one of them in a cause's place."""
     found = []
     for finding in best.findings:
@@ -204,7 +204,7 @@ def _has(trial: Trial[H], stay: Sequence[H], rival: H) -> bool:
     return len(trial.causes) == len(stay) + 1 and [cause.place for cause in others] == [rival.place]
 
 
-def corrected_rivals(finding: Finding[H], above: Mapping[Place, float], n: int) -> Finding[H]:
+def corrected_rivals(finding: Detection[H], above: Mapping[Place, float], n: int) -> Detection[H]:
     """Return the finding with some places' BICs as they were fitted, above that of the cause; n is the number of residuals."""
     places = by_place(finding.scores)
     own = places[finding.cause.place][0]

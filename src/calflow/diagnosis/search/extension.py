@@ -13,7 +13,7 @@ from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.exchange import verified
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.fitted_trial import FittedTrial, among
-from calflow.diagnosis.search.linearisation import Finding, Linearisation, Screened
+from calflow.diagnosis.search.linearisation import Detection, Linearisation, Screened
 from calflow.diagnosis.search.stepwise import Stepwise
 from calflow.diagnosis.search.trial import Acceptance, Trial
 from calflow.effects.cause import Cause
@@ -25,7 +25,7 @@ class Extended:
     """The extended model, its findings, the models that the search fitted, and the first screening."""
 
     fitted: Fitted
-    findings: tuple[Finding[Cause], ...]
+    findings: tuple[Detection[Cause], ...]
     trail: tuple[Fitted, ...]
     first: Screened[Cause]
 

@@ -18,7 +18,7 @@ from calflow.effects.cause import Cause
 
 
 @dataclass(frozen=True)
-class Finding(Generic[H]):
+class Detection(Generic[H]):
     """A cause in the extended model, with all candidates' scores where it is taken out and the others stay.
 
     unnamed is the BIC of what nobody can name in its place, above its own; carries_over whether it holds at blocks of training
@@ -99,9 +99,9 @@ class Linearisation(Generic[H]):
         stay = [cause for cause in self.causes if cause not in gone]
         return Screening(replace(apart, candidates=_besides(apart.candidates, stay)))
 
-    def findings(self, family: Family) -> list[Finding[H]]:
+    def findings(self, family: Family) -> list[Detection[H]]:
         """Score all candidates in each cause's place."""
-        return [Finding(cause, tuple(self.apart([cause]).scores), family) for cause in self.causes]
+        return [Detection(cause, tuple(self.apart([cause]).scores), family) for cause in self.causes]
 
 
 def _besides(candidates: Sequence[Candidate[H]], causes: Sequence[H]) -> tuple[Candidate[H], ...]:

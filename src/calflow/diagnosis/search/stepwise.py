@@ -14,7 +14,7 @@ from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.screening.screening import Family, by_place
 from calflow.diagnosis.search.exchange import COLUMNS, SPLIT, Exchange, doubted
-from calflow.diagnosis.search.linearisation import Finding, Screened
+from calflow.diagnosis.search.linearisation import Detection, Screened
 from calflow.diagnosis.search.trial import Acceptance, Trial, forget_all_but, is_worth_trying, merged, swapped
 
 CLEAR = 1e-3  # share of the acceptance below which the cost of the tests need not be worked out anew
@@ -161,7 +161,7 @@ def words(cause: H) -> str:
     return " ".join(filter(None, (cause.id, cause.part, f"({cause.detail})" if cause.detail else "")))
 
 
-def second_thoughts(findings: Sequence[Finding[H]], acceptance: Acceptance) -> list[H]:
+def second_thoughts(findings: Sequence[Detection[H]], acceptance: Acceptance) -> list[H]:
     """Return the causes that stay, a more probable rival in the place of one; one change at a time."""
     causes = [finding.cause for finding in findings]
     weakest = sorted(findings, key=lambda finding: -_own_bic(finding))
@@ -182,5 +182,5 @@ def _cost(trial: Trial[H]) -> float:
     return trial.bic + SPLIT * len(trial.causes)
 
 
-def _own_bic(finding: Finding[H]) -> float:
+def _own_bic(finding: Detection[H]) -> float:
     return next((score.delta_bic for score in finding.scores if score.cause == finding.cause), 0.0)

@@ -21,7 +21,7 @@ import numpy as np
 from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.screening.screening import MATERIAL, Family, by_place, prior_cost
-from calflow.diagnosis.search.linearisation import Finding, Linearisation
+from calflow.diagnosis.search.linearisation import Detection, Linearisation
 
 PATIENCE = 3  # models with causes at the same places that may be no better than one before them
 BETTER = 1.0  # of BIC: by how much one must be better to count as that
@@ -74,7 +74,7 @@ class Trial(ABC, Generic[H]):
         yield from ()
 
     @cached_property
-    def findings(self) -> tuple[Finding[H], ...]:
+    def findings(self) -> tuple[Detection[H], ...]:
         """Its causes, each weighed against all candidates in its place."""
         return tuple(self.linearisation.findings(self.family)) if self.causes else ()
 
@@ -139,7 +139,7 @@ class Acceptance:
         """Whether a candidate pays, matters, and is no accident."""
         return score.delta_bic < 0 and score.share > MATERIAL and family.p(score) < self.false_alarm
 
-    def keeps(self, finding: Finding) -> bool:
+    def keeps(self, finding: Detection) -> bool:
         """Whether a cause that is in the model would pass again."""
         own = [score for score in finding.scores if score.cause == finding.cause]
         return bool(own) and self.accepts(own[0], finding.family)

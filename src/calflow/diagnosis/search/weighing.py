@@ -29,7 +29,7 @@ from calflow.diagnosis.search.exchange import SPLIT
 from calflow.diagnosis.search.extension import Extended, extended
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.fitted_trial import FittedTrial
-from calflow.diagnosis.search.linearisation import Finding, Linearisation
+from calflow.diagnosis.search.linearisation import Detection, Linearisation
 from calflow.diagnosis.search.stepwise import Stepwise, second_thoughts, words
 from calflow.diagnosis.search.trial import Acceptance, Trial, is_new, same
 from calflow.effects.cause import Cause
@@ -309,7 +309,7 @@ def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepw
     return best
 
 
-def _judged(found: Extended, against: dict[Cause, float]) -> tuple[Finding[Cause], ...]:
+def _judged(found: Extended, against: dict[Cause, float]) -> tuple[Detection[Cause], ...]:
     kinds = blocks_left_out(found.fitted)
     return tuple(
         replace(

@@ -11,25 +11,26 @@ import numpy as np
 import pandas as pd
 
 from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow, no_pose_words
-from calflow.diagnosis.findings.tables import UNEXPLAINED
+from calflow.diagnosis.findings.finding import Finding
+from calflow.effects.words import UNEXPLAINED, cause_name, cause_words
 from calflow.files.results import Results
+from calflow.files.words import chance, first_up, listed, plural, sureness
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot
 from calflow.reporting.causes.gain import gain_words
 from calflow.reporting.figures.causes import explained, in_space
 from calflow.reporting.figures.residuals import magnification
-from calflow.reporting.findings import Found, cause_name, cause_words, chance, findings, sureness
+from calflow.reporting.findings import findings
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice
-from calflow.reporting.words import first_up, listed, plural
 
 TOLD = 3  # rivals that a finding's own text names
 
 
-def apart(one: Found, results: Results) -> list[str]:
+def apart(one: Finding, results: Results) -> list[str]:
     """Say what would tell a cause from its rivals."""
     said = []
     for row in _separations(results):
-        if (row.cause, row.joint or 0) != (one.cause, one.joint):
+        if (row.cause, row.joint) != (one.cause, one.joint):
             continue
         if row.chance_after < ENOUGH:
             after = row.separation_after_sd if row.tested else None
@@ -38,7 +39,7 @@ def apart(one: Found, results: Results) -> list[str]:
             continue
         poses = "The poses of diagnose/next_poses.csv" if row.proposed else "Further poses"
         said.append(
-            f"{poses} would tell it from {cause_name(row.rival, row.rival_joint or 0)}: {row.separation_after_sd:.1f} standard "
+            f"{poses} would tell it from {cause_name(row.rival, row.rival_joint)}: {row.separation_after_sd:.1f} standard "
             f"deviations apart instead of {row.separation_before_sd:.1f}."
         )
     return list(dict.fromkeys(said))[:TOLD]
@@ -52,7 +53,7 @@ def next_poses(results: Results) -> list[Advice]:
     found = []
     for poses in plans.values():
         first = poses[0]
-        own, others = cause_name(first.cause, first.joint or 0), _names(first.rival_causes, first.rival_joints)
+        own, others = cause_name(first.cause, first.joint), _names(first.rival_causes, first.rival_joints)
         sentence = (
             f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that tell {own} from {listed(others)}: they "
             f"would be at least {first.separation_after_sd:.1f} standard deviations apart instead of "
@@ -67,8 +68,8 @@ def other_means(results: Results) -> list[Advice]:
     open_ = {(one.cause, one.joint) for one in findings(results) if one.status == "one_of"}
     means: dict[str, list[str]] = {}
     for row in _separations(results):
-        if row.chance_after < ENOUGH and (row.cause, row.joint or 0) in open_:
-            own, rival = cause_name(row.cause, row.joint or 0), cause_name(row.rival, row.rival_joint or 0)
+        if row.chance_after < ENOUGH and (row.cause, row.joint) in open_:
+            own, rival = cause_name(row.cause, row.joint), cause_name(row.rival, row.rival_joint)
             means.setdefault(row.means, []).append(f"{own} from {rival}")
     return [Advice(3, f"To tell {listed(pairs, 3)}: {what}.") for what, pairs in means.items()]
 
@@ -92,16 +93,16 @@ WANDERED = "What the device reports shifts in the course of the measurement"
 DRAWN = 700  # arrows in the workspace
 
 
-def finding(material: Material, one: Found) -> list[Block]:
-    """Tell a cause in words and figures."""
-    head = f"{one.order}. {first_up(one.names)}"
+def finding(material: Material, one: Finding, number: int) -> list[Block]:
+    """Tell a cause, the number of which counts those found, in words and figures."""
+    head = f"{number}. {first_up(one.names)}"
     text = " ".join(
         part for part in (_what(one), how_sure(one), *apart(one, material.results), _gain(material, one)) if part
     )
     return [Heading(head), Paragraph(text), *_curves(material, one)]
 
 
-def _what(one: Found) -> str:
+def _what(one: Finding) -> str:
     words = cause_words(one.cause)
     size = f"{words.size} {one.amount}" if one.unit else ""
     if one.of_family:
@@ -112,9 +113,9 @@ def _what(one: Found) -> str:
     return f"{said}: {size} (1 sd)." if size and "±" in size else f"{said}{f': {size}' if size else ''}."
 
 
-def how_sure(one: Found) -> str:
+def how_sure(one: Finding) -> str:
     """Say how sure it is that there is something, and how sure its name is."""
-    said = [f"The chance that noise alone makes any cause look like this is {chance(one.p)}."]
+    said = [f"The chance that noise alone makes any cause look like this is {chance(one.p_family)}."]
     if one.of_family:
         kin = first_up(listed([cause_words(name).name for name in one.kin]))
         sure = "That it goes with the joint's angle is sure; its order, or finer form, is not."
@@ -132,7 +133,7 @@ def how_sure(one: Found) -> str:
             f"Its name is less sure: {', and '.join(why)} (probability of {cause_name(one.cause, one.joint)}: "
             f"{sureness(one.probability)})."
         )
-    elif UNEXPLAINED in one.alike:
+    elif UNEXPLAINED in one.cannot_tell_from:
         said.append(
             "Its name is not sure: something that no cause explains depends on the same input, and may be all of it."
         )
@@ -145,24 +146,24 @@ def how_sure(one: Found) -> str:
     return " ".join(said)
 
 
-def _gain(material: Material, one: Found) -> str:
+def _gain(material: Material, one: Finding) -> str:
     if not moves(material, one):
         return "It changes how much each row counts, not where the tool is predicted."
     return gain_words(one, material.noise_floor)
 
 
-def moves(material: Material, one: Found) -> bool:
+def moves(material: Material, one: Finding) -> bool:
     """Whether a finding is in the model of the position, and not in that of the noise."""
-    return one.told and bool((material.tables["diagnose/curves.csv"]["finding"].isin(one.numbers)).any())
+    return one.is_cause and bool((material.tables["diagnose/curves.csv"]["finding"].isin(one.numbers)).any())
 
 
-def _curves(material: Material, one: Found) -> list[Block]:
+def _curves(material: Material, one: Finding) -> list[Block]:
     every = material.tables["diagnose/curves.csv"]
     drawn = [every[(every["finding"] == number) & every["split"].isin(["train", "holdout"])] for number in one.numbers]
     return [_curve(one, rows, number) for rows, number in zip(drawn, one.numbers, strict=True) if not rows.empty]
 
 
-def _curve(one: Found, rows: pd.DataFrame, number: int) -> Block:
+def _curve(one: Finding, rows: pd.DataFrame, number: int) -> Block:
     x, before, after, fitted = rows[["x", "before_mm", "after_mm", "fitted_mm"]].to_numpy(dtype=float).T
     unit = "" if pd.isna(rows["variable_unit"].iloc[0]) else str(rows["variable_unit"].iloc[0])
     drawn = explained(
@@ -174,7 +175,7 @@ def _curve(one: Found, rows: pd.DataFrame, number: int) -> Block:
     return Plot(f"cause_{number}", drawn, caption, told)
 
 
-def space(material: Material, causes: Sequence[Found]) -> list[Block]:
+def space(material: Material, causes: Sequence[Finding]) -> list[Block]:
     """Draw the errors before and after the causes were added."""
     if not any(moves(material, one) for one in causes):
         return []

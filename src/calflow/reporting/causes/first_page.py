@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary
-from calflow.diagnosis.findings.tables import UNEXPLAINED
+from calflow.diagnosis.findings.finding import Finding
+from calflow.effects.words import UNEXPLAINED
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.files.results import Results
+from calflow.files.words import first_up, listed, mm, plural
 from calflow.reporting.causes.gain import labels
 from calflow.reporting.causes.unexplained import lack_of_fit, structure, unexplained_findings
-from calflow.reporting.findings import Found, findings
-from calflow.reporting.words import first_up, listed, mm, plural
+from calflow.reporting.findings import findings
 
 CAPPED = (
     "As many causes were found as were allowed (stages.diagnose.causes): there may be more, and what they would explain is "
@@ -28,19 +29,19 @@ def foremost(results: Results) -> list[str]:
 
 def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
     """Say for the first page in a line each what the model lacked: what gains most first, what gains nothing last, as such."""
-    causes = [one for one in findings(results) if one.told]
+    causes = [one for one in findings(results) if one.is_cause]
     summary = results.document("diagnose/summary.json", DiagnosisSummary)
     if not causes:
         more = unexplained_findings(results) or lack_of_fit(results)
         told = "No cause explains what is left" if more else "Nothing was found"
         unseen = f" {first_up(summary.unseen)}." if summary.unseen else ""
         return [f"{told}: {summary.causes_tested} causes were tested.{unseen}"]
-    names = dict(zip((one.order for one in causes), labels(causes), strict=True))
-    worth = sorted((one for one in causes if not _in_vain(one)), key=lambda one: -_gain(one))
-    vain = [names[one.order] for one in causes if _in_vain(one)]
-    said: list[str | tuple[str, str]] = [(f"{first_up(names[one.order])}:", _in_short(one)) for one in worth[:most]]
+    named = list(zip(causes, labels(causes), strict=True))
+    worth = sorted((pair for pair in named if not _in_vain(pair[0])), key=lambda pair: -_gain(pair[0]))
+    vain = [name for cause, name in named if _in_vain(cause)]
+    said: list[str | tuple[str, str]] = [(f"{first_up(name)}:", _in_short(cause)) for cause, name in worth[:most]]
     if len(worth) > most:
-        rest = listed(list(dict.fromkeys(one.name for one in worth[most:])), len(worth))
+        rest = listed(list(dict.fromkeys(cause.name for cause, _ in worth[most:])), len(worth))
         said.append((f"And {plural(len(worth) - most, 'more cause')}:", f"{rest}."))
     if vain:
         said.append(("In the model without measurable gain at held-out poses:", f"{listed(vain, len(vain))}."))
@@ -49,17 +50,17 @@ def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
     return said
 
 
-def _in_vain(one: Found) -> bool:
+def _in_vain(one: Finding) -> bool:
     """Whether the step that added a cause shows no gain at poses that no fit has seen."""
     return math.isfinite(one.gain[0]) and not one.gain[1] > 0
 
 
-def _gain(one: Found) -> float:
+def _gain(one: Finding) -> float:
     """What a cause takes off the mean error; nothing where that is not known."""
     return one.gain[0] if math.isfinite(one.gain[0]) else 0.0
 
 
-def _in_short(one: Found) -> str:
+def _in_short(one: Finding) -> str:
     gained = f"; it takes {mm(one.gain[0])} mm off the mean error" if math.isfinite(one.gain[0]) else ""
     return f"{one.amount}{gained}."
 
@@ -70,7 +71,7 @@ def unsure(results: Results) -> list[str]:
     for one in findings(results):
         if one.of_family:
             said.append(f"The order, or finer form, of the {one.name}.")
-        if UNEXPLAINED in one.alike:
+        if UNEXPLAINED in one.cannot_tell_from:
             said.append(f"Whether it is {one.name} at all, or a part of what stays unexplained.")
         elif one.status == "one_of" and one.others:
             said.append(f"Whether it is {' or '.join([one.name, *(rival.name for rival in one.others[:3])])}.")

@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 from scipy.stats import ttest_1samp
 
+from calflow.diagnosis.findings.finding import Finding
 from calflow.files.results import Results
+from calflow.files.words import mm, number
 from calflow.reporting.blocks import Block, Heading, Plot
 from calflow.reporting.figures.causes import gains
-from calflow.reporting.findings import Found
 from calflow.reporting.material import Material, split_judged, steps
 from calflow.reporting.section import Advice
-from calflow.reporting.words import mm, number
 
 WORSE = 1.02  # times the error without causes from which they do not help
 HARM = 1.25  # times that error from which they do harm, however few poses say so
@@ -26,7 +26,7 @@ GAINS = (
 )
 
 
-def gain_words(one: Found, floor: float | None) -> str:
+def gain_words(one: Finding, floor: float | None) -> str:
     """Say what a cause gained on poses that no fit has seen; floor is what noise alone would leave [mm]."""
     gain, low, high = one.gain
     if math.isnan(gain):
@@ -35,18 +35,18 @@ def gain_words(one: Found, floor: float | None) -> str:
     noise = f"; noise alone would leave {mm(floor)} mm" if floor else ""
     if low > 0:
         return (
-            f"At poses that no fit has seen it takes {mm(gain)} mm off the mean error ({interval}) and leaves {mm(one.left)} "
-            f"mm{noise}."
+            f"At poses that no fit has seen it takes {mm(gain)} mm off the mean error ({interval}) and leaves "
+            f"{mm(one.heldout_mean_mm)} mm{noise}."
         )
     if high < 0:
         return f"At poses that no fit has seen it makes the mean error {mm(-gain)} mm larger ({interval}): do not rely on it."
     return (
         f"At poses that no fit has seen the step that added it gained {_signed(gain)} mm, which cannot be told from nothing "
-        f"({interval}); {mm(one.left)} mm are left{noise}."
+        f"({interval}); {mm(one.heldout_mean_mm)} mm are left{noise}."
     )
 
 
-def gain_cells(one: Found) -> tuple[str, str]:
+def gain_cells(one: Finding) -> tuple[str, str]:
     """Return a gain and its interval for a table."""
     gain, low, high = one.gain
     if math.isnan(gain):
@@ -54,7 +54,7 @@ def gain_cells(one: Found) -> tuple[str, str]:
     return _signed(gain), f"{_signed(low)} … {_signed(high)}"
 
 
-def worth(one: Found) -> str:
+def worth(one: Finding) -> str:
     """Say what a Gaussian process would gain."""
     gain, low, high = one.gain
     if math.isnan(gain):
@@ -65,17 +65,17 @@ def worth(one: Found) -> str:
     return f" A Gaussian process of it, which has no physical meaning, would take {mm(gain)} mm off the mean error ({interval})."
 
 
-def gained(material: Material, causes: Sequence[Found]) -> list[Block]:
+def gained(material: Material, causes: Sequence[Finding]) -> list[Block]:
     """Draw what each cause took off, one after the other."""
     moved = [one for one in causes if math.isfinite(one.gain[0])]
     if not moved:
         return []
     before = material.tables["identify/accuracy.csv"]
     start = steps(before, split_judged(before))[-1].mean
-    drawn = gains(start, labels(moved), [one.left for one in moved], np.array([one.gain[1:] for one in moved]),
+    drawn = gains(start, labels(moved), [one.heldout_mean_mm for one in moved], np.array([one.gain[1:] for one in moved]),
                   material.noise_floor)  # fmt: skip
     data = pd.DataFrame(
-        [(name, *one.gain, one.left) for name, one in zip(labels(moved), moved, strict=True)],
+        [(name, *one.gain, one.heldout_mean_mm) for name, one in zip(labels(moved), moved, strict=True)],
         columns=["cause", "gain_mean_mm", "gain_low_mm", "gain_high_mm", "heldout_mean_mm"],
     )
     unknown = (
@@ -120,7 +120,7 @@ def loss_by_chance(results: Results) -> float:
     return float(ttest_1samp(lost, 0.0, alternative="greater").pvalue) if len(lost) > 1 and lost.std() > 0 else 1.0
 
 
-def labels(causes: Sequence[Found]) -> list[str]:
+def labels(causes: Sequence[Finding]) -> list[str]:
     """Return the causes' names, with their details where a name comes twice."""
     names = [one.name for one in causes]
     return [f"{one.name} ({one.detail})" if names.count(one.name) > 1 and one.detail else one.name for one in causes]

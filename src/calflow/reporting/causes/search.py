@@ -7,17 +7,19 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
+from calflow.diagnosis.findings.finding import Finding
 from calflow.diagnosis.findings.tables import CandidateRow
 from calflow.diagnosis.findings.verdict import WITHIN
 from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES
+from calflow.effects.words import cause_words, place_name, place_names, readable_size
 from calflow.files.results import Results
+from calflow.files.words import chance, first_up, listed, two_digits
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
 from calflow.reporting.causes.unexplained import unexplained
 from calflow.reporting.figures.causes import evidence
-from calflow.reporting.findings import Found, cause_words, chance, findings, place_name, place_names, readable_size
+from calflow.reporting.findings import findings
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice
-from calflow.reporting.words import first_up, listed, two_digits
 
 SHOWN = 10  # candidates in the figure
 LONGEST = 46  # letters of a name with its detail, beyond which the detail is left out
@@ -37,13 +39,13 @@ def candidates(results: Results) -> list[CandidateRow]:
     return results.rows("diagnose/candidates.csv", CandidateRow)
 
 
-def went(material: Material, causes: Sequence[Found]) -> list[Block]:
+def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
     """Draw the places that spoke most strongly, where any spoke; causes are those in the extended model."""
     rows = _tested(candidates(material.results))[:SHOWN]
     if not rows or not findings(material.results):
         return []
     places = {(one.cause, one.joint) for one in causes}
-    added = np.array([(row.cause, row.joint or 0) in places for row in rows])
+    added = np.array([(row.cause, row.joint) in places for row in rows])
     drawn = evidence([_words(row) for row in rows], np.array([-row.delta_bic for row in rows]),
                      np.array([row.p_family for row in rows]), added, WITHIN, threshold(material))  # fmt: skip
     data = pd.DataFrame(
@@ -59,14 +61,14 @@ def limits(rows: Sequence[CandidateRow]) -> list[Block]:
     if not shown:
         return []
     numbers = sorted({row.joint for row in shown if row.joint})
-    least: dict[tuple[str, int], float] = {}
+    least: dict[tuple[str, int | None], float] = {}
     for row in shown:
-        place = row.cause, row.joint or 0
+        place = row.cause, row.joint
         least[place] = min(row.limit, least.get(place, np.inf))
     lines = []
     for cause, unit in {row.cause: row.unit for row in reversed(shown)}.items():
         factor, said = readable_size(cause, unit)
-        cells = [two_digits(factor * least[cause, k]) if (cause, k) in least else "–" for k in (*numbers, 0)]
+        cells = [two_digits(factor * least[cause, k]) if (cause, k) in least else "–" for k in (*numbers, None)]
         lines.append((first_up(cause_words(cause).name), said, *cells))
     header = ("cause", "unit", *map(str, numbers), "whole robot")
     return [
@@ -93,10 +95,10 @@ def not_tested(rows: Sequence[CandidateRow]) -> list[Block]:
 
 def untestable(rows: Sequence[CandidateRow]) -> dict[str, list[str]]:
     """Return which causes could not be tested by what a test would need; nothing: the model's own parameters imitate them."""
-    places: dict[tuple[str, str], list[tuple[int, str]]] = {}
+    places: dict[tuple[str, str], list[tuple[int | None, str]]] = {}
     for row in rows:
         if row.imitated or row.lacking:
-            places.setdefault((row.lacking, row.cause), []).append((row.joint or 0, row.part))
+            places.setdefault((row.lacking, row.cause), []).append((row.joint, row.part))
     groups: dict[str, list[str]] = {}
     for (lacking, cause), own in places.items():
         groups.setdefault(lacking, []).append(place_names(cause, own))
@@ -137,6 +139,6 @@ def _tested(rows: Sequence[CandidateRow]) -> list[CandidateRow]:
 
 
 def _words(row: CandidateRow) -> str:
-    name = place_name(row.cause, row.joint or 0, row.part)
+    name = place_name(row.cause, row.joint, row.part)
     detail = f" ({row.detail})" if row.detail else ""
     return name + detail if len(name + detail) <= LONGEST else name

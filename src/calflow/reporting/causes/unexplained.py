@@ -5,22 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary
+from calflow.diagnosis.findings.finding import Finding
 from calflow.files.results import Results
+from calflow.files.words import chance, first_up, listed, ratio
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph
 from calflow.reporting.causes.gain import worth
-from calflow.reporting.findings import Found, chance, findings
+from calflow.reporting.findings import findings
 from calflow.reporting.section import Advice
-from calflow.reporting.words import first_up, listed, ratio
 
 
-def still_unexplained(left: Sequence[Found]) -> list[Block]:
+def still_unexplained(left: Sequence[Finding]) -> list[Block]:
     """Tell what stays unexplained."""
     if not left:
         return []
     items = [
         ("The model as a whole:", f"{first_up(one.statement)}.") if one.is_misfit else
-        (f"{first_up(one.inputs)}:", f"part of the error depends on it, and no cause of the catalogue explains it. The chance "
-         f"that noise looks like this is {chance(one.p)}.{worth(one)}")
+        (f"{first_up(one.inputs_in_words)}:", f"part of the error depends on it, and no cause of the catalogue explains it. The "
+         f"chance that noise looks like this is {chance(one.p_family)}.{worth(one)}")
         for one in left
     ]  # fmt: skip
     return [
@@ -33,17 +34,17 @@ def still_unexplained(left: Sequence[Found]) -> list[Block]:
 def structure(results: Results) -> str:
     """Name what the unexplained part of the error depends on; empty where nothing is unexplained."""
     left = unexplained_findings(results)
-    return listed([one.inputs for one in left], 3) if left else ""
+    return listed([one.inputs_in_words for one in left], 3) if left else ""
 
 
-def unexplained_findings(results: Results) -> list[Found]:
+def unexplained_findings(results: Results) -> list[Finding]:
     """Return what stays unexplained and depends on an input."""
     return [one for one in findings(results) if one.status == "unexplained" and not one.is_misfit]
 
 
 def lack_of_fit(results: Results) -> str:
     """Say that the extended model leaves more than its noise, and where most; empty where it does not."""
-    p = next((one.p for one in findings(results) if one.is_misfit), None)
+    p = next((one.p_family for one in findings(results) if one.is_misfit), None)
     if p is None:
         return ""
     summary = results.document("diagnose/summary.json", DiagnosisSummary)

@@ -15,9 +15,9 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
+from calflow.files.words import mm, number
 from calflow.reporting.material import ModelAccuracy
 from calflow.reporting.style import ACCENT, DARK, LIGHT, MANY, MIDDLE, crowded, dots, figure, panels, plain_decades
-from calflow.reporting.words import mm, number
 
 FEW_VALUES = 6  # of a variable, up to which its rows are drawn in groups
 SMOOTH = 0.05  # share of a curve's variance between neighbours up to which it is drawn as a line

@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from calflow.files.words import mm
 from calflow.reporting.material import ModelAccuracy
 from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, figure, panels, plain_decades
-from calflow.reporting.words import mm
 
 NOISE_DRAWS = 200_000
 MOST_STEPS = 5000  # of a cumulative curve: more are finer than a line

@@ -8,13 +8,13 @@ import pandas as pd
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.repeats import MIN_REPEATS
 from calflow.files.results import Results
+from calflow.files.words import effect_words, listed, mm, ratio
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.figures.causes import waterfall
 from calflow.reporting.figures.error_budget import budget, distribution
 from calflow.reporting.findings import findings
 from calflow.reporting.material import Material, as_table, latest, latest_summary, split_judged, steps
 from calflow.reporting.section import Advice, Section
-from calflow.reporting.words import effect_words, listed, mm, ratio
 
 FAR_OFF = 0.1  # share of the measured space by which a nominal robot may miss
 LACKS = 1.5  # times the noise from which a lack of fit is told

@@ -14,10 +14,10 @@ from calflow.diagnosis.findings.extended_model import DiagnosisSummary
 from calflow.estimation.calibrated_model import DeviceNoise
 from calflow.estimation.fit_summary import FitSummary, IdentifySummary
 from calflow.estimation.noise import Noise
+from calflow.files.words import effect_words
 from calflow.reporting.blocks import Block, Columns, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.words import effect_words
 
 Facts = list[tuple[str, str]]
 

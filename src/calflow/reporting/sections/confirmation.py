@@ -12,11 +12,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from calflow.files.words import mm
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, DARK, panels
-from calflow.reporting.words import mm
 
 COLUMNS = 3
 

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import errors
+from calflow.files.words import effect_words, listed, mm, number
 from calflow.reporting.blocks import Block, Heading, Paragraph, Table
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Section
-from calflow.reporting.words import effect_words, listed, mm, number
 from calflow.robot.parts import Base
 from calflow.robot.transforms import angles
 

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import count
 
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary
+from calflow.diagnosis.findings.finding import Finding
 from calflow.files.results import Results
+from calflow.files.words import chance_figure, effect_words, listed, sureness
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.causes.finding import finding, moves, next_poses, other_means, space
 from calflow.reporting.causes.gain import gain_cells, gained, makes_it_worse
 from calflow.reporting.causes.search import candidates, strongest, threshold, untested
 from calflow.reporting.causes.unexplained import still_unexplained, unexplained
-from calflow.reporting.findings import Found, chance_figure, findings, sureness
+from calflow.reporting.findings import findings
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
-from calflow.reporting.words import effect_words, listed
 
 STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
 SUMMARY = "diagnose/summary.json"
@@ -33,18 +35,18 @@ CURVES = (
 def write(material: Material) -> list[Block]:
     """Tell each finding in words and figures, then what is left."""
     found = findings(material.results)
-    causes = [one for one in found if one.told]
+    causes = [one for one in found if one.is_cause]
     left = [one for one in found if one.status == "unexplained"]
     return [
         *_opening(material, found),
-        *[block for one in causes for block in finding(material, one)],
+        *[block for k, one in enumerate(causes, start=1) for block in finding(material, one, k)],
         *gained(material, causes),
         *still_unexplained(left),
         *space(material, causes),
     ]
 
 
-def _opening(material: Material, every: Sequence[Found]) -> list[Block]:
+def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
     summary = material.results.document(SUMMARY, DiagnosisSummary)
     searched = (
         f"What the study's model leaves was searched for {summary.causes_tested} causes, each at its place in the robot or its "
@@ -56,13 +58,15 @@ def _opening(material: Material, every: Sequence[Found]) -> list[Block]:
         best = strongest(candidates(material.results))
         unseen = f" But {summary.unseen}." if summary.unseen else ""
         return [Paragraph(NOTHING + unseen, bold=True), Paragraph(f"{searched}{best}")]
+    order = count(1)
     rows = [
-        (str(one.order or "–"), _title(one), one.amount if one.told and one.unit else "–", STATUS.get(one.status, one.status),
-         chance_figure(one.p), sureness(one.probability), *gain_cells(one))
+        (str(next(order)) if one.is_cause else "–", _title(one), one.amount if one.is_cause and one.unit else "–",
+         STATUS.get(one.status, one.status),
+         chance_figure(one.p_family), sureness(one.probability), *gain_cells(one))
         for one in found
     ]  # fmt: skip
     header = ("", "finding", "size (± 1 sd)", "name", "false alarm", "probability", "gain [mm]", "95 % interval")
-    told = any(one.told for one in found)
+    told = any(one.is_cause for one in found)
     first = [] if told else [Paragraph("No cause of the catalogue was found.", bold=True)]
     listing: list[Block] = [Paragraph(NO_PROOF), Table(header, rows, "rlrlrrrr", size=8, wide=1)]
     return [
@@ -85,7 +89,7 @@ def extension_not_converged(results: Results) -> list[Advice]:
     return [Advice(1, sentence)]
 
 
-def _mended(every: Sequence[Found]) -> str:
+def _mended(every: Sequence[Finding]) -> str:
     """Say that the search was made on data whose faults were seen to."""
     faults = dict.fromkeys(effect_words(one.cause) for one in every if one.status == FAULT)
     return (
@@ -93,11 +97,11 @@ def _mended(every: Sequence[Found]) -> str:
     )
 
 
-def _title(one: Found) -> str:
+def _title(one: Finding) -> str:
     if one.is_misfit:
         return f"more than noise{f', most where {one.detail}' if one.detail else ''}"
     if one.status == "unexplained":
-        return f"depends on {one.inputs}"
+        return f"depends on {one.inputs_in_words}"
     return one.names
 
 

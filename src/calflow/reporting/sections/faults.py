@@ -6,10 +6,10 @@ import pandas as pd
 
 from calflow.faults.base import lines_in_words
 from calflow.files.results import Results
+from calflow.files.words import effect_words, plural
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
-from calflow.reporting.words import effect_words, plural
 
 FAULTS = "identify/faults.csv"
 SHOWN = 12  # places that a list of lines names

@@ -9,11 +9,11 @@ from typing import Any
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.identifiability import Redundant, Statement, scale_words, silent_words, trade_words
 from calflow.files.results import Results
+from calflow.files.words import effect_words, first_up, interval, listed, number, part_words, readable
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
 from calflow.reporting.sections.parameters import prior_names
-from calflow.reporting.words import effect_words, first_up, interval, listed, number, part_words, readable
 
 SHOWN = 15  # correlations in the table
 NAMED = 3  # parameters that a trade on the first page names

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from calflow.design.measuring_order import DriftPull
+from calflow.files.words import mm
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.words import mm
 
 TOLD = "select/order.csv"
 SAID = (

@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from calflow.effects.words import place_name
 from calflow.files.results import Results
+from calflow.files.words import number, percent
 from calflow.reporting.blocks import Block, Bullets, Paragraph, Plot, Table
-from calflow.reporting.findings import place_name
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.style import DARK, MIDDLE, figure
-from calflow.reporting.words import number, percent
 from calflow.sampling.models import ONLY, CauseProbability, ModelRow
 
 ROW = 0.2  # inches of a cause

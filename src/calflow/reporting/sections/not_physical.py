@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
+from calflow.files.words import first_up
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.words import first_up
 
 ACCURACY = "residual_field/accuracy.csv"
 MEANING = (

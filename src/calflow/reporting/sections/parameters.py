@@ -18,11 +18,11 @@ from matplotlib.figure import Figure
 
 from calflow.estimation.identifiability import Statement
 from calflow.files.results import Results
+from calflow.files.words import cut, effect_words, interval, listed, readable, with_sd
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Advice, Section
 from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, turned
-from calflow.reporting.words import cut, effect_words, interval, listed, readable, with_sd
 
 AT_BOUND = "at a bound, no sd"
 CHARACTER = 0.55  # of a parameter's place that a letter takes

@@ -7,12 +7,12 @@ import math
 from calflow.design.separability import isolability_gaps, isolability_summary
 from calflow.design.worth import HowMany, Worth
 from calflow.files.results import Results
+from calflow.files.words import first_up, listed, mm, percent, plural
 from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Item, Paragraph, Plot, RestOfPage
 from calflow.reporting.figures.poses import expected_error
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.sections.told_apart import TABLE as ISOLABILITY
-from calflow.reporting.words import first_up, listed, mm, percent, plural
 
 NEEDS = ("select/poses.csv", "select/observability.csv", "select/how_many.json", "select/worth.csv")
 GAPS = 5  # that are told on the first page

@@ -11,7 +11,6 @@ from calflow.reporting.figures.poses import observability
 from calflow.reporting.figures.residuals import map_of_poses
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.words import mm, number
 from calflow.robot.readings import reading_columns, reading_labels
 from calflow.robot.robot import Robot
 

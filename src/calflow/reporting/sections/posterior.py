@@ -13,14 +13,15 @@ import numpy as np
 import pandas as pd
 
 from calflow.effects.cause import Cause
+from calflow.effects.words import cause_name
 from calflow.files.results import Results
+from calflow.files.words import cut, listed, readable, with_sd
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
 from calflow.reporting.figures.chains import against_laplace, corner, traces
-from calflow.reporting.findings import cause_name
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Advice, Section
 from calflow.reporting.style import WIDTH
-from calflow.reporting.words import listed, readable, short_names, with_sd
+from calflow.robot.parameter import Parameter
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
 from calflow.sampling.posterior import ChainSummary, prior_dominates, shared
 
@@ -241,6 +242,15 @@ def corner_names(results: Results) -> list[str]:
     )
     chosen = [name for name in dict.fromkeys(names) if name in sampled][:PAIRED]
     return [name for name in parameters["parameter"] if name in chosen]
+
+
+def short_names(parameters: Sequence[Parameter]) -> list[str]:
+    """Return names for a figure's axis: part and symbol where these are clear, else a parameter's whole name."""
+    short = [f"{parameter.part}.{parameter.symbol}" for parameter in parameters]
+    return [
+        cut(name if short.count(name) == 1 else parameter.name)
+        for name, parameter in zip(short, parameters, strict=True)
+    ]
 
 
 def _row(row: pd.Series) -> tuple[str, ...]:

@@ -6,11 +6,11 @@ import pandas as pd
 from scipy.stats import binom
 
 from calflow.files.results import Results
+from calflow.files.words import percent
 from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.figures.chains import predictions
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
-from calflow.reporting.words import percent
 
 HELD_OUT = "held-out rows"
 LEVEL = 0.95

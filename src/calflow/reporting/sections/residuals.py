@@ -7,11 +7,11 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from calflow.files.results import Results
+from calflow.files.words import listed, mm, plural, ratio
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Scene, Table
 from calflow.reporting.figures.residuals import against_joints, against_place, in_workspace, magnification
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Advice, Section
-from calflow.reporting.words import listed, mm, plural, ratio
 from calflow.robot.readings import reading_columns, reading_labels, shown_readings
 
 SHOWN = 15  # flagged rows in the table

@@ -12,7 +12,7 @@ from calflow.reporting.section import Section
 def write(material: Material) -> list[Block]:
     """Draw the strongest places, and tabulate limits and what was not testable."""
     rows = candidates(material.results)
-    causes = [one for one in findings(material.results) if one.told]
+    causes = [one for one in findings(material.results) if one.is_cause]
     return [*went(material, causes), *limits(rows), *not_tested(rows)]
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from calflow.files.words import mm, plural
 from calflow.reporting.blocks import Block, Paragraph, Signatures, Table
 from calflow.reporting.material import Material, latest, split_judged, steps
 from calflow.reporting.section import Section
 from calflow.reporting.tolerance import Judged, judged
-from calflow.reporting.words import mm, plural
 from calflow.study_file import Acceptance
 
 KELVIN = 273.15

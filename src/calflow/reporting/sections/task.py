@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 
 from calflow.files.results import Results
+from calflow.files.words import mm
 from calflow.reporting.blocks import Block, Bullets, Paragraph, Plot, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
 from calflow.reporting.task_answer import LIKELY, Course, along, answer, chance, strange, task_map, task_of
-from calflow.reporting.words import mm
 from calflow.sampling.task_points import TaskSummary
 
 MAPS = 3  # payloads that have a line of maps, the least sure ones

@@ -9,6 +9,7 @@ import numpy as np
 
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.files.results import Results
+from calflow.files.words import first_up, listed, mm, plural, ratio
 from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Paragraph, Plot, RestOfPage
 from calflow.reporting.causes.first_page import foremost, lacked, structure, unsure
 from calflow.reporting.figures.error_budget import before_after
@@ -29,7 +30,6 @@ from calflow.reporting.sections.identifiability import open_questions
 from calflow.reporting.sections.predictive import coverage_words
 from calflow.reporting.task_answer import task_lines
 from calflow.reporting.tolerance import judged, useless
-from calflow.reporting.words import first_up, listed, mm, plural, ratio
 
 ENOUGH = 1.1  # times the noise up to which a model counts as complete
 CARDS = 3

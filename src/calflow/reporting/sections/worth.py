@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from calflow.design.worth import Worth
+from calflow.files.words import cut, first_up, mm, number
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.words import cut, first_up, mm, number
 
 TOLD = "select/worth.csv"
 SAID = (

@@ -6,9 +6,9 @@ import math
 import re
 from collections.abc import Sequence
 
-from calflow.robot.parameter import Parameter
-
 AXIS = 40  # letters for which a figure's axis has room
+CERTAIN = 0.99  # probability beyond which only this is said
+SMALL = 1e-6  # chance below which only this is said
 READABLE = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
 
 
@@ -52,6 +52,32 @@ def interval(lower: float, upper: float) -> str:
 def percent(share: float) -> str:
     """Return a share as percent."""
     return f"{100 * share:.0f} %"
+
+
+def chance(p: float) -> str:
+    """Return a small probability as words: one in so many."""
+    if not math.isfinite(p):
+        return "unknown"
+    if p < SMALL:
+        return "less than one in a million"
+    if p > 0.1:
+        return f"about {percent(p)}"
+    digits = 10 ** max(0, math.floor(math.log10(1 / p)) - 1)
+    return f"about one in {round(1 / p / digits) * digits:,}"
+
+
+def chance_figure(p: float) -> str:
+    """Return a small probability for a table."""
+    if not math.isfinite(p):
+        return "–"
+    return "< 10⁻⁶" if p < SMALL else f"{p:.2g}" if p >= 1e-3 else number(p, ".0e")
+
+
+def sureness(probability: float) -> str:
+    """Return a probability as percent that never claims certainty."""
+    if not math.isfinite(probability):
+        return "–"
+    return f"> {percent(CERTAIN)}" if probability > CERTAIN else percent(probability)
 
 
 def with_sd(value: float, sd: float) -> tuple[str, str]:
@@ -100,12 +126,3 @@ def part_words(part: str) -> str:
 def cut(name: str) -> str:
     """Return a name as a figure's axis has room for it: of a very long one, its beginning and its end."""
     return name if len(name) <= AXIS else f"{name[: AXIS // 2]}…{name[-AXIS // 2 + 1 :]}"
-
-
-def short_names(parameters: Sequence[Parameter]) -> list[str]:
-    """Return names for a figure's axis: part and symbol where these are clear, else a parameter's whole name."""
-    short = [f"{parameter.part}.{parameter.symbol}" for parameter in parameters]
-    return [
-        cut(name if short.count(name) == 1 else parameter.name)
-        for name, parameter in zip(short, parameters, strict=True)
-    ]
