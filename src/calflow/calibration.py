@@ -25,8 +25,10 @@ from calflow.diagnosis.findings.extended_model import (
     extended_model,
     extended_noise,
 )
+from calflow.diagnosis.findings.finding import Finding
 from calflow.diagnosis.findings.rivals import alternatives_table
-from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, FindingRow, candidates_table, findings_table
+from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, candidates_table
+from calflow.diagnosis.findings.tables import findings as diagnosed_findings
 from calflow.diagnosis.search.fitted import FAR
 from calflow.diagnosis.search.trial import FALSE_ALARM
 from calflow.effects import catalogue as effect_kinds
@@ -185,9 +187,9 @@ class Calibration(CalibratedModel):
         return TypedTable(self.results.tables["identify/correlations.csv"], Correlation)
 
     @cached_property
-    def findings(self) -> TypedTable[FindingRow]:
+    def findings(self) -> TypedTable[Finding]:
         """Faults of the data, causes, and what no cause explains, best first; none where nothing is lacking."""
-        return self._diagnosed("findings", FindingRow)
+        return self._diagnosed("findings", Finding)
 
     @cached_property
     def candidates(self) -> TypedTable[CandidateRow]:
@@ -437,7 +439,7 @@ def _diagnosed_tables(
     own = as_table(told, data)
     faults = pd.concat([table for table in (before.faults.table, own) if len(table)] or [own])
     tables = {
-        "diagnose/findings.csv": findings_table(found, data, faults, rng("resamples")),
+        "diagnose/findings.csv": to_frame(diagnosed_findings(found, data, faults, rng("resamples")), Finding),
         "diagnose/candidates.csv": candidates_table(found),
         "diagnose/accuracy.csv": accuracy_table(found, data, list(before.accuracy)),
         "diagnose/next_poses.csv": poses_table(asked, final),

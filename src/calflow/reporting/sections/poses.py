@@ -6,6 +6,7 @@ import pandas as pd
 
 from calflow.design.selection import Aim, Certificate
 from calflow.design.worth import HowMany
+from calflow.files.words import mm, number
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table
 from calflow.reporting.figures.poses import observability
 from calflow.reporting.figures.residuals import map_of_poses
