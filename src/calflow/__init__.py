@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from calflow.deployment.history import History
     from calflow.deployment.prediction import Prediction
     from calflow.deployment.validation import Validation
+    from calflow.estimation.parameters import Parameters
     from calflow.files.problems import InputError
     from calflow.measurements.measurements import Measurements
     from calflow.robot.frames import Frame, dh, modified_dh
@@ -50,10 +51,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Base", "Comparison", "Compensation", "Coupling", "Diagnosis", "Drift", "Expected", "Fit", "FourBar", "Frame",
-    "History", "InputError", "Joint", "Marker", "Measurements", "Model", "NextStep", "Payload", "Posterior", "Prediction",
-    "Reproduction", "Robot", "Run", "Study", "Validation", "choose_check_poses", "compare", "compensate", "dh",
-    "diagnose", "drift", "export_run", "filter_program", "history", "identify", "load_study", "modified_dh", "next_poses", "pack",
-    "predict", "report", "reproduce", "run", "sample", "simulate", "validate",
+    "History", "InputError", "Joint", "Marker", "Measurements", "Model", "NextStep", "Parameters", "Payload",
+    "Posterior", "Prediction", "Reproduction", "Robot", "Run", "Study", "Validation", "choose_check_poses", "compare",
+    "compensate", "dh", "diagnose", "drift", "export_run", "filter_program", "history", "identify", "load_study",
+    "modified_dh", "next_poses", "pack", "predict", "report", "reproduce", "run", "sample", "simulate", "validate",
 ]  # fmt: skip
 
 _HOMES = {
@@ -68,6 +69,7 @@ _HOMES = {
     "deployment.history": ("History",),
     "deployment.prediction": ("Prediction",),
     "deployment.validation": ("Validation",),
+    "estimation.parameters": ("Parameters",),
     "files.problems": ("InputError",),
     "measurements.measurements": ("Measurements",),
     "robot.frames": ("Frame", "dh", "modified_dh"),

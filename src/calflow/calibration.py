@@ -33,7 +33,6 @@ from calflow.diagnosis.search.fitted import FAR
 from calflow.diagnosis.search.trial import FALSE_ALARM
 from calflow.effects import catalogue as effect_kinds
 from calflow.effects.base import unmet
-from calflow.effects.expected import mistaken
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import (
     CalibratedModel,
@@ -50,7 +49,7 @@ from calflow.estimation.identification import identify as fitted
 from calflow.estimation.judgement import JudgedResidual, Studentised, judged, judged_table
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
-from calflow.estimation.parameters import FittedParameter, covariance_table, parameter_table
+from calflow.estimation.parameters import Parameters, covariance_table, mistaken
 from calflow.estimation.progress import Advance, Draws, Say, draws, nobody
 from calflow.estimation.rival_models import in_reach_table
 from calflow.faults import Fault, FaultyRow, as_table, corrected, examined
@@ -152,9 +151,9 @@ class Calibration(CalibratedModel):
         )
 
     @cached_property
-    def parameters(self) -> TypedTable[FittedParameter]:
-        """What was estimated, a row a parameter."""
-        return TypedTable(self._latest("parameters"), FittedParameter)
+    def parameters(self) -> Parameters:
+        """What was estimated, by name."""
+        return Parameters.of_table(self._latest("parameters"), self.robot)
 
     @cached_property
     def accuracy(self) -> TypedTable[Accuracy]:
@@ -315,6 +314,7 @@ def identify(
     data: Measurements,
     effects: Sequence[str] = ("geometry", "joint-compliance"),
     *,
+    parameters: Parameters | None = None,
     starts: int = 3,
     loss: Loss = "linear",
     noise: NoiseSource = "auto",
@@ -329,6 +329,7 @@ def identify(
         robot: as its maker says.
         data: measurements with a split (see `Measurements.split`).
         effects: ids of what a real robot also does, in the order in which they are added.
+        parameters: what is held, bounded or expected otherwise (see `Parameters.of`).
         starts: number of starting points of each fit.
         loss: how the square of a row's residual counts: linear, soft_l1, cauchy.
         noise: where the noise is to be taken from.
@@ -343,6 +344,7 @@ def identify(
     if "split" not in data.table:
         raise refuse("say first which poses to hold out: data = data.split(holdout=0.3, seed=1)", key="data")
     named = _checked_effects(effects, robot, data)
+    robot = robot if parameters is None else parameters.on(robot, data, named)
     settings = {"identify": {"starts": starts, "loss": loss, "noise": noise}}
     request = StudyFile(name=IN_PYTHON, title=title, robot="robot.toml", seed=seed, effects=named, stages=settings)
     rows, faults = examined(data.on(robot))
@@ -411,7 +413,7 @@ def _identified_tables(found: Identification, faults: tuple[Fault, ...]) -> Resu
     fit, observed = found.fit, found.model.observations
     tables = {
         "identify/faults.csv": as_table(faults, found.data),
-        "identify/parameters.csv": parameter_table(fit, fit.covariance),
+        "identify/parameters.csv": Parameters.fitted(fit, fit.covariance).table,
         "identify/accuracy.csv": to_frame(found.steps, Accuracy),
         "identify/residuals.csv": judged(fit, found.data, found.noise),
         "identify/identifiability.csv": found.identifiability.statements,
@@ -444,7 +446,7 @@ def _diagnosed_tables(
         "diagnose/accuracy.csv": accuracy_table(found, data, list(before.accuracy)),
         "diagnose/next_poses.csv": poses_table(asked, final),
         "diagnose/separations.csv": separations_table(asked),
-        "diagnose/parameters.csv": parameter_table(final.fit, final.covariance),
+        "diagnose/parameters.csv": Parameters.fitted(final.fit, final.covariance).table,
         "diagnose/covariance.csv": covariance_table(final.model.parameters, final.fit.covariance),
         "diagnose/effects.csv": effect_table(final.model.effects),
         "diagnose/alternatives.csv": alternatives_table(found.alternatives, found.causes, final),

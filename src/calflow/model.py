@@ -68,20 +68,49 @@ class Model:
         return (*self.observations, *self.effects, *self.probes)
 
     @cached_property
+    def declared(self) -> tuple[Parameter, ...]:
+        """All parameters, part by part, as the robot's expectations have them: those that are held, too."""
+        stated = self.robot.expectations
+        return tuple(parameter.as_expected(stated) for part in self.parts for parameter in part.declared)
+
+    @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters, part by part."""
-        return tuple(parameter for part in self.parts for parameter in part.declared)
+        """The parameters that are variables, part by part."""
+        return tuple(parameter for parameter in self.declared if parameter.held is None)
 
     def columns(self, part: Observation | Effect) -> np.ndarray:
         """Return the indices of the parameters of an observation or an effect; ValueError where the model does not have it."""
-        own = self._spans[self.parts.index(part)]
-        return np.arange(own.start, own.stop)
+        span = self._spans[self.parts.index(part)]
+        return np.flatnonzero((self.free >= span.start) & (self.free < span.stop))
+
+    def values(self, part: Observation | Effect, p: np.ndarray) -> np.ndarray:
+        """Return all parameters of an observation or an effect, as it declares them, for parameters p (n_parameters,)."""
+        return self.whole(p)[self._spans[self.parts.index(part)]]
+
+    def whole(self, p: np.ndarray) -> np.ndarray:
+        """Return the values of all that is declared, (n_declared,), for parameters p (n_parameters,)."""
+        values = np.array([parameter.held or 0.0 for parameter in self.declared])
+        values[self.free] = p
+        return values
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """Where the parameters are among all that is declared, shape (n_parameters,)."""
+        return np.flatnonzero([parameter.held is None for parameter in self.declared])
 
     @cached_property
     def _spans(self) -> tuple[slice, ...]:
-        """Where each part's parameters are."""
+        """Where each part's parameters are among all that is declared."""
         ends = np.cumsum([0, *(len(part.declared) for part in self.parts)])
         return tuple(slice(int(i), int(j)) for i, j in pairwise(ends))
+
+    def _completed(self, p: ca.SX) -> ca.SX:
+        """The symbols of the parameters with the values of those that are held between them."""
+        if len(self.parameters) == len(self.declared):
+            return p
+        values = ca.SX(ca.DM([parameter.held or 0.0 for parameter in self.declared]))
+        values[self.free.tolist()] = p
+        return values
 
     @cached_property
     def nominal(self) -> np.ndarray:
@@ -113,7 +142,7 @@ class Model:
 
         turns is how often the loads are evaluated anew at the deflected pose.
         """
-        row = Row.unpack(self.robot, c, self.given)
+        row, p = Row.unpack(self.robot, c, self.given), self._completed(p)
         spans = zip((*self.effects, *self.probes), self._spans[len(self.observations) :], strict=True)
         parts = [(effect, p[span]) for effect, span in spans]
         dims, loads = nominal_dimensions(self.robot), nominal_loads(self.robot)
@@ -156,22 +185,23 @@ class Model:
         return p, c, self.expression(p, c)
 
     def error(
-        self, observation: Observation, told: Callable[[ca.SX], None] = lambda report: None
+        self, observation: Observation, on_report: Callable[[ca.SX], None] = lambda report: None
     ) -> tuple[ca.SX, ca.SX]:
         """Return a symbol for what one row reports (see `Observation.reported`), and predicted minus reported (n_units,).
 
-        told is told what the device is predicted to report (3,) of each point that it is asked for.
+        on_report is called with what the device is predicted to report (3,) of each point that it is asked for.
         """
         p, _, predicted = self.symbols
 
         def device(point: ca.SX) -> ca.SX:
             report = predicted.device(point)
-            told(report)
+            on_report(report)
             return report
 
         reported = ca.SX.sym("y", observation.reports)
         seen = Seen(predicted.point, predicted.rotation, device)
-        return reported, observation.error(p[self._spans[self.parts.index(observation)]], seen, reported)
+        values = self._completed(p)[self._spans[self.parts.index(observation)]]
+        return reported, observation.error(values, seen, reported)
 
     def position(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Return what a device in the measuring frame reports [m], shape (n_rows, 3), for rows (n_conditions, n_rows)."""

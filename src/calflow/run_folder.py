@@ -377,7 +377,8 @@ def read_calibrated(study_or_run: str | Path) -> CalibratedFolder:
     if manifest is None:
         raise refuse("holds no run: expected a folder that 'calflow run' has filled", folder)
     check_inputs(folder, manifest)
-    robot = Robot.from_toml(folder / INPUTS / "robot.toml")
+    file = read_toml(folder / INPUTS / "study.toml", StudyFile)
+    robot = file.on(Robot.from_toml(folder / INPUTS / "robot.toml"))
     reason = outdated(manifest, folder, "identify", robot)
     if reason:
         raise refuse(f"holds no identified robot: {reason}; run the study again", folder)
@@ -385,7 +386,6 @@ def read_calibrated(study_or_run: str | Path) -> CalibratedFolder:
     undiagnosed = _without_diagnosis(manifest, folder, robot)
     if undiagnosed is None:
         results |= read_results(manifest, folder, "diagnose")
-    file = read_toml(folder / INPUTS / "study.toml", StudyFile)
     asked = file.residual_field or FIELD in read_toml(folder / INPUTS / "workflow.toml", WorkflowFile).stages
     lacking = _without_field(manifest, folder, robot, "diagnose/effects.csv" in results) if asked else None
     if asked and lacking is None:

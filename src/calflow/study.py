@@ -8,6 +8,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+from calflow.estimation.parameters import contradictions, mistaken
 from calflow.estimation.plausibility import plausible
 from calflow.files.problems import InputError, Problem, nearest, refuse, together
 from calflow.files.regular import regular_file
@@ -19,11 +20,12 @@ from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import data_folder, is_to_fetch, locate
 from calflow.measurements.series import Series
 from calflow.measurements.source import MeasurementSource
+from calflow.model import Model, build, stated
 from calflow.observations import Observation, observations
 from calflow.observations import catalogue as observation_kinds
 from calflow.robot.formats import robot_file
 from calflow.robot.robot import Robot
-from calflow.study_file import StudyFile, WorkflowFile
+from calflow.study_file import StudyFile, WorkflowFile, check_parameters, parameter_location
 
 MODELS, FIELD = ("identify", "diagnose"), "residual_field"  # stages
 FEWEST_POSES = 3  # fewer do not even say where the robot stands
@@ -36,7 +38,6 @@ def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
         InputError: it does not.
     """
     from calflow.effects import catalogue
-    from calflow.effects.expected import mistaken
 
     origin = Origin.of(path)
     if wrong := [origin.problem(message, "expected", k) for k, message in mistaken(robot, effects)]:
@@ -61,6 +62,21 @@ def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
             if load.mass is None
         ]  # fmt: skip
         raise InputError([*links, *payloads])
+
+
+def check_stated(study: Study, model: Model) -> None:
+    """Check that the parameters of which a study states something are there, and can be as it states.
+
+    Raises:
+        InputError: with all that are not, or cannot.
+    """
+    expected, origin = study.file.on(replace(study.robot, expected=())).expected, Origin.of(study.path)
+    problems = [
+        origin.problem(message, "parameters", *parameter_location(study.file, expected[k].name))
+        for k, message in contradictions(expected, model)
+    ]
+    if problems:
+        raise InputError(problems)
 
 
 def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> None:
@@ -178,6 +194,8 @@ class Study:
         measured = combined((continued([parts[0], *parts[n:]]), *parts[1:n]))
         check_columns(self.file.effects, measured, path)
         self._check_names(measured)
+        if self.file.parameters:
+            check_stated(self, stated(self.robot, self.file.effects, measured, observations(measured)))
         measured = measured.split(self.file.split.holdout, self.file.seed)
         poses = measured.table.loc[measured.train, "pose"].nunique()
         if poses < FEWEST_POSES:
@@ -282,14 +300,22 @@ def load_study(path: str | Path) -> Study:
     def checked_robot() -> Robot:
         robot = Robot.from_toml(robot_path)
         check_effects(file.effects, robot, robot_path)
-        return robot
+        return file.on(robot)
 
     def found_workflow() -> tuple[Path, WorkflowFile]:
         workflow_path = find_workflow(file.workflow, path)
         return workflow_path, read_toml(workflow_path, WorkflowFile)
 
-    robot, (workflow_path, workflow), _ = together(checked_robot, found_workflow, lambda: check_confirm(file, path))
-    return Study(path, file, robot, robot_path, workflow, workflow_path)
+    robot, (workflow_path, workflow), *_ = together(
+        checked_robot,
+        found_workflow,
+        lambda: check_confirm(file, path),
+        lambda: check_parameters(file, Origin.of(path)),
+    )
+    study = Study(path, file, robot, robot_path, workflow, workflow_path)
+    if file.parameters and not file.sources:
+        check_stated(study, build(study.robot, file.effects))
+    return study
 
 
 def _without_unit(key: str) -> str:

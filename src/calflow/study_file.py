@@ -1,19 +1,24 @@
-"""The study file and the workflow file as written.
-
-What a calibration is signed with: the robot's serial number, what measured it, who and when, and how accurate it must be.
-"""
+"""The study file and the workflow file as written."""
 
 from __future__ import annotations
 
 import datetime
 import re
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
-from calflow.files.problems import nearest
-from calflow.files.toml import NONE, ONE, SEVERAL, FileModel, Length, Unit
+from calflow.files.problems import InputError, nearest, shortened
+from calflow.files.toml import NONE, ONE, SEVERAL, FileModel, Length, Origin, Unit
+from calflow.files.units import LARGEST, UNITS
 from calflow.measurements.source import MeasurementSource
+from calflow.robot.parts import Expected
+from calflow.robot.robot import Robot
+
+# Keys of a table [parameters.NAME], each with its unit: what of `Expected` it states.
+FIGURES = {"value": "value", "lower": "lower", "upper": "upper", "prior_mean": "mean", "prior_sd": "sd"}
 
 
 class Acceptance(FileModel):
@@ -75,6 +80,7 @@ class StudyFile(FileModel):
     workflow: str = "calibrate"
     seed: int = Field(ge=0)
     effects: tuple[str, ...] = ("geometry", "joint-compliance")
+    parameters: dict[str, dict[str, Any]] = {}
     measurements: OneOrSeveral = None
     confirm: str = ""
     residual_field: bool = False
@@ -88,6 +94,11 @@ class StudyFile(FileModel):
         if self.measurements is None:
             return ()
         return self.measurements if isinstance(self.measurements, tuple) else (self.measurements,)
+
+    def on(self, robot: Robot) -> Robot:
+        """Return the robot with what the study states of its parameters, which must be in order (see `stated_parameters`)."""
+        stated = [one for _, one, _ in _stated(self.parameters)]
+        return replace(robot, expected=(*robot.expected, *stated)) if stated else robot
 
     @field_validator("name")
     @classmethod
@@ -140,3 +151,85 @@ def known_effects(effects: tuple[str, ...]) -> tuple[str, ...]:
     if not effects or len(set(effects)) < len(effects):
         raise ValueError("expected at least one effect, and each once")
     return effects
+
+
+def check_parameters(file: StudyFile, origin: Origin) -> None:
+    """Check the tables `[parameters.NAME]` of a study, whatever the parameters of its model are.
+
+    Raises:
+        InputError: with all that is wrong in them.
+    """
+    problems = [
+        origin.problem(message, "parameters", *location, *key)
+        for location, _, wrong in _stated(file.parameters)
+        for *key, message in wrong
+    ]
+    if problems:
+        raise InputError(problems)
+
+
+def parameter_location(file: StudyFile, name: str) -> tuple[str, ...]:
+    """Return the keys of the table in which a study states something of a parameter."""
+    return next(location for location, stated, _ in _stated(file.parameters) if stated.name == name)
+
+
+def _stated(tables: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Expected, list[tuple[str, ...]]]]:
+    """Yield each parameter's keys, what is stated of it in SI, and what is wrong with that: perhaps a key, and a message."""
+    for location, table in _named_tables(tables):
+        figures, units, wrong = dict[str, float](), dict[str, str](), list[tuple[str, ...]]()
+        for key, value in table.items():
+            figure = next((name for name in FIGURES if key == name or key.startswith(f"{name}_")), "")
+            if not figure:
+                if key != "fixed":
+                    wrong.append(
+                        (
+                            key,
+                            f"unknown key{nearest(key, ('fixed', *FIGURES))}; expected fixed, or {', '.join(FIGURES)} with a unit",
+                        )
+                    )
+                elif not isinstance(value, bool):
+                    wrong.append((key, f"expected true or false, found {shortened(repr(value))}"))
+            elif isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST[""]:
+                wrong.append((key, f"expected a number of at most {LARGEST['']:g}, found {shortened(repr(value))}"))
+            elif FIGURES[figure] in figures:
+                wrong.append((key, f"'{figure}' is given twice, in different units"))
+            else:
+                factor, units[key] = _in_si(key.removeprefix(figure).removeprefix("_"))
+                figures[FIGURES[figure]] = factor * value
+        fixed = table.get("fixed") is True
+        if len(set(units.values())) > 1:
+            wrong.append((f"expected all figures in units of one kind, found {', '.join(units)}",))
+        if ("mean" in figures) != ("sd" in figures):
+            wrong.append(("expected prior_mean and prior_sd together",))
+        if not figures.get("sd", 1.0) > 0:
+            wrong.append((f"expected prior_sd > 0, found {figures['sd']:g}",))
+        if "value" in figures and not fixed:
+            wrong.append(("value is where a parameter is held: expected fixed = true beside it",))
+        if not (figures or fixed or wrong):
+            wrong.append((f"states nothing: expected fixed = true, or {', '.join(FIGURES)} with a unit",))
+        of = figures.get
+        stated = Expected(
+            name=".".join(location), unit=next(iter(units.values()), ""), mean=of("mean"), sd=of("sd"), lower=of("lower"),
+            upper=of("upper"), fixed=fixed, value=of("value"),
+        )  # fmt: skip
+        yield location, stated, wrong
+
+
+def _named_tables(
+    tables: Mapping[str, Any], location: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
+    """Yield the tables that hold other than tables: `[parameters.joint3.theta]` is one within another."""
+    for name, table in tables.items():
+        where = (*location, name)
+        if isinstance(table, dict) and table and all(isinstance(value, dict) for value in table.values()):
+            yield from _named_tables(table, where)
+        else:
+            yield where, table if isinstance(table, dict) else {}
+
+
+def _in_si(suffix: str) -> tuple[float, str]:
+    """Return the factor of a key's unit, and the SI unit that it leads to, as parameters have it (`rad/Nm`)."""
+    for units in UNITS.values():
+        if suffix in units:
+            return units[suffix][0], next(iter(units)).replace("_per_", "/")
+    return 1.0, suffix.replace("_per_", "/") or "1"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import calflow as cf
-from calflow.effects.expected import mistaken
 from calflow.estimation.fit import fit
+from calflow.estimation.parameters import mistaken
 from calflow.model import build
 from calflow.sampling.log_posterior import Laplace, LogPosterior
 from estimation.data import measured, problem

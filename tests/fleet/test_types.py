@@ -69,10 +69,10 @@ def test_the_types_robot_file_needs_fewer_poses(findings, tmp_path):
     expecting.to_toml(tmp_path / "type.toml")
     assert cf.Robot.from_toml(tmp_path / "type.toml") == expecting
     model = build(hh800(), EFFECTS)
-    where = {one.identity: k for k, one in enumerate(model.parameters)}
+    where = {(one.effect, "", one.part, one.symbol): k for k, one in enumerate(model.parameters)}
     truth, rng = np.zeros(len(model.parameters)), np.random.default_rng(5)
     for one in expecting.expected:
-        truth[where[one.identity]] = np.clip(one.mean, *model.bounds[where[one.identity]])
+        truth[where[one.key]] = np.clip(one.mean, *model.bounds[where[one.key]])
     few, further = measured(model, truth, 14, rng), measured(model, truth, 60, rng)
     few = replace(few, table=few.table.assign(sigma=3e-5))
     where_it_is = model.position(truth, further.rows)

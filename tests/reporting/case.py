@@ -186,7 +186,7 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
             {"parameter": parameter.name, "effect": parameter.effect, "variant": parameter.variant, "part": parameter.part,
              "symbol": parameter.symbol, "unit": parameter.unit, "nominal": 0.0,
              "estimate": one.estimate, "sd": one.sd, "lower": parameter.lower, "upper": parameter.upper, "at_bound": False,
-             "joint": parameter.joint or None, "prior_share": 0.01,
+             "fixed": False, "joint": parameter.joint or None, "prior_share": 0.01,
              "figure": 0.0, "calibrated": one.estimate, "meaning": parameter.meaning}
             for one, cause in zip(told, causes, strict=True) for parameter in cause.declared
         ]

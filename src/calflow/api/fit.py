@@ -18,6 +18,7 @@ from calflow.estimation.identification import Identification, NoiseSource
 from calflow.estimation.identification import identify as identified
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
+from calflow.estimation.parameters import Parameters
 from calflow.estimation.progress import Say, draws, nobody
 from calflow.faults import Fault, examined
 from calflow.files.results import Results
@@ -135,6 +136,7 @@ def identify(
     data: Measurements,
     effects: Sequence[str] = ("geometry", "joint-compliance"),
     *,
+    parameters: Parameters | None = None,
     starts: int = 3,
     loss: Loss = "linear",
     noise: NoiseSource = "auto",
@@ -147,6 +149,7 @@ def identify(
         robot: as its maker says.
         data: measurements with a split (see `Measurements.split`).
         effects: ids of what a real robot also does, in the order in which they are added.
+        parameters: what is held, bounded or expected otherwise (see `Parameters.of`).
         starts: number of starting points of each fit.
         loss: how the square of a row's residual counts: linear, soft_l1, cauchy.
         noise: where the noise is to be taken from.
@@ -157,6 +160,7 @@ def identify(
         InputError: robot or measurements lack what an effect needs, or the measurements are too few.
     """
     named = effects_of(effects, robot, data)
+    robot = robot if parameters is None else parameters.on(robot, data, named)
     rows, faults = examined(split_rows(data).on(robot))
     found = identified(rows, named, starts=starts, loss=loss, noise=noise, rng=draws(seed), say=say)
     return Fit(found, data.on(robot), faults, named, seed)

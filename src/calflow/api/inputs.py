@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from calflow.effects import catalogue
 from calflow.effects.base import unmet
-from calflow.effects.expected import mistaken
+from calflow.estimation.parameters import mistaken
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot

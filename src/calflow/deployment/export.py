@@ -109,7 +109,7 @@ def _dimensions(model: Model, kept: Sequence[Effect], p: np.ndarray) -> dict[str
     """The dimensions as these effects have them, by field of `Dimensions`."""
     dims, row = nominal_dimensions(model.robot), Row.symbols(model.robot)
     for effect in kept:
-        dims = effect.dimensions(ca.SX(p[model.columns(effect)]), dims, row)
+        dims = effect.dimensions(ca.SX(model.values(effect, p)), dims, row)
     return {name: np.array(ca.DM(ca.evalf(ca.densify(ca.SX(value))))) for name, value in vars(dims).items()}
 
 

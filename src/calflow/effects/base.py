@@ -172,8 +172,8 @@ class Effect(ABC):
         """The parameters with what makes them this effect's in this variant, worked out once."""
         variant = self.variant
         tag = self.tag.format(id=self.id, variant=f"[{variant}]" if variant else "")
-        known = {one.identity: one for one in self.robot.expected}
-        return tuple(replace(one, variant=variant, tag=tag).as_expected(known) for one in self.parameters())
+        stated = self.robot.expectations
+        return tuple(replace(one, variant=variant, tag=tag).as_expected(stated) for one in self.parameters())
 
     @property
     def figures(self) -> dict[str, Any]:

@@ -88,7 +88,7 @@ def _turned(
     observation: Observation, model: Model, estimate: np.ndarray, table: pd.DataFrame, values: np.ndarray
 ) -> np.ndarray:
     """Return what a row has along a device's axes (n_rows, n_lengths, …) along the measuring frame's."""
-    axes = observation.axes(estimate[model.columns(observation)], table)
+    axes = observation.axes(model.values(observation, estimate), table)
     return values if axes is None else axes @ values
 
 

@@ -335,7 +335,7 @@ def placed(robot: Robot, results: Results) -> Robot:
 
 
 def _read(stage: str, model: Model, results: Results) -> CalibratedModel:
-    parameters = results.rows(f"{stage}/parameters.csv", FittedParameter)
+    parameters = [one for one in results.rows(f"{stage}/parameters.csv", FittedParameter) if not one.fixed]
     covariance = results.tables.get(f"{stage}/covariance.csv", pd.DataFrame())
     names = [parameter.name for parameter in model.parameters]
     for name, told in (("parameters", [one.parameter for one in parameters]), ("covariance", list(covariance)[1:])):

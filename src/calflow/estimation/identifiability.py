@@ -159,7 +159,10 @@ def _scale(fit: Fit, scaled: np.ndarray, largest: float) -> list[Statement]:
         if isinstance(effect, Geometry):
             direction[model.columns(effect)] = [
                 (error.parameter.figure + value) / error.parameter.prior_sd if error.is_length else 0.0
-                for error, value in zip(effect.errors, fit.estimate[model.columns(effect)], strict=True)
+                for error, value, own in zip(
+                    effect.errors, model.values(effect, fit.estimate), effect.declared, strict=True
+                )
+                if own.held is None
             ]
     if not direction.any():
         return []

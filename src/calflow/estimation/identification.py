@@ -176,8 +176,8 @@ def identify(
 
 def too_few_equations(model: Model, train: Measurements) -> str:
     """Say that training rows are too few for a model; empty where they are enough, since what is expected needs none."""
-    expected = {one.identity for one in model.robot.expected}
-    unknown = sum(one.identity not in expected for one in model.parameters)
+    expected = {key for key, one in model.robot.expectations.items() if one.mean is not None}
+    unknown = sum(expected.isdisjoint((one.identity, one.name)) for one in model.parameters)
     first = np.unique(conditions(train), return_index=True)[1]
     equations = sum(len(model.observations[k].units) for k in train.series_number[first])
     if equations >= unknown:

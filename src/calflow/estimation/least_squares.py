@@ -129,13 +129,13 @@ class SeriesBlock:
         """Number of residuals a row."""
         return len(self.observation.units)
 
-    def expression(self, told: Callable[[ca.SX], None] = lambda report: None) -> tuple[list[ca.SX], ca.SX]:
+    def expression(self, on_report: Callable[[ca.SX], None] = lambda report: None) -> tuple[list[ca.SX], ca.SX]:
         """Return symbols (p, conditions, reported, whitening) and the whitened residual (n_units,) of one row.
 
-        told is as for `Model.error`.
+        on_report is as for `Model.error`.
         """
         p, c, _ = self.model.symbols
-        y, error = self.model.error(self.observation, told)
+        y, error = self.model.error(self.observation, on_report)
         w = ca.SX.sym("w", len(self.whitening))
         n = self.n_units
         residual = error * w if len(self.whitening) == n else ca.reshape(w, n, n) @ error

@@ -1,16 +1,24 @@
-"""The table of parameters: what a fit found, and how far the data say so."""
+"""Parameters by name: what is allowed and expected of each before a fit, what the fit found, and how far the data say so."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import pandas as pd
 
+from calflow.effects import catalogue
 from calflow.estimation.fit import Fit
-from calflow.files.tables import column, typed
+from calflow.files.problems import InputError, Problem, nearest, refuse
+from calflow.files.tables import column, from_frame, to_frame, typed
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model, stated
+from calflow.observations import observations
 from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Expected
+from calflow.robot.robot import Robot
 
 UNIT = "as `unit` says"
 
@@ -30,7 +38,7 @@ class FittedParameter:
     estimate: float = column("what the fit found", UNIT, sd="sd")
     sd: float = column(
         "standard deviation of the estimate, after diagnose with what may be left in the errors of rows near each other; "
-        "empty at a bound",
+        "empty at a bound, 0 where it was held",
         UNIT,
     )
     lower: float = column("the least that is allowed", UNIT)
@@ -38,17 +46,50 @@ class FittedParameter:
     prior_mean: float = column("what is expected of it before anything is measured", UNIT)
     prior_sd: float = column("standard deviation of that", UNIT)
     at_bound: bool = column("whether the estimate sits on a bound")
+    fixed: bool = column("whether it was held at the estimate, and not fitted")
     prior_share: float = column("share of the estimate's variance that is the prior's; 1: the data say nothing")
     figure: float = column("the maker's figure that the parameter's value is added to", UNIT)
     calibrated: float = column("figure + estimate", UNIT, sd="sd")
     meaning: str = column("what it is, in words")
+
+    @property
+    def name(self) -> str:
+        """Its name, unique in the model."""
+        return self.parameter
+
+    @property
+    def value(self) -> float:
+        """What the fit found, or what it is held at; before a fit what is expected of it."""
+        return self.estimate
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The least and the most that are allowed."""
+        return self.lower, self.upper
+
+    @property
+    def prior(self) -> tuple[float, float]:
+        """Mean and standard deviation of its prior."""
+        return self.prior_mean, self.prior_sd
+
+    @staticmethod
+    def of(parameter: Parameter) -> FittedParameter:
+        """Return a parameter before a fit, with what is expected of it, or what it is held at, for its value."""
+        value = parameter.prior_mean if parameter.held is None else parameter.held
+        return FittedParameter(
+            parameter=parameter.name, effect=parameter.effect, variant=parameter.variant, part=parameter.part,
+            symbol=parameter.symbol, joint=parameter.joint or None, unit=parameter.unit, nominal=parameter.nominal,
+            estimate=value, sd=np.nan if parameter.held is None else 0.0, lower=parameter.lower, upper=parameter.upper,
+            prior_mean=parameter.prior_mean, prior_sd=parameter.prior_sd, at_bound=False, fixed=parameter.held is not None,
+            prior_share=1.0, figure=parameter.figure, calibrated=parameter.figure + value, meaning=parameter.meaning,
+        )  # fmt: skip
 
     def as_parameter(self) -> Parameter:
         """Return the parameter that it is a row of."""
         tag = self.parameter.removeprefix(f"{self.part}.").removesuffix(self.symbol).rstrip(".")
         return Parameter(
             self.effect, self.part, self.symbol, self.unit, self.prior_sd, self.lower, self.upper, self.nominal, self.figure,
-            self.meaning, self.joint or 0, self.variant, tag, self.prior_mean,
+            self.meaning, self.joint or 0, self.variant, tag, self.prior_mean, self.estimate if self.fixed else None,
         )  # fmt: skip
 
 
@@ -62,41 +103,200 @@ class Covariances:
     )
 
 
-def parameter_table(result: Fit, covariance: np.ndarray) -> pd.DataFrame:
-    """Return a row a parameter, with its estimate, the sd of a covariance, and how much of the estimate is the prior's."""
-    variance = np.diag(result.covariance)
-    free = ~result.at_bound
-    alone = np.diag(np.linalg.inv(_scaled_information(result)))  # a parameter at a bound: what it would have off it
-    share = np.where(free, variance / result.model.prior_sd**2, alone)
-    table = pd.DataFrame(asdict(parameter) for parameter in result.model.parameters)
-    made = pd.DataFrame(
-        {
-            "parameter": [parameter.name for parameter in result.model.parameters],
-            "effect": table["effect"],
-            "variant": table["variant"],
-            "part": table["part"],
-            "symbol": table["symbol"],
-            "joint": table["joint"].where(table["joint"] > 0).astype("Int64"),
-            "unit": table["unit"],
-            "nominal": table["nominal"],
-            "estimate": result.estimate,
-            "sd": np.where(free, np.sqrt(np.diag(covariance)), np.nan),
-            "lower": table["lower"],
-            "upper": table["upper"],
-            "prior_mean": table["prior_mean"],
-            "prior_sd": table["prior_sd"],
-            "at_bound": result.at_bound,
-            "prior_share": np.minimum(1.0, share),
-            "figure": table["figure"],
-            "calibrated": table["figure"] + result.estimate,
-            "meaning": table["meaning"],
-        }
-    )
-    return typed(made, FittedParameter)
+@dataclass(frozen=True, eq=False, repr=False)
+class Parameters(Mapping[str, FittedParameter]):
+    """The parameters of a model by name, in its order (SI units); `fix`, `free`, `bound` and `prior` return others.
+
+    stated is what differs from what effects and observations say of them, for the next fit (see `Robot.expected`).
+    """
+
+    rows: tuple[FittedParameter, ...]
+    stated: tuple[Expected, ...] = ()
+
+    @classmethod
+    def of(cls, robot: Robot, data: Measurements, effects: Sequence[str]) -> Self:
+        """Return the parameters that a robot with effects has for measurements, before a fit.
+
+        Raises:
+            InputError: an effect is unknown.
+        """
+        return cls.of_model(stated(robot, effects, data, observations(data)))
+
+    @classmethod
+    def of_model(cls, model: Model) -> Self:
+        """Return a model's parameters before a fit."""
+        return cls(tuple(map(FittedParameter.of, model.declared)), _by_name(model.robot))
+
+    @classmethod
+    def of_table(cls, table: pd.DataFrame, robot: Robot) -> Self:
+        """Return the parameters that `table` holds, of a model of a robot."""
+        return cls(tuple(from_frame(table, FittedParameter, "parameters.csv")), _by_name(robot))
+
+    @classmethod
+    def fitted(cls, result: Fit, covariance: np.ndarray) -> Self:
+        """Return a fit's parameters, with the sd of a covariance, and how much of each estimate is the prior's."""
+        model, variance, free = result.model, np.diag(result.covariance), ~result.at_bound
+        scale = np.outer(model.prior_sd, model.prior_sd)
+        alone = np.diag(np.linalg.inv(result.information * scale))  # a parameter at a bound: what it would have off it
+        share = np.minimum(1.0, np.where(free, variance / model.prior_sd**2, alone))
+        sd = np.where(free, np.sqrt(np.diag(covariance)), np.nan)
+        rows = [FittedParameter.of(parameter) for parameter in model.declared]
+        for k, i in enumerate(model.free):
+            estimate = float(result.estimate[k])
+            rows[i] = replace(
+                rows[i], estimate=estimate, sd=float(sd[k]), at_bound=bool(result.at_bound[k]),
+                prior_share=float(share[k]), calibrated=rows[i].figure + estimate,
+            )  # fmt: skip
+        return cls(tuple(rows), _by_name(model.robot))
+
+    def __getitem__(self, name: str) -> FittedParameter:
+        return self.rows[self._at(name)]
+
+    def __contains__(self, name: object) -> bool:
+        return any(row.parameter == name for row in self.rows)
+
+    def __iter__(self) -> Iterator[str]:
+        return (row.parameter for row in self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def fix(self, name: str, value: float | None = None) -> Self:
+        """Return them with one held: at a value [SI], or at its estimate; before a fit at its nominal value.
+
+        Raises:
+            InputError: there is no such parameter, or it cannot have this value.
+        """
+        row = self[name]
+        fitted = not np.isnan(row.sd) or row.at_bound
+        at = value if value is not None else row.estimate if fitted else row.nominal
+        return self._with(name, lambda one: replace(one, fixed=True, value=float(at)))
+
+    def free(self, name: str) -> Self:
+        """Return them with one fitted again.
+
+        Raises:
+            InputError: there is no such parameter.
+        """
+        return self._with(name, lambda one: replace(one, fixed=False, value=None))
+
+    def bound(self, name: str, lower: float | None = None, upper: float | None = None) -> Self:
+        """Return them with one allowed to be between bounds [SI]; None leaves a bound as it is.
+
+        Raises:
+            InputError: there is no such parameter, or its bounds, or prior's mean, are out of order.
+        """
+        row = self[name]
+        low, high = (was if new is None else float(new) for was, new in ((row.lower, lower), (row.upper, upper)))
+        return self._with(name, lambda one: replace(one, lower=low, upper=high))
+
+    def prior(self, name: str, mean: float, sd: float) -> Self:
+        """Return them with a normal prior of one [SI].
+
+        Raises:
+            InputError: there is no such parameter, the mean is not within the bounds, or sd is not above zero.
+        """
+        if not sd > 0:
+            raise refuse(f"expected sd > 0, found {sd!r}", key=name)
+        return self._with(name, lambda one: replace(one, mean=float(mean), sd=float(sd)))
+
+    def _with(self, name: str, change: Callable[[Expected], Expected]) -> Self:
+        at = self._at(name)
+        before = next((one for one in self.stated if one.name == name), Expected(name=name, unit=self.rows[at].unit))
+        after, parameter = change(before), self.rows[at].as_parameter()
+        if wrong := parameter.contradiction(after):
+            raise InputError([Problem(wrong, key=name)])
+        kept = [one for one in self.stated if one.name != name]
+        row = FittedParameter.of(parameter.as_expected({name: after}))
+        return replace(
+            self, rows=(*self.rows[:at], row, *self.rows[at + 1 :]), stated=(*kept, *filter(_says_something, [after]))
+        )
+
+    def _at(self, name: str) -> int:
+        names = list(self)
+        if name not in names:
+            raise refuse(f"unknown parameter '{name}'{nearest(name, names)}", key="parameters")
+        return names.index(name)
+
+    def on(self, robot: Robot, data: Measurements, effects: Sequence[str]) -> Robot:
+        """Return the robot of which this is stated, in place of what was stated by name before.
+
+        Raises:
+            InputError: it has no such parameters with these effects and measurements.
+        """
+        robot = replace(robot, expected=tuple(one for one in robot.expected if not one.name))
+        wrong = contradictions(self.stated, stated(robot, effects, data, observations(data)))
+        if problems := [Problem(message, key="parameters") for _, message in wrong]:
+            raise InputError(problems)
+        return replace(robot, expected=(*robot.expected, *self.stated))
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row a parameter, in the columns of `identify/parameters.csv`."""
+        return to_frame(self.rows, FittedParameter)
+
+    @property
+    def _shown(self) -> pd.DataFrame:
+        columns = [
+            "parameter",
+            "estimate",
+            "sd",
+            "unit",
+            "lower",
+            "upper",
+            "prior_mean",
+            "prior_sd",
+            "at_bound",
+            "fixed",
+        ]
+        return self.table[columns].rename(columns={"estimate": "value"})
+
+    def __repr__(self) -> str:
+        return self._shown.to_string(index=False, float_format="{:.6g}".format)
+
+    def _repr_html_(self) -> str:
+        return str(self._shown.to_html(index=False, float_format="{:.6g}".format))
 
 
-def _scaled_information(result: Fit) -> np.ndarray:
-    return result.information * np.outer(result.model.prior_sd, result.model.prior_sd)
+def _by_name(robot: Robot) -> tuple[Expected, ...]:
+    return tuple(one for one in robot.expected if one.name)
+
+
+def _says_something(one: Expected) -> bool:
+    return one.fixed or any(value is not None for value in (one.mean, one.lower, one.upper))
+
+
+def contradictions(expected: Sequence[Expected], model: Model) -> Iterator[tuple[int, str]]:
+    """Yield which statements by name a model cannot meet, from 0, and why."""
+    parameters = {parameter.name: parameter for parameter in model.declared}
+    for k, one in enumerate(expected):
+        if one.name not in parameters:
+            yield k, f"unknown parameter '{one.name}'{nearest(one.name, parameters)}"
+        elif wrong := parameters[one.name].contradiction(one):
+            yield k, wrong
+
+
+def mistaken(robot: Robot, effects: Sequence[str]) -> Iterator[tuple[int, str]]:
+    """Yield which of a robot's expectations cannot be met by a study's effects, from 0, and why; others' are not looked at.
+
+    What is stated by name may be of a parameter that only some measurements have: see `contradictions`.
+    """
+    declared = {name: {one.identity: one for one in catalogue()[name](robot).declared} for name in effects}
+    keys = [one.key for one in robot.expected]
+    for k, one in enumerate(robot.expected):
+        if one.name:
+            continue
+        if one.effect not in catalogue():
+            yield k, f"unknown effect '{one.effect}'{nearest(one.effect, catalogue())}"
+        elif keys.index(one.key) < k:
+            yield k, f"parameter '{one.part}.{one.symbol}' of effect '{one.effect}' is expected twice"
+        elif one.effect in declared:
+            known, name = declared[one.effect], f"{one.part}.{one.symbol}"
+            if own := known.get((one.effect, "", one.part, one.symbol)):
+                yield from ((k, wrong) for wrong in [own.contradiction(one)] if wrong)
+            else:
+                names = [f"{part}.{symbol}" for _, _, part, symbol in known]
+                yield k, f"effect '{one.effect}' has no parameter '{name}'{nearest(name, names)}"
 
 
 def covariance_table(parameters: Sequence[Parameter], covariance: np.ndarray) -> pd.DataFrame:

@@ -157,7 +157,9 @@ def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements)
         tool = ((turn * seen).inv() * Rotation.from_matrix(train.rotation[oriented])).mean()
         placed = replace(placed, tool_rotation=_angles(_tool(placed) * tool))
 
-    model = Model(placed, (PlacementErrors(placed),), train.given)
+    # What is stated by name is stated of errors about the registered place.
+    bare = replace(placed, expected=tuple(one for one in placed.expected if not one.name))
+    model = Model(bare, (PlacementErrors(bare),), train.given)
     rough = None if train.rotation is None else np.full(len(train), NOMINAL_ERROR)
     noise = Noise(
         np.full(len(train), NOMINAL_ERROR), tuple[Source, ...]("estimated" for _ in train.series), rotation=rough

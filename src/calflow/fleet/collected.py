@@ -59,7 +59,8 @@ def _last_fitted(manifest: Manifest) -> str:
 
 def _calibration(made: Path, placed: frozenset[str]) -> Calibration:
     """The parameters in a stage's folder."""
-    rows = from_frame(read_csv(made / "parameters.csv"), FittedParameter, f"{made.name}/parameters.csv")
+    every = from_frame(read_csv(made / "parameters.csv"), FittedParameter, f"{made.name}/parameters.csv")
+    rows = [row for row in every if not row.fixed]
     covariance = read_csv(made / "covariance.csv")
     return Calibration(
         tuple(row.as_parameter() for row in rows),

@@ -52,7 +52,7 @@ def robot_type(name: str, table: TypeTable, origin: Origin, folders: Sequence[Pa
                 raise InputError([origin.problem(said, "types", name, key)])
     study = load_study(keys["study"])
     if "robot" in keys:
-        study = replace(study, robot=Robot.from_toml(keys["robot"]), robot_path=keys["robot"])
+        study = replace(study, robot=study.file.on(Robot.from_toml(keys["robot"])), robot_path=keys["robot"])
         check_effects(study.file.effects, study.robot, study.robot_path)
     if wrong := list(_unsuitable(study)):
         raise InputError(

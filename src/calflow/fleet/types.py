@@ -93,7 +93,8 @@ class TypeFindings:
 
     def expecting(self, robot: Robot) -> Robot | None:
         """Return the type's robot with what is expected of a further one; None where the robots are too few."""
-        return replace(robot, expected=self.prior.expected()) if self.prior else None
+        by_name = (one for one in robot.expected if one.name)
+        return replace(robot, expected=(*self.prior.expected(), *by_name)) if self.prior else None
 
     def parameters(self) -> Iterator[TypeParameter]:
         """Yield the rows of the type's parameters."""

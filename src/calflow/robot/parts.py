@@ -158,22 +158,29 @@ class Base(Part):
 
 @dataclass(frozen=True)
 class Expected(Part):
-    """What is known of a parameter before this robot is measured, as from others of its type: mean and standard deviation (SI).
+    """What is stated of a parameter before this robot is measured, in SI: None is left as its effect has it.
 
-    Effect, part and symbol name the parameter, as tables of parameters do; of effects that come in variants nothing is expected.
+    The parameter goes by its name, or by effect, part and symbol, as tables of parameters have them (of effects without
+    variants). mean and sd are its prior's, as from other robots of the type, lower and upper its bounds; a fixed one is held
+    at value, and at nominal where that is None.
     """
 
-    effect: str
-    part: str
-    symbol: str
-    unit: str
-    mean: float
-    sd: float
+    effect: str = ""
+    part: str = ""
+    symbol: str = ""
+    unit: str = ""
+    mean: float | None = None
+    sd: float | None = None
+    name: str = ""
+    lower: float | None = None
+    upper: float | None = None
+    fixed: bool = False
+    value: float | None = None
 
     @property
-    def identity(self) -> tuple[str, str, str, str]:
-        """What the parameter is known by."""
-        return self.effect, "", self.part, self.symbol
+    def key(self) -> str | tuple[str, str, str, str]:
+        """What the parameter is known by: its name, or its identity."""
+        return self.name or (self.effect, "", self.part, self.symbol)
 
 
 @dataclass(frozen=True)

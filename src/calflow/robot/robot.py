@@ -125,6 +125,11 @@ class Robot(Part):
         """Return what `to_toml` writes."""
         return toml_written.text({one.name: getattr(self, one.name) for one in dataclasses.fields(self)})
 
+    @cached_property
+    def expectations(self) -> Mapping[str | tuple[str, str, str, str], Expected]:
+        """What is stated of its parameters, by their name or identity; of two statements of one the later."""
+        return {one.key: one for one in self.expected}
+
     def canonical(self) -> str:
         """Return all that it holds as JSON, the same for equal robots."""
         return json.dumps(_canonical(self))

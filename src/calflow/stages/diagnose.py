@@ -30,7 +30,7 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import CalibratedModel, DeviceNoise, ModelEffect, effect_table, identified
 from calflow.estimation.judgement import JudgedResidual, Studentised, judged_table
 from calflow.estimation.needed_conditions import NeededCondition
-from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
+from calflow.estimation.parameters import Covariances, FittedParameter, Parameters, covariance_table
 from calflow.estimation.progress import Draws, Say
 from calflow.estimation.rival_models import AlternativeParameter, CauseInReach, in_reach_table
 from calflow.faults import FaultyRow, as_table, corrected, examined
@@ -97,7 +97,7 @@ def results(
         "diagnose/accuracy.csv": accuracy_table(found, data, steps),
         "diagnose/next_poses.csv": poses_table(asked, final),
         "diagnose/separations.csv": separations_table(asked),
-        "diagnose/parameters.csv": parameter_table(final.fit, final.covariance),
+        "diagnose/parameters.csv": Parameters.fitted(final.fit, final.covariance).table,
         "diagnose/covariance.csv": covariance_table(final.model.parameters, final.fit.covariance),
         "diagnose/effects.csv": effect_table(final.model.effects),
         "diagnose/alternatives.csv": alternatives_table(found.alternatives, found.causes, final),

@@ -29,7 +29,7 @@ from calflow.estimation.identification import Identification, NoiseSource, ident
 from calflow.estimation.judgement import JudgedResidual, judged
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
-from calflow.estimation.parameters import Covariances, FittedParameter, covariance_table, parameter_table
+from calflow.estimation.parameters import Covariances, FittedParameter, Parameters, covariance_table
 from calflow.estimation.repeats import measured_noise
 from calflow.faults import Fault, FaultyRow, as_table, examined
 from calflow.files.problems import InputError, Problem, nearest
@@ -82,7 +82,7 @@ def results(found: Identification, faults: tuple[Fault, ...]) -> Results:
     fit, observed = found.fit, found.model.observations
     tables = {
         "identify/faults.csv": as_table(faults, found.data),
-        "identify/parameters.csv": parameter_table(fit, fit.covariance),
+        "identify/parameters.csv": Parameters.fitted(fit, fit.covariance).table,
         "identify/accuracy.csv": to_frame(found.steps, Accuracy),
         "identify/residuals.csv": judged(fit, found.data, found.noise),
         "identify/identifiability.csv": found.identifiability.statements,

@@ -214,14 +214,32 @@ class CouplingTable(FileModel):
 
 
 class ExpectedTable(FileModel):
-    """What is known of a parameter before the robot is measured; mean and sd are in SI, as `unit` says."""
+    """What is stated of a parameter before the robot is measured; figures are in SI, as `unit` says."""
 
-    effect: str
-    part: str
-    symbol: str
+    name: str = ""
+    effect: str = ""
+    part: str = ""
+    symbol: str = ""
     unit: str
-    mean: float
-    sd: float = Field(gt=0)
+    mean: float | None = None
+    sd: float | None = Field(default=None, gt=0)
+    lower: float | None = None
+    upper: float | None = None
+    fixed: bool = False
+    value: float | None = None
+
+    @model_validator(mode="after")
+    def _of_one_parameter(self) -> ExpectedTable:
+        identity = (self.effect, self.part, self.symbol)
+        if not (self.name or all(identity)) or (self.name and any(identity)):
+            raise ValueError("missing: expected effect, part and symbol of a parameter, or its name")
+        if (self.mean is None) != (self.sd is None):
+            raise ValueError("expected mean and sd together")
+        if self.value is not None and not self.fixed:
+            raise ValueError("value is where a parameter is held: expected fixed = true beside it")
+        if not self.fixed and self.mean is self.lower is self.upper is None:
+            raise ValueError("missing: expected mean and sd, lower, upper, or fixed = true")
+        return self
 
 
 class Surroundings(FileModel):

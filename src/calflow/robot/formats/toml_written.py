@@ -59,7 +59,8 @@ def _lines(fields: Mapping[str, Any]) -> Iterator[str]:
         yield from _quantity("relative_sd", marker.relative_sd, "length")
         yield from _entries({"known": None if marker.known else False})
     for one in fields["expected"]:
-        yield from ("", "[[expected]]", *_entries(vars(one)))
+        stated = {name: value or None if isinstance(value, str | bool) else value for name, value in vars(one).items()}
+        yield from ("", "[[expected]]", *_entries({**stated, "unit": one.unit}))
 
 
 def _joint(joint: Joint, convention: str) -> Iterator[str]:
