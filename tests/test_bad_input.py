@@ -446,3 +446,48 @@ def test_a_loop_that_cannot_be_closed_is_told_row_by_row(looped):
     told = looped.refused("check")
     assert [int(problem.split(":")[1]) for problem in told[:5]] == list(lines[:5])
     assert told[5].endswith(f"cannot be closed at these joint readings (and {len(lines) - 5} more rows)")
+
+
+@pytest.mark.parametrize("name", ["study.toml", "robot.toml", "quick.toml"])
+@pytest.mark.parametrize("line", ["{} = 1\n", "x = {}\n"])
+def test_tables_within_tables_without_end_are_refused(small, name, line):
+    """Fails if a name of three thousand dots, or as many lists within each other, ends in a traceback."""
+    deep = "[" * 3000 + "]" * 3000 if line.startswith("x") else ".".join("a" * 3000)
+    text = (small / name).read_text(encoding="utf-8")
+    (small / name).write_text(line.format(deep) + text, encoding="utf-8")
+    (told,) = small.refused()
+    assert "expected at most 20 tables and lists within each other" in told or "recursion" in told
+
+
+def test_a_column_that_is_mapped_to_three_thousand_dots_is_refused(small):
+    """Fails if a column's name may be a table within tables without end."""
+    small.edit("study.toml", ("[split]", f"[measurements.columns]\n{'.'.join('a' * 3000)} = 'x_mm'\n\n[split]"))
+    (told,) = small.refused()
+    assert told.startswith("study.toml:11: measurements.columns.a.a.")
+
+
+@pytest.mark.parametrize("sign", ["1.0", "-1.0", "true"])
+def test_a_sign_is_a_whole_number(small, sign):
+    """Fails if what is merely equal to 1 passes for it, and is another sign to whoever writes or hashes it."""
+    small.edit("robot.toml", ("d_mm = 500", f"d_mm = 500\nsign = {sign}"))
+    (told,) = small.refused()
+    assert told == f"robot.toml:7: joints[1].sign: expected a whole number, found {sign}"
+
+
+def test_of_many_unknown_names_few_are_compared(small, monkeypatch):
+    """Fails if every name of a table of thousands is compared with every other, which takes minutes."""
+    compared = []
+    monkeypatch.setattr("difflib.get_close_matches", lambda word, known, **_: compared.append(len(list(known))) or [])
+    many = [f"x{k}" for k in range(3000)]
+    rows = small.rows.head(2)
+    small.measure(pd.concat([rows, pd.DataFrame(1, rows.index, many)], axis=1))
+    told = small.refused()
+    assert "and 2980 more columns like these" in told[20]
+    assert len(told) < 30
+    small.edit(
+        "study.toml", ("[split]", "[measurements.columns]\n" + "\n".join(f"{x} = 'y{x}'" for x in many) + "\n[split]")
+    )
+    told = small.refused()
+    assert told[-1] == "measurements.csv:1: and 2980 more problems like this one"
+    assert len(compared) <= 2 * 20 + 5
+    assert max(compared) <= 1000

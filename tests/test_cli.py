@@ -18,6 +18,7 @@ import pytest
 from calflow import cli
 from calflow.commands import progress
 from calflow.reporting.section import sections
+from calflow.runs.lock import locked
 from calflow.templates import write_study
 from conftest import Folder, in_process
 
@@ -249,6 +250,14 @@ def test_check_says_first_that_repeats_contradict_a_stated_noise(small):
     lines = small.calflow("check").out.splitlines()
     assert lines[1].startswith("warning: The stated noise, 40 mm per axis, is ")
     assert "times too large: repeats of one pose scatter by" in lines[1]
+
+
+def test_a_run_that_was_killed_is_not_running(finished):
+    """Fails if what a run wrote down before it was killed is told as what it does."""
+    finished.vouch(lambda manifest: manifest["stages"]["sample"].update(status="running"))
+    assert "sample         interrupted" in finished.calflow("status", finished / "runs").out
+    with locked(finished / "runs"):
+        assert "sample         running" in finished.calflow("status", finished / "runs").out
 
 
 def test_status_tells_each_stage(finished, tmp_path, monkeypatch):

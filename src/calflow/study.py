@@ -156,13 +156,17 @@ class Study:
 
     @property
     def to_fetch(self) -> tuple[MeasurementSource, ...]:
-        """The measurement files that a run would fetch by their url, the confirming study's among them.
+        """The measurement files that a run would fetch by their url."""
+        return tuple(source for source in self.file.sources if is_to_fetch(source, self.path.parent, self.data))
+
+    @property
+    def all_to_fetch(self) -> tuple[MeasurementSource, ...]:
+        """The same, those of the confirming study among them.
 
         Raises:
             InputError: the confirming study's files are at fault.
         """
-        here = tuple(source for source in self.file.sources if is_to_fetch(source, self.path.parent, self.data))
-        return here + (self.confirming.to_fetch if self.confirming else ())
+        return self.to_fetch + (self.confirming.to_fetch if self.confirming else ())
 
     @property
     def confirming(self) -> Study | None:

@@ -34,7 +34,7 @@ def check_command(study: Path) -> None:
     loaded = load_study(study)
     checked = check(loaded)
     say(f"study {loaded.name}: {loaded.robot.name}, workflow {loaded.workflow.name} ({', '.join(loaded.stages)})")
-    for far in loaded.to_fetch:
+    for far in loaded.all_to_fetch:
         say(f"{far.file} is not fetched yet: 'calflow run' fetches it from {far.url}")
     if checked is None and loaded.to_fetch:
         return

@@ -57,6 +57,7 @@ def status_command(study_or_run: Path) -> None:
     """Show how far a run has come: give its folder, or its study."""
     from calflow.files.problems import refuse
     from calflow.run_folder import read_manifest, run_folder
+    from calflow.runs.lock import is_locked
 
     folder = run_folder(study_or_run)
     manifest = read_manifest(folder)
@@ -64,9 +65,10 @@ def status_command(study_or_run: Path) -> None:
         raise refuse("nothing was run here yet", folder)
     say(f"{folder}: study {manifest.study}, workflow {manifest.workflow}, calflow {manifest.calflow}")
     for name, entry in manifest.stages.items():
+        status = "interrupted" if entry.status == "running" and not is_locked(folder) else entry.status
         seconds = "" if entry.seconds is None else f"{entry.seconds:.1f} s"
         reused = f"; reused since: {entry.reused}" if entry.reused else ""
-        say(f"{name:14} {entry.status:12} {seconds:>8}  ran because: {entry.reason}{reused}")
+        say(f"{name:14} {status:12} {seconds:>8}  ran because: {entry.reason}{reused}")
 
 
 @click.command("report")

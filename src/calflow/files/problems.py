@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+Item = TypeVar("Item")
 
 MOST_TOLD = 20  # problems of one kind that are told one by one; the others are counted
 CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")  # what no text has; tabs and ends of lines it has
+MOST_COMPARED = 1000  # names that a wrong one is compared with
 LONGEST_WORD, LONGEST_MESSAGE = 60, 1000  # characters of a user's own word, and of a whole message, that are shown
 
 
@@ -62,6 +66,13 @@ def together(*checks: Callable[[], Any]) -> list[Any]:
     return results
 
 
+def counted(items: Sequence[Item], tell: Callable[[Item], Problem]) -> list[Problem]:
+    """Return a problem an item for the first of a kind, and one that counts the others."""
+    told = [tell(item) for item in items[:MOST_TOLD]]
+    more = len(items) - len(told)
+    return [*told, replace(told[-1], message=f"and {more} more problems like this one", key=None)] if more else told
+
+
 def shortened(text: str, most: int = LONGEST_WORD) -> str:
     """Return a text that a message can show, cut where it is long."""
     return text if len(text) <= most else f"{text[:most]} …"
@@ -73,9 +84,9 @@ def seen(text: str) -> str:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return `, did you mean 'x'?` for the known word nearest to a wrong one, or an empty string."""
+    """Return `, did you mean 'x'?` for the nearest to a wrong word of the known ones (the first of many), or an empty string."""
     if len(word) > LONGEST_WORD:  # no name is so long, and the comparison would take its time
         return ""
-    spelled = {name.lower(): name for name in known}
+    spelled = {name.lower(): name for name in islice(known, MOST_COMPARED)}
     close = difflib.get_close_matches(word.lower(), spelled, n=1, cutoff=0.5)
     return f", did you mean '{spelled[close[0]]}'?" if close else ""

@@ -8,20 +8,21 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from calflow.files.problems import CONTROL, MOST_TOLD, InputError, Problem, nearest, refuse, shortened
+from calflow.files.problems import CONTROL, InputError, Problem, counted, nearest, refuse, shortened
 from calflow.files.regular import regular_file
 from calflow.files.units import LARGEST, SUFFIXES, split_unit, to_si
 
 LONGEST_KEY, LONGEST_TEXT = 200, 10_000  # characters
 LARGEST_WHOLE = 2**63 - 1  # of TOML
+DEEPEST = 20  # tables and lists within each other
 TOO_LONG = f"is too long: expected at most {LONGEST_KEY} characters in a name, {LONGEST_TEXT} in a text"
 
 Found = Iterator[tuple[tuple[Any, ...], str]]
@@ -29,6 +30,9 @@ Found = Iterator[tuple[tuple[Any, ...], str]]
 
 def beyond(raw: Any, where: tuple[Any, ...] = ()) -> Found:
     """Yield the places of what a parsed file holds beyond these limits, each with what to say."""
+    if len(where) > DEEPEST:
+        yield where[:DEEPEST], f"expected at most {DEEPEST} tables and lists within each other"
+        return
     if isinstance(raw, str):
         yield from _text(raw, LONGEST_TEXT, where)
     if isinstance(raw, int) and not -LARGEST_WHOLE <= raw <= LARGEST_WHOLE:
@@ -97,7 +101,7 @@ class Origin:
         """Return the origin of a table of a file's text."""
         lines: dict[tuple[Any, ...], int] = {}
         for key, line in line_numbers(text).items():
-            for end in range(len(key), 0, -1):
+            for end in range(min(len(key), DEEPEST), 0, -1):
                 lines[key[:end]] = min(line, lines.get(key[:end], line))
         return Origin(path, table, lines)
 
@@ -198,7 +202,7 @@ def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
     origin = Origin.of_text(path, text)
     unfit = list(beyond(raw))
     if unfit:
-        raise InputError(_counted(unfit, lambda one: origin.problem(one[1], *one[0])))
+        raise InputError(counted(unfit, lambda one: origin.problem(one[1], *one[0])))
     return raw, origin
 
 
@@ -232,7 +236,7 @@ def validate(raw: dict[str, Any], kind: type[File], origin: Origin, others: Mapp
         problems = [
             problem
             for one in kinds
-            for problem in _counted(
+            for problem in counted(
                 [item for item in told if item["type"] == one],
                 lambda item: _problem(item, kind, raw, origin, others or {}),
             )
@@ -243,13 +247,6 @@ def validate(raw: dict[str, Any], kind: type[File], origin: Origin, others: Mapp
 def _named(location: tuple[Any, ...]) -> tuple[Any, ...]:
     """A location without the names of the forms that a value may have."""
     return tuple(part for part in location if part not in (ONE, SEVERAL, NONE))
-
-
-def _counted(items: Sequence[Any], tell: Callable[[Any], Problem]) -> list[Problem]:
-    """One problem an item for the first of a kind, and one that counts the others."""
-    told = [tell(item) for item in items[:MOST_TOLD]]
-    more = len(items) - len(told)
-    return [*told, replace(told[-1], message=f"and {more} more problems like this one", key=None)] if more else told
 
 
 def line_numbers(text: str) -> dict[tuple[Any, ...], int]:

@@ -5,7 +5,7 @@ The header of a measurement file: which columns are read, and as what.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calflow.files.problems import MOST_TOLD, InputError, Problem, nearest
+from calflow.files.problems import MOST_TOLD, InputError, Problem, counted, nearest
 from calflow.files.units import SUFFIXES
 from calflow.measurements.columns import ANGLES, QUATERNION, SIGMAS, STEMS, WRENCH, column_names, numbered, split_column
 from calflow.measurements.layout import Layout
@@ -40,11 +40,15 @@ def columns_read(there: Sequence[str], layout: Layout, robot: Robot, path: Path)
     Raises:
         InputError: the layout names columns that are not there.
     """
-    absent = [name for name in dict.fromkeys(layout.named) if name not in there]
-    if absent:
+    names = set(there)
+    if absent := [name for name in dict.fromkeys(layout.named) if name not in names]:
         raise InputError(
-            Problem(f"no column '{name}', which the study's mapping names{nearest(name, there)}", path, 1)
-            for name in absent
+            counted(
+                absent,
+                lambda name: Problem(
+                    f"no column '{name}', which the study's mapping names{nearest(name, there)}", path, 1
+                ),
+            )
         )
     pairs = [("", ours, theirs) for ours, theirs in layout.columns.items()]
     pairs += [(marker, ours, theirs) for marker, own in layout.markers.items() for ours, theirs in own.items()]
@@ -62,9 +66,15 @@ MOVED = 0.02  # rad or m by which two readings of one pose may differ
 
 def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, conditions_only: bool) -> list[str]:
     """Say which columns are unknown, doubled, without their unit, or missing."""
-    unknown = [said for column in columns if (said := _unknown(column, columns, layout, robot, conditions_only))]
-    if len(unknown) > MOST_TOLD:
-        unknown = [*unknown[:MOST_TOLD], f"and {len(unknown) - MOST_TOLD} more columns like these"]
+    known = column_names(robot, layout.reports)
+    first = {(column.name, column.marker): column for column in reversed(columns)}
+    wrong = [
+        column for column in columns
+        if _doubled(column, first) or not _is_known(column, known) or (conditions_only and column.name in layout.reports.values)
+    ]  # fmt: skip
+    unknown = [_mistake(column, first, known) for column in wrong[:MOST_TOLD]]
+    if len(wrong) > MOST_TOLD:
+        unknown.append(f"and {len(wrong) - MOST_TOLD} more columns like these")
     missing: list[str] = []
     for marker in dict.fromkeys([column.marker for column in columns if column.marker] or [""]):
         own = {column.name: column for column in columns if column.marker in ("", marker)}
@@ -86,23 +96,32 @@ def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, co
     return list(dict.fromkeys((*unknown, *missing, *told)))
 
 
-def _unknown(
-    column: ReadColumn, columns: Sequence[ReadColumn], layout: Layout, robot: Robot, conditions_only: bool
-) -> str:
-    """Say what is wrong with a column's name; empty where nothing is."""
-    known, name = column_names(robot, layout.reports), column.name
-    first = next(one for one in columns if one.name == name and one.marker in ("", column.marker))
-    if first.ours != column.ours or first.marker != column.marker:
+Columns = Mapping[tuple[str, str], ReadColumn]  # by name and marker
+
+
+def _doubled(column: ReadColumn, first: Columns) -> bool:
+    """Whether an earlier column, of all markers or of its own, has a column's name."""
+    return first.get((column.name, ""), first[column.name, column.marker]) is not column
+
+
+def _is_known(column: ReadColumn, known: Mapping[str, str]) -> bool:
+    """Whether a column's name is one of calflow's, with a unit where it needs one."""
+    dimension = known.get(column.name)
+    return dimension is not None and column.unit in (SUFFIXES[dimension] if dimension else ("",))
+
+
+def _mistake(column: ReadColumn, first: Columns, known: Mapping[str, str]) -> str:
+    """Say what is wrong with a column's name."""
+    name = column.name
+    if _doubled(column, first):
         return f"{column}: '{name}' is there twice, in different units"
     if name not in known or (column.unit and not known[name]):
         every = [f"{n}_{s}" if s else n for n, d in known.items() for s in SUFFIXES.get(d, ("",))]
         return f"unknown {column}{nearest(column.ours, every)}"
-    if known[name] and column.unit not in SUFFIXES[known[name]]:
+    if not _is_known(column, known):
         wanted = ", ".join(f"{name}_{suffix}" for suffix in SUFFIXES[known[name]])
         return f"{column} needs a unit of {known[name]} in its name: {wanted}"
-    if conditions_only and name in layout.reports.values:
-        return f"{column} is what will be predicted: leave it out of the rows"
-    return ""
+    return f"{column} is what will be predicted: leave it out of the rows"
 
 
 def _missing(

@@ -183,7 +183,7 @@ def _kind(where: str, value: Any, kind: type) -> Told:
 
 
 def _choice(where: str, value: Any, choice: Sequence[Any]) -> Told:
-    if value not in choice:
+    if not any(value == one and type(value) is type(one) for one in choice):
         yield Problem(f"expected {' or '.join(map(repr, choice))}, found {value!r}", key=where)
 
 

@@ -47,9 +47,10 @@ def check(study: Study) -> Checked | None:
     Raises:
         InputError: with all that a run would refuse.
     """
-    stages, to_fetch = together(partial(stages_of, study), lambda: study.to_fetch)
-    measured = study.file.measurements is not None and not to_fetch
-    data, _ = together(lambda: study.measurements() if measured else None, partial(_confirming, study))
+    measured = study.file.measurements is not None and not study.to_fetch
+    stages, data, _ = together(
+        partial(stages_of, study), lambda: study.measurements() if measured else None, partial(_confirming, study)
+    )
     _, checked = together(partial(_settings, study, data), lambda: _checked(study, data) if data else None)
     if checked is None:
         return None

@@ -39,3 +39,14 @@ def wait_until_free(folder: Path) -> None:
     if folder.is_dir():
         with FileLock(inside(folder, NAME)):
             pass
+
+
+def is_locked(folder: Path) -> bool:
+    """Return whether a run is at work in a folder, as far as whoever asks may know."""
+    from filelock import FileLock
+
+    try:
+        with FileLock(inside(folder, NAME), timeout=0):
+            return False
+    except OSError:  # somebody has it, or the folder cannot be written to
+        return True

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from calflow.files.problems import InputError, nearest, refuse, together
+from calflow.files.problems import InputError, Problem, counted, nearest, refuse, together
 from calflow.files.toml import Origin
 from calflow.run_folder import read_manifest
 from calflow.runs.cache_key import common_key, stage_key
@@ -42,9 +42,7 @@ def stages_of(study: Study, ran: Collection[str] = ()) -> list[Stage]:
         if name not in known:
             problems.append(workflow.problem(f"unknown stage '{name}'{nearest(name, known)}", "stages"))
     for origin, key, tables in ((workflow, "settings", study.workflow.settings), (own, "stages", study.file.stages)):
-        for name in tables:
-            if name not in known:
-                problems.append(origin.problem(f"unknown stage{nearest(name, known)}", key, name))
+        problems += _unknown_stages(tables, known, origin, key)
     if all(name in known for name in names):
         for i, name in enumerate(names):
             late = [need for need in (*known[name].needs, *known[name].uses) if need in names[i:]]
@@ -60,6 +58,12 @@ def stages_of(study: Study, ran: Collection[str] = ()) -> list[Stage]:
     set_ = dict.fromkeys((*names, *study.workflow.settings, *study.file.stages))
     together(*(partial(study.validated_settings, name, known[name].settings) for name in set_))
     return [known[name] for name in names]
+
+
+def _unknown_stages(tables: Iterable[str], known: Mapping[str, Stage], origin: Origin, key: str) -> list[Problem]:
+    """What to say of the tables of a file that are of no stage."""
+    unknown = [name for name in tables if name not in known]
+    return counted(unknown, lambda name: origin.problem(f"unknown stage{nearest(name, known)}", key, name))
 
 
 def based(study: Study, ran: Collection[str] = ()) -> dict[str, Stage]:

@@ -60,7 +60,7 @@ def run(
     folder = Path(folder) if folder is not None else default_folder(study)
     listener = listener or Silent()
     if stage is None or (stage in STAGES and STAGES[stage].measured):
-        for source in study.to_fetch:
+        for source in study.all_to_fetch:
             listener.say(f"fetching {source.file} from {source.url}; expecting SHA-256 {source.sha256}")
             fetch(source)
     steps = plan(study, folder, stage, force)

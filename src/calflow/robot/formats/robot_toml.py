@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from calflow.files.problems import shortened
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Mass, Moment
@@ -22,11 +23,21 @@ UPRIGHT = 0.5  # cosine of a slide's angle to gravity from which it is no rail
 Limits = tuple[float, float] | None
 
 
+def _whole(value: Any) -> Any:
+    """Return a value that is no number with a point, nor true, which are equal to whole ones."""
+    if isinstance(value, float | bool):
+        raise PydanticCustomError("int_type", "expected a whole number")
+    return value
+
+
+Sign = Annotated[Literal[1, -1], BeforeValidator(_whole)]
+
+
 class DriveTable(FileModel):
     """What drives a joint, its limits and the mass of its link."""
 
     name: str = ""
-    sign: Literal[1, -1] = 1
+    sign: Sign = 1
     limits_deg: Limits = None
     limits_mm: Limits = None
     limits_rad: Limits = None
