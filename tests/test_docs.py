@@ -11,6 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from calflow.measurements.reading import LARGEST, LONGEST
 from conftest import in_process
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -117,6 +118,26 @@ def what_is_not_physical_is_called_so(folder: Path, said: dict[str, str]) -> Non
     """The page's study asks for a residual field, and none is used on so few poses that gain nothing by it."""
     assert "residual field (not physical) not applied" in said["calflow run my-robot --stage residual_field"]
     assert "not_physical_x_mm" not in pd.read_csv(folder / "predicted.csv", sep=None, engine="python")
+
+
+def test_the_page_on_security_names_what_the_code_does():
+    """Fails if an environment variable, a limit of fetching, or what is started beside calflow, is not on the page that says so."""
+    said = (DOCS / "security.md").read_text(encoding="utf-8")
+    code = {path: path.read_text(encoding="utf-8") for path in (DOCS.parent / "src").rglob("*.py")}
+    variables = {name for text in code.values() for name in re.findall(r'os\.environ\S*[\[(]"(\w+)"', text)}
+    assert variables == {"CALFLOW_DATA", "CC", "XDG_CACHE_HOME", "TMPDIR", "OMP_NUM_THREADS"}
+    assert not [name for name in variables if f"`{name}`" not in said]
+    assert f"{LARGEST / 1e6:.0f} MB and {LONGEST / 60:.0f} minutes" in said
+    starting = {
+        path.stem for path, text in code.items() if "import subprocess" in text or "from multiprocessing import" in text
+    }
+    assert starting <= {"compiled", "engine", "attempts"}  # the compiler, Snakemake, and a robot's run apart
+    sending = {
+        path.stem
+        for path, text in code.items()
+        if re.search("^from (urllib|http|socket)|^import (socket|requests)", text, re.M)
+    }
+    assert sending == {"reading"}
 
 
 @pytest.mark.parametrize("page", sorted([*DOCS.glob("*.md"), DOCS.parent / "README.md"]), ids=lambda page: page.stem)
