@@ -79,7 +79,7 @@ def drawn(rng: np.random.Generator) -> Case:
             robot.stated, q, points, payload=np.array(PAYLOADS)[payload], pose=np.arange(1, POSES + 1), split="train",
             sigma=np.full(POSES, NOISE),
         )  # fmt: skip
-        return cf.identify(robot.stated, data, EFFECTS, starts=1).identification.known, data
+        return cf.identify(robot.stated, data, EFFECTS, starts=1), data
 
     known, data = identified(clean + noise)
     kind = str(rng.choice(list(SMALL)))

@@ -77,7 +77,7 @@ class HeavyRobot:
             for own, payload in zip(np.array_split(q, len(PAYLOADS)), PAYLOADS, strict=True)
         ]
         data = _stacked(blocks)
-        known = cf.identify(self.stated, data, effects, starts=1).identification.known
+        known = cf.identify(self.stated, data, effects, starts=1)
         return replace(known, model=replace(known.model, given=())), data
 
 

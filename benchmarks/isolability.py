@@ -35,7 +35,7 @@ import calflow as cf
 from calflow.design.planned import Planned
 from calflow.design.selection import select
 from calflow.design.separability import DRAWS, RECORDS, ROOM, Place, Visits, chances, screened
-from calflow.diagnosis.diagnosis import diagnose
+from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.screening.screening import Family, Screening
 from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES
 from calflow.effects.cause import Cause
@@ -219,8 +219,8 @@ def case(plan: Plan, k: int, rng: np.random.Generator) -> Iterator[dict[str, obj
             break
     started = time.process_time()
     data = plan.measurements(points + SIGMA * rng.standard_normal(points.shape))
-    known = cf.identify(plan.visits.robot, data, EFFECTS, starts=1).identification.known
-    found = diagnose(known, data, rng=draws(int(rng.integers(2**31))))
+    known = cf.identify(plan.visits.robot, data, EFFECTS, starts=1)
+    found = search_causes(known, data, rng=draws(int(rng.integers(2**31))))
     sets = [
         {verdict.finding.cause.place, *(rival.cause.place for rival in verdict.rivals if rival.cause)}
         for verdict in found.verdicts

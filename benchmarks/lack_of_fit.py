@@ -64,7 +64,7 @@ def simulated(design: Design, degrees: int, rng: np.random.Generator) -> float:
 def identified(kind: str, repeats: int, seed: int) -> float:
     """Return the p-value of one identification of the hidden simulator's robot, without any hidden cause."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-    from calflow.estimation.identification import identify
+    from calflow.estimation.identification import fit_effects
     from calflow.faults import search_faults
     from calflow.study import load_study
     from hidden.case import Case, write_case
@@ -74,7 +74,7 @@ def identified(kind: str, repeats: int, seed: int) -> float:
         write_case(Path(folder), Case(noise=kind, repeats=repeats, columns=columns), np.random.default_rng(seed))
         study = load_study(Path(folder))
         data, _ = search_faults(study.measurements())
-        return identify(data, study.file.effects, starts=1).lack.p
+        return fit_effects(data, study.file.effects, starts=1).lack.p
 
 
 def told(label: str, p: list[float]) -> None:

@@ -30,8 +30,6 @@ from blind_cases import Job, Unit
 from blind_run import Kind, Row, guarded, run_kind
 
 import calflow as cf
-from calflow.diagnosis.diagnosis import diagnose
-from calflow.diagnosis.findings.extended_model import extended_model
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.runs.next_poses import next_poses
 from calflow.runs.run import run
@@ -223,8 +221,8 @@ def planned(cell: Cell, job: Job, folder: Path) -> Row:
         _append(own, cell.measured(poses, rng))
         _study(own, job.seed, measured=True)
         study = load_study(own)
-        found = cf.identify(study.robot, study.measurements(), study.file.effects, starts=1).identification
-        extended = extended_model(diagnose(found.known, found.data), found.known, found.data)
+        found = cf.identify(study.robot, study.measurements(), study.file.effects, starts=1)
+        extended = found.diagnose()
         row[f"plan{number}_mm"] = 1e3 * true_error(cell, extended, job.seed)
     return row
 

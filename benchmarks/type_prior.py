@@ -111,13 +111,13 @@ class Plant:
 
 def known(robot: cf.Robot, data: cf.Measurements) -> tuple[CalibratedModel, float]:
     """What calflow identifies, and its mean error at the held-out poses [m]."""
-    fit = cf.identify(robot, data, EFFECTS, starts=1).identification
+    fit = cf.identify(robot, data, EFFECTS, starts=1)
     held = data.only(~data.train)
     if not len(held):
-        return fit.known, float("nan")
-    rows = held.on(fit.known.model.robot).rows
-    left = fit.known.model.position(fit.known.estimate, rows) - held.position
-    return fit.known, float(np.linalg.norm(left, axis=1).mean())
+        return fit, float("nan")
+    rows = held.on(fit.model.robot).rows
+    left = fit.model.position(fit.estimate, rows) - held.position
+    return fit, float(np.linalg.norm(left, axis=1).mean())
 
 
 def told_by(plant: Plant, robots: list[Robot], rng: np.random.Generator) -> tuple[tuple[Parameter, ...], list[Told]]:

@@ -29,11 +29,11 @@ def main() -> None:
     for name, robot in (("DH", table), ("URDF", described)):
         begun = time.process_time()
         fit = cf.identify(robot, replace(data, robot=robot), effects=["geometry"], seed=study.file.seed)
-        row = fit.accuracy.iloc[-1]
+        row = fit.accuracy.table.iloc[-1]
         held.append(row["mean_mm"])
-        found = fit.identification.identifiability
+        found = fit.summary
         print(f"{name:5} held out {row['mean_mm']:.6f} mm mean, {row['max_mm']:.6f} max; "
-              f"{found.rank} of {found.n_parameters} determined; {time.process_time() - begun:.1f} s")  # fmt: skip
+              f"{found.rank} of {found.parameters} determined; {time.process_time() - begun:.1f} s")  # fmt: skip
     print(f"difference of the means: {1e3 * abs(held[1] - held[0]):.4f} um")
 
 

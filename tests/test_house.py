@@ -29,7 +29,6 @@ FLOORS = (  # an import points to a floor further up this list, or stays within 
     ("stages",),
     ("runs",),
     ("fleet",),
-    ("api",),
     ("commands",),
     ("__init__", "cli"),
     ("__main__",),

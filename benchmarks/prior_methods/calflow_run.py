@@ -11,7 +11,7 @@ from real_data import columns
 
 from calflow.estimation.certainty import field_correction
 from calflow.estimation.field_gain import gainful_field
-from calflow.estimation.identification import identify
+from calflow.estimation.identification import fit_effects
 from calflow.measurements.measurements import Measurements
 from calflow.runs.calibrated_run import CalibratedRun
 from calflow.runs.run import run
@@ -94,7 +94,7 @@ class GeometryField:
     def fit(self, train: Measurements) -> Predictor:
         """Fit both."""
         train = replace(train, table=train.table.assign(split="train"))
-        known = identify(train, ("geometry",), starts=1).known
+        known = fit_effects(train, ("geometry",), starts=1).known
         known = replace(known, field=gainful_field(known, train.on(known.model.robot))[0])
 
         def positions(rows: Measurements) -> np.ndarray:

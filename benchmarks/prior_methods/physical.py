@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calflow.estimation.identification import identify
+from calflow.estimation.identification import fit_effects
 from calflow.estimation.registration import registered
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
@@ -28,7 +28,7 @@ class Calibrated:
 
 def calibrated(train: Measurements, *effects: str) -> Calibrated:
     """Fit effects, one after the other."""
-    known = identify(train, effects, starts=1).known
+    known = fit_effects(train, effects, starts=1).known
     return Calibrated(known.model, known.estimate)
 
 

@@ -3,8 +3,9 @@
     import calflow as cf
     robot = cf.Robot.from_toml("robot.toml")
     data = cf.Measurements.from_csv("points.csv", robot).split(holdout=0.3, seed=1)
-    fit = cf.identify(robot, data, effects=["geometry", "joint-compliance"])
-    found = cf.diagnose(fit, data)
+    calibration = cf.identify(robot, data, effects=["geometry", "joint-compliance"])
+    better = calibration.diagnose()
+    better.save("runs/mine")
 
 A study on disk: `study = cf.load_study("studies/hh800/study.toml")`, `result = cf.run(study)`, then
 `result.tables["identify/accuracy.csv"]` is a DataFrame. docs/api.md has the rest.
@@ -15,11 +16,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calflow.api.diagnosed import Diagnosis, diagnose
-    from calflow.api.fit import Fit, identify
-    from calflow.api.model import Model
-    from calflow.api.report import report
-    from calflow.api.sampled import sample
+    from calflow.calibration import Calibration, diagnose, identify, report
     from calflow.deployment.comparison import Comparison
     from calflow.deployment.compensation import Compensation
     from calflow.deployment.drift import Drift
@@ -50,19 +47,15 @@ if TYPE_CHECKING:
     from calflow.study import Study, load_study
 
 __all__ = [
-    "Base", "Comparison", "Compensation", "Coupling", "Diagnosis", "Drift", "Expected", "Fit", "FourBar", "Frame",
-    "History", "InputError", "Joint", "Marker", "Measurements", "Model", "NextStep", "Parameters", "Payload",
-    "Posterior", "Prediction", "Reproduction", "Robot", "Run", "Study", "Validation", "choose_check_poses", "compare",
-    "compensate", "dh", "diagnose", "drift", "export_run", "filter_program", "history", "identify", "load_study",
-    "modified_dh", "next_poses", "pack", "predict", "report", "reproduce", "run", "sample", "simulate", "validate",
+    "Base", "Calibration", "Comparison", "Compensation", "Coupling", "Drift", "Expected", "FourBar", "Frame",
+    "History", "InputError", "Joint", "Marker", "Measurements", "NextStep", "Parameters", "Payload", "Posterior", "Prediction",
+    "Reproduction", "Robot", "Run", "Study", "Validation", "choose_check_poses", "compare", "compensate", "dh",
+    "diagnose", "drift", "export_run", "filter_program", "history", "identify", "load_study", "modified_dh", "next_poses", "pack",
+    "predict", "report", "reproduce", "run", "simulate", "validate",
 ]  # fmt: skip
 
 _HOMES = {
-    "api.diagnosed": ("Diagnosis", "diagnose"),
-    "api.fit": ("Fit", "identify"),
-    "api.model": ("Model",),
-    "api.report": ("report",),
-    "api.sampled": ("sample",),
+    "calibration": ("Calibration", "diagnose", "identify", "report"),
     "deployment.compensation": ("Compensation",),
     "deployment.comparison": ("Comparison",),
     "deployment.drift": ("Drift",),

@@ -5,18 +5,24 @@ A run folder's tables are its codec: `results` holds them, and each is read as r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import shutil
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
+from calflow.deployment.compensation import Compensation, compensated
+from calflow.deployment.inverse_kinematics import Targets
+from calflow.deployment.prediction import Missing, Prediction, predict_positions
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
-from calflow.diagnosis.diagnosis import diagnose as searched
+from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.findings.curves import CurvePoint, curves
 from calflow.diagnosis.findings.extended_model import (
     DiagnosisSummary,
@@ -26,10 +32,11 @@ from calflow.diagnosis.findings.extended_model import (
     extended_noise,
 )
 from calflow.diagnosis.findings.finding import Finding
+from calflow.diagnosis.findings.replication import confirm as confirmed
 from calflow.diagnosis.findings.rivals import alternatives_table
 from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, candidates_table
 from calflow.diagnosis.findings.tables import findings as diagnosed_findings
-from calflow.diagnosis.search.fitted import FAR
+from calflow.diagnosis.search.fitted import FAR, Fitted
 from calflow.diagnosis.search.trial import FALSE_ALARM
 from calflow.effects import catalogue as effect_kinds
 from calflow.effects.base import unmet
@@ -42,10 +49,10 @@ from calflow.estimation.calibrated_model import (
     observation_table,
     placement_table,
 )
+from calflow.estimation.field_gain import field_results, gainful_field
 from calflow.estimation.fit_summary import FitSummary, IdentifySummary
-from calflow.estimation.identifiability import Correlation, Statement, correlations, redundant
-from calflow.estimation.identification import Identification, NoiseSource
-from calflow.estimation.identification import identify as fitted
+from calflow.estimation.identifiability import Correlation, Statement, best_subset, correlations, redundant
+from calflow.estimation.identification import FittedEffects, NoiseSource, fit_effects
 from calflow.estimation.judgement import JudgedResidual, Studentised, judged, judged_table
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
@@ -53,7 +60,7 @@ from calflow.estimation.parameters import Parameters, covariance_table, mistaken
 from calflow.estimation.progress import Advance, Draws, Say, draws, nobody
 from calflow.estimation.rival_models import in_reach_table
 from calflow.faults import Fault, FaultyRow, as_table, corrected, examined
-from calflow.faults.odd_row import odd_rows
+from calflow.faults.outlier import odd_rows
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.results import Results, to_document
 from calflow.files.tables import TypedTable, to_frame
@@ -61,11 +68,51 @@ from calflow.measurements.measurements import Measurements
 from calflow.measurements.source import MeasurementSource
 from calflow.robot.robot import Robot
 from calflow.run_folder import CalibratedFolder, load_again, read_calibrated
+from calflow.sampling.chain import ChainLength
+from calflow.sampling.posterior import Posterior
+from calflow.sampling.sample import sample
+from calflow.study import Study
 from calflow.study_file import StudyFile, known_effects
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from calflow.reporting.material import Material
 
 OPEN_SHOWN = 6  # statements of what the data leave open, beyond which the rest is counted
 IN_PYTHON = "python"  # the name of what no study asked for
 AGAIN = "run the study again"
+
+
+@dataclass(frozen=True)
+class Plots:
+    """Figures of Matplotlib; `.savefig(path)` writes one."""
+
+    material: Material
+
+    def residuals(self) -> Figure:
+        """Draw the position errors against each joint's reading."""
+        from calflow.reporting.sections.residuals import by_joint
+
+        return self._drawn(by_joint)
+
+    def residuals_by_place(self) -> Figure:
+        """Draw the errors' size against reach, height and row."""
+        from calflow.reporting.sections.residuals import by_place
+
+        return self._drawn(by_place)
+
+    def residuals_in_space(self) -> Figure:
+        """Draw the errors in the workspace, enlarged."""
+        from calflow.reporting.sections.residuals import in_space
+
+        return self._drawn(in_space)
+
+    def _drawn(self, draw: Callable[[Material], Figure]) -> Figure:
+        from calflow.reporting.style import style
+
+        with style():
+            return draw(self.material)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -85,6 +132,19 @@ class Calibration(CalibratedModel):
     folder: CalibratedFolder | None = None
 
     @classmethod
+    def of(
+        cls, robot: Robot, request: StudyFile, results: Results, measured: Callable[[], Measurements]
+    ) -> Calibration:
+        """Return the calibration that a run folder's tables are of: the inverse of `results`.
+
+        Raises:
+            InputError: the tables are not of this robot, or of an earlier version of calflow.
+        """
+        given = results.document("identify/summary.json", IdentifySummary).conditions
+        model = calibrated(robot, results, given)
+        return cls(**_core(model), robot=robot, request=request, results=results, measured=measured)
+
+    @classmethod
     def load(cls, study_or_run: str | Path) -> Calibration:
         """Load what was saved in a folder, or the run of a study that is named by its file or its folder.
 
@@ -97,7 +157,7 @@ class Calibration(CalibratedModel):
             with TemporaryDirectory() as made:
                 return load_again(read.manifest, read.folder, Path(made)).measurements()
 
-        return replace(calibration_of(read.robot, read.file, read.results, measured), folder=read)
+        return replace(cls.of(read.robot, read.file, read.results, measured), folder=read)
 
     @cached_property
     def data(self) -> Measurements:
@@ -116,7 +176,7 @@ class Calibration(CalibratedModel):
         if self.before or not self.diagnosed:
             return self.before or self
         before = self.results.of({"identify"})
-        return replace(calibration_of(self.robot, self.request, before, self.measured), folder=self.folder)
+        return replace(Calibration.of(self.robot, self.request, before, self.measured), folder=self.folder)
 
     @property
     def title(self) -> str:
@@ -232,6 +292,7 @@ class Calibration(CalibratedModel):
         causes: int = 10,
         catalogue: Sequence[str] = (),
         leave_out: Sequence[str] = (),
+        confirm: Study | None = None,
         seed: int | None = None,
         say: Say = nobody,
         advance: Advance = nobody,
@@ -243,23 +304,181 @@ class Calibration(CalibratedModel):
             causes: the most to add.
             catalogue: ids of the effects to look for; all where there are none.
             leave_out: ids not to look for.
+            confirm: the study of an independent series of the same robot, of which is told what it says of the joint errors.
             seed: of all draws; that of the calibration where it is None.
             say: is told how it goes on.
             advance: is told the share of work done.
         """
         before, rng = self.identified, draws(self.seed if seed is None else seed)
         data = before.data
-        found = searched(
+        found = search_causes(
             before, data, false_alarm=false_alarm, causes=causes, catalogue=tuple(catalogue), leave_out=tuple(leave_out),
             rng=rng, say=say, advance=advance,
         )  # fmt: skip
         extended = extended_model(found, before, data)
         asked = {"diagnose": {"false_alarm": false_alarm}}
+        tables = _diagnosed_tables(found, extended, before, questions(found, data, rng), rng)
+        if confirm and found.causes:
+            tables |= _confirmed_tables(found.extended.fitted, confirm, say)
         return Calibration(
             **_core(extended), robot=self.robot, measured=self.measured, folder=self.folder, before=before,
             request=self.request.model_copy(update={"stages": self.request.stages | asked}),
-            results=before.results | _diagnosed_tables(found, extended, before, questions(found, data, rng), rng),
+            results=before.results | tables,
         )  # fmt: skip
+
+    def predict(
+        self, q: ArrayLike, *, payload: str | Sequence[str] | None = None, marker: str | Sequence[str] | None = None,
+        missing: Missing = "refuse", **conditions: ArrayLike,
+    ) -> Prediction:  # fmt: skip
+        """Return where the marker will be in the measuring frame, and how surely.
+
+        Args:
+            q: joint readings, shape (n_rows, n_joints), or (n_joints,) of one row [rad, or m].
+            payload: what is carried; nothing where it is None.
+            marker: which marker; the first where it is None.
+            missing: "widen" to go on without conditions that are needed, with a wider standard deviation.
+            conditions: approach, travel, wrench, torque, time, temperature, as in `Measurements.from_arrays`.
+
+        Raises:
+            InputError: a condition is missing that an effect needs, or an array is at fault.
+        """
+        return predict_positions(self, self.needed, self._rows(q, payload, marker, conditions), missing)
+
+    def compensate(
+        self, targets: ArrayLike, *, start: ArrayLike | None = None, payload: str | Sequence[str] | None = None,
+        marker: str | Sequence[str] | None = None, in_order: bool = False, missing: Missing = "refuse", seed: int = 1,
+        **conditions: ArrayLike,
+    ) -> Compensation:  # fmt: skip
+        """Return joint readings with which the marker lands on the targets.
+
+        They are those nearest to start: give the readings that the nominal robot would be sent to. Without start any nominal
+        solution within the joint limits is taken as such. Where the targets are positions, the tool keeps its orientation as
+        nearly as the start has it; without a start it is left open.
+
+        Args:
+            targets: positions (n, 3), or (3,), or poses (n, 4, 4), or (4, 4), in the measuring frame [m]. A pose is where the
+                marker is, and how the frame of the last link is turned, with the robot's tool_rotation where it has one.
+            start: readings (n, n_joints), or (n_joints,) for all [rad, or m]; of a robot with external axes theirs must be there,
+                and the arm's may be nan.
+            payload: what is carried, for all or one a target.
+            marker: which marker, likewise.
+            in_order: the robot goes from target to target, so that the side from which each joint comes follows from the commands.
+            missing: as in `predict`.
+            seed: of the poses from which nominal solutions are looked for.
+            conditions: as in `predict`; approach is the side that each joint will come from.
+
+        Raises:
+            InputError: a condition is missing that an effect needs, or an array is at fault.
+        """
+        asked, n = Targets.of(targets), self.model.robot.n_joints
+        given = np.full(n, np.nan) if start is None else np.asarray(start, dtype=float)
+        if given.shape not in ((n,), (len(asked), n)):
+            raise refuse(f"expected shape ({n},) or ({len(asked)}, {n}), found {given.shape}", key="start")
+        begun = np.broadcast_to(given, (len(asked), n))
+        if np.isnan(begun[:, self.model.robot.external]).any():
+            named = ", ".join(str(i + 1) for i in self.model.robot.external)
+            raise refuse(
+                f"expected readings of the external axes (joints {named}): they stay where they are", key="start"
+            )
+        data = self._rows(np.nan_to_num(begun), payload, marker, conditions)
+        known = not np.isnan(begun).any()
+        return compensated(
+            self, self.needed, data, asked, start=begun if known else None, in_order=in_order,
+            missing=missing, seed=seed,
+        )  # fmt: skip
+
+    def with_residual_field(self, *, seed: int | None = None, say: Say = nobody) -> Calibration:
+        """Return it with a smooth correction of what it leaves of the training rows, which is not physical.
+
+        It is the calibration without one where that gains nothing at training poses left out of it.
+
+        Args:
+            seed: of all draws; that of the calibration where it is None.
+            say: is told whether it is applied, and what it gains.
+        """
+        bare = replace(self, field=None)
+        field, gain = gainful_field(bare, self.data, draws(self.seed if seed is None else seed))
+        say(gain.statement)
+        results = self.results | field_results(bare, field, gain, self.data)
+        request = self.request.model_copy(update={"residual_field": True})
+        return replace(bare, field=field, results=results, request=request)
+
+    def sample(
+        self,
+        *,
+        ess: int = ChainLength.ess,
+        max_steps: int = ChainLength.max_steps,
+        ensembles: int = ChainLength.ensembles,
+        walkers: int | None = None,
+        block: int = ChainLength.block,
+        independent: float = ChainLength.independent,
+        seed: int | None = None,
+        say: Say = nobody,
+    ) -> Posterior:
+        """Sample the posterior of the parameters.
+
+        Args:
+            ess: effective number of draws at which it is enough.
+            max_steps: the most steps of a walker.
+            ensembles: independent ensembles of walkers.
+            walkers: in each ensemble; None: twice the number of parameters.
+            block: steps that are made before it is looked whether they are enough.
+            independent: share of the independence proposal.
+            seed: of all draws; that of the calibration where it is None.
+            say: is told how it goes on.
+
+        Raises:
+            InputError: the walkers are too few.
+        """
+        seed = self.seed if seed is None else seed
+        length = ChainLength(ensembles, walkers, block, max_steps, ess, independent)
+        with TemporaryDirectory() as folder:
+            return sample(self, self.data, Path(folder) / "chain.h5", length, rng=draws(seed), say=say)
+
+    @property
+    def plot(self) -> Plots:
+        """Its figures."""
+        return Plots(self.material())
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report as a PDF, or as a page for browsers, and return its path, which ends in .pdf or .html.
+
+        Raises:
+            InputError: the path ends otherwise.
+        """
+        path = Path(path)
+        if path.suffix.lower() not in (".pdf", ".html"):
+            raise refuse("expected a name that ends in .pdf or .html", path)
+        from calflow.reporting.document import write_report
+
+        with TemporaryDirectory() as folder:
+            write_report(self.material(), Path(folder))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(Path(folder) / f"report{path.suffix.lower()}", path)
+        return path
+
+    def material(self) -> Material:
+        """Return what its figures and its report are made from."""
+        from calflow.reporting.material import Calibration as Calibrated
+        from calflow.reporting.material import Material
+        from calflow.study_file import WorkflowFile
+
+        workflow = WorkflowFile(name=self.request.name, stages=tuple(self.request.stages))
+        request = self.request.model_copy(update={"title": self.title})
+        study = Study(Path(), request, self.model.robot, Path(), workflow, Path())
+        used = self.data.only(self.data.train | self.data.held_out)
+        return Material(study, self.results, Path(), Calibrated(used, replace(self, field=None)))
+
+    def _rows(
+        self, q: ArrayLike, payload: str | Sequence[str] | None, marker: str | Sequence[str] | None,
+        conditions: dict[str, ArrayLike],
+    ) -> Measurements:  # fmt: skip
+        q = np.atleast_2d(np.asarray(q, dtype=float))
+        named: dict[str, Any] = {"payload": payload, "marker": marker}
+        stated: dict[str, Any] = {name: value for name, value in named.items() if value is not None} | conditions
+        if "time" in conditions:
+            stated["time_origin"] = self.time_origin
+        return Measurements.from_arrays(self.model.robot, q, None, pose=np.arange(len(q)), **stated)
 
     def _latest(self, name: str) -> pd.DataFrame:
         return self.results.tables[f"{'diagnose' if self.diagnosed else 'identify'}/{name}.csv"]
@@ -320,8 +539,10 @@ def identify(
     noise: NoiseSource = "auto",
     seed: int = 1,
     title: str = "",
+    count: Mapping[str, int] | None = None,
     say: Say = nobody,
     advance: Advance = nobody,
+    paths: Sequence[Path] = (),
 ) -> Calibration:
     """Identify a robot from measurements, after gross mistakes in these were looked for.
 
@@ -335,8 +556,10 @@ def identify(
         noise: where the noise is to be taken from.
         seed: of all draws.
         title: what it is called.
+        count: how many parameters of an effect to keep: which are worth most is told of each effect that is named.
         say: is told how it goes on, `print` for example.
         advance: is told the share of work done.
+        paths: the files of the data, one a series, for messages.
 
     Raises:
         InputError: robot or measurements lack what an effect needs, or the measurements are too few.
@@ -347,36 +570,29 @@ def identify(
     robot = robot if parameters is None else parameters.on(robot, data, named)
     settings = {"identify": {"starts": starts, "loss": loss, "noise": noise}}
     request = StudyFile(name=IN_PYTHON, title=title, robot="robot.toml", seed=seed, effects=named, stages=settings)
-    rows, faults = examined(data.on(robot))
-    found = fitted(rows, named, starts=starts, loss=loss, noise=noise, rng=draws(seed), say=say, advance=advance)
-    return of_identification(robot, request, found, faults, lambda: data.on(robot))
-
-
-def of_identification(
-    robot: Robot,
-    request: StudyFile,
-    found: Identification,
-    faults: tuple[Fault, ...],
-    measured: Callable[[], Measurements],
-) -> Calibration:
-    """Return the calibration that an identification ended in."""
+    rows, faults = examined(data.on(robot), paths)
+    for fault in faults:
+        say(fault.said)
+    found = fit_effects(
+        rows, named, starts=starts, loss=loss, noise=noise, rng=draws(seed), say=say, advance=advance,
+        source=paths[0] if paths else None,
+    )  # fmt: skip
     results = _identified_tables(found, faults)
-    return Calibration(**_core(found.known), robot=robot, request=request, results=results, measured=measured)
-
-
-def calibration_of(
-    robot: Robot, request: StudyFile, results: Results, measured: Callable[[], Measurements]
-) -> Calibration:
-    """Return the calibration that a run folder's tables are of: the inverse of `Calibration.results`."""
-    given = results.document("identify/summary.json", IdentifySummary).conditions
+    if count:
+        results |= Results({"identify/count.csv": best_subset(found.fit, count)})
     return Calibration(
-        **_core(calibrated(robot, results, given)), robot=robot, request=request, results=results, measured=measured
+        **_core(found.known), robot=robot, request=request, results=results, measured=lambda: data.on(robot)
     )
 
 
 def diagnose(calibration: Calibration, **settings: Any) -> Calibration:
     """Return a calibration with what it lacks named and added: see `Calibration.diagnose`."""
     return calibration.diagnose(**settings)
+
+
+def report(calibration: Calibration, path: str | Path) -> Path:
+    """Write the report of a calibration, and return its path: see `Calibration.report`."""
+    return calibration.report(path)
 
 
 def _core(model: CalibratedModel) -> dict[str, Any]:
@@ -408,7 +624,7 @@ def _checked_effects(effects: Sequence[str], robot: Robot, data: Measurements) -
     return named
 
 
-def _identified_tables(found: Identification, faults: tuple[Fault, ...]) -> Results:
+def _identified_tables(found: FittedEffects, faults: tuple[Fault, ...]) -> Results:
     """Return what was identified as the run folder keeps it."""
     fit, observed = found.fit, found.model.observations
     tables = {
@@ -458,3 +674,18 @@ def _diagnosed_tables(
         "diagnose/needed_conditions.csv": to_frame(extended.needed, NeededCondition),
     }
     return Results(tables, {"diagnose/summary.json": to_document(diagnosis_summary(found, before))})
+
+
+def _confirmed_tables(found: Fitted, other: Study, say: Say) -> Results:
+    """What an independent series says of the joint errors found, once its own faults are seen to."""
+    data, faults = examined(other.measurements(), other.measurement_paths)
+    for fault in faults:
+        say(f"{other.name}: {fault.said}")
+    told = confirmed(found, data)
+    say(f"{other.name}: " + "; ".join(told.table["words"].unique()))
+    return Results({
+        "diagnose/confirmation.csv": told.table,
+        "diagnose/confirmation_curves.csv": told.curves,
+        "diagnose/confirmation_accuracy.csv": told.accuracy,
+        "diagnose/confirmation_faults.csv": as_table(faults, data),
+    })  # fmt: skip

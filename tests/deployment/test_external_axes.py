@@ -87,7 +87,7 @@ def where(of: Reference, q: np.ndarray) -> np.ndarray:
 def test_the_table_is_identified_with_the_arm(made) -> None:
     """Fails if the table's place or tilt, or the rail's direction, is taken for an error of the arm, or not found."""
     _, _, fit = made
-    accuracy = fit.accuracy.set_index(["model", "split"])["mean_mm"]
+    accuracy = fit.accuracy.table.set_index(["model", "split"])["mean_mm"]
     assert accuracy["nominal", "holdout"] > 0.5
     assert accuracy["geometry", "holdout"] < 2.5e3 * NOISE
 
@@ -97,14 +97,14 @@ def test_commands_move_the_arm_alone(made) -> None:
     robot, true, fit = made
     q = readings(40, 3)
     targets = where(true, q + np.array([0, 0, 0.02, 0.03, -0.02, 0.05, 0.03, 0.0]))
-    found = fit.model.compensate(targets, start=q)
+    found = fit.compensate(targets, start=q)
     assert_allclose(found.readings[:, robot.external], q[:, robot.external], rtol=0, atol=1e-15)
     assert found.reached.mean() > 0.9
     miss = np.linalg.norm(where(true, found.readings) - targets, axis=1)[found.reached]
     assert np.sqrt((miss**2).mean()) < 3 * NOISE
     free = q.copy()
     free[:, robot.arm] = np.nan
-    again = fit.model.compensate(targets, start=free)
+    again = fit.compensate(targets, start=free)
     assert_allclose(again.readings[:, robot.external], q[:, robot.external])
     assert again.reached.mean() > 0.9
 
@@ -113,7 +113,7 @@ def test_where_an_external_axis_is_must_be_said(made) -> None:
     """Fails if a rail's place is made up."""
     _, true, fit = made
     with pytest.raises(InputError, match=r"readings of the external axes \(joints 1, 2\)"):
-        fit.model.compensate(where(true, readings(1, 1)))
+        fit.compensate(where(true, readings(1, 1)))
 
 
 def test_targets_of_a_file_say_where_external_axes_are(made, tmp_path: Path) -> None:

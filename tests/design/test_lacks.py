@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from calflow.design.measuring.lacks import Lacks
-from calflow.diagnosis.diagnosis import diagnose
+from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.estimation.identification import identify
+from calflow.estimation.identification import fit_effects
 from calflow.study import load_study
 
 
@@ -17,8 +17,8 @@ from calflow.study import load_study
 def lacks(small):
     """Of the small robot, whose fit lacks nothing."""
     data = load_study(small.path).measurements()
-    found = identify(data, ("geometry", "joint-compliance"), starts=1)
-    fitted = diagnose(found.known, found.data).extended.fitted
+    found = fit_effects(data, ("geometry", "joint-compliance"), starts=1)
+    fitted = search_causes(found.known, found.data).extended.fitted
     return Lacks.of(fitted, Catalogue.of(fitted.data, ("geometry", "joint-compliance")))
 
 

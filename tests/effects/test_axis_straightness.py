@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from calflow import Measurements, diagnose, identify
+from calflow import Measurements, identify
 from calflow.design.candidates import packed_conditions
 from calflow.effects.axis_straightness import AxisStraightness
 from calflow.model import Model
@@ -82,11 +82,11 @@ def test_a_crooked_rail_is_found():
     q = drawn(200, rng)
     data = measured(q, crooked(rng, q[:, 0], 1.5e-4, 5e-5), rng)
     fit = identify(ON_A_RAIL, data, ("geometry",), starts=1)
-    told = diagnose(fit, data)
+    told = fit.diagnose()
     first = told.findings[0]
     assert (first.cause, first.joint, len(told.findings)) == ("axis-straightness", 1, 1)
     assert first.estimate == pytest.approx(np.sqrt(3) * 1.5e-4, rel=0.4)
-    steps = told.accuracy[told.accuracy["split"] == "holdout"]["mean_mm"]
+    steps = told.accuracy.table[told.accuracy.table["split"] == "holdout"]["mean_mm"]
     assert steps.iloc[-1] < 0.6 * steps.iloc[-2]
 
 
@@ -96,7 +96,7 @@ def test_a_straight_rail_is_left_alone():
     q = drawn(100, rng)
     data = measured(q, np.zeros((100, 6)), rng)
     fit = identify(ON_A_RAIL, data, ("geometry",), starts=1)
-    assert not len(diagnose(fit, data, catalogue=["axis-straightness", "gear-ratio-error"]).findings)
+    assert not len(fit.diagnose(catalogue=["axis-straightness", "gear-ratio-error"]).findings)
     few = measured(drawn(60, rng, places=4), np.zeros((60, 6)), rng)
     assert "7 different positions" in AxisStraightness.lacking(ON_A_RAIL, few)
     assert AxisStraightness.variants(ON_A_RAIL, few) == ()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.estimation.certainty import position_variance
-from calflow.estimation.identification import identify
+from calflow.estimation.identification import fit_effects
 from calflow.model import build
 from estimation.data import SIGMA, measured
 from robots import industrial
@@ -26,7 +26,7 @@ def data():
 
 def test_what_the_model_leaves_is_in_its_certainty(data):
     """Fails if positions are said to be certain to the parameters alone where the fit leaves ten times the noise."""
-    known = identify(replace(data, table=data.table.assign(sigma=SIGMA)), ("geometry",), starts=1).known
+    known = fit_effects(replace(data, table=data.table.assign(sigma=SIGMA)), ("geometry",), starts=1).known
     sd = np.sqrt(position_variance(known, data.rows))
     assert known.discrepancy == pytest.approx(2e-4, rel=0.2)
     assert (sd > known.discrepancy).all()
@@ -35,5 +35,5 @@ def test_what_the_model_leaves_is_in_its_certainty(data):
 
 def test_a_noise_that_only_the_fit_tells_is_in_it_too(data):
     """Fails if an incomplete model looks certain because its errors pass for noise."""
-    known = identify(data, ("geometry",), starts=1).known
+    known = fit_effects(data, ("geometry",), starts=1).known
     assert (np.sqrt(position_variance(known, data.rows)) > 1.5e-4).all()

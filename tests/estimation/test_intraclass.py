@@ -17,7 +17,7 @@ SHARED = Design(poses=30, markers=3, shared=2 * SIGMA, level=0.0)
 
 def errors(case, fitted):
     """Errors of the fit's parameters off their bounds, over their standard deviations."""
-    known = fitted.identification.known
+    known = fitted
     free = ~known.at_bound
     return (known.estimate - case.truth)[free] / np.sqrt(np.diag(known.covariance)[free])
 
@@ -59,7 +59,7 @@ def test_intervals_of_shared_errors_cover(calibrations):
 def test_the_posterior_and_the_fit_are_of_one_likelihood(calibrations):
     """Fails if the sampler counts squares otherwise than the fit: compared with the fit's own at some draws."""
     _, fitted = calibrations[0]
-    posterior, laplace = log_posterior_of(fitted.identification.known, fitted.identification.data)
+    posterior, laplace = log_posterior_of(fitted, fitted.data)
     assert isinstance(posterior, LogPosterior)
     assert laplace.variance == pytest.approx(1.0, abs=0.02)
     x = posterior.parameters(0.3 * np.random.default_rng(2).standard_normal((3, posterior.n_dimensions)))[:, :-1]
@@ -71,7 +71,7 @@ def test_one_marker_is_fitted_as_if_nothing_could_be_shared():
     """Fails by a bit in which a correlation touches rows that stand alone at their standstill."""
     case = Case.drawn(Design(poses=25, further=1), np.random.default_rng(3))
     fitted = case.fitted()
-    known, data = fitted.identification.known, fitted.identification.data
+    known, data = fitted, fitted.data
     assert known.intraclass == 0
     train = data.only(data.train)
     noise = known.noise(train)

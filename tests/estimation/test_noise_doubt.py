@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.estimation.identification import identify
+from calflow.estimation.identification import fit_effects
 from calflow.estimation.noise_doubt import NoiseDoubt, doubts_of_repeats
 from calflow.model import build
 from estimation.data import SIGMA, measured
@@ -43,7 +43,7 @@ def test_a_fit_that_leaves_far_less_contradicts_a_stated_noise():
     told = []
     for times in (1.0, 100.0):
         data, _ = repeated(times * SIGMA, repeats=1)
-        found = identify(data, ("geometry",), starts=1)
+        found = fit_effects(data, ("geometry",), starts=1)
         told.append(found.summary.noise_doubts)
     assert told[0] == ()
     (doubt,) = told[1]

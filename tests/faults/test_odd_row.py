@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.search.fitted import FAR, Fitted
-from calflow.estimation.identification import identify
+from calflow.estimation.identification import fit_effects
 from calflow.estimation.judgement import Studentised, judged_table
 from calflow.faults import as_table, corrected
 from calflow.faults.outlier import odd_rows
@@ -27,7 +27,7 @@ def measured(tmp_path_factory):
 
 def judged(data):
     """Which rows are odd by the model that a robust fit identifies, the fault, and the table of residuals."""
-    found = identify(data, ("geometry", "joint-compliance"), starts=1)
+    found = fit_effects(data, ("geometry", "joint-compliance"), starts=1)
     known, data = found.known, found.data
     final = Fitted.of(known, data.only(data.train), known.noise(data).only(data.train))
     noise = replace(known.noise(data), discrepancy=final.noise.discrepancy)

@@ -36,7 +36,7 @@ def fleet() -> list[Collected]:
         truth[zero] += 1.5 * model.prior_sd[zero] * (f"r{k}" == ODD)
         data = measured(model, np.clip(truth, *model.bounds.T), 50, rng)
         data = replace(data, table=data.table.assign(sigma=3e-5))
-        known = cf.identify(robot, data, EFFECTS, starts=1).identification.known
+        known = cf.identify(robot, data, EFFECTS, starts=1)
         found.append(Collected(f"r{k}", "hh800", Calibration.of(known), (WAVE,)))
     return found
 
@@ -78,7 +78,7 @@ def test_the_types_robot_file_needs_fewer_poses(findings, tmp_path):
     where_it_is = model.position(truth, further.rows)
     errors = []
     for robot in (hh800(), expecting):
-        known = cf.identify(robot, few, EFFECTS, starts=1).identification.known
+        known = cf.identify(robot, few, EFFECTS, starts=1)
         left = known.model.position(known.estimate, further.on(known.model.robot).rows) - where_it_is
         errors.append(np.linalg.norm(left, axis=1).mean())
     assert errors[1] < 0.8 * errors[0]

@@ -133,7 +133,7 @@ def test_from_python_it_is_the_same(corrected):
     robot = cf.Robot.from_toml(folder / "robot.toml")
     data = cf.Measurements.from_csv(folder / "measurements.csv", robot).split(0.25, 3)
     said = list[str]()
-    model = cf.identify(robot, data, effects=["geometry"], starts=1).model.with_residual_field(say=said.append)
+    model = cf.identify(robot, data, effects=["geometry"], starts=1).with_residual_field(say=said.append)
     assert "applied" in said[0]
     assert "not physical" in repr(model)
     q = np.deg2rad(inside.filter(regex=r"^q\d_deg").to_numpy())

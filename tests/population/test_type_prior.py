@@ -131,4 +131,4 @@ def calibration() -> CalibratedModel:
     rng = np.random.default_rng(7)
     data = measured(model, drawn_truth(model, rng), 50, rng)
     data = replace(data, table=data.table.assign(sigma=3e-5))
-    return cf.identify(data.robot, data, ["geometry", "joint-compliance"], starts=1).identification.known
+    return cf.identify(data.robot, data, ["geometry", "joint-compliance"], starts=1)

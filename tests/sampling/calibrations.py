@@ -93,7 +93,7 @@ class Case:
         data = cf.Measurements.from_arrays(robot, np.repeat(readings, each, axis=0), position.reshape(-1, 3), **more)
         return Case(build(robot, EFFECTS, data.given), truth, log_noise, data)
 
-    def fitted(self) -> cf.Fit:
+    def fitted(self) -> cf.Calibration:
         """Identify it."""
         return cf.identify(self.model.robot, self.data, EFFECTS, starts=1)
 
@@ -131,15 +131,15 @@ class Told:
 def told(case: Case, design: Design, rng: np.random.Generator) -> Told:
     """Calibrate a case, sample it, and hold what is said against the truth."""
     fit = case.fitted()
-    known, length = fit.identification.known, ChainLength(max_steps=STEPS, block=STEPS)
+    known, length = fit, ChainLength(max_steps=STEPS, block=STEPS)
     seed = int(rng.integers(2**31))
     with TemporaryDirectory() as folder:
-        sampled = sample(known, fit.identification.data, Path(folder, "chain.h5"), length, rng=draws(seed))
+        sampled = sample(known, fit.data, Path(folder, "chain.h5"), length, rng=draws(seed))
     chosen = sampled.points.reshape(-1, len(case.truth) + 1)
     chosen = chosen[rng.choice(len(chosen), DRAWS, replace=False)]
     values, truth, names = [chosen[:, :-1]], [case.truth], [p.name for p in case.model.parameters]
     if not design.shared and not design.repeating:  # else what is left is no single noise
-        values.append(chosen[:, -1:] + np.log(fit.identification.noise.total[0] / SIGMA))
+        values.append(chosen[:, -1:] + np.log(fit.noise(fit.data).total[0] / SIGMA))
         truth.append(np.array([case.log_noise]))
         names.append("noise")
     further = case.data.only(case.data.held_out)

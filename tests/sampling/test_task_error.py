@@ -54,7 +54,7 @@ def calibrations(tmp_path_factory):
     for k in range(10):
         case = Case.drawn(SMALL, np.random.default_rng([41, k]))
         fitted = case.fitted()
-        known, data = fitted.identification.known, fitted.identification.data
+        known, data = fitted, fitted.data
         chain = tmp_path_factory.mktemp("chains") / f"{k}.h5"
         sampled = sample(known, data, Path(chain), ChainLength(max_steps=80, block=80), rng=draws(k))
         task = data.only(data.held_out)

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calflow.calibration import _confirmed_tables
 from calflow.diagnosis.findings.extended_model import diagnosis_summary
 from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.diagnosis.screening.catalogue import Catalogue
@@ -15,7 +16,6 @@ from calflow.diagnosis.search.extension import Extended
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.estimation.reweighting import fit_reweighted
-from calflow.stages.diagnose import _confirmed
 from diagnosis.findings.test_replication import series
 from estimation.data import stated
 
@@ -35,9 +35,9 @@ def test_a_turned_sign_in_the_confirming_series_is_named_and_both_agree(fitted):
     """Fails if the other series is compared as its file has it: half a metre wrong, so that the two do not agree."""
     other, said = series(SAME, 2)[2], []
     other.table["q3"] *= -1
-    made = _confirmed(
+    made = _confirmed_tables(
         fitted, SimpleNamespace(name="other", measurement_paths=(), measurements=lambda: other), said.append
-    )
+    ).tables
     assert "the same curve" in made["diagnose/confirmation.csv"]["words"].iloc[0]
     faults = made["diagnose/confirmation_faults.csv"]
     assert (faults["cause"].tolist(), faults["joint"].tolist()) == (["joint-sign"], [3])
@@ -48,9 +48,9 @@ def test_a_turned_sign_in_the_confirming_series_is_named_and_both_agree(fitted):
 def test_a_confirming_series_without_faults_is_as_its_file_has_it(fitted):
     """Fails if faults are seen where there are none."""
     other = series(SAME, 2)[2]
-    made = _confirmed(
+    made = _confirmed_tables(
         fitted, SimpleNamespace(name="other", measurement_paths=(), measurements=lambda: other), lambda words: None
-    )
+    ).tables
     assert made["diagnose/confirmation_faults.csv"].empty
 
 

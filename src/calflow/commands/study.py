@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from rich.table import Table
 
-    from calflow.api.file_schemas import Draft
+    from calflow.commands.file_schemas import Draft
 
 
 def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
@@ -40,7 +40,7 @@ def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
 )
 def new_command(folder: Path, robot: str, tip: str | None, base: str | None) -> None:
     """Write a new study into FOLDER, to be filled in."""
-    from calflow.api.file_schemas import schema_text
+    from calflow.commands.file_schemas import schema_text
     from calflow.files.writing import write_whole
     from calflow.templates import SCHEMAS, schema_kinds, schema_path, write_study
 
@@ -149,7 +149,7 @@ def schema_command(kind: str, draft: Draft, out: Path | None, force: bool) -> No
 
     A file whose first line is `#:schema PATH` is then completed and checked by editors, and by `taplo check`.
     """
-    from calflow.api.file_schemas import KINDS, schema_text
+    from calflow.commands.file_schemas import KINDS, schema_text
 
     if not kind and out is None:
         raise click.UsageError(f"expected a KIND ({', '.join(KINDS)}), or --out FOLDER for all")

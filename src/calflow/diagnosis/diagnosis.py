@@ -23,7 +23,7 @@ from calflow.measurements.measurements import Measurements
 BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
 
 
-def diagnose(
+def search_causes(
     known: CalibratedModel,
     data: Measurements,
     *,

@@ -35,7 +35,7 @@ NoiseSource = Literal["auto", "repeats", "file", "estimated"]
 
 
 @dataclass(frozen=True, eq=False)
-class Identification:
+class FittedEffects:
     """A model identified from its training rows.
 
     data are all rows, on the robot that the errors refer to; noise is that of single rows, with the discrepancy that the model
@@ -114,7 +114,7 @@ class Identification:
         )
 
 
-def identify(
+def fit_effects(
     data: Measurements,
     effects: Sequence[str],
     *,
@@ -125,7 +125,7 @@ def identify(
     say: Say = nobody,
     advance: Advance = nobody,
     source: Path | None = None,
-) -> Identification:
+) -> FittedEffects:
     """Fit the errors of the data's nominal robot, one effect after the other.
 
     Args:
@@ -171,7 +171,7 @@ def identify(
         doubts = doubts_of_residuals(device.only(data.train), lack, tuple(series.name for series in data.series))
         for doubt in doubts:
             say(doubt.words)
-    return Identification(data, result, left, tuple(rows), lack, loss, starts, agree, doubts)
+    return FittedEffects(data, result, left, tuple(rows), lack, loss, starts, agree, doubts)
 
 
 def too_few_equations(model: Model, train: Measurements) -> str:

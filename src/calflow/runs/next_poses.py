@@ -21,7 +21,7 @@ from calflow.design.measuring_order import shortest_tour
 from calflow.design.planned import Planned, Task, stated_poses
 from calflow.design.selection import TASK_POSES, planned_poses, select
 from calflow.design.t_optimality import Choices
-from calflow.diagnosis.diagnosis import diagnose
+from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.findings.extended_model import extended_model
 from calflow.diagnosis.findings.tables import Diagnosis, findings
 from calflow.diagnosis.findings.verdict import label
@@ -30,7 +30,7 @@ from calflow.effects.words import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.elsewhere import left_out
-from calflow.estimation.identification import identify, too_few_equations
+from calflow.estimation.identification import fit_effects, too_few_equations
 from calflow.estimation.progress import Draws, Say, draws, nobody
 from calflow.faults import as_table, examined
 from calflow.files.problems import InputError, refuse
@@ -173,12 +173,12 @@ class _Asked:
         data, faults = examined(data, study.measurement_paths)
         for fault in faults:
             self.say(fault.said)
-        first = identify(
+        first = fit_effects(
             data, study.file.effects, starts=1, loss=identifying.loss, noise=identifying.noise, rng=rng,
             source=study.measurement_path,
         )  # fmt: skip
         data = first.data
-        found = diagnose(
+        found = search_causes(
             first.known, data, **study.validated_settings("diagnose", DiagnoseSettings).model_dump(), rng=rng
         )
         fitted = found.extended.fitted

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from calflow.calibration import identify
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import (
     DeviceNoise,
     ModelEffect,
     ModelObservation,
     Placed,
-    effect_table,
-    noise_table,
-    observation_table,
-    placement_table,
 )
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.identifiability import (
@@ -21,20 +18,16 @@ from calflow.estimation.identifiability import (
     Counted,
     Redundant,
     Statement,
-    best_subset,
-    correlations,
-    redundant,
 )
-from calflow.estimation.identification import Identification, NoiseSource, identify, too_few_equations
-from calflow.estimation.judgement import JudgedResidual, judged
+from calflow.estimation.identification import NoiseSource, too_few_equations
+from calflow.estimation.judgement import JudgedResidual
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
-from calflow.estimation.parameters import Covariances, FittedParameter, Parameters, covariance_table
+from calflow.estimation.parameters import Covariances, FittedParameter
 from calflow.estimation.repeats import measured_noise
-from calflow.faults import Fault, FaultyRow, as_table, examined
+from calflow.faults import FaultyRow
 from calflow.files.problems import InputError, Problem, nearest
-from calflow.files.results import Results, to_document
-from calflow.files.tables import to_frame
+from calflow.files.results import Results
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated
@@ -58,7 +51,7 @@ class IdentifySettings(FileModel):
     count: dict[str, int] = {}
 
 
-def run(context: Context) -> Results:
+def _run(context: Context) -> Results:
     """Fit the nominal robot's errors, effect by effect, and say what the data determine."""
     study, settings = context.study, context.settings
     if wrong := _wrong_count(study, settings):
@@ -66,38 +59,10 @@ def run(context: Context) -> Results:
     data = study.measurements()
     for note in data.notes:
         context.say(note)
-    data, faults = examined(data, study.measurement_paths)
-    for fault in faults:
-        context.say(fault.said)
-    found = identify(
-        data, study.file.effects, starts=settings.starts, loss=settings.loss, noise=settings.noise, rng=context.rng,
-        say=context.say, advance=context.advance, source=study.measurement_path,
-    )  # fmt: skip
-    counted = {"identify/count.csv": best_subset(found.fit, settings.count)} if settings.count else {}
-    return results(found, faults) | Results(counted)
-
-
-def results(found: Identification, faults: tuple[Fault, ...]) -> Results:
-    """Return what was identified as the run folder keeps it."""
-    fit, observed = found.fit, found.model.observations
-    tables = {
-        "identify/faults.csv": as_table(faults, found.data),
-        "identify/parameters.csv": Parameters.fitted(fit, fit.covariance).table,
-        "identify/accuracy.csv": to_frame(found.steps, Accuracy),
-        "identify/residuals.csv": judged(fit, found.data, found.noise),
-        "identify/identifiability.csv": found.identifiability.statements,
-        "identify/correlations.csv": correlations(fit),
-        "identify/covariance.csv": covariance_table(fit.model.parameters, fit.covariance),
-        "identify/effects.csv": effect_table(found.model.effects),
-        "identify/observations.csv": observation_table(observed),
-        "identify/noise.csv": noise_table(found.noise, observed),
-        "identify/placement.csv": placement_table(found.data.robot, observed),
-        "identify/needed_conditions.csv": to_frame(found.known.needed, NeededCondition),
-    }
-    left_out = redundant(found.data.robot)
-    if len(left_out):
-        tables["identify/redundant.csv"] = left_out
-    return Results(tables, {"identify/summary.json": to_document(found.summary)})
+    return identify(
+        study.robot, data, study.file.effects, **settings.model_dump(), seed=study.file.seed, say=context.say,
+        advance=context.advance, paths=study.measurement_paths,
+    ).results  # fmt: skip
 
 
 def problems(study: Study, settings: IdentifySettings, data: Measurements | None) -> list[Problem]:
@@ -143,7 +108,7 @@ STAGE = Stage(
     "identify",
     "identify geometry and compliance",
     IdentifySettings,
-    run,
+    _run,
     demand=demand,
     tables={
         "identify/parameters.csv": FittedParameter,

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from calflow.api.file_schemas import KINDS, schema
+from calflow.commands.file_schemas import KINDS, schema
 from conftest import in_process
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 TAPLO = shutil.which("taplo") or str(Path(sys.executable).parent / "taplo")
 SHIPPED = {
     "study": [*ROOT.glob("studies/*/study*.toml")],

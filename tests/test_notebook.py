@@ -9,7 +9,7 @@ from pathlib import Path
 import matplotlib
 import pytest
 
-NOTEBOOK = Path(__file__).parents[2] / "docs" / "first_calibration.ipynb"
+NOTEBOOK = Path(__file__).parents[1] / "docs" / "first_calibration.ipynb"
 
 
 def code_cells() -> list[dict]:

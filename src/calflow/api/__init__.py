@@ -1,1 +1,0 @@
-"""From Python: objects that a notebook holds, over the functions that the stages call."""
