@@ -171,7 +171,7 @@ def test_from_python_as_from_a_study(small):
     data = load_study(small.path).measurements()
     parameters = cf.Parameters.of(robot, data, EFFECTS).fix("joint2.theta", 1e-4).bound("joint3.a", -1e-3, 1e-3)
     fit = cf.identify(robot, data, EFFECTS, parameters=parameters, starts=1)
-    held = fit.parameters.set_index("parameter").loc["joint2.theta"]
+    held = fit.parameters.table.set_index("parameter").loc["joint2.theta"]
     assert (held["fixed"], held["estimate"], held["sd"]) == (True, 1e-4, 0.0)
     known = fit.identification.known
     known.model.robot.to_toml(small / "again.toml")
