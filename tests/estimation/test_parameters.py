@@ -173,11 +173,10 @@ def test_from_python_as_from_a_study(small):
     fit = cf.identify(robot, data, EFFECTS, parameters=parameters, starts=1)
     held = fit.parameters.table.set_index("parameter").loc["joint2.theta"]
     assert (held["fixed"], held["estimate"], held["sd"]) == (True, 1e-4, 0.0)
-    known = fit.identification.known
-    known.model.robot.to_toml(small / "again.toml")
+    fit.model.robot.to_toml(small / "again.toml")
     again = cf.Robot.from_toml(small / "again.toml")
-    assert again.expected == known.model.robot.expected == parameters.stated
-    after = Parameters.fitted(fit.identification.fit, known.covariance)
+    assert again.expected == fit.model.robot.expected == parameters.stated
+    after = fit.parameters
     assert after["joint3.a"].bounds == (-1e-3, 1e-3)
     assert after.fix("joint3.a")["joint3.a"].value == after["joint3.a"].value != 0
     with pytest.raises(cf.InputError, match=r"unknown parameter 'joint3\.s'"):
