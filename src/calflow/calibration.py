@@ -38,7 +38,7 @@ from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, candidate
 from calflow.diagnosis.findings.tables import findings as diagnosed_findings
 from calflow.diagnosis.search.fitted import FAR, Fitted
 from calflow.diagnosis.search.trial import FALSE_ALARM
-from calflow.effects import catalogue as effect_kinds
+from calflow.effects import Effect, effect_ids, effects_given
 from calflow.effects.base import unmet
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import (
@@ -66,6 +66,7 @@ from calflow.files.results import Results, to_document
 from calflow.files.tables import TypedTable, to_frame
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.source import MeasurementSource
+from calflow.model import build
 from calflow.robot.robot import Robot
 from calflow.run_folder import CalibratedFolder, load_again, read_calibrated
 from calflow.sampling.chain import ChainLength
@@ -145,12 +146,16 @@ class Calibration(CalibratedModel):
         return cls(**_core(model), robot=robot, request=request, results=results, measured=measured)
 
     @classmethod
-    def load(cls, study_or_run: str | Path) -> Calibration:
+    def load(cls, study_or_run: str | Path, effects: Sequence[type[Effect]] = ()) -> Calibration:
         """Load what was saved in a folder, or the run of a study that is named by its file or its folder.
 
+        effects are classes of its own effects that no installed package brings.
+
         Raises:
-            InputError: there is no calibration yet, or what is of it in the folder was changed since.
+            InputError: there is no calibration yet, or what is of it in the folder was changed since, or it has an effect that
+                nobody has defined here.
         """
+        effects_given(effects)
         read = read_calibrated(study_or_run)
 
         def measured() -> Measurements:
@@ -290,8 +295,8 @@ class Calibration(CalibratedModel):
         *,
         false_alarm: float = FALSE_ALARM,
         causes: int = 10,
-        catalogue: Sequence[str] = (),
-        leave_out: Sequence[str] = (),
+        catalogue: Sequence[str | type[Effect]] = (),
+        leave_out: Sequence[str | type[Effect]] = (),
         confirm: Study | None = None,
         seed: int | None = None,
         say: Say = nobody,
@@ -302,8 +307,8 @@ class Calibration(CalibratedModel):
         Args:
             false_alarm: chance that anything is found where nothing is.
             causes: the most to add.
-            catalogue: ids of the effects to look for; all where there are none.
-            leave_out: ids not to look for.
+            catalogue: effects to look for, by id or as classes; all that are installed where there are none.
+            leave_out: effects not to look for.
             confirm: the study of an independent series of the same robot, of which is told what it says of the joint errors.
             seed: of all draws; that of the calibration where it is None.
             say: is told how it goes on.
@@ -311,8 +316,9 @@ class Calibration(CalibratedModel):
         """
         before, rng = self.identified, draws(self.seed if seed is None else seed)
         data = before.data
+        only, without = (effect_ids(effects_given(effects)) for effects in (catalogue, leave_out))
         found = search_causes(
-            before, data, false_alarm=false_alarm, causes=causes, catalogue=tuple(catalogue), leave_out=tuple(leave_out),
+            before, data, false_alarm=false_alarm, causes=causes, catalogue=only, leave_out=without,
             rng=rng, say=say, advance=advance,
         )  # fmt: skip
         extended = extended_model(found, before, data)
@@ -531,7 +537,7 @@ class Calibration(CalibratedModel):
 def identify(
     robot: Robot,
     data: Measurements,
-    effects: Sequence[str] = ("geometry", "joint-compliance"),
+    effects: Sequence[str | type[Effect] | Effect] = ("geometry", "joint-compliance"),
     *,
     parameters: Parameters | None = None,
     starts: int = 3,
@@ -549,7 +555,7 @@ def identify(
     Args:
         robot: as its maker says.
         data: measurements with a split (see `Measurements.split`).
-        effects: ids of what a real robot also does, in the order in which they are added.
+        effects: what a real robot also does, by id, as a class or as an object, in the order in which they are added.
         parameters: what is held, bounded or expected otherwise (see `Parameters.of`).
         starts: number of starting points of each fit.
         loss: how the square of a row's residual counts: linear, soft_l1, cauchy.
@@ -566,15 +572,17 @@ def identify(
     """
     if "split" not in data.table:
         raise refuse("say first which poses to hold out: data = data.split(holdout=0.3, seed=1)", key="data")
-    named = _checked_effects(effects, robot, data)
-    robot = robot if parameters is None else parameters.on(robot, data, named)
+    given = effects_given(effects)
+    _check_effects(given, robot, data)
+    robot = robot if parameters is None else parameters.on(robot, data, given)
     settings = {"identify": {"starts": starts, "loss": loss, "noise": noise}}
+    named = effect_ids(given)
     request = StudyFile(name=IN_PYTHON, title=title, robot="robot.toml", seed=seed, effects=named, stages=settings)
     rows, faults = examined(data.on(robot), paths)
     for fault in faults:
         say(fault.said)
     found = fit_effects(
-        rows, named, starts=starts, loss=loss, noise=noise, rng=draws(seed), say=say, advance=advance,
+        rows, given, starts=starts, loss=loss, noise=noise, rng=draws(seed), say=say, advance=advance,
         source=paths[0] if paths else None,
     )  # fmt: skip
     results = _identified_tables(found, faults)
@@ -599,29 +607,29 @@ def _core(model: CalibratedModel) -> dict[str, Any]:
     return {one.name: getattr(model, one.name) for one in fields(CalibratedModel)}
 
 
-def _checked_effects(effects: Sequence[str], robot: Robot, data: Measurements) -> tuple[str, ...]:
-    """Return the effects' ids.
+def _check_effects(effects: Sequence[str | Effect], robot: Robot, data: Measurements) -> None:
+    """Check that a fit can have the effects.
 
     Raises:
-        InputError: one is unknown or there twice, is a model of the noise, or needs what robot and data lack, or the robot
-            expects something of a parameter that is not there.
+        InputError: one is there twice, is a model of the noise, or needs what robot and data lack, or the robot expects something
+            of a parameter that is not there.
     """
     try:
-        named = known_effects(tuple(effects))
+        known_effects(effect_ids(effects))
     except ValueError as error:
         raise refuse(str(error), key="effects") from None
+    every = build(robot, effects).effects
     problems = [
-        Problem(f"effect '{effect}' is a model of the noise, which no fit can have; diagnose looks for it")
-        for effect in named if effect_kinds()[effect].is_noise()
+        Problem(f"effect '{effect.id}' is a model of the noise, which no fit can have; diagnose looks for it")
+        for effect in every if effect.is_noise()
     ]  # fmt: skip
     problems += [
-        Problem(f"effect '{effect}' needs {lacking}")
-        for effect in named for lacking in unmet(effect_kinds()[effect].needs, robot, data.given)
+        Problem(f"effect '{effect.id}' needs {lacking}")
+        for effect in every for lacking in unmet(effect.needs, robot, data.given)
     ]  # fmt: skip
-    problems += [Problem(message, key=f"expected[{k + 1}]") for k, message in mistaken(robot, named)]
+    problems += [Problem(message, key=f"expected[{k + 1}]") for k, message in mistaken(robot, effects)]
     if problems:
         raise InputError(problems)
-    return named
 
 
 def _identified_tables(found: FittedEffects, faults: tuple[Fault, ...]) -> Results:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -12,7 +12,8 @@ import casadi as ca
 import numpy as np
 
 from calflow.compiled import WORTH_EVALUATIONS, compiled
-from calflow.effects import Effect, catalogue
+from calflow.effects import Effect, catalogue, effect_class
+from calflow.files.problems import nearest, refuse
 from calflow.measurements.measurements import Measurements
 from calflow.observations import Observation, Seen
 from calflow.robot.chain import Deflection, marker_point, pose
@@ -303,17 +304,33 @@ class Model:
 
 
 def build(
-    robot: Robot, effects: Sequence[str], given: tuple[str, ...] = (), observations: tuple[Observation, ...] = ()
+    robot: Robot,
+    effects: Sequence[str | Effect],
+    given: tuple[str, ...] = (),
+    observations: tuple[Observation, ...] = (),
 ) -> Model:
-    """Return the model of a robot with the effects of these ids."""
-    return Model(robot, tuple(catalogue()[name](robot) for name in effects), given, observations)
+    """Return the model of a robot with the effects of these ids, and with others as they are."""
+    every = (_class(one)(robot) if isinstance(one, str) else replace(one, robot=robot) for one in effects)
+    return Model(robot, tuple(every), given, observations)
 
 
 def stated(
-    robot: Robot, effects: Sequence[str], data: Measurements, observations: tuple[Observation, ...] = ()
+    robot: Robot, effects: Sequence[str | Effect], data: Measurements, observations: tuple[Observation, ...] = ()
 ) -> Model:
     """Return the model of a robot with the effects of these ids, in the forms that a study means for these rows."""
-    return Model(robot, tuple(catalogue()[name].stated(robot, data) for name in effects), data.given, observations)
+    forms = [_class(one).stated(robot, data) if isinstance(one, str) else one for one in effects]
+    return build(robot, forms, data.given, observations)
+
+
+def _class(effect: str) -> type[Effect]:
+    """The effect of an id.
+
+    Raises:
+        InputError: there is none.
+    """
+    if kind := effect_class(effect):
+        return kind
+    raise refuse(f"unknown effect '{effect}'{nearest(effect, catalogue())}", key="effects")
 
 
 def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:

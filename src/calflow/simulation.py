@@ -13,7 +13,6 @@ from pydantic import Field, field_validator, model_validator
 
 from calflow.design.candidates import candidates, packed_conditions
 from calflow.design.planned import stated_poses
-from calflow.effects import catalogue
 from calflow.effects.base import unmet
 from calflow.files.problems import InputError, Problem, nearest, shortened, together
 from calflow.files.toml import FileModel, Length, Lengths3, Origin, Unit, read_toml
@@ -134,9 +133,9 @@ def _check_conditions(truth: Truth, model: Model, path: Path) -> None:
     """Refuse effects that would do nothing, since no simulated row has what they need."""
     origin = Origin.of(path)
     problems = [
-        origin.problem(f"effect '{effect}' needs {'approach = true' if need == 'approach' else lacking}", "effects")
-        for effect in truth.effects
-        for need in catalogue()[effect].needs
+        origin.problem(f"effect '{effect.id}' needs {'approach = true' if need == 'approach' else lacking}", "effects")
+        for effect in model.effects
+        for need in effect.needs
         for lacking in unmet((need,), model.robot, model.given)
     ]
     if problems:

@@ -8,6 +8,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+from calflow.effects.base import unmet
 from calflow.estimation.parameters import contradictions, mistaken
 from calflow.estimation.plausibility import plausible
 from calflow.files.problems import InputError, Problem, nearest, refuse, together
@@ -37,12 +38,10 @@ def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
     Raises:
         InputError: it does not.
     """
-    from calflow.effects import catalogue
-
     origin = Origin.of(path)
     if wrong := [origin.problem(message, "expected", k) for k, message in mistaken(robot, effects)]:
         raise InputError(wrong)
-    needing = [effect for effect in effects if "torques" in catalogue()[effect].needs]
+    needing = [effect.id for effect in build(robot, effects).effects if "torques" in effect.needs]
     measured = all(joint.rated_torque for joint in robot.joints)  # measured torques may then stand for masses
     if needing and not robot.has_masses and not measured:
         otherwise = "or, where joint torques are measured, every joint's rated_torque_Nm"
@@ -85,13 +84,10 @@ def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> N
     Raises:
         InputError: they do not.
     """
-    from calflow.effects import catalogue
-    from calflow.effects.base import unmet
-
     problems = [
-        Problem(f"effect '{effect}' needs {lacking}", path)
-        for effect in effects
-        for lacking in unmet(catalogue()[effect].needs, data.robot, data.given)
+        Problem(f"effect '{effect.id}' needs {lacking}", path)
+        for effect in build(data.robot, effects).effects
+        for lacking in unmet(effect.needs, data.robot, data.given)
     ]
     if problems:
         raise InputError(problems)

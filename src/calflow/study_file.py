@@ -97,8 +97,9 @@ class StudyFile(FileModel):
 
     def on(self, robot: Robot) -> Robot:
         """Return the robot with what the study states of its parameters, which must be in order (see `stated_parameters`)."""
-        stated = [one for _, one, _ in _stated(self.parameters)]
-        return replace(robot, expected=(*robot.expected, *stated)) if stated else robot
+        stated = {one.name: one for _, one, _ in _stated(self.parameters)}
+        others = (one for one in robot.expected if one.name not in stated)
+        return replace(robot, expected=(*others, *stated.values())) if stated else robot
 
     @field_validator("name")
     @classmethod
@@ -110,10 +111,11 @@ class StudyFile(FileModel):
     @field_validator("effects")
     @classmethod
     def _known_effects(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
-        from calflow.effects import catalogue
+        from calflow.effects import effect_class
 
         for effect in known_effects(effects):
-            if catalogue()[effect].is_noise():
+            kind = effect_class(effect)
+            if kind and kind.is_noise():
                 raise ValueError(
                     f"effect '{effect}' is a model of the noise, which no fit can have; diagnose looks for it"
                 )
@@ -141,13 +143,12 @@ def known_effects(effects: tuple[str, ...]) -> tuple[str, ...]:
     Raises:
         ValueError: one of them is unknown or there twice, or there is none.
     """
-    from calflow.effects import catalogue
+    from calflow.effects import effects_given
 
-    unknown = [
-        f"unknown effect '{effect}'{nearest(effect, catalogue())}" for effect in effects if effect not in catalogue()
-    ]
-    if unknown:
-        raise ValueError("; ".join(unknown))
+    try:
+        effects_given(effects)
+    except InputError as error:
+        raise ValueError("; ".join(problem.message for problem in error.problems)) from None
     if not effects or len(set(effects)) < len(effects):
         raise ValueError("expected at least one effect, and each once")
     return effects

@@ -18,7 +18,7 @@ from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.diagnosis.findings.verdict import Rival, Verdict, label
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Detection
-from calflow.effects import catalogue
+from calflow.effects import effect_class
 from calflow.effects.cause import Cause
 from calflow.estimation.progress import Draws
 from calflow.files.problems import InputError
@@ -101,7 +101,7 @@ class Separation:
 
     def means(self, cause: Cause) -> str:
         """Say what to do at the robot where no pose tells the cause from the rival; nothing where poses do."""
-        known = catalogue().get(self.rival.id)  # what nobody can name is no effect of the catalogue
+        known = effect_class(self.rival.id)  # what nobody can name is no effect of the catalogue
         told_by = known.told_by if known else ""
         else_ = ", or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, told_by)))) or ANY_MEANS
         if self.unasked:
@@ -190,7 +190,7 @@ def question(
 
 def _lacking(rival: Rival, fitted: Fitted) -> str:
     """What the data lack for a test of a rival."""
-    known = catalogue().get(rival.id)
+    known = effect_class(rival.id)
     return known.lacking(fitted.data.robot, fitted.data) if known else ""
 
 

@@ -28,7 +28,7 @@ from calflow.diagnosis.screening.hypothesis import H
 from calflow.diagnosis.screening.regressors import Candidate, Held, RegressorProducts, Regressors, candidates_of
 from calflow.diagnosis.screening.screening import Family, Screening
 from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES
-from calflow.effects import Effect, catalogue
+from calflow.effects import Effect, effect_class
 from calflow.effects.cause import Cause
 from calflow.estimation.probing import probed
 from calflow.files.tables import column, to_frame
@@ -402,7 +402,7 @@ def _words(
         return f"{_name(planned, cause)} is {how}"
     means = ["at this size it takes a surer device or more poses"]
     if rival is not None:
-        known = [catalogue().get(one if isinstance(one, str) else one[0]) for one in (cause, rival)]
+        known = [effect_class(one if isinstance(one, str) else one[0]) for one in (cause, rival)]
         means = [effect.told_by for effect in known if effect and effect.told_by] or [ANY_MEANS]
     return f"{_name(planned, cause)} is {how}, and nothing tried changes that: {', or '.join(dict.fromkeys(means))}"
 

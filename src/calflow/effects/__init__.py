@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 
 from calflow.effects.base import NEEDS, Effect
 from calflow.files import plugins
-from calflow.files.problems import nearest
+from calflow.files.problems import InputError, Problem, nearest
 
-__all__ = ["Effect", "catalogue"]
+__all__ = ["Effect", "catalogue", "effect_class", "effect_ids", "effects_given"]
 
 
 @lru_cache
@@ -19,6 +21,48 @@ def catalogue() -> dict[str, type[Effect]]:
         InputError: another package brings what cannot be used.
     """
     return plugins.catalogue(__name__, plugins.EFFECTS, Effect, _flaw)  # type: ignore[type-abstract]
+
+
+def effect_class(effect: str) -> type[Effect] | None:
+    """Return the effect of an id: the catalogue's, else the class that a program or a notebook has defined last, if any."""
+    every = plugins.subclasses(Effect)  # type: ignore[type-abstract]
+    defined = [kind for kind in every if not kind.__module__.startswith("calflow.")]
+    return catalogue().get(effect) or next((kind for kind in defined[::-1] if getattr(kind, "id", "") == effect), None)
+
+
+def effects_given(effects: Iterable[object]) -> tuple[str | Effect, ...]:
+    """Return effects that are given by id, as a class or as an object: their ids, and the objects.
+
+    Raises:
+        InputError: with all that is no effect, or cannot be used.
+    """
+    given = list(effects)
+    if wrong := [
+        Problem(message, key=f"effects[{k + 1}]") for k, one in enumerate(given) if (message := _unusable(one))
+    ]:
+        raise InputError(wrong)
+    return tuple(one if isinstance(one, str | Effect) else one.id for one in given)  # type: ignore[attr-defined]
+
+
+def effect_ids(effects: Sequence[str | Effect]) -> tuple[str, ...]:
+    """Return the effects' ids."""
+    return tuple(one if isinstance(one, str) else one.id for one in effects)
+
+
+def _unusable(given: object) -> str:
+    """What keeps something from being used as an effect; empty where nothing does."""
+    if isinstance(given, str):
+        return "" if effect_class(given) else f"unknown effect '{given}'{nearest(given, catalogue())}"
+    kind = given if inspect.isclass(given) else type(given)
+    if not issubclass(kind, Effect):
+        return f"expected the id of an effect, a subclass of calflow.effects.base.Effect or an object of one, found {given!r}"
+    if lacking := sorted(getattr(kind, "__abstractmethods__", ())):
+        return f"{kind.__name__} lacks {', '.join(lacking)}"
+    if lacking := [name for name in ("id", "title") if not isinstance(getattr(kind, name, None), str)]:
+        return f"{kind.__name__} lacks {' and '.join(lacking)}: expected texts"
+    if effect_class(kind.id) is not kind:
+        return f"the id '{kind.id}' of {kind.__name__} is taken by {effect_class(kind.id)!r}"
+    return "" if kind.id in catalogue() else _flaw(kind)
 
 
 def _flaw(effect: type[Effect]) -> str:

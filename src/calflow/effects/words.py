@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calflow.effects import catalogue
+from calflow.effects import effect_class
 from calflow.effects.base import Words
 from calflow.files.words import effect_words, listed, with_sd
 
@@ -39,7 +39,7 @@ class NamedCause:
 
 def cause_family(cause: str) -> str:
     """Return the family that an effect belongs to; empty where it belongs to none."""
-    kind = catalogue().get(cause)
+    kind = effect_class(cause)
     return kind.family if kind else ""
 
 
@@ -53,7 +53,7 @@ def cause_name(cause: str, joint: int | None = None, part: str = "") -> str:
 
 def place_name(cause: str, joint: int | None, part: str) -> str:
     """Return a cause's name with its place, from its joint or link, if it has one, and the part that it belongs to."""
-    kind = catalogue().get(cause)
+    kind = effect_class(cause)
     return cause_name(cause, joint, "" if joint or (kind and kind.whole == part) else part)
 
 
@@ -69,18 +69,18 @@ def cause_words(cause: str) -> Words:
     """Return a cause in its effect's words."""
     if cause == UNEXPLAINED:
         return Words("something unexplained")
-    kind = catalogue().get(cause)
+    kind = effect_class(cause)
     return kind.in_words() if kind else Words(effect_words(cause))
 
 
 def _place_word(cause: str) -> str:
-    kind = catalogue().get(cause)
+    kind = effect_class(cause)
     return kind.place_word if kind else "joint"
 
 
 def readable_size(cause: str, unit: str) -> tuple[float, str]:
     """Return the factor and the unit in which a cause's size is easy to read."""
-    kind = catalogue().get(cause)
+    kind = effect_class(cause)
     return (kind.readable.get(unit) if kind else None) or UNITS.get(unit) or (1.0, unit)
 
 

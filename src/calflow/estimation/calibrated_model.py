@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from pydantic import TypeAdapter
 
-from calflow.effects import Effect, catalogue
+from calflow.effects import Effect, effect_class
 from calflow.effects.cause import Carried, Cause
 from calflow.estimation.fit_summary import FitSummary, IdentifySummary
 from calflow.estimation.least_squares import Loss
@@ -361,9 +361,13 @@ def _read(stage: str, model: Model, results: Results) -> CalibratedModel:
 
 
 def _kind(effect: str) -> type[Effect]:
-    if effect not in catalogue():
-        raise refuse(f"the run has effect '{effect}', which is unknown here: install the package that it came from")
-    return catalogue()[effect]
+    kind = effect_class(effect)
+    if kind is None:
+        raise refuse(
+            f"the run has effect '{effect}', which is unknown here: install the package that it came from, or define or import "
+            "its class before you load it"
+        )
+    return kind
 
 
 def _frozen(value: Any) -> Any:

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from calflow.effects import Effect, effect_ids
 from calflow.estimation.accuracy import Accuracy, accuracy, errors
 from calflow.estimation.calibrated_model import CalibratedModel, series_noise
 from calflow.estimation.elsewhere import elsewhere, extrapolation
@@ -116,7 +117,7 @@ class FittedEffects:
 
 def fit_effects(
     data: Measurements,
-    effects: Sequence[str],
+    effects: Sequence[str | Effect],
     *,
     starts: int = 3,
     loss: Loss = "linear",
@@ -130,7 +131,7 @@ def fit_effects(
 
     Args:
         data: split rows, gross mistakes put right (see `faults.search`).
-        effects: ids, in the order in which they are added.
+        effects: by id, or as they are, in the order in which they are added.
         starts: number of starting points of each fit.
         loss: how the square of a row's residual counts.
         noise: where the noise is to be taken from.
@@ -157,11 +158,12 @@ def fit_effects(
         model = stated(robot, effects[:k], train, observed)
         if wrong := too_few_equations(model, train):
             raise refuse(wrong, source)
-        say(f"{' + '.join(effects[:k])}: {len(model.parameters)} parameters, {len(train)} rows")
+        name = " + ".join(effect_ids(effects[:k]))
+        say(f"{name}: {len(model.parameters)} parameters, {len(train)} rows")
         points = draw_starts(model, starts, rng("starts"))
         result, reweighted, lack, agree = fit_sharing(model, train, device.only(data.train), points, loss)
         error = errors(model, result.estimate, data)
-        rows += accuracy(" + ".join(effects[:k]), error, data, k, model.effects[-1])
+        rows += accuracy(name, error, data, k, model.effects[-1])
         advance(k / len(effects))
 
     left = replace(device, discrepancy=reweighted.discrepancy, rotation_discrepancy=reweighted.rotation_discrepancy,

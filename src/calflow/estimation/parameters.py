@@ -9,12 +9,12 @@ from typing import Self
 import numpy as np
 import pandas as pd
 
-from calflow.effects import catalogue
+from calflow.effects import Effect, catalogue, effect_class, effects_given
 from calflow.estimation.fit import Fit
 from calflow.files.problems import InputError, Problem, nearest, refuse
 from calflow.files.tables import column, from_frame, to_frame, typed
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model, stated
+from calflow.model import Model, build, stated
 from calflow.observations import observations
 from calflow.robot.parameter import Parameter
 from calflow.robot.parts import Expected
@@ -114,13 +114,13 @@ class Parameters(Mapping[str, FittedParameter]):
     stated: tuple[Expected, ...] = ()
 
     @classmethod
-    def of(cls, robot: Robot, data: Measurements, effects: Sequence[str]) -> Self:
-        """Return the parameters that a robot with effects has for measurements, before a fit.
+    def of(cls, robot: Robot, data: Measurements, effects: Sequence[str | type[Effect] | Effect]) -> Self:
+        """Return the parameters that a robot with effects (see `identify`) has for measurements, before a fit.
 
         Raises:
             InputError: an effect is unknown.
         """
-        return cls.of_model(stated(robot, effects, data, observations(data)))
+        return cls.of_model(stated(robot, effects_given(effects), data, observations(data)))
 
     @classmethod
     def of_model(cls, model: Model) -> Self:
@@ -218,7 +218,7 @@ class Parameters(Mapping[str, FittedParameter]):
             raise refuse(f"unknown parameter '{name}'{nearest(name, names)}", key="parameters")
         return names.index(name)
 
-    def on(self, robot: Robot, data: Measurements, effects: Sequence[str]) -> Robot:
+    def on(self, robot: Robot, data: Measurements, effects: Sequence[str | Effect]) -> Robot:
         """Return the robot of which this is stated, in place of what was stated by name before.
 
         Raises:
@@ -276,17 +276,17 @@ def contradictions(expected: Sequence[Expected], model: Model) -> Iterator[tuple
             yield k, wrong
 
 
-def mistaken(robot: Robot, effects: Sequence[str]) -> Iterator[tuple[int, str]]:
+def mistaken(robot: Robot, effects: Sequence[str | Effect]) -> Iterator[tuple[int, str]]:
     """Yield which of a robot's expectations cannot be met by a study's effects, from 0, and why; others' are not looked at.
 
     What is stated by name may be of a parameter that only some measurements have: see `contradictions`.
     """
-    declared = {name: {one.identity: one for one in catalogue()[name](robot).declared} for name in effects}
+    declared = {one.id: {own.identity: own for own in one.declared} for one in build(robot, effects).effects}
     keys = [one.key for one in robot.expected]
     for k, one in enumerate(robot.expected):
         if one.name:
             continue
-        if one.effect not in catalogue():
+        if effect_class(one.effect) is None:
             yield k, f"unknown effect '{one.effect}'{nearest(one.effect, catalogue())}"
         elif keys.index(one.key) < k:
             yield k, f"parameter '{one.part}.{one.symbol}' of effect '{one.effect}' is expected twice"

@@ -71,13 +71,14 @@ def catalogue(
     """
     for module in iter_modules(import_module(package).__path__):
         import_module(f"{package}.{module.name}")
-    here = [kind for kind in _kinds(base) if kind.__module__.startswith(f"{package}.")]
+    here = [kind for kind in subclasses(base) if kind.__module__.startswith(f"{package}.")]
     own = {known: kind for kind in here if isinstance(known := getattr(kind, "id", None), str)}
     return dict(sorted((own | found(group, base, own, flaw)).items()))
 
 
-def _kinds(of: type[Part]) -> list[type[Part]]:
-    return [kind for direct in of.__subclasses__() for kind in (direct, *_kinds(direct))]
+def subclasses(of: type[Part]) -> list[type[Part]]:
+    """Return all classes below one, as they were defined."""
+    return [kind for direct in of.__subclasses__() for kind in (direct, *subclasses(direct))]
 
 
 @lru_cache

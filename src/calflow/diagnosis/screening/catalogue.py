@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from calflow.effects import Effect, catalogue
+from calflow.effects import Effect, catalogue, effect_class
 from calflow.effects.cause import parts
 from calflow.measurements.measurements import Measurements
 
@@ -30,16 +30,18 @@ class Catalogue:
 
     def untestable(self, cause: str) -> dict[str, str]:
         """Return what the data could not test though it may be behind a cause (id) that was found: ids, and what each needs."""
-        known = catalogue()
-        alike = known[cause].alike if cause in known else ()
-        return {name: why for name, why in self.lacking.items() if name in alike or cause in known[name].taken_for}
+        kind = effect_class(cause)
+        alike = kind.alike if kind else ()
+        lacking = ((name, effect_class(name), why) for name, why in self.lacking.items())
+        return {name: why for name, other, why in lacking if name in alike or (other and cause in other.taken_for)}
 
     @staticmethod
     def of(data: Measurements, have: Sequence[str], only: Sequence[str] = (), without: Sequence[str] = ()) -> Catalogue:
         """Collect what can be tested on these training data: all, or only some, but what the model has already."""
         effects: list[Effect] = []
         lacking, superseded = {}, {}
-        for name, kind in catalogue().items():
+        named = {name: kind for name in only if (kind := effect_class(name))}
+        for name, kind in sorted((catalogue() | named).items()):
             if name in have or name in without or (only and name not in only):
                 continue
             if reason := kind.superseded(data.robot):
