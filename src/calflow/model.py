@@ -16,7 +16,7 @@ from calflow.effects import Effect, catalogue, effect_class
 from calflow.files.problems import nearest, refuse
 from calflow.measurements.measurements import Measurements
 from calflow.observations import Observation, Seen
-from calflow.robot.chain import Deflection, marker_point, pose
+from calflow.robot.chain import Deflection, Posture, marker_point, pose
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads
 from calflow.robot.parameter import Parameter
@@ -34,7 +34,7 @@ class Prediction(NamedTuple):
 
     point (3,) [m] is where the marker is in the measuring frame and rotation (3, 3) how the tool is turned, position (3,) [m] what
     a device in the measuring frame reports of it, which `device` says of any frame; closure is the cosine of the loop's closure.
-    tool (3, 3) is how the tool is turned on the flange.
+    tool (3, 3) is how the tool is turned on the flange; stands (4, 4) is the base in the measuring frame, posture what is in it.
     dims, loads and state are what the robot's effects made of it.
     """
 
@@ -44,6 +44,8 @@ class Prediction(NamedTuple):
     tool: ca.SX
     closure: ca.SX
     device: Callable[[ca.SX], ca.SX]
+    stands: ca.SX
+    posture: Posture
     dims: Dimensions
     loads: Loads
     state: State
@@ -177,7 +179,7 @@ class Model:
         tool = (nominal_turn @ placement(ca.vertcat(0, 0, 0, dims.tool_rotation)))[:3, :3]
         rotation = (stands @ at.flange)[:3, :3] @ tool
         cosine = at.closure.cosine if at.closure else ca.SX(0)
-        return Prediction(point, device(point), rotation, tool, cosine, device, dims, loads, now)
+        return Prediction(point, device(point), rotation, tool, cosine, device, stands, at, dims, loads, now)
 
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, Prediction]:
@@ -200,8 +202,12 @@ class Model:
             return report
 
         reported = ca.SX.sym("y", observation.reports)
-        seen = Seen(predicted.point, predicted.rotation, device)
         values = self._completed(p)[self._spans[self.parts.index(observation)]]
+        stands, posture = predicted.stands, predicted.posture
+        seen = Seen(
+            predicted.point, predicted.rotation, device, lambda k: stands @ posture.ends[k],
+            stands[:3, :3] @ posture.down(self.robot),
+        )  # fmt: skip
         return reported, observation.error(values, seen, reported)
 
     def position(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import pandas as pd
 from calflow.design.candidates import candidates
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
+from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
@@ -37,7 +38,7 @@ def measured(
 def stated(data: Measurements, sigma: float = SIGMA) -> Noise:
     """The noise as a file would state it."""
     rotation = data.table["sigma_rotation"].to_numpy() if data.rotation is not None else None
-    return Noise(np.full(len(data), sigma), ("file",), rotation=rotation)
+    return Noise(np.full(len(data), sigma), ("file",), further=() if rotation is None else ((RADIAN, rotation),))
 
 
 def problem(model: Model, data: Measurements, sigma: float = SIGMA) -> LeastSquares:

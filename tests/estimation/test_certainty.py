@@ -9,6 +9,7 @@ import pytest
 
 from calflow.estimation.certainty import position_variance
 from calflow.estimation.identification import fit_effects
+from calflow.files.units import METRE
 from calflow.model import build
 from estimation.data import SIGMA, measured
 from robots import industrial
@@ -28,9 +29,9 @@ def test_what_the_model_leaves_is_in_its_certainty(data):
     """Fails if positions are said to be certain to the parameters alone where the fit leaves ten times the noise."""
     known = fit_effects(replace(data, table=data.table.assign(sigma=SIGMA)), ("geometry",), starts=1).known
     sd = np.sqrt(position_variance(known, data.rows))
-    assert known.discrepancy == pytest.approx(2e-4, rel=0.2)
-    assert (sd > known.discrepancy).all()
-    assert (sd < 2 * known.discrepancy).all()
+    assert known.discrepancy[METRE] == pytest.approx(2e-4, rel=0.2)
+    assert (sd > known.discrepancy[METRE]).all()
+    assert (sd < 2 * known.discrepancy[METRE]).all()
 
 
 def test_a_noise_that_only_the_fit_tells_is_in_it_too(data):

@@ -12,9 +12,11 @@ from scipy.stats import kstest
 from calflow.estimation.fit import fit
 from calflow.estimation.lack_of_fit import lack_of_fit
 from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.noise import PerUnit
 from calflow.estimation.repeats import averaged, measured_noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.files.problems import InputError
+from calflow.files.units import METRE, RADIAN
 from calflow.model import build
 from estimation.data import SIGMA, drawn_truth, measured, stated
 from robots import industrial
@@ -71,7 +73,7 @@ def test_the_discrepancy_of_a_model_is_found(model):
         result, _ = fit(LeastSquares.of(model, means, level))
         error = model.position(result.estimate, means.rows) - means.position
         lack = lack_of_fit(error.ravel(), np.repeat(level.sigma, 3), result.effective_parameters)
-        level = replace(level, discrepancy=lack.discrepancy)
+        level = replace(level, discrepancy=PerUnit().having(METRE, lack.discrepancy))
     assert lack.p < 1e-6
     assert lack.discrepancy == pytest.approx(1e-4, rel=0.15)
     sd = np.sqrt(np.diag(result.covariance))
@@ -120,5 +122,5 @@ def test_full_poses_have_a_discrepancy_of_their_own(model):
     data.table[["rx", "ry", "rz"]] = (Rotation.from_matrix(turning.rotation(truth, data.rows)) * off).as_euler("XYZ")
     data.table["sigma_rotation"] = 1e-4
     settled = fit_reweighted(turning, data, stated(data), turning.nominal[None], "linear")[1]
-    assert settled.discrepancy == 0
-    assert settled.rotation_discrepancy == pytest.approx(np.sqrt(3e-4**2 - 1e-4**2), rel=0.2)
+    assert settled.discrepancy[METRE] == 0
+    assert settled.discrepancy[RADIAN] == pytest.approx(np.sqrt(3e-4**2 - 1e-4**2), rel=0.2)

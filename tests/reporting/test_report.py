@@ -13,9 +13,11 @@ import pytest
 import typst
 
 from calflow.design.separability import IsolabilityCell
+from calflow.estimation.noise import PerUnit
 from calflow.estimation.rival_models import Alternative
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
+from calflow.files.units import METRE
 from calflow.reporting import document
 from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, Plot, RestOfPage, Table
 from calflow.reporting.material import Material
@@ -267,7 +269,9 @@ def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> No
 def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small: Context) -> None:
     """Fails if page one gives the parameters' certainty for that of predictions."""
     material = Material.of(small.study, small.results, small.run_folder)
-    calibration = replace(material.calibration, known=replace(material.known, discrepancy=1e-4, elsewhere=0.0))
+    calibration = replace(
+        material.calibration, known=replace(material.known, discrepancy=PerUnit().having(METRE, 1e-4), elsewhere=0.0)
+    )
     off = replace(material, calibration=calibration)
     assert off.prediction_sd == pytest.approx(np.hypot(material.model_sd, 0.1 * np.sqrt(3)))
     left = f"{off.distance[off.judged].mean():.3f} mm are left on average"

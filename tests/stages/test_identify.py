@@ -10,6 +10,7 @@ from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
 from calflow.estimation.reweighting import fit_reweighted
+from calflow.files.units import METRE
 from calflow.model import build
 from calflow.sampling.log_posterior import Laplace
 from estimation.data import SIGMA, drawn_truth, measured, stated
@@ -41,7 +42,7 @@ def test_a_robust_fit_stays_robust(model):
     data = measured(model, truth, 60, rng)
     data.table.loc[:2, ["x", "y", "z"]] += 2e-2
     result, level, *_ = fit_reweighted(model, data, stated(data), model.nominal[None], "cauchy")
-    assert level.discrepancy < SIGMA
+    assert level.discrepancy[METRE] < SIGMA
     probe = measured(model, truth, 50, rng, sigma=0.0)
     assert np.linalg.norm(model.position(result.estimate, probe.rows) - probe.position, axis=1).mean() < 2 * SIGMA
     weighed = LeastSquares.of(model, data, level).reweighted(result.estimate, "cauchy")

@@ -29,7 +29,7 @@ class RunData:
     files: tuple[str, ...] = column("measurement files")
     poses: int = column("poses that were fitted")
     held_out: int = column("poses that were held out")
-    noise_mm: float = column("noise of a row, per axis", "mm")
+    noise_mm: float = column("noise of a row, per axis; empty: no lengths were measured", "mm")
     noise_from: tuple[str, ...] = column("where the noise is known from")
     discrepancy_mm: float = column("what the model leaves beyond the noise, per axis", "mm")
     same_data_as: tuple[str, ...] = column("runs of the very same measurements")

@@ -20,6 +20,7 @@ from calflow.design.candidates import allowed, packed_conditions
 from calflow.design.cell import Cell
 from calflow.design.worth import PlanInformation
 from calflow.files.tables import column
+from calflow.files.units import METRE
 from calflow.measurements.sequence import sides_and_travel
 from calflow.model import Model
 from calflow.robot.robot import Robot
@@ -141,7 +142,7 @@ def pulled(plan: PlanInformation, order: np.ndarray, moved: np.ndarray) -> tuple
 
 def _told(plan: PlanInformation) -> bool:
     """Whether it is positions that are measured."""
-    return plan.planned.observation.units[:3] == ("m",) * 3
+    return plan.planned.observation.units[:3] == (METRE,) * 3
 
 
 def drift_words(pulls: Sequence[DriftPull]) -> list[str]:

@@ -8,7 +8,7 @@ The task: poses and payloads at which the tool's error is what counts, whatever 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from calflow.design.candidates import candidates, packed_conditions
 from calflow.design.optimality import ToolError
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
-from calflow.estimation.noise import Noise
+from calflow.estimation.noise import Noise, PerUnit
 from calflow.files.problems import InputError, Problem, nearest
 from calflow.files.units import SUFFIXES
 from calflow.measurements.cells import read_cells
@@ -30,21 +30,20 @@ from calflow.robot.robot import Robot
 
 @dataclass(frozen=True)
 class Planned:
-    """One kind of observation with its standard deviations: sigma of lengths [m], and rotation of orientations [rad]."""
+    """One kind of observation with its standard deviations: sigma in its leading unit, and further of each of its other units."""
 
     observation: Observation
     sigma: float
-    rotation: float = float("nan")
+    further: PerUnit = field(default_factory=PerUnit)
 
     @staticmethod
     def like(observation: Observation, noise: Noise, k: int, share: float = 1.0) -> Planned:
         """Return what the rows of a series (the k-th) were, where only a share of the further ones is fitted."""
-        own = noise.of_series(k)
-        rotation = noise.total_rotation
-        return Planned(
-            observation, float(np.sqrt(np.mean(noise.total[own] ** 2) / share)),
-            float("nan") if rotation is None else float(np.sqrt(np.mean(rotation[own] ** 2) / share)),
-        )  # fmt: skip
+        about = noise.only(noise.of_series(k)).about_model(observation.units)
+        sizes = {
+            unit: float(np.sqrt(np.mean(sd**2) / share)) for unit, sd in zip(observation.units, about, strict=True)
+        }
+        return Planned(observation, sizes[observation.units[0]], PerUnit(tuple(sizes.items())))
 
     def whitened(self, model: Model, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Return the whitened Jacobian (n_rows, n_units, n_parameters) of packed conditions (n_conditions, n_rows) at p.
@@ -53,7 +52,7 @@ class Planned:
         """
         reported = self.observation.expected(model.point(p, rows), model.rotation(p, rows))
         jacobian = model.observed_jacobian(self.observation, p, rows, reported)
-        return jacobian / self._sd[:, None]
+        return jacobian / self.sd[:, None]
 
     def problem(self, model: Model, p: np.ndarray, rows: np.ndarray) -> LeastSquares:
         """Return the least squares problem of packed conditions (n_conditions, n_rows) that report what the model says at p.
@@ -61,16 +60,17 @@ class Planned:
         The planned observation is the model's only one.
         """
         reported = self.observation.expected(model.point(p, rows), model.rotation(p, rows))
-        sigma = np.tile(self._sd[:, None], rows.shape[1])
+        sigma = np.tile(self.sd[:, None], rows.shape[1])
         own = np.arange(rows.shape[1])
         return LeastSquares(
             model, (SeriesBlock(model, self.observation, own, rows, reported, 1 / sigma, sigma, sigma),)
         )
 
     @property
-    def _sd(self) -> np.ndarray:
-        """Standard deviation of each unit reported."""
-        return np.array([self.rotation if unit == "rad" else self.sigma for unit in self.observation.units])
+    def sd(self) -> np.ndarray:
+        """Standard deviation of each residual, shape (n_units,)."""
+        units = self.observation.units
+        return np.array([self.sigma if unit == units[0] else self.further[unit] for unit in units])
 
 
 def stated_poses(file: Path, model: Model) -> np.ndarray:

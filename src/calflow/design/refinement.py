@@ -90,8 +90,7 @@ def _slope(model: Model, planned: Planned, payload: str, marker: str) -> ca.Func
     """The function of a pose's readings that gives its whitened, scaled Jacobian, transposed; None where reports matter."""
     p, _, _ = model.symbols
     y, error = model.error(planned.observation)
-    sd = np.array([planned.rotation if unit == "rad" else planned.sigma for unit in planned.observation.units])
-    jacobian = ca.jacobian(error, p) * (model.prior_sd[None] / sd[:, None])
+    jacobian = ca.jacobian(error, p) * (model.prior_sd[None] / planned.sd[:, None])
     if ca.depends_on(jacobian, y):
         return None
     whole = ca.Function("whole", [*model.symbols[:2], y], [ca.densify(jacobian.T)])

@@ -14,7 +14,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.noise_growth import growth_of_repeats, growth_of_residuals
 from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES, Acceptance
 from calflow.diagnosis.search.weighing import weighed
-from calflow.estimation.accuracy import errors
+from calflow.estimation.accuracy import leading_errors
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.repeats import averaged, repeats_scatter
@@ -49,7 +49,7 @@ def search_causes(
         advance: is told the share of work done.
     """
     train = data.only(data.train)
-    scattered = repeats_scatter(train, errors(known.model, known.estimate, train))
+    scattered = repeats_scatter(train, leading_errors(known.model, known.estimate, train))
     train, noise = averaged(train, replace(known.noise(train), scatter=scattered))
     start = Fitted.of(known, train, noise)
     alarm = SHARES["noise"] * false_alarm

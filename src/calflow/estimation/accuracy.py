@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,26 +13,37 @@ from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.nuisance import completed, observing
 from calflow.files.tables import column, typed
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
-from calflow.observations import Observation
+from calflow.observations import Observation, leading_units
+
+NAN = float("nan")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Accuracy:
-    """How far a model's predicted positions are from the measured ones, on one split."""
+    """How far what a model predicts is from what was measured, on one split, of the series that report in one unit."""
 
     model: str = column("what the model has: `nominal`, or its effects, in order, with ` + ` between them")
     split: Literal["train", "holdout"] = column("rows that were fitted, or held out")
     n: int = column("number of rows")
-    mean_mm: float = column("mean distance from predicted to measured position", "mm")
-    rms_mm: float = column("root mean square of that distance", "mm")
-    max_mm: float = column("largest distance", "mm")
+    mean_mm: float = column(
+        "mean distance from predicted to measured position, or error of a length; empty: `unit` is another",
+        "mm",
+        default=NAN,
+    )
+    rms_mm: float = column("root mean square of that distance", "mm", default=NAN)
+    max_mm: float = column("largest distance", "mm", default=NAN)
     step: int = column("number of effects and causes in the model, 0: nominal")
     effect: str = column("what the model has more than that of the step before; empty: nominal", default="")
     joint: int | None = column("number of its joint or link, where it is a cause of one", default=None)
     part: str = column("the part of the robot that it is a cause of; empty: all", default="")
     detail: str = column("its variant, in words", default="")
+    unit: str = column("the unit that mean, rms and max are in: mm, mrad, px, …", default=METRE.label)
+    mean: float = column("mean size of the error, in `unit`", default=NAN)
+    rms: float = column("root mean square of that size, in `unit`", default=NAN)
+    max: float = column("largest size, in `unit`", default=NAN)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,42 +58,72 @@ class Residual:
     )
     dy_mm: float = column("the same along y", "mm")
     dz_mm: float = column("the same along z", "mm")
-    error_mm: float = column("size of the error, also of what is no position", "mm")
+    error_mm: float = column("size of the error, also of a length that is no position; empty: `unit` is another", "mm")
     split: str = column("train, holdout; empty: left out as faulty")
     line: int = column("line of the measurement file")
+    error: float = column("size of the error, in `unit`")
+    unit: str = column("the unit that the error is in: mm, mrad, px, …")
 
 
-def errors(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
-    """Return predicted minus measured lengths of each row, shape (n_rows, 3) [m].
+def judged_unit(units: Sequence[MeasurementUnit]) -> MeasurementUnit:
+    """Return the unit by which a model is judged, of its series' leading ones: metres if they are there, else the first."""
+    return METRE if METRE in units else units[0]
 
-    That is the position's, along the measuring frame's axes; a row of which one length was measured has it first, and nan
-    besides.
+
+def errors(
+    model: Model, estimate: np.ndarray, measured: Measurements, unit: MeasurementUnit | None = None
+) -> np.ndarray:
+    """Return predicted minus measured values of each row, shape (n_rows, 3 or more) [unit]; nan where a row has none in it.
+
+    A position's are along the measuring frame's axes. A row has those of its series' leading unit, the first that its
+    observation has, from the first column on. unit is that by which the model is judged where it is None.
     """
+    return _masked(leading_errors(model, estimate, measured), measured, unit)
+
+
+def leading_errors(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
+    """Return what `errors` does, each row's in the leading unit of its series."""
     model, estimate = completed(model, estimate, measured)
-    found = np.full((len(measured), 3), np.nan)
+    found = np.full((len(measured), _widest(model)), np.nan)
     for k, observation in enumerate(model.observations):
-        rows = np.flatnonzero(measured.of_series(k))
-        lengths = [i for i, unit in enumerate(observation.units) if unit == "m"]
+        rows, own = np.flatnonzero(measured.of_series(k)), _leading(observation)
         error = model.observed_error(
             observation, estimate, measured.rows[:, rows], observation.reported(measured.table.iloc[rows])
         )
-        turned = _turned(observation, model, estimate, measured.table.iloc[rows], error[:, lengths, None])
-        found[rows[:, None], np.arange(len(lengths))] = turned[:, :, 0]
+        turned = _turned(observation, model, estimate, measured.table.iloc[rows], error[:, own, None])
+        found[rows[:, None], np.arange(len(own))] = turned[:, :, 0]
     return found
 
 
 def error_jacobian(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
-    """Return the derivatives of `errors`, shape (n_rows, 3, n_parameters), zero where nothing was measured."""
+    """Return the derivatives of `errors`, shape (n_rows, 3 or more, n_parameters), zero where nothing was measured in its unit."""
     model = observing(model, measured)
-    found = np.zeros((len(measured), 3, len(estimate)))
+    found = np.zeros((len(measured), _widest(model), len(estimate)))
     for k, observation in enumerate(model.observations):
-        rows = np.flatnonzero(measured.of_series(k))
-        lengths = [i for i, unit in enumerate(observation.units) if unit == "m"]
+        rows, own = np.flatnonzero(measured.of_series(k)), _leading(observation)
         reported = observation.reported(measured.table.iloc[rows])
         slope = model.observed_jacobian(observation, estimate, measured.rows[:, rows], reported)
-        turned = _turned(observation, model, estimate, measured.table.iloc[rows], slope[:, lengths])
-        found[rows[:, None], np.arange(len(lengths))] = turned
-    return found
+        turned = _turned(observation, model, estimate, measured.table.iloc[rows], slope[:, own])
+        found[rows[:, None], np.arange(len(own))] = turned
+    return np.nan_to_num(_masked(found, measured))
+
+
+def _leading(observation: Observation) -> list[int]:
+    """Which of an observation's residuals are in its leading unit."""
+    return [i for i, unit in enumerate(observation.units) if unit == observation.units[0]]
+
+
+def _widest(model: Model) -> int:
+    """How many columns errors have: three, or more where a row has more values of one unit."""
+    return max(3, *(len(_leading(observation)) for observation in model.observations))
+
+
+def _masked(values: np.ndarray, measured: Measurements, unit: MeasurementUnit | None = None) -> np.ndarray:
+    """Return values (n_rows, …) with nan in the rows of series that have another leading unit."""
+    units = leading_units(measured)
+    unit = unit or judged_unit(units)
+    values[np.isin(measured.series_number, [k for k, other in enumerate(units) if other != unit])] = np.nan
+    return values
 
 
 def _turned(
@@ -93,29 +135,38 @@ def _turned(
 
 
 def distances(error: np.ndarray) -> np.ndarray:
-    """Return the length of each row's error (n_rows, 3), shape (n_rows,)."""
-    return np.asarray(np.sqrt(np.nansum(error**2, axis=1)))
+    """Return the size of each row's error (n_rows, n_axes), shape (n_rows,); nan where it has none."""
+    return np.where(np.isnan(error).all(axis=1), np.nan, np.sqrt(np.nansum(error**2, axis=1)))
 
 
 def accuracy(
     name: str, error: np.ndarray, measured: Measurements, step: int = 0, added: Effect | None = None
 ) -> list[Accuracy]:
-    """Return a row a split of a model's errors (n_rows, 3) [m]; added is what the model has more than the one before."""
-    distance = 1e3 * distances(error)
+    """Return a row a unit and split of a model's `leading_errors`; added is what the model has more than the one before."""
     what = {"effect": added.id, "detail": added.detail} if added else {}
     where = {"joint": added.joint or None, "part": added.part} if isinstance(added, Cause) else {}
+    leading, size = leading_units(measured), distances(error)
+    first = judged_unit(leading)
     rows = []
-    for split in ("train", "holdout"):
-        part = distance[(measured.table["split"] == split).to_numpy()]
-        if len(part):
-            size = {"mean_mm": part.mean(), "rms_mm": np.sqrt((part**2).mean()), "max_mm": part.max()}
-            rows.append(Accuracy(model=name, split=split, n=len(part), **size, step=step, **what, **where))  # type: ignore[arg-type]
+    for unit in dict.fromkeys((first, *leading)):
+        own = np.isin(measured.series_number, [k for k, other in enumerate(leading) if other == unit])
+        for split in ("train", "holdout"):
+            part = unit.scale * size[own & (measured.table["split"] == split).to_numpy()]
+            if len(part):
+                figures = {"mean": part.mean(), "rms": np.sqrt((part**2).mean()), "max": part.max()}
+                lengths = {f"{figure}_mm": value for figure, value in figures.items() if unit == METRE}
+                rows.append(Accuracy(model=name, split=split, n=len(part), step=step, unit=unit.label,
+                                     **lengths, **figures, **what, **where))  # type: ignore[arg-type]  # fmt: skip
     return rows
 
 
 def residuals(error: np.ndarray, data: Measurements) -> pd.DataFrame:
-    """Return the table of `Residual`s for errors (n_rows, 3) [m]."""
-    whole = ~np.isnan(error).any(axis=1)
+    """Return the table of `Residual`s for `leading_errors` (n_rows, n_axes)."""
+    units, series = leading_units(data), data.series_number
+    lengths = np.array([unit == METRE for unit in units])[series]
+    size = np.array([unit.scale for unit in units])[series] * distances(error)
+    whole = lengths & ~np.isnan(error[:, :3]).any(axis=1)
     own = {f"d{axis}_mm": np.where(whole, 1e3 * error[:, i], np.nan) for i, axis in enumerate("xyz")}
-    told = data.table[["pose", "repeat", "marker", "split", "line"]]
-    return typed(told.assign(**own, error_mm=1e3 * distances(error)), Residual)
+    kept = data.table[["pose", "repeat", "marker", "split", "line"]]
+    label = np.array([unit.label for unit in units])[series]
+    return typed(kept.assign(**own, error_mm=np.where(lengths, size, np.nan), error=size, unit=label), Residual)

@@ -17,7 +17,7 @@ from calflow.effects.cause import Carried, Cause
 from calflow.estimation.fit_summary import FitSummary, IdentifySummary
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
-from calflow.estimation.noise import Noise, Source
+from calflow.estimation.noise import Noise, PerUnit, Source
 from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.repeats import stated_noise
 from calflow.estimation.residual_field import ResidualField, read_field
@@ -25,6 +25,7 @@ from calflow.estimation.rival_models import Alternative, AlternativeParameter, C
 from calflow.files.problems import refuse
 from calflow.files.results import Results
 from calflow.files.tables import column, to_frame
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations import Observation
@@ -57,14 +58,22 @@ class ModelObservation:
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceNoise:
-    """The noise of a series of measurements."""
+    """The noise of a series of measurements, as far as one is stated for all its values."""
 
     series: str = column("its name; empty: the only one")
     kind: str = column("id of its observation")
     source: Source = column("where the noise is known from")
-    sigma_mm: float = column("of a single row, per axis; of noise that grows with range, that at no distance", "mm")
-    growth_mm_per_m: float = column("by how much it grows with range", "mm/m")
-    typical_mm: float = column("rms over the rows, at the ranges where they were measured, per axis", "mm")
+    sigma_mm: float = column(
+        "of a single row, per axis; of noise that grows with range, that at no distance; empty: `unit` is another", "mm",
+        default=float("nan"),
+    )  # fmt: skip
+    growth_mm_per_m: float = column("by how much it grows with range", "mm/m", default=0.0)
+    typical_mm: float = column(
+        "rms over the rows, at the ranges where they were measured, per axis", "mm", default=float("nan")
+    )
+    unit: str = column("the unit that sigma and typical are in: mm, mrad, px, …", default=METRE.label)
+    sigma: float = column("as sigma_mm, in `unit`")
+    typical: float = column("as typical_mm, in `unit`")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,9 +93,9 @@ class Placed:
 
 @dataclass(frozen=True)
 class SeriesNoise:
-    """The noise of a series: sigma of a single row [m] (of one that grows, at no distance), growth [m/m], and its source.
+    """The noise of a series: sigma of a single row (of one that grows, at no distance), growth [m/m], and its source.
 
-    typical is its rms over the rows [m]; where none is given it is sigma.
+    typical is its rms over the rows; where none is given it is sigma. Both are in the series' leading unit.
     """
 
     sigma: float
@@ -96,13 +105,13 @@ class SeriesNoise:
 
     @property
     def at_rows(self) -> float:
-        """Its rms where rows were measured [m]."""
+        """Its rms where rows were measured."""
         return self.typical or self.sigma
 
 
 @dataclass(frozen=True)
 class CalibratedModel:
-    """The fitted model with its estimate, covariance (SI units), each series' noise, and the discrepancy it left [m, rad].
+    """The fitted model with its estimate, covariance (SI units), each series' noise, and the discrepancy it left, unit by unit.
 
     elsewhere [m] is what it errs by beyond all that at poses that it was not fitted to, per axis.
 
@@ -117,8 +126,7 @@ class CalibratedModel:
     covariance: np.ndarray
     at_bound: np.ndarray
     device: tuple[SeriesNoise, ...]
-    discrepancy: float
-    rotation_discrepancy: float
+    discrepancy: PerUnit
     loss: Loss
     elsewhere: float = 0.0
     alternatives: tuple[Alternative, ...] = ()
@@ -139,8 +147,16 @@ class CalibratedModel:
 
     @property
     def sigma(self) -> float:
-        """Noise of a single row of the first series [m]."""
+        """Noise of a single row of the first series [its leading unit]."""
         return self.device[0].sigma
+
+    @property
+    def unexplained_length(self) -> float:
+        """What positions err by beside parameters and noise, per axis [m], noise in it where that was estimated from the fit."""
+        if self.noise_known:
+            return self.discrepancy[METRE]
+        units = [observation.units[0] for observation in self.model.observations]
+        return next((own.at_rows for own, unit in zip(self.device, units, strict=True) if unit == METRE), 0.0)
 
     def noise(self, data: Measurements) -> Noise:
         """Return the noise of these rows, from where it was taken: of rows that state none, that of the rows which were fitted."""
@@ -157,7 +173,7 @@ class CalibratedModel:
             sigma[own & np.isnan(sigma)] = one.at_rows  # rows that do not state theirs, of a device that did
         return replace(
             stated, sigma=sigma, sources=tuple(one.source for one in self.device), discrepancy=self.discrepancy,
-            rotation_discrepancy=self.rotation_discrepancy, intraclass=self.intraclass,
+            intraclass=self.intraclass,
         )  # fmt: skip
 
 
@@ -275,8 +291,9 @@ def noise_table(
     """Return the table of `DeviceNoise`; growth is its floor [m] and slope [m/m]."""
     rows = [
         DeviceNoise(
-            series=one.series.name, kind=one.id, source=own.source, sigma_mm=1e3 * own.sigma, growth_mm_per_m=1e3 * own.growth,
-            typical_mm=1e3 * own.at_rows,
+            series=one.series.name, kind=one.id, source=own.source, growth_mm_per_m=1e3 * own.growth,
+            **({"sigma_mm": 1e3 * own.sigma, "typical_mm": 1e3 * own.at_rows} if one.units[0] == METRE else {}),
+            unit=one.units[0].label, sigma=one.units[0].shown(own.sigma), typical=one.units[0].shown(own.at_rows),
         )
         for own, one in zip(series_noise(noise, growth), observed, strict=True)
     ]  # fmt: skip
@@ -293,9 +310,11 @@ def series_noise(noise: Noise, growth: tuple[float, float] | None = None) -> tup
     return tuple(found)
 
 
-def _read_noise(rows: Sequence[DeviceNoise]) -> tuple[SeriesNoise, ...]:
+def _read_noise(rows: Sequence[DeviceNoise], observed: Sequence[Observation]) -> tuple[SeriesNoise, ...]:
+    scales = [observation.units[0].scale for observation in observed]
     return tuple(
-        SeriesNoise(row.sigma_mm / 1e3, row.source, row.growth_mm_per_m / 1e3, row.typical_mm / 1e3) for row in rows
+        SeriesNoise(row.sigma / scale, row.source, row.growth_mm_per_m / 1e3, row.typical / scale)
+        for row, scale in zip(rows, scales, strict=True)
     )
 
 
@@ -349,9 +368,8 @@ def _read(stage: str, model: Model, results: Results) -> CalibratedModel:
         np.array([one.estimate for one in parameters]),
         covariance.iloc[:, 1:].to_numpy(dtype=float),
         np.array([one.at_bound for one in parameters], dtype=bool),
-        _read_noise(results.rows(f"{stage}/noise.csv", DeviceNoise)),
-        summary.discrepancy_mm / 1e3,
-        (summary.rotation_discrepancy_mrad or 0.0) / 1e3,
+        _read_noise(results.rows(f"{stage}/noise.csv", DeviceNoise), model.observations),
+        summary.discrepancy_of(model.observations),
         summary.loss,
         summary.elsewhere_mm / 1e3,
         intraclass=summary.intraclass,

@@ -6,6 +6,7 @@ import numpy as np
 
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.rival_models import choice_variance
+from calflow.files.units import RADIAN
 
 PART_ROWS = 100_000  # whose Jacobian is there at once: enough for machine code to pay
 UNTOLD = 0.5  # of a direction's prior variance: what is left above it was hardly measured
@@ -58,7 +59,7 @@ def rotation_variance(known: CalibratedModel, rows: np.ndarray) -> np.ndarray:
     What no measurement told of is as sure as its prior says (see `untold_turns`).
     """
     jacobian = known.model.rotation_jacobian(known.estimate, rows)
-    return of_parameters(jacobian, known.covariance) + known.rotation_discrepancy**2
+    return of_parameters(jacobian, known.covariance) + known.discrepancy[RADIAN] ** 2
 
 
 def untold_turns(known: CalibratedModel, rows: np.ndarray) -> np.ndarray:
@@ -77,8 +78,7 @@ def untold_turns(known: CalibratedModel, rows: np.ndarray) -> np.ndarray:
 
 def unexplained(known: CalibratedModel) -> float:
     """Return the standard deviation per axis [m] of what the model errs by beside its parameters' errors, at any pose."""
-    left = known.discrepancy if known.noise_known else known.device[0].at_rows
-    return float(np.hypot(left, known.elsewhere))
+    return float(np.hypot(known.unexplained_length, known.elsewhere))
 
 
 def of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from calflow.estimation.fit import Fit
 from calflow.estimation.fit_summary import Extrapolation
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 
 BY_CHANCE = 0.05  # chance of errors as large where nothing is lacking, above which they show no excess
@@ -63,7 +64,7 @@ def left_out(fit: Fit, pose: np.ndarray) -> LeftOut:
     """Return the errors of poses left out in turn of a fitted model.
 
     Args:
-        fit: the model as it was fitted; orientations are left out of account.
+        fit: the model as it was fitted; lengths alone are taken into account.
         pose: the number of each row's pose, (n_rows,): rows of one pose are left out together.
     """
     squares, covered, sizes = np.concatenate([*_by_pose(fit, pose), np.zeros((3, 0))], axis=1)
@@ -88,7 +89,9 @@ def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:
     Errors are squared, and over the noise.
     """
     for block in fit.problem.reweighted(fit.estimate, fit.loss).blocks:
-        lengths = np.array([unit != "rad" for unit in block.observation.units])
+        lengths = np.array([unit == METRE for unit in block.observation.units])
+        if not lengths.any():
+            continue
         block = block.together(pose[block.rows])
         for rows, _, residual, jacobian in block.independent(fit.estimate, pose[block.rows]):
             _, first, count = np.unique(pose[rows], return_index=True, return_counts=True)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from calflow.estimation.lack_of_fit import SIGNIFICANT
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.noise import Source
+from calflow.estimation.noise import Noise, PerUnit, Source
 from calflow.estimation.noise_doubt import NoiseDoubt
 from calflow.files.tables import column
+from calflow.files.units import METRE, RADIAN
+from calflow.observations import Observation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,11 +36,19 @@ class FitSummary:
     """What is known of a fit's noise, and what the model leaves beyond it."""
 
     noise_sources: tuple[Source, ...] = column("where the noise of each series is known from: repeats, file, estimated")
-    sigma_mm: float = column("the noise of a row, per axis; of noise that grows with range, that at no distance", "mm")
+    sigma_mm: float | None = column(
+        "the noise of a row, per axis; of noise that grows with range, that at no distance; null: no lengths were measured",
+        "mm",
+    )
     noise_growth_mm_per_m: float = column("by how much the noise grows with range", "mm/m", default=0.0)
-    discrepancy_mm: float = column("what the model leaves beyond the noise, per axis", "mm")
+    discrepancy_mm: float = column(
+        "what the model leaves of lengths beyond the noise, per axis; 0 without lengths", "mm"
+    )
     rotation_discrepancy_mrad: float | None = column(
         "the same of orientations; null: not measured", "mrad", default=None
+    )
+    discrepancies: dict[str, float] = column(
+        "what the model leaves beyond the noise, by the unit it is in: mm, mrad, px, …"
     )
     elsewhere_mm: float = column(
         "what it errs by beyond that, and beyond what is told of its parameters, at poses that it was not fitted to, per axis: "
@@ -58,6 +70,11 @@ class FitSummary:
         """Whether any of it is known apart from the fit."""
         return any(source != "estimated" for source in self.noise_sources)
 
+    def discrepancy_of(self, observed: Sequence[Observation]) -> PerUnit:
+        """Return the discrepancies in the units of what was observed."""
+        units = {unit.label: unit for observation in observed for unit in observation.units}
+        return PerUnit(tuple((units[label], size / units[label].scale) for label, size in self.discrepancies.items()))
+
     @property
     def lack_of_fit(self) -> float:
         """How many times the noise the model leaves; nan where the noise was estimated from the fit itself."""
@@ -69,6 +86,16 @@ class FitSummary:
     def lacks_fit(self) -> bool:
         """Whether the model leaves more than its noise, beyond chance."""
         return self.lack_of_fit_p is not None and self.lack_of_fit_p < SIGNIFICANT and self.lack_of_fit > 1
+
+
+def discrepancies(noise: Noise) -> dict[str, Any]:
+    """Return the fields of a `FitSummary` that say what the model leaves beyond the noise."""
+    turned = RADIAN in dict(noise.further)
+    return {
+        "discrepancy_mm": 1e3 * noise.discrepancy[METRE],
+        "rotation_discrepancy_mrad": 1e3 * noise.discrepancy[RADIAN] if turned else None,
+        "discrepancies": {unit.label: unit.shown(size) for unit, size in noise.discrepancy.sizes},
+    }
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,11 +11,11 @@ from typing import Literal
 import numpy as np
 
 from calflow.effects import Effect, effect_ids
-from calflow.estimation.accuracy import Accuracy, accuracy, errors
+from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
 from calflow.estimation.calibrated_model import CalibratedModel, series_noise
 from calflow.estimation.elsewhere import elsewhere, extrapolation
 from calflow.estimation.fit import Fit, draw_starts
-from calflow.estimation.fit_summary import IdentifySummary, Solver
+from calflow.estimation.fit_summary import IdentifySummary, Solver, discrepancies
 from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.intraclass import fit_sharing
 from calflow.estimation.lack_of_fit import LackOfFit
@@ -27,6 +27,7 @@ from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered
 from calflow.estimation.repeats import conditions, measured_noise
 from calflow.files.problems import refuse
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.observations import observations
@@ -75,9 +76,8 @@ class FittedEffects:
         """What the stages after it start from."""
         return CalibratedModel(
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
-            self.noise.discrepancy, self.noise.rotation_discrepancy, self.loss, self.elsewhere,
-            intraclass=self.noise.intraclass, needed=needed_conditions(self.model, self.fit.estimate, self.data),
-            time_origin=self.data.time_origin,
+            self.noise.discrepancy, self.loss, self.elsewhere, intraclass=self.noise.intraclass,
+            needed=needed_conditions(self.model, self.fit.estimate, self.data), time_origin=self.data.time_origin,
         )  # fmt: skip
 
     @cached_property
@@ -87,9 +87,8 @@ class FittedEffects:
         used = data.only(data.train | data.held_out)
         return IdentifySummary(
             noise_sources=noise.sources,
-            sigma_mm=1e3 * float(np.sqrt(np.mean(noise.sigma**2))),
-            discrepancy_mm=1e3 * noise.discrepancy,
-            rotation_discrepancy_mrad=None if noise.rotation is None else 1e3 * noise.rotation_discrepancy,
+            sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
+            **discrepancies(noise),
             elsewhere_mm=1e3 * self.elsewhere,
             intraclass=noise.intraclass,
             loss=self.loss,
@@ -149,7 +148,7 @@ def fit_effects(
     nominal = build(robot, (), data.given, observed)
     device = measured_noise(data, noise, nominal)
 
-    error = errors(nominal, nominal.nominal, data)
+    error = leading_errors(nominal, nominal.nominal, data)
     doubts = doubts_of_repeats(data, error, tuple(source == "file" for source in device.sources))
     for doubt in doubts:
         say(doubt.words)
@@ -162,12 +161,11 @@ def fit_effects(
         say(f"{name}: {len(model.parameters)} parameters, {len(train)} rows")
         points = draw_starts(model, starts, rng("starts"))
         result, reweighted, lack, agree = fit_sharing(model, train, device.only(data.train), points, loss)
-        error = errors(model, result.estimate, data)
+        error = leading_errors(model, result.estimate, data)
         rows += accuracy(name, error, data, k, model.effects[-1])
         advance(k / len(effects))
 
-    left = replace(device, discrepancy=reweighted.discrepancy, rotation_discrepancy=reweighted.rotation_discrepancy,
-                   intraclass=reweighted.intraclass)  # fmt: skip
+    left = replace(device, discrepancy=reweighted.discrepancy, intraclass=reweighted.intraclass)
     left = replace(left, sigma=_of_single_rows(left, reweighted))
     if not doubts:
         doubts = doubts_of_residuals(device.only(data.train), lack, tuple(series.name for series in data.series))

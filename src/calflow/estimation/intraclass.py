@@ -61,10 +61,15 @@ def found_alike(result: Fit, data: Measurements, noise: Noise) -> tuple[float, f
 
 def _sized(noise: Noise, level: float) -> Noise:
     """Return a noise whose variance about the model is so many times as large: what of it is not known from elsewhere."""
-    sigma = np.where(noise.estimated, np.maximum(noise.sigma * np.sqrt(level), LEAST_SCATTER), noise.sigma)
-    known = float(np.mean(noise.sigma[~noise.estimated] ** 2)) if noise.discrepancy else 0.0
-    left = max(level * (known + noise.discrepancy**2) - known, 0.0) if noise.discrepancy else 0.0
-    return replace(noise, sigma=sigma, discrepancy=float(np.sqrt(left)))
+    sigma = np.where(
+        noise.estimated, np.maximum(noise.sigma * np.sqrt(level), LEAST_SCATTER * noise.usual), noise.sigma
+    )
+    discrepancy = noise.discrepancy
+    for unit in dict.fromkeys(noise.leading):
+        if size := discrepancy[unit]:
+            known = float(np.mean(noise.sigma[~noise.estimated & noise.in_unit(unit)] ** 2))
+            discrepancy = discrepancy.having(unit, float(np.sqrt(max(level * (known + size**2) - known, 0.0))))
+    return replace(noise, sigma=sigma, discrepancy=discrepancy)
 
 
 @dataclass(frozen=True, eq=False)

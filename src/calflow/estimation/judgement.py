@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from calflow.estimation.accuracy import Residual, errors, residuals
+from calflow.estimation.accuracy import Residual, leading_errors, residuals
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
@@ -81,5 +81,5 @@ def judged(result: Fit, data: Measurements, noise: Noise) -> pd.DataFrame:
 
 def judged_table(result: Fit, data: Measurements, found: Studentised, flagged: np.ndarray) -> pd.DataFrame:
     """Return the table of `JudgedResidual`s with the rows (n_rows,) that are flagged."""
-    table = residuals(errors(result.model, result.estimate, data), data)
+    table = residuals(leading_errors(result.model, result.estimate, data), data)
     return typed(table.assign(whitened=found.whitened, flagged=flagged), JudgedResidual)

@@ -52,11 +52,11 @@ class Evidence:
         return Evidence(pose, data.repeats, np.where(repeats, noise.scatter.squared / single**2, 0.0),
                         np.where(repeats, noise.scatter.freedom, 0.0), noise.scatter.gross, data.series_number)  # fmt: skip
 
-    @property
-    def as_stated(self) -> Evidence:
-        """The same rows where the noise is stated."""
-        nothing = np.zeros(len(self.pose))
-        return replace(self, squared=nothing, freedom=nothing, doubted=nothing > 0)
+    def only_where(self, rows: np.ndarray) -> Evidence:
+        """Return the same where repeats tell the noise of some rows (a mask) alone, as if that of the others were stated."""
+        return replace(
+            self, squared=np.where(rows, self.squared, 0.0), freedom=np.where(rows, self.freedom, 0.0), doubted=self.doubted & rows
+        )  # fmt: skip
 
     @staticmethod
     def stated(n: int) -> Evidence:

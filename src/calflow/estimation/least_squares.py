@@ -21,6 +21,7 @@ from calflow.estimation.groups import whole_groups
 from calflow.estimation.noise import Noise
 from calflow.estimation.nuisance import observing
 from calflow.estimation.repeats import standstills
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.observations import Observation
@@ -76,17 +77,28 @@ def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
 Loss = Literal["linear", "soft_l1", "cauchy"]
 LINEARISED_ROWS = 4096  # rows whose Jacobian is handed out at once
 EXPECTED_EVALUATIONS = 20  # of each row, in a typical fit: decides whether compiling pays
-FINEST = 1e-5  # m: a fit to less noise is asked to be no more exact than one to this, as round-off allows
+FINEST = (
+    0.1  # of a usual device's noise: a fit to less is asked to be no more exact than one to this, as round-off allows
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Stacking:
-    """What each of the stacked residuals is: the row that it belongs to, which of its units, and whether it is an angle; (n,)."""
+    """What each of the stacked residuals is, (n,): the row that it belongs to, which of the row's residuals, and its unit.
+
+    kind numbers the units (see `LeastSquares.units`); leading says whether it is in the first unit of its observation.
+    """
 
     row: np.ndarray
-    unit: np.ndarray
-    angular: np.ndarray
+    place: np.ndarray
+    kind: np.ndarray
+    leading: np.ndarray
+    units: tuple[MeasurementUnit, ...]
     n_rows: int
+
+    def in_unit(self, unit: MeasurementUnit) -> np.ndarray:
+        """Which residuals are in a unit, shape (n,)."""
+        return np.asarray(self.kind == self.units.index(unit))
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
         """Add up values (n,) row by row, shape (n_rows,)."""
@@ -123,6 +135,17 @@ class SeriesBlock:
         if len(self.whitening) == n:
             return self.whitening
         return np.sqrt((self.whitening.reshape(n, n, -1) ** 2).sum(axis=0))
+
+    @property
+    def leading(self) -> MeasurementUnit:
+        """The first unit of its residuals."""
+        return self.observation.units[0]
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Standard deviation of each row's first residuals of the leading unit about the model, at most three, (n_rows,)."""
+        first = [unit == self.leading for unit in self.observation.units]
+        return np.asarray(np.sqrt((self.total[first][:3] ** 2).mean(axis=0)))
 
     @property
     def n_units(self) -> int:
@@ -239,6 +262,11 @@ class LeastSquares:
             blocks.append(block.together(block.sharing.standstill) if block.sharing else block)
         return LeastSquares(model, tuple(blocks))
 
+    @cached_property
+    def units(self) -> tuple[MeasurementUnit, ...]:
+        """The units that residuals are in."""
+        return tuple(dict.fromkeys(unit for block in self.blocks for unit in block.observation.units))
+
     @property
     def shares(self) -> bool:
         """Whether any rows err in common."""
@@ -258,13 +286,16 @@ class LeastSquares:
     def stacking(self) -> Stacking:
         """What each of the stacked residuals is."""
         row = [np.repeat(block.rows, block.n_units) for block in self.blocks]
-        unit = [np.tile(np.arange(block.n_units), len(block.rows)) for block in self.blocks]
-        angular = [np.tile([u == "rad" for u in block.observation.units], len(block.rows)) for block in self.blocks]
-        return Stacking(np.concatenate(row), np.concatenate(unit), np.concatenate(angular), self.n_rows)
+        units = [np.array([self.units.index(unit) for unit in block.observation.units]) for block in self.blocks]
+        repeated = [(len(block.rows), own) for block, own in zip(self.blocks, units, strict=True)]
+        place = np.concatenate([np.tile(np.arange(len(own)), n) for n, own in repeated])
+        kind = np.concatenate([np.tile(own, n) for n, own in repeated])
+        leading = np.concatenate([np.tile(own == own[0], n) for n, own in repeated])
+        return Stacking(np.concatenate(row), place, kind, leading, self.units, self.n_rows)
 
     @cached_property
     def sigma(self) -> np.ndarray:
-        """The device's noise of each of the stacked residuals, shape (n,) [m or rad]."""
+        """The device's noise of each of the stacked residuals, shape (n,) [its unit]."""
         return np.concatenate([block.sigma.T.ravel() for block in self.blocks])
 
     @cached_property
@@ -279,13 +310,15 @@ class LeastSquares:
 
     @cached_property
     def scatter(self) -> float:
-        """Median standard deviation of the rows' lengths about the model [m]."""
-        return float(np.median(np.concatenate([np.sqrt((block.total[:3] ** 2).mean(axis=0)) for block in self.blocks])))
+        """Median standard deviation of the rows' lengths about the model [m]; 0 where no lengths were measured."""
+        lengths = [block.spread for block in self.blocks if block.leading == METRE]
+        return float(np.median(np.concatenate(lengths))) if lengths else 0.0
 
     @property
     def excess(self) -> float:
         """How much finer a fit the weights ask for than can be told, squared; 1 where the noise is more than FINEST."""
-        return max(1.0, FINEST / self.scatter) ** 2
+        relative = np.median(np.concatenate([block.spread / block.leading.usual for block in self.blocks]))
+        return max(1.0, FINEST / float(relative)) ** 2
 
     @property
     def scale(self) -> float:
@@ -341,7 +374,7 @@ def shared_by(observation: Observation, noise: Noise, data: Measurements) -> Sha
 
 def may_share(observation: Observation, noise: Noise) -> bool:
     """Whether rows have axes in common along which they may err alike: positions, as sure in all directions."""
-    return observation.units == ("m", "m", "m") and noise.axes is None
+    return observation.units == (METRE,) * 3 and noise.axes is None
 
 
 def rho(squared: np.ndarray, loss: Loss) -> np.ndarray:

@@ -5,14 +5,16 @@ Scatter: what repeats of one pose say of a device's noise, and which of them are
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi, norm, t
 
 from calflow.estimation.groups import members
+from calflow.files.units import METRE, MeasurementUnit
 
 NORMAL_MEDIAN = 0.6745  # median of |x| of a standard normal
 FALSE_REMOVAL = 0.01  # chance that any repeat of a whole series looks gross where all are normal
@@ -22,9 +24,18 @@ TIMES = (5.0, 10.0, 20.0, 40.0, 100.0)  # by which these scatter more
 CLEARLY = 5.0  # in logarithms of likelihood, by which gross errors must explain the scatter better than heavy tails
 
 
+MEDIAN_LENGTHS = np.array([np.nan, 0.6745, 1.1774, 1.5382])  # of so many unit normals
+
+
+def median_length(number: np.ndarray | int) -> np.ndarray:
+    """Return the median length of vectors of so many unit normals, shape as number."""
+    few = MEDIAN_LENGTHS[np.minimum(number, len(MEDIAN_LENGTHS) - 1)]
+    return np.asarray(np.where(np.asarray(number) < len(MEDIAN_LENGTHS), few, chi.median(np.maximum(number, 1))))
+
+
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """Repeats about their means: each row's sum of squares (n_rows,) [m²], its degrees of freedom, and which rows are gross."""
+    """Repeats about their means: each row's sum of squares (n_rows,) [unit²], its degrees of freedom, and which rows are gross."""
 
     squared: np.ndarray
     freedom: np.ndarray
@@ -41,13 +52,13 @@ class Scatter:
 
     @property
     def pooled(self) -> float:
-        """Standard deviation per axis of all rows [m]; nan where nothing was repeated."""
+        """Standard deviation per axis of all rows; nan where nothing was repeated."""
         return float(np.sqrt(self.squared.sum() / self.freedom.sum())) if self.freedom.sum() else float("nan")
 
 
 @dataclass(frozen=True)
 class Pooled:
-    """Standard deviation per axis [m] of repeats without gross errors, degrees of freedom, and which rows are gross."""
+    """Standard deviation per axis of repeats without gross errors, degrees of freedom, and which rows are gross."""
 
     sigma: float
     freedom: float
@@ -55,7 +66,7 @@ class Pooled:
 
 
 def scatter(error: np.ndarray, group: np.ndarray) -> Scatter:
-    """Return the scatter of errors (n_rows, n_axes) [m] about the means of their groups (n_rows,), gross ones marked."""
+    """Return the scatter of errors (n_rows, n_axes), of one unit, about the means of their groups (n_rows,), gross ones marked."""
     apart, count = _apart(error, group, np.ones(len(error), dtype=bool))
     squared = (apart**2).sum(axis=1)
     freedom = error.shape[1] * (1 - 1 / count[group])
@@ -63,7 +74,7 @@ def scatter(error: np.ndarray, group: np.ndarray) -> Scatter:
 
 
 def pooled(error: np.ndarray, group: np.ndarray) -> Pooled:
-    """Pool the scatter of errors (n_rows, n_axes) [m] about the means of their groups, numbered from 0.
+    """Pool the scatter of errors (n_rows, n_axes), of one unit, about the means of their groups, numbered from 0.
 
     Where all scatter is normal that is the classical estimate. Rows that a normal device of the others' scatter would show
     once in a hundred series are left out, if gross errors explain them clearly better than heavy tails do: those
@@ -140,28 +151,53 @@ def _are_errors(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> bool:
     return mixed > max(tailed(degrees) for degrees in TAILS) + CLEARLY
 
 
-LEAST_SCATTER = 1e-7  # m; repeats that scatter less are one reading written twice, and no robot leaves less
+LEAST_SCATTER = (
+    1e-3  # of a usual device's noise; repeats that scatter less are one reading written twice, and no robot leaves less
+)
 
 Source = Literal["repeats", "file", "estimated"]
+
+
+@dataclass(frozen=True)
+class PerUnit:
+    """A size for each unit that residuals are in [that unit]; 0 of a unit that nothing is said of."""
+
+    sizes: tuple[tuple[MeasurementUnit, float], ...] = ()
+
+    def __getitem__(self, unit: MeasurementUnit) -> float:
+        return dict(self.sizes).get(unit, 0.0)
+
+    def having(self, unit: MeasurementUnit, size: float) -> PerUnit:
+        """Return the same with another size of one unit."""
+        return PerUnit(tuple((dict(self.sizes) | {unit: size}).items()))
+
+    @property
+    def any(self) -> bool:
+        """Whether any size is more than nothing."""
+        return any(size > 0 for _, size in self.sizes)
+
+
+NO_DISCREPANCY = PerUnit()
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
     """The device's noise of each row, and the model's discrepancy, alike in all rows.
 
-    sigma (n_rows,) is that of lengths, per axis [m]; rotation (n_rows,) that of orientations [rad], where they were measured.
-    Where lengths are not as sure in all directions, axes (n_rows, 3, 3) holds the principal directions (rows) of their
-    covariance and ratios (n_rows, 3) the standard deviations along them over sigma. sources says of each series where its
-    noise comes from, series (n_rows,) which one a row is of (None: all of the first). discrepancy [m] and
-    rotation_discrepancy [rad] are the model's. intraclass is the correlation of what positions measured at one standstill err
-    about the model, axis by axis (see `sharing`). scatter is that of the rows' repeats.
+    sigma (n_rows,) is that of residuals in the leading unit of the row's series [that unit], the first that its observation has;
+    units are these of each series (none: all in metres). further holds that of the other units, (n_rows,) each, nan where a row
+    has none. Where three lengths are not as sure in all directions, axes (n_rows, 3, 3) holds the principal directions (rows) of
+    their covariance and ratios (n_rows, 3) the standard deviations along them over sigma. sources says of each series where its
+    noise comes from, series (n_rows,) which one a row is of (None: all of the first). discrepancy is the model's. intraclass is
+    the correlation of what positions measured at one standstill err about the model, axis by axis (see `Sharing`). scatter is
+    that of the rows' repeats.
     """
 
     sigma: np.ndarray
     sources: tuple[Source, ...]
-    discrepancy: float = 0.0
-    rotation: np.ndarray | None = None
-    rotation_discrepancy: float = 0.0
+    discrepancy: PerUnit = NO_DISCREPANCY
+    units: tuple[MeasurementUnit, ...] = ()
+    further: tuple[tuple[MeasurementUnit, np.ndarray], ...] = ()
     intraclass: float = 0.0
     axes: np.ndarray | None = None
     ratios: np.ndarray | None = None
@@ -183,43 +219,57 @@ class Noise:
         return np.full(len(self.sigma), k == 0) if self.series is None else np.asarray(self.series == k)
 
     @property
+    def leading(self) -> tuple[MeasurementUnit, ...]:
+        """The leading unit of each series."""
+        return self.units or (METRE,) * len(self.sources)
+
+    def in_unit(self, unit: MeasurementUnit) -> np.ndarray:
+        """Which rows' sigma is in a unit, shape (n_rows,)."""
+        return self._by_series([own == unit for own in self.leading])
+
+    @property
     def estimated(self) -> np.ndarray:
         """Which rows' noise only the fit tells, shape (n_rows,)."""
-        return np.any(
-            [self.of_series(k) for k, s in enumerate(self.sources) if s == "estimated"] or [self.sigma < 0], axis=0
-        )
+        return self._by_series([source == "estimated" for source in self.sources])
+
+    def _by_series(self, values: Sequence[Any]) -> np.ndarray:
+        """Give each row its series' value, shape (n_rows,)."""
+        return np.array(values)[np.zeros(len(self.sigma), dtype=int) if self.series is None else self.series]
+
+    @property
+    def usual(self) -> np.ndarray:
+        """A usual device's noise in the unit of each row's sigma, shape (n_rows,)."""
+        return self._by_series([unit.usual for unit in self.leading])
 
     @property
     def total(self) -> np.ndarray:
-        """Standard deviation of each row's lengths about the model, per axis, shape (n_rows,) [m]."""
-        return np.hypot(self.sigma, self.discrepancy)
+        """Standard deviation of each row's residuals in its leading unit about the model, shape (n_rows,)."""
+        return np.hypot(self.sigma, self._by_series([self.discrepancy[unit] for unit in self.leading]))
 
-    @property
-    def total_rotation(self) -> np.ndarray | None:
-        """The same of orientations [rad], where they were measured."""
-        return None if self.rotation is None else np.hypot(self.rotation, self.rotation_discrepancy)
+    def typical(self, unit: MeasurementUnit) -> float:
+        """Return the root mean square of sigma over the rows in a unit; 0 where there are none."""
+        own = self.sigma[self.in_unit(unit)]
+        return float(np.sqrt(np.mean(own**2))) if len(own) else 0.0
 
-    def principal(self, units: tuple[str, ...]) -> np.ndarray:
+    def principal(self, units: tuple[MeasurementUnit, ...]) -> np.ndarray:
         """Return the device's standard deviations of residuals of these units along their principal axes, (n_units, n_rows)."""
-        directed = self.ratios is not None and units.count("m") == 3
-        rotation = self.sigma if self.rotation is None else self.rotation
-        rows = [rotation if unit == "rad" else self.sigma for unit in units]
-        if directed and self.ratios is not None:
+        beside = dict(self.further)
+        rows = [self.sigma if unit == units[0] else beside.get(unit, self.sigma) for unit in units]
+        if self.ratios is not None and in_space(units):
             rows[:3] = list(self.sigma * self.ratios.T)
         return np.array(rows)
 
-    def about_model(self, units: tuple[str, ...]) -> np.ndarray:
+    def about_model(self, units: tuple[MeasurementUnit, ...]) -> np.ndarray:
         """Return the same with the model's discrepancy."""
-        own = [self.rotation_discrepancy if unit == "rad" else self.discrepancy for unit in units]
-        return np.hypot(self.principal(units), np.array(own)[:, None])
+        return np.hypot(self.principal(units), np.array([self.discrepancy[unit] for unit in units])[:, None])
 
-    def whitening(self, units: tuple[str, ...]) -> np.ndarray:
+    def whitening(self, units: tuple[MeasurementUnit, ...]) -> np.ndarray:
         """Return what whitens residuals of these units: (n_units, n_rows), or (n_units², n_rows) where axes are correlated.
 
         The latter holds a matrix a row, column by column, which turns residuals onto their principal axes.
         """
         weight = 1 / self.about_model(units)
-        if self.axes is None or units.count("m") != 3:
+        if self.axes is None or not in_space(units):
             return weight
         n = len(units)
         whole = np.zeros((len(self.sigma), n, n))
@@ -234,21 +284,28 @@ class Noise:
         def own(part: np.ndarray | None) -> np.ndarray | None:
             return None if part is None else np.asarray(part[rows])
 
-        return replace(self, sigma=self.sigma[rows], rotation=own(self.rotation), axes=own(self.axes),
-                       ratios=own(self.ratios), series=own(self.series),
+        return replace(self, sigma=self.sigma[rows], further=tuple((unit, sigma[rows]) for unit, sigma in self.further),
+                       axes=own(self.axes), ratios=own(self.ratios), series=own(self.series),
                        scatter=None if self.scatter is None else self.scatter.only(rows))  # fmt: skip
 
     @property
     def words(self) -> str:
         """The noise in words."""
-        return "; ".join(self._words(source) for source in dict.fromkeys(self.sources))
+        return "; ".join(
+            dict.fromkeys(self._words(source, unit) for source, unit in zip(self.sources, self.leading, strict=True))
+        )
 
-    def _words(self, source: Source) -> str:
-        own = np.any([self.of_series(k) for k, other in enumerate(self.sources) if other == source], axis=0)
-        level = f"{1e3 * np.sqrt(np.mean(self.sigma[own] ** 2)):.3g} mm per axis"
+    def _words(self, source: Source, unit: MeasurementUnit) -> str:
+        alike = [(other, of) == (source, unit) for other, of in zip(self.sources, self.leading, strict=True)]
+        level = f"{unit.words(float(np.sqrt(np.mean(self.sigma[self._by_series(alike)] ** 2))))} per axis"
         return {
             "repeats": f"{level}, from repeated measurements of one pose (train poses, pooled)",
             "file": f"{level}, as the measurement file states it",
             "estimated": f"{level}, estimated from what the fit leaves; without repeats or a stated sigma a lack of fit "
             "cannot be told from noise",
         }[source]
+
+
+def in_space(units: tuple[MeasurementUnit, ...]) -> bool:
+    """Whether residuals begin with three lengths along axes, and have no other."""
+    return units[:3] == (METRE,) * 3 and units.count(METRE) == 3

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.stats import chi2
 
+from calflow.estimation.accuracy import judged_unit
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.noise import Noise
 from calflow.estimation.repeats import MIN_REPEATS, averaged, repeats_scatter, stated_noise
 from calflow.files.tables import column
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 
 DOUBTED = 1e-3  # chance below which a stated noise is doubted
@@ -24,16 +26,21 @@ class NoiseDoubt:
     """A stated noise that the measurements contradict."""
 
     series: str = column("name of the series; empty: the only one")
-    stated_mm: float = column("the noise per axis as file or study state it", "mm")
-    shown_mm: float = column("the noise per axis that repeats show, or the most that the fit leaves room for", "mm")
+    stated_mm: float | None = column("the noise per axis as file or study state it; null: `unit` is another", "mm")
+    shown_mm: float | None = column(
+        "the noise per axis that repeats show, or the most that the fit leaves room for", "mm"
+    )
     shown_by: Literal["repeats", "residuals"] = column("what contradicts it")
     believed: bool = column("whether the fit used the stated noise")
     p: float = column("chance of such a contradiction if the stated noise were right")
+    unit: str = column("the unit that stated and shown are in: mm, mrad, px, …")
+    stated: float = column("as stated_mm, in `unit`")
+    shown: float = column("as shown_mm, in `unit`")
 
     @property
     def times(self) -> float:
         """By how much it is off, at least 1."""
-        return max(self.shown_mm / self.stated_mm, self.stated_mm / self.shown_mm)
+        return max(self.shown / self.stated, self.stated / self.shown)
 
     @property
     def useless(self) -> bool:
@@ -44,11 +51,11 @@ class NoiseDoubt:
     def statement(self) -> str:
         """The contradiction in words."""
         where = f" of {self.series}" if self.series else ""
-        way = "small" if self.shown_mm > self.stated_mm else "large"
+        way = "small" if self.shown > self.stated else "large"
         times = f"{self.times:,.0f}" if self.times >= 10 else f"{self.times:.2g}"
         shown = "repeats of one pose scatter by" if self.shown_by == "repeats" else "the fit leaves only"
-        return (f"The stated noise{where}, {self.stated_mm:.3g} mm per axis, is {times} times too {way}: {shown} "
-                f"{self.shown_mm:.3g} mm. Correct sigma.")  # fmt: skip
+        return (f"The stated noise{where}, {self.stated:.3g} {self.unit} per axis, is {times} times too {way}: {shown} "
+                f"{self.shown:.3g} {self.unit}. Correct sigma.")  # fmt: skip
 
     @property
     def words(self) -> str:
@@ -60,7 +67,7 @@ class NoiseDoubt:
 def doubts_of_repeats(data: Measurements, error: np.ndarray, believed: tuple[bool, ...]) -> tuple[NoiseDoubt, ...]:
     """Hold the stated noise of each series against the repeats of its training poses; believed says of which it is used.
 
-    error (n_rows, 3) is the nominal robot's [m]. The test is a chi² test to both sides whose degrees of freedom are reduced
+    error (n_rows, n_axes) are the nominal robot's. The test is a chi² test to both sides whose degrees of freedom are reduced
     by the kurtosis of the scatter; gross repeats are left out.
     """
     train, found = data.only(data.train), []
@@ -81,9 +88,10 @@ def doubts_of_repeats(data: Measurements, error: np.ndarray, believed: tuple[boo
         p = _contradiction(squared, freedom, reduced)
         off = float(np.sqrt(reduced))
         if p < DOUBTED and max(off, 1 / off) > WORTH_TELLING:
-            level = 1e3 * float(np.sqrt(np.average(sigma**2, weights=freedom)))
-            found.append(NoiseDoubt(series=series.name, stated_mm=level, shown_mm=level * off, shown_by="repeats",
-                                    believed=believed[k], p=p))  # fmt: skip
+            level = float(np.sqrt(np.average(sigma**2, weights=freedom)))
+            found.append(
+                _doubt(stated.leading[k], level, off, series=series.name, shown_by="repeats", believed=believed[k], p=p)
+            )
     return tuple(found)
 
 
@@ -97,9 +105,15 @@ def doubts_of_residuals(noise: Noise, lack: LackOfFit, names: tuple[str, ...]) -
     p, off = 1 - lack.p, float(np.sqrt(lack.reduced_chi2))
     if p >= DOUBTED or off * WORTH_TELLING > 1:
         return ()
-    level = 1e3 * float(np.sqrt(np.mean(noise.sigma**2)))
-    name = names[0] if len(names) == 1 else ""
-    return (NoiseDoubt(series=name, stated_mm=level, shown_mm=level * off, shown_by="residuals", believed=True, p=p),)
+    name, unit = names[0] if len(names) == 1 else "", judged_unit(noise.leading)
+    return (_doubt(unit, noise.typical(unit), off, series=name, shown_by="residuals", believed=True, p=p),)
+
+
+def _doubt(unit: MeasurementUnit, level: float, off: float, **more: Any) -> NoiseDoubt:
+    """The doubt of a noise of so much [unit], which is off by a factor."""
+    stated, shown = unit.shown(level), unit.shown(level) * off
+    lengths = (stated, shown) if unit == METRE else (None, None)
+    return NoiseDoubt(unit=unit.label, stated=stated, shown=shown, stated_mm=lengths[0], shown_mm=lengths[1], **more)
 
 
 def _contradiction(squared: np.ndarray, freedom: np.ndarray, reduced: float) -> float:

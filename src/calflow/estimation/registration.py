@@ -17,6 +17,7 @@ from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise, Source
 from calflow.files.problems import refuse
+from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
 from calflow.observations import Observation
@@ -160,10 +161,11 @@ def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements)
     # What is stated by name is stated of errors about the registered place.
     bare = replace(placed, expected=tuple(one for one in placed.expected if not one.name))
     model = Model(bare, (PlacementErrors(bare),), train.given)
-    rough = None if train.rotation is None else np.full(len(train), NOMINAL_ERROR)
+    rough = np.full(len(train), NOMINAL_ERROR)
     noise = Noise(
-        np.full(len(train), NOMINAL_ERROR), tuple[Source, ...]("estimated" for _ in train.series), rotation=rough
-    )
+        rough, tuple[Source, ...]("estimated" for _ in train.series),
+        further=() if train.rotation is None else ((RADIAN, rough),),
+    )  # fmt: skip
     result, _ = fit(LeastSquares.of(model, train.on(placed), noise), loss="soft_l1")
     found = result.estimate[result.model.columns(model.effects[0])]
     dims = PlacementErrors(placed).dimensions(ca.SX(found), nominal_dimensions(placed), Row.symbols(placed))

@@ -8,16 +8,17 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calflow.estimation.accuracy import errors
+from calflow.estimation.accuracy import leading_errors
 from calflow.estimation.groups import members
 from calflow.estimation.noise import LEAST_SCATTER, Noise, Pooled, Scatter, Source, pooled, scatter
 from calflow.estimation.nuisance import observing
 from calflow.files.problems import refuse
+from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
+from calflow.observations import leading_units
 from calflow.robot.transforms import angles
 
-ESTIMATE_START = 1e-4  # m; only the weight of the data against the priors in the very first fit
 MIN_REPEATS = 10  # degrees of freedom below which repeats say too little
 
 
@@ -36,25 +37,26 @@ def measured_noise(
     nominal = observing(nominal or Model(data.robot, (), data.given), data)
     stated = stated_noise(data)
     sigma, sources = stated.sigma.copy(), list[Source]()
-    error = errors(nominal, nominal.nominal, data)
+    error = leading_errors(nominal, nominal.nominal, data)
     for k, series in enumerate(data.series):
         own = data.of_series(k)
         there = not np.isnan(sigma[own]).any()
-        found = pooled_repeats(data, error, own)
-        if source == "repeats" and not found.sigma > LEAST_SCATTER:
+        found, usual = pooled_repeats(data, error, own), stated.leading[k].usual
+        if source == "repeats" and not found.sigma > LEAST_SCATTER * usual:
             raise refuse('noise = "repeats" needs poses that were measured several times', key="stages.identify.noise")
         if source == "file" and not there:
             raise refuse(
-                'noise = "file" needs a column sigma_mm, or sigma_mm in the study', key="stages.identify.noise"
+                'noise = "file" needs a column sigma_mm, or sigma_mm in the study (in the unit that was measured)',
+                key="stages.identify.noise",
             )
-        enough = found.freedom >= MIN_REPEATS and found.sigma > LEAST_SCATTER and series.beam is None
+        enough = found.freedom >= MIN_REPEATS and found.sigma > LEAST_SCATTER * usual and series.beam is None
         if source == "repeats" or (source == "auto" and enough):
             sigma[own] = found.sigma
             sources.append("repeats")
         elif there and source in ("auto", "file"):
             sources.append("file")
         else:
-            sigma[own] = ESTIMATE_START
+            sigma[own] = usual  # only the weight of the data against the priors in the very first fit
             sources.append("estimated")
     return replace(stated, sigma=sigma, sources=tuple(sources), scatter=repeats_scatter(data, error))
 
@@ -72,8 +74,8 @@ def stated_noise(data: Measurements) -> Noise:
     directed = any(series.beam is not None for series in data.series)
     return Noise(
         sigma, tuple[Source, ...]("file" for _ in data.series), axes=axes if directed else None,
-        ratios=ratios if directed else None,
-        rotation=data.table["sigma_rotation"].to_numpy() if data.rotation is not None else None,
+        ratios=ratios if directed else None, units=leading_units(data),
+        further=((RADIAN, data.table["sigma_rotation"].to_numpy()),) if data.rotation is not None else (),
         series=data.series_number if len(data.series) > 1 else None,
     )  # fmt: skip
 
@@ -99,7 +101,7 @@ def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
 
     scattered = None if noise.scatter is None else noise.scatter.gathered(group)
     means = replace(noise.only(first), sigma=of_means(noise.sigma), scatter=scattered)
-    if data.rotation is not None and noise.rotation is not None:
+    if data.rotation is not None and noise.further:
         oriented = np.isfinite(data.rotation).all(axis=(1, 2))
         turns = Rotation.from_matrix(data.rotation[oriented])
         found = np.full((len(count), 3), np.nan)
@@ -108,8 +110,8 @@ def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
             found[k] = angles(turns[rows].mean())
         table = table.drop(columns=["qw", "qx", "qy", "qz"], errors="ignore")
         table[["rx", "ry", "rz"]] = found
-        means = replace(means, rotation=of_means(noise.rotation))
-        table["sigma_rotation"] = means.rotation
+        means = replace(means, further=tuple((unit, of_means(sigma)) for unit, sigma in noise.further))
+        table["sigma_rotation"] = dict(means.further)[RADIAN]
     return replace(data, table=table), means
 
 
@@ -137,27 +139,27 @@ def _of_standstill(data: Measurements) -> list[str]:
 
 
 def pooled_repeats(data: Measurements, error: np.ndarray, own: np.ndarray) -> Pooled:
-    """Pool the scatter of errors (n_rows, 3) [m] among the repeats of some training rows (n_rows,)."""
+    """Pool the scatter of `leading_errors` (n_rows, n_axes) among the repeats of some training rows (n_rows,)."""
     kept = data.train & own
     if not kept.any():
         return Pooled(float("nan"), 0.0, np.zeros(0, dtype=bool))
-    return pooled(_lengths(error[kept]), _groups(data, kept))
+    return pooled(_values(error[kept]), _groups(data, kept))
 
 
 def repeats_scatter(data: Measurements, error: np.ndarray) -> Scatter:
-    """Return what the errors (n_rows, 3) [m] of each row's repeats scatter; rows of no split have none."""
+    """Return what the `leading_errors` (n_rows, n_axes) of each row's repeats scatter; rows of no split have none."""
     found = Scatter(np.zeros(len(data)), np.zeros(len(data)), np.zeros(len(data), dtype=bool))
     for k in range(len(data.series)):
         for split in (data.train, data.held_out):
             own = data.of_series(k) & split
             if own.any():
-                part = scatter(_lengths(error[own]), _groups(data, own))
+                part = scatter(_values(error[own]), _groups(data, own))
                 found.squared[own], found.freedom[own], found.gross[own] = part.squared, part.freedom, part.gross
     return found
 
 
-def _lengths(error: np.ndarray) -> np.ndarray:
-    """The lengths that were measured, of errors (n_rows, 3) that have nan elsewhere."""
+def _values(error: np.ndarray) -> np.ndarray:
+    """What was measured, of errors (n_rows, n_axes) that have nan elsewhere."""
     return np.asarray(error[:, ~np.isnan(error).all(axis=0)])
 
 

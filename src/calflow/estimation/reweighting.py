@@ -37,7 +37,7 @@ def fit_reweighted(
     if not some.all():
         result, _ = fit(problem, result.estimate[None], loss)
     told = Evidence.of(train, noise)
-    against_noise = _of_lengths(result, problem, noise, told, loss)
+    against_noise = _of_leading(result, problem, noise, told, loss)
     for _ in range(NOISE_PASSES):
         before, noise = noise, _agreeing(result, problem, noise, told, loss)
         problem = LeastSquares.of(model, train, noise)
@@ -56,23 +56,22 @@ def _agreeing(result: Fit, problem: LeastSquares, noise: Noise, told: Evidence, 
     for k, source in enumerate(noise.sources):
         own = noise.of_series(k)
         if source == "estimated" and own.any():
-            lack = _lack(result, problem, stacking.of_row(own) & ~stacking.angular, told, loss)
-            sigma[own] = np.maximum(sigma[own] * np.sqrt(lack.reduced_chi2), LEAST_SCATTER)
-    changed = replace(noise, sigma=sigma)
-    known = stacking.of_row(~estimated) & ~stacking.angular
-    if known.any():
-        changed = replace(changed, discrepancy=_lack(result, problem, known, told, loss).discrepancy)
-    if stacking.angular.any():
-        turned = _lack(result, problem, stacking.angular, told.as_stated, loss)
-        changed = replace(changed, rotation_discrepancy=turned.discrepancy)
-    return changed
+            lack = _lack(result, problem, stacking.of_row(own) & stacking.leading, told, loss)
+            sigma[own] = np.maximum(sigma[own] * np.sqrt(lack.reduced_chi2), (LEAST_SCATTER * noise.usual)[own])
+    discrepancy = noise.discrepancy
+    for unit in problem.units:
+        known = stacking.in_unit(unit) & (stacking.of_row(~estimated) | ~stacking.leading)
+        if known.any():
+            here = told.only_where(noise.in_unit(unit))  # repeats tell the noise of the leading unit alone
+            discrepancy = discrepancy.having(unit, _lack(result, problem, known, here, loss).discrepancy)
+    return replace(noise, sigma=sigma, discrepancy=discrepancy)
 
 
-def _of_lengths(result: Fit, problem: LeastSquares, noise: Noise, told: Evidence, loss: Loss) -> LackOfFit:
-    """Lack of fit of the lengths whose noise is known, of all where none is."""
+def _of_leading(result: Fit, problem: LeastSquares, noise: Noise, told: Evidence, loss: Loss) -> LackOfFit:
+    """Lack of fit of residuals in their series' leading units whose noise is known, of all such where none is."""
     stacking = problem.stacking
-    known = stacking.of_row(~noise.estimated) & ~stacking.angular
-    return _lack(result, problem, known if known.any() else ~stacking.angular, told, loss)
+    known = stacking.of_row(~noise.estimated) & stacking.leading
+    return _lack(result, problem, known if known.any() else stacking.leading, told, loss)
 
 
 def _lack(result: Fit, problem: LeastSquares, which: np.ndarray, told: Evidence, loss: Loss) -> LackOfFit:
@@ -83,5 +82,7 @@ def _lack(result: Fit, problem: LeastSquares, which: np.ndarray, told: Evidence,
 
 
 def _alike(one: Noise, other: Noise, tolerance: float) -> bool:
-    pairs = ((one.total, other.total), (one.total_rotation, other.total_rotation))
-    return all(np.allclose(a, b, rtol=tolerance, equal_nan=True) for a, b in pairs if a is not None and b is not None)
+    pairs = [(one.total, other.total)]
+    for (unit, sigma), (_, before) in zip(one.further, other.further, strict=True):
+        pairs.append((np.hypot(sigma, one.discrepancy[unit]), np.hypot(before, other.discrepancy[unit])))
+    return all(np.allclose(a, b, rtol=tolerance, equal_nan=True) for a, b in pairs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 # Every suffix that a file may use, by dimension, with (factor, offset): value_SI = factor * value + offset. The first of
 # each dimension is the SI unit that calflow computes in.
@@ -23,6 +24,7 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "compliance": {"rad_per_Nm": (1.0, 0.0)},
     "compliance of a slide": {"m_per_N": (1.0, 0.0)},
     "acceleration": {"m_per_s2": (1.0, 0.0)},
+    "image": {"px": (1.0, 0.0)},
     "ratio": {"m_per_m": (1.0, 0.0), "mm_per_m": (1e-3, 0.0), "um_per_m": (1e-6, 0.0)},
 }
 SUFFIXES: dict[str, tuple[str, ...]] = {dimension: tuple(units) for dimension, units in UNITS.items()}
@@ -39,6 +41,7 @@ LARGEST = {
     "compliance": 1.0,
     "compliance of a slide": 1.0,
     "acceleration": 1e4,
+    "image": 1e6,
     "ratio": 1e3,
 }
 _CONVERSIONS = {suffix: conversion for units in UNITS.values() for suffix, conversion in units.items()}
@@ -70,3 +73,35 @@ def spellings(unit: str) -> dict[str, float]:
     si = unit.replace("/", "_per_")
     same = next((suffixes for suffixes in SUFFIXES.values() if suffixes[0] == si), (si,))
     return {"": 1.0} if unit == "1" else {f"_{suffix}": to_si(suffix)[0] if suffix != si else 1.0 for suffix in same}
+
+
+@dataclass(frozen=True)
+class MeasurementUnit:
+    """What a residual is in: computed in `symbol` (SI, or what takes its place), told to people in `label`.
+
+    scale is how many of those one symbol is; usual is the noise [symbol] of a usual device, where nothing better is known.
+    """
+
+    symbol: str
+    label: str
+    scale: float
+    usual: float
+
+    @property
+    def dimension(self) -> str:
+        """The dimension of the file columns and keys that hold such values."""
+        return next((name for name, suffixes in SUFFIXES.items() if self.symbol in suffixes), "")
+
+    def shown(self, value: float) -> float:
+        """Return a value [symbol] as people are told it."""
+        return self.scale * value
+
+    def words(self, value: float, form: str = ".3g") -> str:
+        """Return a value [symbol] with its unit, as people are told it."""
+        return f"{self.shown(value):{form}} {self.label}"
+
+
+METRE = MeasurementUnit("m", "mm", 1e3, 1e-4)
+RADIAN = MeasurementUnit("rad", "mrad", 1e3, 1e-4)
+PIXEL = MeasurementUnit("px", "px", 1.0, 0.1)
+NEWTON = MeasurementUnit("N", "N", 1.0, 1.0)

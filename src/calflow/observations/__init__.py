@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import pandas as pd
+
 from calflow.files import plugins
+from calflow.files.units import MeasurementUnit
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.series import Series
 from calflow.observations.base import Observation, Seen
 from calflow.observations.position import Position
 
-__all__ = ["Observation", "Seen", "catalogue", "observations"]
+__all__ = ["Observation", "Seen", "catalogue", "leading_units", "observations"]
 
 
 @lru_cache
@@ -31,10 +35,20 @@ def observations(data: Measurements) -> tuple[Observation, ...]:
     first: str | None = None
     for k, series in enumerate(data.series):
         table = data.table[data.of_series(k)]
-        kind = catalogue()[series.kind or ("pose" if {"rx", "qw"} & set(table) else "position")]
+        kind = _kind(series, table)
         if issubclass(kind, Position):
             first = series.station.name if first is None else first
             found.append(kind.of(series, table, series.station.name == first))
         else:
             found.append(kind.of(series, table))
     return tuple(found)
+
+
+def leading_units(data: Measurements) -> tuple[MeasurementUnit, ...]:
+    """Return for each of the data's series the unit that its noise is stated in: that of its first residual."""
+    return tuple(_kind(series, data.table).units[0] for series in data.series)
+
+
+def _kind(series: Series, table: pd.DataFrame) -> type[Observation]:
+    """What kind of observation the rows of a series are."""
+    return catalogue()[series.kind or ("pose" if {"rx", "qw"} & set(table) else "position")]

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.files.toml import FileModel
+from calflow.files.units import MeasurementUnit
 from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
 from calflow.robot.parameter import Parameter
@@ -25,12 +26,15 @@ class Seen:
     """What the graph says of one row, in the measuring frame [m].
 
     point (3,) is where the marker is and rotation (3, 3) how the tool is turned; device maps a point in a device's frame to
-    what the device reports of it, its own errors included.
+    what the device reports of it, its own errors included. link gives the frame (4, 4) of a link's far end, 0 being the base and
+    the last the flange, and down (3,) is where gravity points.
     """
 
     point: ca.SX
     rotation: ca.SX
     device: Callable[[ca.SX], ca.SX]
+    link: Callable[[int], ca.SX]
+    down: ca.SX
 
 
 class NoSettings(FileModel):
@@ -51,7 +55,7 @@ class Observation(ABC):
     """What one kind of device reports, for the rows of one series.
 
     p is the column of its own (nuisance) parameters in the order declared. Everything after it sees residuals: units says
-    of each of them whether it is a length or an angle.
+    of each of them what it is in, those of one unit side by side.
     """
 
     series: Series
@@ -60,7 +64,9 @@ class Observation(ABC):
     title: ClassVar[str]
     columns: ClassVar[Reported]
     settings: ClassVar[type[FileModel]] = NoSettings  # what a study's [measurements.settings] may say
-    units: ClassVar[tuple[str, ...]]  # "m" or "rad", of each residual of a row
+    units: ClassVar[
+        tuple[MeasurementUnit, ...]
+    ]  # of each residual of a row; the first is the one its noise is stated in
     touches: ClassVar[bool] = False  # whether the robot must be brought to something for a row to be measured
     from_outside: ClassVar[bool] = False  # whether it tells where the robot stands in the measuring frame
 

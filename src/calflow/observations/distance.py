@@ -11,6 +11,7 @@ import pandas as pd
 from scipy.optimize import least_squares
 
 from calflow.files.toml import FileModel, Length, Lengths3, Unit
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
@@ -44,7 +45,7 @@ class Distance(Observation):
     title: ClassVar[str] = "length of a wire or a bar"
     columns: ClassVar[Reported] = Reported({"length": "length"})
     settings: ClassVar[type[FileModel]] = DistanceSettings
-    units: ClassVar[tuple[str, ...]] = ("m",)
+    units: ClassVar[tuple[MeasurementUnit, ...]] = (METRE,)
 
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:

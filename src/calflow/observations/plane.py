@@ -12,6 +12,7 @@ from pydantic import field_validator
 from scipy.spatial.transform import Rotation
 
 from calflow.files.toml import FileModel, Lengths3
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
@@ -51,7 +52,7 @@ class Plane(Observation):
     title: ClassVar[str] = "points on a plane"
     columns: ClassVar[Reported] = Reported({}, {"reading": "length"}, ("plane",))
     settings: ClassVar[type[FileModel]] = PlaneSettings
-    units: ClassVar[tuple[str, ...]] = ("m",)
+    units: ClassVar[tuple[MeasurementUnit, ...]] = (METRE,)
     touches: ClassVar[bool] = True
 
     @classmethod

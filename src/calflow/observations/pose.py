@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
+from calflow.files.units import METRE, RADIAN, MeasurementUnit
 from calflow.measurements.columns import POSES, Reported
 from calflow.measurements.measurements import rotations
 from calflow.observations.base import Seen
@@ -22,7 +23,7 @@ class Pose(Position):
     id: ClassVar[str] = "pose"
     title: ClassVar[str] = "position of a marker and orientation of the tool"
     columns: ClassVar[Reported] = POSES
-    units: ClassVar[tuple[str, ...]] = ("m",) * 3 + ("rad",) * 3
+    units: ClassVar[tuple[MeasurementUnit, ...]] = (METRE,) * 3 + (RADIAN,) * 3
 
     @property
     def reports(self) -> int:

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.columns import POSITION, Reported
 from calflow.measurements.series import Series, Station
 from calflow.observations.base import Observation, Placement, Seen
@@ -27,7 +28,7 @@ class Position(Observation):
     id: ClassVar[str] = "position"
     title: ClassVar[str] = "position of a marker"
     columns: ClassVar[Reported] = Reported(dict.fromkeys(POSITION, "length"))
-    units: ClassVar[tuple[str, ...]] = ("m",) * 3
+    units: ClassVar[tuple[MeasurementUnit, ...]] = (METRE,) * 3
     from_outside: ClassVar[bool] = True
 
     @classmethod

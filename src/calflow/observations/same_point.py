@@ -11,6 +11,7 @@ import pandas as pd
 from pydantic import Field
 
 from calflow.files.toml import FileModel, Length, Lengths3
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
@@ -62,7 +63,7 @@ class SamePoint(Observation):
     title: ClassVar[str] = "the tool in a socket"
     columns: ClassVar[Reported] = Reported({"socket": ""}, {}, ("socket", "placement"))
     settings: ClassVar[type[FileModel]] = SamePointSettings
-    units: ClassVar[tuple[str, ...]] = ("m",) * 3
+    units: ClassVar[tuple[MeasurementUnit, ...]] = (METRE,) * 3
     touches: ClassVar[bool] = True
 
     @classmethod

@@ -8,7 +8,7 @@ from functools import partial
 
 import pandas as pd
 
-from calflow.estimation.accuracy import accuracy, errors
+from calflow.estimation.accuracy import accuracy, leading_errors
 from calflow.estimation.noise_doubt import NoiseDoubt, doubts_of_repeats
 from calflow.estimation.registration import registered
 from calflow.faults import Fault, examined
@@ -82,7 +82,7 @@ def _checked(study: Study, data: Measurements) -> Checked:
     train = mended.only(mended.train)
     robot, observed = registered(mended.robot, observations(train), train)
     nominal = build(robot, (), data.given, observed)
-    error = errors(nominal, nominal.nominal, mended.on(robot))
+    error = leading_errors(nominal, nominal.nominal, mended.on(robot))
     doubts = doubts_of_repeats(mended.on(robot), error, tuple(False for _ in data.series))
     n_parameters = len(stated(study.robot, study.file.effects, train).parameters)
     return Checked(data, faults, n_parameters, pd.DataFrame(accuracy("nominal", error, mended)), doubts)

@@ -167,7 +167,8 @@ def _data(
     others = tuple(names[a + b - k] for a, b in sorted(same) if k in (a, b))
     return RunData(
         run=names[k], files=tuple(measured[k].values()), poses=summary.training_poses, held_out=summary.heldout_poses,
-        noise_mm=summary.sigma_mm, noise_from=summary.noise_sources, discrepancy_mm=summary.discrepancy_mm, same_data_as=others,
+        noise_mm=np.nan if summary.sigma_mm is None else summary.sigma_mm, noise_from=summary.noise_sources,
+        discrepancy_mm=summary.discrepancy_mm, same_data_as=others,
     )  # fmt: skip
 
 

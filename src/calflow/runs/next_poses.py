@@ -31,11 +31,13 @@ from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.elsewhere import left_out
 from calflow.estimation.identification import fit_effects, too_few_equations
+from calflow.estimation.noise import PerUnit
 from calflow.estimation.progress import Draws, Say, draws, nobody
 from calflow.faults import as_table, examined
 from calflow.files.problems import InputError, refuse
 from calflow.files.results import Results, to_document
 from calflow.files.tables import typed
+from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.observations import observations
@@ -145,7 +147,7 @@ class _Asked:
         """Propose poses to begin with, or to go on with where there are too few to identify anything."""
         study, settings = self.study, self.settings
         effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))
-        planned = Planned(observed(study, settings), settings.sigma, settings.sigma_rotation)
+        planned = Planned(observed(study, settings), settings.sigma, PerUnit(((RADIAN, settings.sigma_rotation),)))
         one_sided = by_sides(effects)
         model = build(study.robot, [one for one in effects if one not in one_sided], (), (planned.observation,))
         chosen = select(

@@ -16,6 +16,7 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import expected_point, left_variance, of_parameters
 from calflow.estimation.elsewhere import beyond
 from calflow.files.tables import column, to_frame
+from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations.pose import Pose
@@ -119,7 +120,7 @@ def point_errors(
 
     return PointErrors(
         errors(Model.point, Model.point_jacobian, factor * left_variance(calibrated, rows) + widened),
-        errors(_turn_from(calibrated, rows), Model.rotation_jacobian, factor * calibrated.rotation_discrepancy**2),
+        errors(_turn_from(calibrated, rows), Model.rotation_jacobian, factor * calibrated.discrepancy[RADIAN] ** 2),
     )
 
 

@@ -22,6 +22,7 @@ from calflow.design.t_optimality import Choices
 from calflow.diagnosis.findings.verdict import label
 from calflow.estimation.probing import probed
 from calflow.estimation.rival_models import Alternative
+from calflow.files.units import METRE
 
 MOST_LACKS, DIRECTIONS = 4, 10  # names of what may be lacking that poses are chosen for, and directions of each
 PARAMETERS, SURER = "parameters", "surer tool over the task"
@@ -82,7 +83,7 @@ def doubts(
         rival, size = replace(one.model, given=whole.given), np.sqrt(one.probability)
         apart = rival.point(one.estimate, choices.rows) - whole.point(fitted.fit.estimate, choices.rows)
         there = rival.point(one.estimate, site.rows) - whole.point(fitted.fit.estimate, site.rows)
-        if planned.observation.units == ("m",) * 3:
+        if planned.observation.units == (METRE,) * 3:
             found.append(Doubt(f"rival {k}", size / planned.sigma * apart[:, :, None], size * there[:, :, None]))
     return found
 

@@ -22,6 +22,7 @@ from calflow.effects import Effect
 from calflow.estimation.elsewhere import left_out
 from calflow.estimation.probing import probed
 from calflow.estimation.rival_models import Alternative
+from calflow.files.units import METRE
 from calflow.measurements.series import Series
 from calflow.model import Model
 from calflow.observations.position import Position
@@ -145,7 +146,7 @@ def _normal(number: int, covariance: np.ndarray, rng: np.random.Generator) -> np
 
 def _apart_at_each_pose(fitted: Fitted) -> float:
     """By how much the robot errs at each pose for itself, per axis [m]: what is significant, or cannot be told from the noise."""
-    return fitted.noise.discrepancy if fitted.noise.known else fitted.problem.scatter
+    return fitted.noise.discrepancy[METRE] if fitted.noise.known else fitted.problem.scatter
 
 
 def _levels(fitted: Fitted, rng: np.random.Generator) -> np.ndarray:

@@ -13,12 +13,13 @@ import pandas as pd
 
 from calflow.diagnosis.findings.misfit import MisfitRegion
 from calflow.diagnosis.findings.tables import Diagnosis
-from calflow.estimation.accuracy import Accuracy, accuracy, errors
+from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
 from calflow.estimation.calibrated_model import CalibratedModel, noise_table, series_noise
-from calflow.estimation.fit_summary import FitSummary, Solver
+from calflow.estimation.fit_summary import FitSummary, Solver, discrepancies
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import Noise
 from calflow.files.tables import column, to_frame
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 
 
@@ -52,7 +53,7 @@ def extended_model(found: Diagnosis, known: CalibratedModel, data: Measurements)
     return CalibratedModel(
         final.model, final.fit.estimate, final.fit.covariance, final.fit.at_bound,
         series_noise(_noise(found, known, data), _growth(found)), final.noise.discrepancy,
-        final.noise.rotation_discrepancy, final.loss, final.elsewhere, tuple(one.alternative for one in found.alternatives),
+        final.loss, final.elsewhere, tuple(one.alternative for one in found.alternatives),
         intraclass=final.intraclass,
         in_reach=found.in_reach,
         needed=needed_conditions(final.model, final.fit.estimate, data),
@@ -65,7 +66,7 @@ def accuracy_table(found: Diagnosis, data: Measurements, before: Sequence[Accura
     name, step, rows = before[-1].model, before[-1].step, list(before)
     for k, (cause, fit) in enumerate(zip(found.causes, found.extended.path, strict=True), start=step + 1):
         name += f" + {cause.id} {cause.part}"
-        rows += accuracy(name, errors(fit.model, fit.estimate, data), data, k, cause)
+        rows += accuracy(name, leading_errors(fit.model, fit.estimate, data), data, k, cause)
     return to_frame(rows, Accuracy)
 
 
@@ -82,10 +83,9 @@ def diagnosis_summary(found: Diagnosis, known: CalibratedModel) -> DiagnosisSumm
         sigma = float(np.median(final.noise.sigma[final.noise.of_series(0)]))
     return DiagnosisSummary(
         noise_sources=final.noise.sources,
-        sigma_mm=1e3 * sigma,
+        sigma_mm=1e3 * sigma if final.noise.leading[0] == METRE else None,
         noise_growth_mm_per_m=1e3 * found.growth.slope if found.growth else 0.0,
-        discrepancy_mm=1e3 * final.noise.discrepancy,
-        rotation_discrepancy_mrad=None if final.noise.rotation is None else 1e3 * final.noise.rotation_discrepancy,
+        **discrepancies(final.noise),
         elsewhere_mm=1e3 * final.elsewhere,
         intraclass=final.intraclass,
         loss=final.loss,

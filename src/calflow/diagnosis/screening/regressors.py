@@ -304,7 +304,7 @@ def shared_error_groups(stacking: Stacking, poses: np.ndarray) -> np.ndarray:
 
     poses (n_rows,) numbers the rows by pose and series.
     """
-    return np.asarray(poses[stacking.row] * (int(stacking.unit.max(initial=0)) + 1) + stacking.unit)
+    return np.asarray(poses[stacking.row] * (int(stacking.place.max(initial=0)) + 1) + stacking.place)
 
 
 def shared_error(residual: np.ndarray, group: np.ndarray, determined: float) -> tuple[float, float]:

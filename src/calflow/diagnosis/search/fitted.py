@@ -20,13 +20,12 @@ from calflow.estimation.fit import Fit, fit
 from calflow.estimation.intraclass import found_alike
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
-from calflow.estimation.noise import Noise
+from calflow.estimation.noise import Noise, PerUnit, median_length
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
 FAR = 4.5  # robust standard deviations
-MEDIAN_LENGTH = np.array([np.nan, 0.6745, 1.1774, 1.5382])  # of so many unit normals
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
 TWO_SIDED = 0.975  # quantile at which a 95 % interval ends
 WEIGHINGS = 3  # fits in which the weights of rows far off settle
@@ -128,8 +127,8 @@ class Fitted:
         return LeastSquares.of(self.model, self.data, self.noise).reweighted(self.fit.estimate, self.loss)
 
     def weighed(self, sigma: np.ndarray) -> Fitted:
-        """Fit anew with other noise (n_rows,) [m]."""
-        noise = replace(self.device, sigma=sigma, discrepancy=0.0)
+        """Fit anew with other noise (n_rows,), of residuals in the leading units."""
+        noise = replace(self.device, sigma=sigma, discrepancy=PerUnit())
         return replace(
             _settled(self.model, self.data, noise, self.fit.estimate, self.loss),
             background=self.background,
@@ -139,7 +138,7 @@ class Fitted:
     @staticmethod
     def of(known: CalibratedModel, data: Measurements, noise: Noise) -> Fitted:
         """Fit an identified model anew on training rows, from where identify left it."""
-        bare = replace(noise, discrepancy=0.0, rotation_discrepancy=0.0, intraclass=0.0)
+        bare = replace(noise, discrepancy=PerUnit(), intraclass=0.0)
         return _settled(known.model, data, bare, known.estimate, known.loss)
 
     def _values(self, model: Model) -> np.ndarray:
@@ -170,7 +169,7 @@ class Fitted:
         """
         model = replace(self.model, effects=(*self.plain, *causes))
         start = self._values(model) if start is None else start
-        bare = replace(self.device, discrepancy=0.0, rotation_discrepancy=0.0)
+        bare = replace(self.device, discrepancy=PerUnit())
         near = self.noise.sigma / self.far * np.sqrt(1 - share)
         bare = replace(bare, sigma=np.where(bare.estimated, near, bare.sigma))
         return replace(_settled(model, self.data, bare, start, self.loss, self.far), background=self.background)
@@ -195,8 +194,8 @@ def _settled(
 
 def _excess(fit: Fit, far: np.ndarray) -> np.ndarray:
     """By how much each row's error exceeds FAR robust standard deviations, at least 1, shape (n_rows,)."""
-    lengths = ~fit.stacking.angular
-    size = np.sqrt(fit.stacking.by_row(np.where(lengths, fit.residual**2, 0.0))) * far
-    units = fit.stacking.by_row(lengths.astype(float)).astype(int)
-    scale = float(np.median(size / MEDIAN_LENGTH[units]))
+    leading = fit.stacking.leading
+    size = np.sqrt(fit.stacking.by_row(np.where(leading, fit.residual**2, 0.0))) * far
+    units = fit.stacking.by_row(leading.astype(float)).astype(int)
+    scale = float(np.median(size / median_length(units)))
     return np.asarray(np.maximum(1.0, size / (FAR * scale)))

@@ -92,7 +92,7 @@ class FittedTrial(Trial[Cause]):
     def bic(self) -> float:
         """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
         fitted = self.fitted
-        scale = float(np.median(np.hypot(fitted.noise.sigma / fitted.far, fitted.noise.discrepancy)))
+        scale = float(np.median(replace(fitted.noise, sigma=fitted.noise.sigma / fitted.far).total))
         misfit = (fitted.misfit - sum(map(self._relief, self.causes))) * scale**2
         parameters = fitted.fit.effective_parameters + sum(map(self._at_bound, self.causes))
         variants = [self.catalogue.variants.get(cause.place, 1) for cause in self.causes]

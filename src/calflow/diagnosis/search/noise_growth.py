@@ -12,6 +12,7 @@ from scipy.stats import spearmanr
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.estimation.noise import Noise
 from calflow.estimation.repeats import MIN_REPEATS
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 
 RANGE = "range"  # the condition of a row that noise is tested to grow with
@@ -105,7 +106,7 @@ def _of_residuals(fitted: Fitted, smooth: bool = True) -> SpreadByRange:
     error, rows = [np.zeros((0, 3))], [np.zeros(0, dtype=int)]
     for block in fitted.problem.blocks:
         observation = block.observation
-        if observation.units[:3] != ("m",) * 3 or not observation.from_outside or observation.series.beam:
+        if observation.units[:3] != (METRE,) * 3 or not observation.from_outside or observation.series.beam:
             continue  # no range, or one whose noise is stated already
         for here, residual, jacobian in block.linearised(fitted.fit.estimate):
             predicted = np.einsum("rai,ij,raj->ra", jacobian, fitted.fit.covariance, jacobian, optimize=True)[:, :3]

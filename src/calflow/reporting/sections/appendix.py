@@ -14,6 +14,7 @@ from calflow.diagnosis.findings.extended_model import DiagnosisSummary
 from calflow.estimation.calibrated_model import DeviceNoise
 from calflow.estimation.fit_summary import FitSummary, IdentifySummary
 from calflow.estimation.noise import Noise
+from calflow.files.units import MeasurementUnit
 from calflow.files.words import effect_words
 from calflow.reporting.blocks import Block, Columns, Paragraph, Table
 from calflow.reporting.material import Material
@@ -24,12 +25,13 @@ Facts = list[tuple[str, str]]
 
 def identified(found: IdentifySummary, noises: Sequence[DeviceNoise]) -> Facts:
     """Tell how identify ended, with the noise of each series."""
-    sigma = np.array([one.sigma_mm / 1e3 for one in noises])
-    noise = Noise(sigma, tuple(one.source for one in noises), series=np.arange(len(noises)))
+    sigma = np.array([one.sigma for one in noises])
+    units = tuple(MeasurementUnit(one.unit, one.unit, 1.0, 1.0) for one in noises)
+    noise = Noise(sigma, tuple(one.source for one in noises), units=units, series=np.arange(len(noises)))
     return [
         ("noise", noise.words),
         ("noise source", _sources(found)),
-        ("sigma mm", f"{found.sigma_mm:.6g}"),
+        *_sigma(found),
         ("reduced chi2", _told(found.reduced_chi2, ".6g")),
         ("lack of fit p", _told(found.lack_of_fit_p, ".3g")),
         *_discrepancy(found),
@@ -52,7 +54,7 @@ def identified(found: IdentifySummary, noises: Sequence[DeviceNoise]) -> Facts:
 def diagnosed(found: DiagnosisSummary) -> Facts:
     """Tell how diagnose ended."""
     return [
-        ("sigma mm", f"{found.sigma_mm:.6g}"),
+        *_sigma(found),
         ("noise source", _sources(found)),
         ("noise growth mm per m", f"{found.noise_growth_mm_per_m:.6g}"),
         *_discrepancy(found),
@@ -71,10 +73,12 @@ def _sources(found: FitSummary) -> str:
     return ";".join(dict.fromkeys(found.noise_sources))
 
 
+def _sigma(found: FitSummary) -> Facts:
+    return [] if found.sigma_mm is None else [("sigma mm", f"{found.sigma_mm:.6g}")]
+
+
 def _discrepancy(found: FitSummary) -> Facts:
-    rotation = found.rotation_discrepancy_mrad
-    own = [] if rotation is None else [("rotation discrepancy mrad", f"{rotation:.6g}")]
-    return [("discrepancy mm", f"{found.discrepancy_mm:.6g}"), *own]
+    return [(f"discrepancy {unit}", f"{size:.6g}") for unit, size in found.discrepancies.items()]
 
 
 def _told(value: float | None, form: str) -> str:
