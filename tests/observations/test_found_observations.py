@@ -17,6 +17,7 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.columns import Reported
 from calflow.observations.base import Observation
 from calflow.robot.parameter import Parameter
@@ -29,7 +30,7 @@ class FloorHeight(Observation):
     id: ClassVar[str] = "floor-height"
     title: ClassVar[str] = "height over the floor"
     columns: ClassVar[Reported] = Reported({"height": "length"})
-    units: ClassVar[tuple[str, ...]] = ("m",)
+    units: ClassVar[tuple[MeasurementUnit, ...]] = (METRE,)
 
     @classmethod
     def of(cls, series, table):

@@ -23,7 +23,15 @@ def catalogue() -> dict[str, type[Observation]]:
     Raises:
         InputError: another package brings what cannot be used.
     """
-    return plugins.catalogue(__name__, plugins.OBSERVATIONS, Observation)  # type: ignore[type-abstract]
+    return plugins.catalogue(__name__, plugins.OBSERVATIONS, Observation, _flaw)  # type: ignore[type-abstract]
+
+
+def _flaw(kind: type[Observation]) -> str:
+    """What is wrong with the units of a kind that another package brings; empty where nothing is."""
+    units = getattr(kind, "units", ())
+    if units and all(isinstance(unit, MeasurementUnit) for unit in units):
+        return ""
+    return "its units say nothing of how a residual is told: expected a calflow.files.units.MeasurementUnit each, such as METRE"
 
 
 def observations(data: Measurements) -> tuple[Observation, ...]:
