@@ -14,7 +14,7 @@ from calflow.estimation.plausibility import plausible
 from calflow.files.problems import InputError, Problem, nearest, refuse, together
 from calflow.files.regular import regular_file
 from calflow.files.toml import FileModel, Origin, read_toml, validate
-from calflow.files.units import split_unit
+from calflow.files.units import SUFFIXES, split_unit
 from calflow.measurements.cells import layout_of_further
 from calflow.measurements.combined import combined, continued
 from calflow.measurements.measurements import Measurements
@@ -217,10 +217,27 @@ class Study:
     def _series(self, k: int, path: Path) -> Measurements:
         """Read one series."""
         kind, series = self.series(k)
-        layout = replace(self.file.sources[k].layout, reports=kind.columns)
+        source, dimension = self.file.sources[k], kind.units[0].dimension
+        if source.sigma_unit and source.sigma_unit not in SUFFIXES[dimension]:
+            wanted = " or ".join(f"sigma_{unit}" for unit in SUFFIXES[dimension])
+            raise InputError(
+                [
+                    self._source_problem(
+                        k, f"expected the unit of what was measured: {wanted}", f"sigma_{source.sigma_unit}"
+                    )
+                ]
+            )
+        layout = replace(source.layout, reports=replace(kind.columns, sigma=dimension))
         layout = layout_of_further(path, layout) if path in self.further else layout
         measured = Measurements.from_csv(path, self.robot, **vars(layout))
         return plausible(replace(measured, series=(series,)), path)
+
+    def _source(self, k: int) -> tuple[str | int, ...]:
+        """Where the study file has a series."""
+        return ("measurements", k) if isinstance(self.file.measurements, tuple) else ("measurements",)
+
+    def _source_problem(self, k: int, message: str, key: str) -> Problem:
+        return Origin.of(self.path).problem(message, *self._source(k), key)
 
     def series(self, k: int) -> tuple[type[Observation], Series]:
         """Return a series' kind of observation, and what the study says of its rows.
@@ -229,13 +246,13 @@ class Study:
             InputError: its kind is unknown, or does not have its settings.
         """
         source = self.file.sources[k]
-        where = ("measurements",) if not isinstance(self.file.measurements, tuple) else ("measurements", k)
-        origin = Origin.of(self.path)
         if source.kind not in {"", *observation_kinds()}:
             message = f"unknown kind '{source.kind}'; there are {', '.join(observation_kinds())}"
-            raise InputError([origin.problem(message + nearest(source.kind, observation_kinds()), *where, "kind")])
+            raise InputError([self._source_problem(k, message + nearest(source.kind, observation_kinds()), "kind")])
         kind = observation_kinds()[source.kind or "pose"]
-        told = validate(source.settings, kind.settings, replace(origin, table=(*where, "settings")))
+        told = validate(
+            source.settings, kind.settings, replace(Origin.of(self.path), table=(*self._source(k), "settings"))
+        )
         said = {name: value for name, value in told.model_dump().items() if value is not None}
         return kind, source.series(kind.columns.labels, said)
 

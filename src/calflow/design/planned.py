@@ -70,7 +70,7 @@ class Planned:
     def sd(self) -> np.ndarray:
         """Standard deviation of each residual, shape (n_units,)."""
         units = self.observation.units
-        return np.array([self.sigma if unit == units[0] else self.further[unit] for unit in units])
+        return np.array([self.sigma if unit == units[0] else self.further[unit] or unit.usual for unit in units])
 
 
 def stated_poses(file: Path, model: Model) -> np.ndarray:

@@ -18,7 +18,7 @@ from pydantic_core import PydanticCustomError
 
 from calflow.files.problems import CONTROL, InputError, Problem, counted, nearest, refuse, shortened
 from calflow.files.regular import regular_file
-from calflow.files.units import LARGEST, SUFFIXES, split_unit, to_si
+from calflow.files.units import LARGEST, MEASURED, SUFFIXES, split_unit, to_si
 
 LONGEST_KEY, LONGEST_TEXT = 200, 10_000  # characters
 LARGEST_WHOLE = 2**63 - 1  # of TOML
@@ -75,6 +75,7 @@ Length = Annotated[float, Unit("length")]
 Angle = Annotated[float, Unit("angle")]
 Mass = Annotated[float, Unit("mass")]
 Moment = Annotated[float, Unit("moment")]
+Sigma = Annotated[float, Unit(MEASURED)]  # a field `sigma_unit` beside it has the unit that the key names
 Lengths3 = Annotated[tuple[float, float, float], Unit("length")]
 Angles3 = Annotated[tuple[float, float, float], Unit("angle")]
 
@@ -152,6 +153,8 @@ class FileModel(BaseModel):
                 converted[name] = _Wrong(f"expected a unit of {dimension}: {_spellings(name, dimension)}", key)
             else:
                 converted[name] = _convert(value, unit)
+                if dimension == MEASURED:
+                    converted[f"{name}_unit"] = unit
         return converted
 
     @field_validator("*")

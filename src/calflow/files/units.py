@@ -27,6 +27,9 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "image": {"px": (1.0, 0.0)},
     "ratio": {"m_per_m": (1.0, 0.0), "mm_per_m": (1e-3, 0.0), "um_per_m": (1e-6, 0.0)},
 }
+# What a device may report, where the key alone says which of these it is.
+MEASURED = "what was measured"
+UNITS[MEASURED] = {unit: to for kind in ("length", "angle", "image", "force") for unit, to in UNITS[kind].items()}
 SUFFIXES: dict[str, tuple[str, ...]] = {dimension: tuple(units) for dimension, units in UNITS.items()}
 # The largest amount of each dimension that anything of a robot has, in its SI unit; "" is a plain number.
 LARGEST = {
@@ -43,6 +46,7 @@ LARGEST = {
     "acceleration": 1e4,
     "image": 1e6,
     "ratio": 1e3,
+    MEASURED: 1e6,
 }
 _CONVERSIONS = {suffix: conversion for units in UNITS.values() for suffix, conversion in units.items()}
 

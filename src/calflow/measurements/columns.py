@@ -24,13 +24,14 @@ class Reported:
     """The columns that a kind of measurement reports in, with their dimensions ('' for a plain number), and names it is told.
 
     needed ones must be there, and labels that are needed; of the others any. Where nothing was measured yet they say where a
-    tool is to be: such rows need no joint readings, no orders and no noise.
+    tool is to be: such rows need no joint readings, no orders and no noise. sigma is the dimension of a value's noise.
     """
 
     needed: Mapping[str, str]
     optional: Mapping[str, str] = field(default_factory=dict)
     labels: tuple[str, ...] = ()
     measured: bool = True
+    sigma: str = "length"
 
     @property
     def values(self) -> tuple[str, ...]:
@@ -62,7 +63,7 @@ def column_names(robot: Robot, reported: Reported = POSES) -> dict[str, str]:
     names = dict.fromkeys((*LABELS, *reported.labels, *numbered("approach", n)), "")
     for stem in ("q", "travel"):
         names |= {f"{stem}{i + 1}": "angle" if j.kind == "revolute" else "length" for i, j in enumerate(robot.joints)}
-    names |= {"sigma": "length", **reported.needed, **reported.optional}
+    names |= {"sigma": reported.sigma, **reported.needed, **reported.optional}
     names |= dict.fromkeys(("nominal_x", "nominal_y", "nominal_z"), "length")  # of select/poses.csv, filled in
     names |= {f"via{i + 1}": names[f"q{i + 1}"] for i in range(n)}  # of the same
     names |= dict.fromkeys(("target_x", "target_y", "target_z"), "length")  # where compensated commands were to land

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 Triple = tuple[float, float, float]
-Setting = float | str | bool | None | Triple
+Setting = float | str | bool | None | tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,11 @@ class Series:
         """Return a number that the user said, None where there is none."""
         stated = self.setting(name)
         return float(stated) if isinstance(stated, int | float) and not isinstance(stated, bool) else None
+
+    def triple(self, name: str) -> Triple | None:
+        """Return three figures that the user said, None where there are none."""
+        stated = self.setting(name)
+        return (stated[0], stated[1], stated[2]) if isinstance(stated, tuple) and len(stated) == 3 else None
 
     @staticmethod
     def of(name: str, kind: str, settings: Mapping[str, Setting] | None = None, **more: object) -> Series:

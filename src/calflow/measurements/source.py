@@ -8,8 +8,9 @@ from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
+from pydantic.json_schema import SkipJsonSchema
 
-from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Unit
+from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Sigma, Unit
 from calflow.measurements.layout import Layout, Missing
 from calflow.measurements.series import BeamNoise, Series, Setting, Station
 
@@ -54,7 +55,8 @@ class MeasurementSource(FileModel):
     decimal: Literal[".", ","] = "."
     columns: dict[str, str] = {}
     markers: dict[str, dict[str, str]] = {}
-    sigma: Length | None = Field(default=None, gt=0)
+    sigma: Sigma | None = Field(default=None, gt=0)
+    sigma_unit: SkipJsonSchema[str] = ""
     sigma_rotation: Angle | None = Field(default=None, gt=0)
     in_order: bool = False
     tracker: Lengths3 | None = None

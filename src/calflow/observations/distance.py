@@ -50,8 +50,7 @@ class Distance(Observation):
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:
         """Return the observation, its anchor where the settings say."""
-        stated = series.setting("anchor")
-        return cls(series, stated if isinstance(stated, tuple) else NOWHERE)
+        return cls(series, series.triple("anchor") or NOWHERE)
 
     @classmethod
     def planned(cls, series: Series) -> Self:

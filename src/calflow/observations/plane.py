@@ -64,8 +64,8 @@ class Plane(Observation):
     @classmethod
     def planned(cls, series: Series) -> Self:
         """Return a plane where the settings say."""
-        point, normal = series.setting("point"), series.setting("normal", (0.0, 0.0, 1.0))
-        if not isinstance(point, tuple):
+        point, normal = series.triple("point"), series.triple("normal") or (0.0, 0.0, 1.0)
+        if point is None:
             raise ValueError("state where the plane will be, roughly: point_mm = [x, y, z] on it, and its normal")
         turn = Rotation.align_vectors(np.array([normal], dtype=float), np.array([[0.0, 0.0, 1.0]]))[0]
         return cls(series, ("",), ((*point, *map(float, angles(turn))),))

@@ -74,8 +74,8 @@ class SamePoint(Observation):
     @classmethod
     def planned(cls, series: Series) -> Self:
         """Return one socket where the settings say, or two along x where their distance is known."""
-        place = series.setting("place")
-        if not isinstance(place, tuple):
+        place = series.triple("place")
+        if place is None:
             raise ValueError("state where the socket will be, roughly: place_mm = [x, y, z]")
         x, y, z = place
         apart = series.number("distance")

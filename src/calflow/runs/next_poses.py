@@ -31,13 +31,11 @@ from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.elsewhere import left_out
 from calflow.estimation.identification import fit_effects, too_few_equations
-from calflow.estimation.noise import PerUnit
 from calflow.estimation.progress import Draws, Say, draws, nobody
 from calflow.faults import as_table, examined
 from calflow.files.problems import InputError, refuse
 from calflow.files.results import Results, to_document
 from calflow.files.tables import typed
-from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.observations import observations
@@ -45,7 +43,7 @@ from calflow.runs.kept import not_of_a_run, write_results
 from calflow.stages.diagnose import DiagnoseSettings
 from calflow.stages.identify import IdentifySettings
 from calflow.stages.select_settings import SelectSettings
-from calflow.stages.select_study import by_sides, measured_rows, observed, problems, task_of
+from calflow.stages.select_study import by_sides, measured_rows, planned_of, problems, task_of
 from calflow.study import Study
 
 LIKELY = 0.02  # probability from which something suspected is told
@@ -147,7 +145,7 @@ class _Asked:
         """Propose poses to begin with, or to go on with where there are too few to identify anything."""
         study, settings = self.study, self.settings
         effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))
-        planned = Planned(observed(study, settings), settings.sigma, PerUnit(((RADIAN, settings.sigma_rotation),)))
+        planned = planned_of(study, settings)
         one_sided = by_sides(effects)
         model = build(study.robot, [one for one in effects if one not in one_sided], (), (planned.observation,))
         chosen = select(

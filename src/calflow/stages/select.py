@@ -21,11 +21,9 @@ from calflow.design.separability import (
 )
 from calflow.design.worth import HowMany, Worth, worth_words
 from calflow.diagnosis.search.trial import FALSE_ALARM
-from calflow.estimation.noise import PerUnit
 from calflow.files.problems import InputError
 from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
-from calflow.files.units import RADIAN
 from calflow.model import Model, build
 from calflow.robot.parts import Base
 from calflow.stages.select_settings import SelectSettings
@@ -35,7 +33,7 @@ from calflow.stages.select_study import (
     from_outside,
     measured_rows,
     named_files,
-    observed,
+    planned_of,
     problems,
     task_of,
 )
@@ -50,7 +48,7 @@ def run(context: Context) -> Results:
     if wrong := problems(study, settings, None):
         raise InputError(wrong)
     robot = study.robot if from_outside(study) else replace(study.robot, base=Base(fixed=True))
-    planned = Planned(observed(study, settings), settings.sigma, PerUnit(((RADIAN, settings.sigma_rotation),)))
+    planned = planned_of(study, settings)
     effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))
     one_sided = by_sides(effects)
     model = build(robot, [effect for effect in effects if effect not in one_sided], (), (planned.observation,))

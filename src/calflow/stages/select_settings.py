@@ -11,12 +11,13 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
+from pydantic.json_schema import SkipJsonSchema
 
 from calflow.design.cell import Box, Cell, CellStation, Cylinder
 from calflow.design.measuring_order import USUAL_DRIFT, Order
 from calflow.design.selection import Aim
 from calflow.design.separability import Record
-from calflow.files.toml import Angle, FileModel, Length, Lengths3, Unit
+from calflow.files.toml import Angle, FileModel, Length, Lengths3, Sigma, Unit
 from calflow.robot.robot import Robot
 from calflow.study_file import known_effects
 
@@ -257,9 +258,12 @@ class SelectSettings(Region):
     cell: CellSettings | None = Field(default=None, description="a table: what the poses must keep to, see below")
     payload: str = Field(default="", description="what the robot carries while it is measured")
     marker: str = Field(default="", description="what is measured; the first")
-    sigma: Length = Field(
-        default=5e-5, gt=0, description="standard deviation of the device, per axis, e.g. `sigma_um` (50 µm)"
+    sigma: Sigma | None = Field(
+        default=None,
+        gt=0,
+        description="standard deviation of the device, per axis, e.g. `sigma_um` (50 µm; of another unit half a usual device's)",
     )
+    sigma_unit: SkipJsonSchema[str] = ""
     sigma_rotation: Angle = Field(
         default=1e-4, gt=0, description="the same of orientations, e.g. `sigma_rotation_mrad` (0.1 mrad)"
     )

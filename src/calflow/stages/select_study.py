@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.design.planned import Task, stated_poses
+from calflow.design.planned import Planned, Task, stated_poses
 from calflow.design.separability import Record
 from calflow.effects import catalogue
 from calflow.effects.base import unmet
+from calflow.estimation.noise import PerUnit
 from calflow.files.problems import Problem, nearest
 from calflow.files.toml import Origin
+from calflow.files.units import RADIAN, SUFFIXES
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.series import Series
 from calflow.model import Model
@@ -34,6 +36,9 @@ def problems(study: Study, settings: SelectSettings, data: Measurements | None) 
         found.append(study.setting_problem("select", message, "measure"))
     elif said := _unplaced(study, settings):
         found.append(said)
+    elif settings.sigma_unit not in ("", *(suffixes := SUFFIXES[observed(study, settings).units[0].dimension])):
+        wanted = " or ".join(f"sigma_{unit}" for unit in suffixes)
+        found.append(study.setting_problem("select", f"expected the unit of what is measured: {wanted}", "sigma"))
     task = settings.task.payloads if settings.task else ()
     for what, name, known, where in (
         ("marker", settings.marker, study.robot.markers, ("marker",)),
@@ -104,6 +109,13 @@ def observed(study: Study, settings: SelectSettings) -> Observation:
         return Position.planned(Series())
     kind, series = study.series(_which(study, settings))
     return (kind if series.kind else Position).planned(series)
+
+
+def planned_of(study: Study, settings: SelectSettings) -> Planned:
+    """Return what is to be measured, and how surely."""
+    observation = observed(study, settings)
+    sigma = settings.sigma or 0.5 * observation.units[0].usual
+    return Planned(observation, sigma, PerUnit(((RADIAN, settings.sigma_rotation),)))
 
 
 def by_sides(effects: Sequence[str]) -> list[str]:
