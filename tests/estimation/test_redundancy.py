@@ -12,7 +12,7 @@ from calflow.estimation.identifiability import redundant
 from calflow.files.results import Results
 from calflow.model import build
 from calflow.reporting.blocks import Table
-from calflow.reporting.sections.identifiability import left_out_words
+from calflow.reporting.sections.parameters import left_out_words
 from calflow.robot.robot import Robot
 from robot.formats import urdfs
 

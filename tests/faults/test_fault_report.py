@@ -10,7 +10,7 @@ from calflow.faults import Correction, Fault, as_table
 from calflow.faults.base import fault
 from calflow.faults.outlier import Outlier
 from calflow.files.results import Results
-from calflow.reporting.document import source, write
+from calflow.reporting.document import source, write_pdf
 from calflow.reporting.material import Material
 from calflow.reporting.section import advice, chosen, sections
 from calflow.reporting.sections import faults as section
@@ -47,7 +47,7 @@ def test_left_out_rows_are_in_no_figure(small: Context) -> None:
 def test_the_reader_is_told_to_correct_the_file(small: Context) -> None:
     """Fails if a fault is not told on page one, a whole column after single rows, or without its lines."""
     material = Material.of(small.study, small.results, small.run_folder)
-    text = source("", [("", section.write(material))])
+    text = source("", [("", section.FAULTS_SECTION.write(material))])
     for words in ("line 4", "left out", "all rows", "corrected", "The position in line 4 is 9 mm off; left out."):
         assert words in text
     told = [item.sentence for item in advice(sections(), small.results) if item.sentence.startswith("Correct the meas")]
@@ -60,8 +60,10 @@ def test_the_reader_is_told_to_correct_the_file(small: Context) -> None:
 def test_the_section_is_there_where_faults_are(small: Context, tmp_path) -> None:
     """Fails if a report without faults has an empty section, or one with faults cannot be written."""
     material = Material.of(small.study, small.results, small.run_folder)
-    assert section.SECTION in chosen(sections(), material)
+    assert section.FAULTS_SECTION in chosen(sections(), material)
     none = small.results | Results({"identify/faults.csv": small.tables["identify/faults.csv"].iloc[:0]})
-    assert section.SECTION not in chosen(sections(), replace(material, results=none))
-    write("title", [("Verdict", []), (section.SECTION.title, section.write(material))], tmp_path)
+    assert section.FAULTS_SECTION not in chosen(sections(), replace(material, results=none))
+    write_pdf(
+        "title", [("Verdict", []), (section.FAULTS_SECTION.title, section.FAULTS_SECTION.write(material))], tmp_path
+    )
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")

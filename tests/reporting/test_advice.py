@@ -21,26 +21,12 @@ from calflow.estimation.identifiability import Statement
 from calflow.estimation.noise_doubt import NoiseDoubt
 from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
-from calflow.reporting.causes import finding as separation
-from calflow.reporting.causes import gain, search
-from calflow.reporting.causes import unexplained as unexplained_part
-from calflow.reporting.causes.first_page import foremost
 from calflow.reporting.material import ModelAccuracy
 from calflow.reporting.section import Advice, Rule, advice, sections
-from calflow.reporting.sections import (
-    accuracy,
-    diagnosis,
-    faults,
-    identifiability,
-    parameters,
-    posterior,
-    predictive,
-    residuals,
-    task,
-    told_apart,
-)
-from calflow.reporting.sections.further_steps import SECTION as FURTHER_STEPS
+from calflow.reporting.sections import accuracy, causes, faults, isolability, parameters, posterior, residuals, task
+from calflow.reporting.sections.causes import foremost
 from calflow.reporting.sections.verdict import FEWEST, headline, leftover, next_steps, split_steps
+from calflow.reporting.sections.verdict import FURTHER_STEPS_SECTION as FURTHER_STEPS
 from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import TaskSummary
 
@@ -210,7 +196,7 @@ QUIET: dict[str, object] = {
 SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (accuracy.nominal_far_off, summary(spread_mm=40.0), 1, "swapped axes"),
     (accuracy.not_converged, summary(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1, "Max_Iter"),
-    (diagnosis.extension_not_converged, diagnosed(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1,
+    (causes.extension_not_converged, diagnosed(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1,
      "the model that diagnose extended: its fit did not converge (IPOPT: Max_Iter"),
     (accuracy.starts_disagree, summary(starts_agreeing=1), 2, "Only 1 of 3"),
     (accuracy.model_lacks, summary(reduced_chi2=9.0), 2, "leaves 3.0 times the noise"),
@@ -227,33 +213,34 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (parameters.at_bound,
      {"identify/parameters.csv": parameter_table(at_bound=True, parameter="joint3.s", unit="rad/Nm", lower=0.0, upper=1e-6,
                                                  estimate=1e-10)}, 3, "joint3.s came out at zero"),
-    (identifiability.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;E.z")),
+    (parameters.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;E.z")),
       "identify/parameters.csv": of_parts(joint6_d="joint6", E_z="E")}, 3, "joint6.d from"),
-    (identifiability.unseen_compliance,
+    (parameters.unseen_compliance,
      {"identify/identifiability.csv": statements(("silent", "joint1.s")),
       "identify/parameters.csv": parameter_table(parameter="joint1.s", part="joint1", joint=1, unit="rad/Nm")}, 3, "joint 1"),
-    (gain.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.08), **lost(0.1, -0.06)}, 1, "0.080 mm against 0.060 mm"),
-    (gain.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.01, 0.011, 0.009)}, 1, "Do not use"),
-    (gain.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.1, -0.05, -0.02)}, 2, "may be chance"),
-    (unexplained_part.unexplained, {"diagnose/findings.csv": found("unexplained")}, 2,
+    (causes.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.08), **lost(0.1, -0.06)}, 1,
+     "0.080 mm against 0.060 mm"),
+    (causes.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.01, 0.011, 0.009)}, 1, "Do not use"),
+    (causes.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.1, -0.05, -0.02)}, 2, "may be chance"),
+    (causes.unexplained, {"diagnose/findings.csv": found("unexplained")}, 2,
      "depends on the angle of joint 2 that no cause"),
-    (separation.next_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "the 3 poses of diagnose/next_poses.csv that tell backlash"),
-    (separation.next_poses, {"diagnose/next_poses.csv": poses(3, (("joint-hysteresis", 2), ("link-mass", 3)))}, 3,
+    (causes.next_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "the 3 poses of diagnose/next_poses.csv that tell backlash"),
+    (causes.next_poses, {"diagnose/next_poses.csv": poses(3, (("joint-hysteresis", 2), ("link-mass", 3)))}, 3,
      "leave open whether it is friction wind-up of joint 2 or mass error of link 3"),
-    (separation.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(
+    (causes.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(
         0.0, "log each joint's travel")}, 3,
      "To tell backlash of joint 2 from friction wind-up of joint 2: log each joint's travel"),
-    (search.untested, {"diagnose/findings.csv": found("unexplained")}, 3, "with a column time_s (drift of the measuring"),
+    (causes.untested, {"diagnose/findings.csv": found("unexplained")}, 3, "with a column time_s (drift of the measuring"),
     (posterior.too_short, chain(90), 2, "about 90 more steps"),
     (posterior.ensembles_disagree, {"sample/posterior.csv": pd.DataFrame({"parameter": ["a", "b"], "rhat": [1.2, 1.0]})}, 2,
      "disagree on a"),
-    (told_apart.add_to_the_plan, {"select/isolability.csv": planned("play is seen in 20 of 100; with more in 95")}, 3,
+    (isolability.add_to_the_plan, {"select/isolability.csv": planned("play is seen in 20 of 100; with more in 95")}, 3,
      "Play is seen in 20 of 100; with more in 95."),
     (task.not_met, work(likely_points=17, likely_positions=17), 2,
      "3 of 20 points of the task are not within 0.300 mm with 95 % probability"),
     (task.not_met, work(turn_tolerance_mrad=0.5, likely_turns=12, orientation_measured=False), 2,
      "8 of 20 points of the task are not turned within 0.500 mrad with 95 % probability: no orientation was measured"),
-    (predictive.too_narrow, {"sample/predictive.csv": predictions(45, 15)}, 2, "Only 45 of 60"),
+    (posterior.too_narrow, {"sample/predictive.csv": predictions(45, 15)}, 2, "Only 45 of 60"),
 ]  # fmt: skip
 
 
@@ -281,23 +268,23 @@ def test_every_rule_is_tested() -> None:
         (accuracy.model_lacks, summary(reduced_chi2=9.0, noise_sources=("estimated",))),
         (accuracy.noise_doubtful, summary(reduced_chi2=0.2, noise_sources=("estimated",))),
         (parameters.at_bound, {"identify/parameters.csv": parameter_table(at_bound=True, prior_share=1.0)}),
-        (identifiability.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;A.z;B.z")),
+        (parameters.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;A.z;B.z")),
                                          "identify/placement.csv": placement("A", "B"),
                                          "identify/parameters.csv": of_parts(joint6_d="joint6", A_z="A", B_z="B")}),
-        (identifiability.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;joint5.a"))}),
-        (identifiability.unseen_compliance, {"identify/identifiability.csv": statements(("silent", "joint2.a"))}),
+        (parameters.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;joint5.a"))}),
+        (parameters.unseen_compliance, {"identify/identifiability.csv": statements(("silent", "joint2.a"))}),
         (accuracy.model_lacks, {**summary(reduced_chi2=9.0), **summary("diagnose", reduced_chi2=1.1)}),
         (accuracy.model_lacks, {**summary(reduced_chi2=9.0), "diagnose/findings.csv": found("unexplained")}),
-        (gain.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.061)}),
-        (diagnosis.extension_not_converged, diagnosed()),
-        (gain.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=None)}),
-        (separation.other_means, {"diagnose/findings.csv": found("named"), "diagnose/separations.csv": separations(0.0, "b")}),
-        (separation.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(0.9)}),
-        (search.untested, {"diagnose/findings.csv": found("unexplained"),
+        (causes.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.061)}),
+        (causes.extension_not_converged, diagnosed()),
+        (causes.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=None)}),
+        (causes.other_means, {"diagnose/findings.csv": found("named"), "diagnose/separations.csv": separations(0.0, "b")}),
+        (causes.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(0.9)}),
+        (causes.untested, {"diagnose/findings.csv": found("unexplained"),
                            "diagnose/candidates.csv": to_frame([CandidateRow(cause="frame-drift", imitated=True)],
                                                                CandidateRow)}),
-    (predictive.too_narrow, {"sample/predictive.csv": predictions(54, 6)}),
-    (predictive.too_narrow, {"sample/predictive.csv": predictions(10, 50, split="train")}),
+    (posterior.too_narrow, {"sample/predictive.csv": predictions(54, 6)}),
+    (posterior.too_narrow, {"sample/predictive.csv": predictions(10, 50, split="train")}),
     ],
 )  # fmt: skip
 def test_rule_stays_silent_short_of_its_limit(rule: Rule, tables: Mapping[str, object]) -> None:
@@ -342,14 +329,14 @@ def test_open_questions_name_what_the_data_leave_open() -> None:
             ]
         ),
     }
-    said = identifiability.open_questions(results(tables))
+    said = parameters.open_questions(results(tables))
     assert "joint1.s (compliance of joint 1)" in said[0]
     assert "joint6.d (length d of link 6) with E.z" in said[1]
     assert "joint2.s" in said[2]
     assert "joint1.s" not in said[2]
     assert "joint4.a" in said[3]
     assert said[4].startswith("1 further pair ")
-    assert identifiability.open_questions(results(QUIET)) == []
+    assert parameters.open_questions(results(QUIET)) == []
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,14 @@ from scipy.spatial.transform import Rotation
 
 from calflow.reporting.blocks import Table
 from calflow.reporting.material import Material
-from calflow.reporting.sections.controller_figures import SECTION, base, geometry_alone, links, markers, write, zeros
+from calflow.reporting.sections.controller_figures import (
+    CONTROLLER_SECTION,
+    base,
+    geometry_alone,
+    links,
+    markers,
+    zeros,
+)
 from reporting.case import Case, context
 
 AXES = {"alpha": "x", "beta": "y", "theta": "z"}
@@ -64,7 +71,7 @@ def test_without_anything_else_in_the_model_the_figures_are_worth_as_much(materi
 
 def test_the_page_holds_every_figure(material: Material) -> None:
     """Fails if a joint or the base is missing, or the section is there without a fitted geometry."""
-    tables = [block for block in write(material) if isinstance(block, Table)]
+    tables = [block for block in CONTROLLER_SECTION.write(material) if isinstance(block, Table)]
     assert [len(table.rows) for table in tables] == [3, 1, 1, 2]
     assert tables[0].header[0] == "joint"
-    assert SECTION.worth_telling(material.results)
+    assert CONTROLLER_SECTION.worth_telling(material.results)

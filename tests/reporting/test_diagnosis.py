@@ -21,15 +21,12 @@ from calflow.effects.words import amount, cause_name, place_name, place_names
 from calflow.files.results import Results
 from calflow.files.words import chance, chance_figure, sureness
 from calflow.reporting import document
-from calflow.reporting.causes.finding import how_sure
-from calflow.reporting.causes.first_page import lacked, unsure
-from calflow.reporting.causes.gain import gain_words
-from calflow.reporting.causes.search import candidates, untestable
-from calflow.reporting.figures.causes import evidence, explained, gains, in_space, waterfall
-from calflow.reporting.findings import findings
-from calflow.reporting.material import Material, ModelAccuracy, gathered, steps
+from calflow.reporting.cause_figures import errors_in_space, evidence, explained, gains, waterfall
+from calflow.reporting.material import Material, ModelAccuracy, findings, gathered, steps
 from calflow.reporting.section import Section, chosen, sections
+from calflow.reporting.sections.causes import gain_words, how_sure, lacked, unsure
 from calflow.reporting.sections.parameters import estimates
+from calflow.reporting.sections.search import candidates, untestable
 from calflow.reporting.style import style
 from calflow.stages.stage import Context
 from reporting.case import (
@@ -467,7 +464,7 @@ def _drawings() -> dict[str, Figure]:
             "gains, no floor": gains(0.2, names[3:4], [0.1], np.array([[-0.05, 0.15]]), None),
             "evidence": evidence(labels, np.array([80.0, 75.0, -3.0]), np.array([0.0, 1e-9, 0.4]), some, 10.0, 0.007),
             "no evidence": evidence(labels, np.array([-2.0, -3.0, -4.0]), np.ones(3), some & False, 10.0, 0.007),
-            "space": in_space(place, error, 0.3 * error, held, 500.0),
+            "space": errors_in_space(place, error, 0.3 * error, held, 500.0),
         }  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from calflow.deployment import drift as verdict
 from calflow.deployment.drift import Drift, DriftSummary, Moved, Recalibrated, SettlingPose
-from calflow.reporting.drifted import drift_lines
+from calflow.reporting.drift_report import drift_lines
 
 
 def told(rivals: tuple[str, ...], since: str, before: str, chance: float | None, sessions: int = 3) -> str:

@@ -72,7 +72,7 @@ def test_a_pdf_has_the_letters_of_the_machines_font(tmp_path: Path, monkeypatch:
     letter = "\u1d81"  # d with a hook, which the report's own fonts lack
     assert fonts_for(letter).families == (OWN, stix.name)
     with style():
-        document.write("t", [("Verdict", [Heading(letter, 0)])], tmp_path)
+        document.write_pdf("t", [("Verdict", [Heading(letter, 0)])], tmp_path)
     assert b"STIX" in (tmp_path / "report.pdf").read_bytes()
 
 

@@ -19,9 +19,7 @@ import pytest
 from PIL import Image, ImageColor
 
 from calflow.reporting.blocks import Bullets, Card, Columns, Heading, Paragraph, Part, Plot, RestOfPage, Scene, Table
-from calflow.reporting.html import writing
-from calflow.reporting.html.page import VOID, Html, element, packed
-from calflow.reporting.html.writing import pictures
+from calflow.reporting.page import VOID, Html, element, packed, pictures, write_html
 from calflow.reporting.style import DARK, figure, style
 from reporting.browser import CHROMIUM, browser
 
@@ -64,7 +62,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / "figures" / f"{name}.svg").write_text(
             '<svg xmlns="http://www.w3.org/2000/svg" width="10" height="10"/>'
         )
-    writing.write(NASTY, parts(), folder)
+    write_html(NASTY, parts(), folder)
     return folder / "report.html"
 
 

@@ -9,14 +9,14 @@ import numpy as np
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
 from calflow.reporting.blocks import Bullets, Paragraph, Table
-from calflow.reporting.sections.model_choice import SECTION, SHARED
+from calflow.reporting.sections.model_choice import MODEL_CHOICE_SECTION, SHARED
 from calflow.sampling.models import CauseProbability, ModelRow
 from reporting.case import weighed_models
 
 
 def told(tables):
     """The section's blocks."""
-    return SECTION.write(SimpleNamespace(results=Results(tables)))
+    return MODEL_CHOICE_SECTION.write(SimpleNamespace(results=Results(tables)))
 
 
 def test_where_the_tests_of_diagnose_say_otherwise_it_is_told():
@@ -42,5 +42,5 @@ def test_nothing_found_has_no_section():
     """Fails if a study in which diagnose found nothing has an empty section."""
     empty = {"sample/models.csv": to_frame((), ModelRow),
              "sample/cause_probabilities.csv": to_frame((), CauseProbability)}  # fmt: skip
-    assert not SECTION.worth_telling(Results(empty))
-    assert SECTION.worth_telling(Results(weighed_models()))
+    assert not MODEL_CHOICE_SECTION.worth_telling(Results(empty))
+    assert MODEL_CHOICE_SECTION.worth_telling(Results(weighed_models()))

@@ -247,7 +247,7 @@ def test_of_very_many_rows_some_are_drawn_and_the_worst(small: Context, monkeypa
     assert set(np.argsort(crowd.distance)[-3:]) <= set(crowd.drawn)
     assert 12 <= len(crowd.drawn) <= 15
     with style():
-        drawn = [block for block in residuals.write(crowd) if isinstance(block, Plot)]
+        drawn = [block for block in residuals.RESIDUALS_SECTION.write(crowd) if isinstance(block, Plot)]
     assert {len(plot.data) for plot in drawn} == {len(crowd.drawn)}
     assert f"Of {len(crowd.data)} rows 12 are drawn, at random, and the 3 of the largest errors" in drawn[0].caption
     scene = drawn[1].scene

@@ -10,9 +10,9 @@ import pytest
 from calflow.reporting.blocks import Signatures, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import chosen, sections
-from calflow.reporting.sections import sign_off, verdict
+from calflow.reporting.sections import acceptance, verdict
+from calflow.reporting.sections.acceptance import Judged
 from calflow.reporting.style import style
-from calflow.reporting.tolerance import Judged
 from calflow.study_file import Acceptance
 from reporting.case import context
 
@@ -51,9 +51,9 @@ def test_a_study_that_states_it_is_signed(tmp_path) -> None:
     asked = Acceptance.model_validate(stated)
     file = given.study.file.model_copy(update={"acceptance": asked})
     signed = replace(material, study=replace(given.study, file=file))
-    assert sign_off.SECTION not in chosen(sections(), material)
-    assert sign_off.SECTION in chosen(sections(), signed)
-    blocks = sign_off.write(signed)
+    assert acceptance.ACCEPTANCE_SECTION not in chosen(sections(), material)
+    assert acceptance.ACCEPTANCE_SECTION in chosen(sections(), signed)
+    blocks = acceptance.ACCEPTANCE_SECTION.write(signed)
     (table,) = [block for block in blocks if isinstance(block, Table)]
     assert {("serial number", "R-1 <b>"), ("date of the measurement", "2025-11-20"), ("temperature", "21.4 °C")} < set(
         table.rows
@@ -61,5 +61,5 @@ def test_a_study_that_states_it_is_signed(tmp_path) -> None:
     assert "instrument" not in dict(table.rows)
     assert any(isinstance(block, Signatures) for block in blocks)
     with style():
-        said = [getattr(block, "text", "") for block in verdict.write(signed)]
+        said = [getattr(block, "text", "") for block in verdict.VERDICT_SECTION.write(signed)]
     assert any(text.startswith("PASSED: all 12 held-out poses are within the tolerance of 1.00 mm") for text in said)

@@ -13,10 +13,10 @@ from calflow.estimation.fit_summary import FitSummary, Solver
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
 from calflow.files.words import interval, listed, mm, number, part_words, plural, readable, with_sd
-from calflow.reporting.figures.residuals import magnification
 from calflow.reporting.material import steps
 from calflow.reporting.sections.parameters import known_from, lines
 from calflow.reporting.sections.posterior import corner_names, short_names
+from calflow.reporting.style import magnification
 from calflow.robot.parameter import Parameter
 
 

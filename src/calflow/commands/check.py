@@ -80,7 +80,7 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
     Give the run's folder, or its study. MEASURED.csv is the calibration's own file, or any of poses that were measured.
     """
     from calflow.files.csv import csv_text
-    from calflow.reporting.drifted import seen_from
+    from calflow.reporting.drift_report import seen_from
     from calflow.runs.check_poses import choose_check_poses
 
     chosen = choose_check_poses(study_or_run, rows, number)
@@ -117,7 +117,7 @@ def validate_command(
     where these poses cannot tell.
     """
     from calflow.files.writing import inside
-    from calflow.reporting.proof import verdict_lines
+    from calflow.reporting.validation_report import verdict_lines
     from calflow.run_folder import run_folder
     from calflow.runs.validate import validate
 
@@ -149,7 +149,7 @@ def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: S
     but cannot tell why.
     """
     from calflow.files.writing import inside
-    from calflow.reporting.drifted import drift_lines
+    from calflow.reporting.drift_report import drift_lines
     from calflow.run_folder import run_folder
     from calflow.runs.drift import drift
 

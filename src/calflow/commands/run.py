@@ -19,7 +19,7 @@ from calflow.files.problems import seen
 @FORCE
 def run_command(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
     """Run a study: what did not change is reused, what was interrupted is resumed."""
-    from calflow.reporting.last_lines import last_lines
+    from calflow.reporting.terminal import last_lines
     from calflow.runs.run import run
     from calflow.study import load_study
 

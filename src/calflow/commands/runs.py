@@ -127,7 +127,7 @@ def _line(one: Deviation) -> str:
 @click.option("--out", type=FILE, help="Folder for tables and report; nothing is kept by default.")
 def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
     """Compare runs: settings, data, parameters with the significance of their difference, accuracy and causes."""
-    from calflow.reporting.compared import comparison_lines
+    from calflow.reporting.comparison_report import comparison_lines
     from calflow.runs.compare import compare
 
     found = compare(*runs, out=out)
@@ -148,7 +148,7 @@ def history_command(runs: tuple[Path, ...], false_alarm: float, out: Path | None
     Give runs of independent measurements in order of time. Ends with 0 where nothing has moved, 3 where something has, and 4 where
     something has but the runs do not tell what.
     """
-    from calflow.reporting.over_time import history_lines
+    from calflow.reporting.history_report import history_lines
     from calflow.runs.history import history
 
     found = history(*runs, false_alarm=false_alarm, out=out)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from calflow.files.results import Results
 from calflow.fleet.outcome import Outcome
-from calflow.reporting.findings import findings
-from calflow.reporting.material import latest, split_judged, steps
+from calflow.reporting.material import findings, latest, split_judged, steps
+from calflow.reporting.sections.acceptance import useless
 from calflow.reporting.sections.verdict import judgement
-from calflow.reporting.tolerance import useless
 
 
 def judged(robot: str, type_: str, results: Results) -> Outcome:

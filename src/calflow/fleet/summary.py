@@ -26,7 +26,7 @@ def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]
     """
     from calflow.fleet.fleet_report import fleet_report
     from calflow.reporting import document
-    from calflow.reporting.html import writing
+    from calflow.reporting import page as writing
     from calflow.reporting.style import style
 
     known, found = _known(fleet, folder, outcomes)
@@ -44,8 +44,8 @@ def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]
             write_whole(folder.type_robot(one.type), expecting.toml_text().encode())
     with style():
         page, *more = fleet_report(fleet.title, found, types)
-        document.write(fleet.title, [page], folder.path)
-        writing.write(fleet.title, [page, *more], folder.path)
+        document.write_pdf(fleet.title, [page], folder.path)
+        writing.write_html(fleet.title, [page, *more], folder.path)
     return found
 
 

@@ -19,6 +19,7 @@ from matplotlib.text import Text
 
 from calflow.estimation.progress import Advance, Say, nobody
 from calflow.files.writing import inside, utf8, write_whole
+from calflow.reporting import page as writing
 from calflow.reporting.blocks import (
     Block,
     Bullets,
@@ -34,7 +35,6 @@ from calflow.reporting.blocks import (
     Table,
     plots,
 )
-from calflow.reporting.html import writing
 from calflow.reporting.material import Material
 from calflow.reporting.section import chosen, sections
 from calflow.reporting.style import style
@@ -227,7 +227,7 @@ def source(title: str, parts: Sequence[Part], families: Sequence[str] = ()) -> s
     return "\n\n".join(body) + "\n"
 
 
-def write(title: str, parts: Sequence[Part], folder: Path) -> int:
+def write_pdf(title: str, parts: Sequence[Part], folder: Path) -> int:
     """Write figures/*.svg and report.pdf into a folder; return the number of figures.
 
     The source goes to typst from memory, so that nothing but the report lies in the folder.
@@ -278,6 +278,6 @@ def write_report(material: Material, folder: Path, say: Say = nobody, advance: A
         for k, section in enumerate(there):
             parts.append((section.title, section.write(material)))
             advance(0.7 * (k + 1) / len(there))
-        n_figures = write(material.title, parts, folder)
-        writing.write(material.title, parts, folder)
+        n_figures = write_pdf(material.title, parts, folder)
+        writing.write_html(material.title, parts, folder)
     say(f"report.pdf, report.html: {n_figures} figures, {len(parts)} sections")

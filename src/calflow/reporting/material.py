@@ -1,4 +1,7 @@
-"""What the sections are written from: the study, its measurements and the results, with what is derived from them."""
+"""What the sections are written from: the study, its measurements and the results, with what is derived from them.
+
+The findings of a run.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from calflow.diagnosis.findings.finding import Finding
 from calflow.effects.cause import Cause
 from calflow.effects.words import place_name
 from calflow.estimation.accuracy import Accuracy, errors
@@ -246,3 +250,9 @@ def _name(row: Accuracy) -> str:
     if not row.effect:
         return "nominal robot"
     return place_name(row.effect, row.joint or 0, row.part) if row.part else effect_words(row.effect)
+
+
+def findings(results: Results) -> list[Finding]:
+    """Return the findings, none where nothing was diagnosed."""
+    path = "diagnose/findings.csv"
+    return results.rows(path, Finding) if path in results else []

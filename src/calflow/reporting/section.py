@@ -1,4 +1,4 @@
-"""What a section of the report is, and how sections are found: a new file in sections/ is enough to add one."""
+"""What a section of the report is, and how sections are found: each `Section` that a file in sections/ defines."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ def sections() -> list[Section]:
     modules = [
         importlib.import_module(f"{folder.__name__}.{module.name}") for module in pkgutil.iter_modules(folder.__path__)
     ]
-    return sorted((module.SECTION for module in modules), key=lambda section: section.order)
+    every = dict.fromkeys(one for module in modules for one in vars(module).values() if isinstance(one, Section))
+    return sorted(every, key=lambda section: section.order)
 
 
 def chosen(every: Sequence[Section], material: Material) -> list[Section]:

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 WIDTH = 6.7  # inches: the text width of the page, so that letters keep their size
 DARK, ACCENT, MIDDLE, LIGHT = "#1f3f66", "#c8641b", "#7f8790", "#d4d8dd"
@@ -24,6 +25,7 @@ ALONE = (
     ("#5a9bd4", (0, (5, 1)), "v"),
 )
 LETTER = 0.052  # inches that a letter of a turned name takes
+ARROW = 0.09  # length of a large residual's arrow, as a share of the workspace
 MANY = 1000  # points in a figure beyond which they are drawn as a picture
 
 SETTINGS: dict[str, Any] = {
@@ -105,3 +107,32 @@ def plain_decades(axis: Axis, low: float, high: float) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0,) if high / low > 50 else (1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def magnification(position: np.ndarray, error: np.ndarray) -> float:
+    """Return a round factor (1, 2 or 5 times a power of ten) that makes large errors visible among the positions."""
+    length = np.linalg.norm(error, axis=1)
+    large = np.quantile(length[np.isfinite(length)], 0.9)
+    if large == 0:
+        return 1.0
+    wanted = ARROW * np.ptp(position, axis=0).max() / large
+    power = 10 ** np.floor(np.log10(wanted))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= wanted))
+
+
+def same_scale(space: Axes3D, segments: np.ndarray) -> None:
+    """Give all three axes the same scale; segments has shape (n, n_ends, 3) [m]."""
+    low, high = segments.min(axis=(0, 1)), segments.max(axis=(0, 1))
+    size = np.maximum(high - low, 0.02 * (high - low).max() or 1e-3)
+    middle = (high + low) / 2
+    for i, (axis, limits) in enumerate(zip("xyz", (space.set_xlim, space.set_ylim, space.set_zlim), strict=True)):
+        limits(middle[i] - 0.52 * size[i], middle[i] + 0.52 * size[i])
+        space.locator_params(axis=axis, nbins=5)
+        space.tick_params(axis=axis, pad=-2, labelsize=6.5)
+    space.set_box_aspect(size, zoom=0.88)
+    space.set_xlabel("x [m]", labelpad=-3)
+    space.set_ylabel("y [m]", labelpad=-3)
+    space.set_zlabel("z [m]", labelpad=-6)
+    space.xaxis.pane.set_facecolor("white")
+    space.yaxis.pane.set_facecolor("white")
+    space.zaxis.pane.set_facecolor("white")

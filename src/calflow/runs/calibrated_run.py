@@ -79,7 +79,7 @@ class CalibratedRun:
     @property
     def warning(self) -> tuple[str, ...]:
         """Say that its own report finds that the model is not to be used; nothing where it may be."""
-        from calflow.reporting.tolerance import warning
+        from calflow.reporting.sections.acceptance import warning
 
         declared = {**STAGES["identify"].tables, **STAGES["diagnose"].tables}
         tables = self.results.tables

@@ -61,7 +61,7 @@ def compare(*studies_or_runs: str | Path, out: str | Path | None = None) -> Comp
         tuple(parameters), tuple(pairs), _causes(runs, names),
     )  # fmt: skip
     if out is not None:
-        from calflow.reporting.compared import comparison_report
+        from calflow.reporting.comparison_report import comparison_report
         from calflow.runs.kept import keep
 
         keep(Path(out), found.results, TABLES, "Comparison of runs", lambda: comparison_report(names, found))

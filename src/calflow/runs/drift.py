@@ -42,7 +42,7 @@ def drift(
         run.known(data.given), run.needed, data, false_alarm=false_alarm, station=station, seed=run.file.seed
     )
     if out is not None:
-        from calflow.reporting.drifted import drift_report
+        from calflow.reporting.drift_report import drift_report
 
         title = run.file.title or run.file.name
         keep(Path(out), found.results, TABLES, title, lambda: drift_report(found, title, Path(rows).name))

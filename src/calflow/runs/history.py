@@ -58,7 +58,7 @@ def history(*studies_or_runs: str | Path, false_alarm: float = FALSE_ALARM, out:
     found = told_history(names, dates, [_with_what_is_left(run) for run in runs], false_alarm, rng)
     found = replace(found, notes=(*found.notes, *_doubts(runs, names)))
     if out is not None:
-        from calflow.reporting.over_time import history_report
+        from calflow.reporting.history_report import history_report
 
         title = runs[-1].file.title or runs[-1].robot.name
         keep(Path(out), found.results, TABLES, title, lambda: history_report(found, title))

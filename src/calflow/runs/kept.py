@@ -54,10 +54,10 @@ def keep(
     Raises:
         InputError: the folder is a run's own, or a stage's: their files would be written over.
     """
-    from calflow.reporting.document import write
+    from calflow.reporting.document import write_pdf
     from calflow.reporting.style import style
 
     not_of_a_run(folder)
     write_results(folder, results, tables)
     with style():
-        write(title, parts(), folder)
+        write_pdf(title, parts(), folder)

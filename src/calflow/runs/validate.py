@@ -48,7 +48,7 @@ def validate(
         run.known(data.given), run.needed, data, tolerance=tolerance, task=task, confidence=confidence, station=station
     )
     if out is not None:
-        from calflow.reporting.proof import validation_report
+        from calflow.reporting.validation_report import validation_report
 
         title = run.file.title or run.file.name
         keep(Path(out), found.results, TABLES, title, lambda: validation_report(found, title, Path(rows).name))

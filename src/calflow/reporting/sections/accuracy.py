@@ -1,20 +1,171 @@
-"""The section on accuracy, and what a poor fit asks for."""
+"""The section on accuracy, and what a poor fit asks for.
+
+Figures of accuracy: before and after, the error budget, and the distribution of errors.
+The section on the residual field: a correction that is not physical, what it gains, and where it ends.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+from textwrap import wrap
+from typing import Any
+
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.repeats import MIN_REPEATS
+from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
 from calflow.files.results import Results
-from calflow.files.words import effect_words, listed, mm, ratio
+from calflow.files.words import effect_words, first_up, listed, mm, ratio
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
-from calflow.reporting.figures.causes import waterfall
-from calflow.reporting.figures.error_budget import budget, distribution
-from calflow.reporting.findings import findings
-from calflow.reporting.material import Material, as_table, latest, latest_summary, split_judged, steps
+from calflow.reporting.cause_figures import waterfall
+from calflow.reporting.material import (
+    Material,
+    ModelAccuracy,
+    as_table,
+    findings,
+    latest,
+    latest_summary,
+    split_judged,
+    steps,
+)
 from calflow.reporting.section import Advice, Section
+from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, figure, panels, plain_decades
+
+NOISE_DRAWS = 200_000
+MOST_STEPS = 5000  # of a cumulative curve: more are finer than a line
+LONGEST = 14  # letters of a line below a bar
+
+
+def before_after(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
+    """Draw mean and largest error [mm] of each model on a logarithmic scale, with what noise alone would leave.
+
+    floor is None where that is not known.
+    """
+    drawn = figure(2.9, 3.5)
+    axes = drawn.add_subplot()
+    at = np.arange(len(steps))
+    base = _base(steps, floor)
+    looks: list[tuple[float, str, list[float], dict[str, Any]]] = [
+        (-0.2, "mean", [step.mean for step in steps], {"color": DARK}),
+        (0.2, "largest", [step.max for step in steps], {"facecolor": LIGHT, "edgecolor": MIDDLE, "hatch": "////"}),
+    ]
+    for shift, name, values, look in looks:
+        axes.bar(at + shift, np.array(values) - base, 0.38, bottom=base, label=name, linewidth=0.6, **look)
+        for x, value in zip(at + shift, values, strict=True):
+            _said(axes, x, value, mm(value), fontsize=6.5)
+    _floor(axes, floor)
+    _log_mm(axes, base, max(step.max for step in steps))
+    axes.set_xticks(at, [_wrapped(step) for step in steps])
+    axes.set_xlim(-0.55, len(steps) - 0.45)
+    axes.grid(axis="x", visible=False)
+    axes.set_ylabel("tool-position error [mm]")
+    drawn.legend(loc="outside upper center", ncols=3, columnspacing=1.0, handlelength=1.6)
+    return drawn
+
+
+def budget(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
+    """Draw what each step of the model takes off the mean error [mm], as a waterfall on a logarithmic scale."""
+    drawn = figure(1.9)
+    axes = drawn.add_subplot()
+    base = _base(steps, floor)
+    first, final, last = steps[0], steps[-1], len(steps)
+    labels = [first.label]
+    axes.bar(0, first.mean - base, 0.6, bottom=base, color=MIDDLE)
+    _said(axes, 0, first.mean, f"{mm(first.mean)} mm")
+    for k, (before, after) in enumerate(pairwise(steps), start=1):
+        low, high = sorted((before.mean, after.mean))
+        better = after.mean <= before.mean
+        axes.bar(k, high - low, 0.6, bottom=low, color=DARK if better else ACCENT, hatch="" if better else "xx")
+        _level(axes, k, before.mean)
+        _said(axes, k, high, f"{'−' if better else '+'}{mm(high - low)} mm")
+        labels.append(f"{'explained' if better else 'added'} by\n{after.name}")
+    look: dict[str, Any] = {"facecolor": LIGHT, "edgecolor": MIDDLE, "hatch": "////", "linewidth": 0.6}
+    axes.bar(last, final.mean - base, 0.6, bottom=base, **look)
+    _level(axes, last, final.mean)
+    _said(axes, last, max(floor or 0.0, final.mean), f"{mm(final.mean)} mm")
+    _floor(axes, floor)
+    _log_mm(axes, base, max(step.mean for step in steps))
+    axes.set_xticks(range(last + 1), [*labels, "left"])
+    axes.grid(axis="x", visible=False)
+    axes.set_xlim(-0.5, last + 0.5)
+    axes.set_ylabel("mean tool-position\nerror [mm]")
+    if floor:
+        axes.legend(loc="upper right")
+    return drawn
+
+
+def distribution(distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, noise_name: str) -> Figure:
+    """Draw histogram and cumulative share of the errors' lengths [mm], used and held out, with those of normal noise.
+
+    sigma is the noise of each row per axis [mm].
+    """
+    drawn, ((left, right),) = panels(1, 2, 1.95)
+    rng = np.random.default_rng(0)
+    noise = np.sort(np.linalg.norm(rng.standard_normal((NOISE_DRAWS, 3)), axis=1) * rng.choice(sigma, NOISE_DRAWS))
+    end = 1.03 * max(distance.max(), np.quantile(noise, 0.999))
+    bins = np.linspace(0, end, 25)
+    groups: list[tuple[str, np.ndarray, dict[str, Any], str]] = [
+        ("used for the fit", ~held, {"color": DARK, "linestyle": "-"}, ""),
+        ("held out", held, {"color": ACCENT, "linestyle": "--"}, "////"),
+    ]
+    for name, mask, look, hatch in groups:
+        if not mask.any():
+            continue
+        ordered = np.sort(distance[mask])
+        left.hist(
+            ordered, bins, weights=np.full(len(ordered), 100 / len(ordered)), histtype="step", hatch=hatch, **look
+        )
+        share = 100 * np.arange(1, len(ordered) + 1) / len(ordered)
+        kept = np.unique(np.linspace(0, len(ordered) - 1, MOST_STEPS).astype(int))
+        right.step([0, *ordered[kept], end], [0, *share[kept], 100], where="post", label=name, **look)
+    look = {"color": "black", "linestyle": ":", "linewidth": 1.2}
+    left.stairs(100 * np.histogram(noise, bins)[0] / len(noise), bins, **look)
+    grid = np.linspace(0, end, 300)
+    right.plot(grid, 100 * np.searchsorted(noise, grid) / len(noise), label=noise_name, **look)
+    left.set(xlabel="error [mm]", ylabel="share of rows in a bin [%]", xlim=(0, end))
+    right.set(xlabel="error [mm]", ylabel="rows with a\nsmaller error [%]", xlim=(0, end), ylim=(0, 103))
+    right.legend(loc="lower right")
+    return drawn
+
+
+def _base(steps: Sequence[ModelAccuracy], floor: float | None) -> float:
+    """Return where the bars of a logarithmic scale begin [mm]."""
+    return 0.4 * min([*(step.mean for step in steps), *([floor] if floor else [])])
+
+
+def _floor(axes: Axes, floor: float | None) -> None:
+    if floor:
+        axes.axhline(floor, color="black", linestyle="--", linewidth=0.9, label=f"mean of noise alone: {mm(floor)} mm")
+
+
+def _level(axes: Axes, k: int, value: float) -> None:
+    """Carry a level over from the bar before."""
+    axes.plot([k - 0.7, k + 0.3], [value, value], color="#444444", linewidth=0.6)
+
+
+def _said(axes: Axes, x: float, y: float, text: str, **look: Any) -> None:
+    """Write a bar's value above it, readable where a line crosses."""
+    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
+    axes.annotate(text, (x, y), (0, 2.5), textcoords="offset points", ha="center", bbox=box, **look)
+
+
+def _wrapped(step: ModelAccuracy) -> str:
+    """Break a long label after its first word, and where it is too long for its bar."""
+    first, *rest = step.name.split()
+    plus = "+ " if step.added else ""
+    return "\n".join([f"{plus}{first}", *wrap(" ".join(rest), LONGEST)])
+
+
+def _log_mm(axes: Axes, low: float, high: float) -> None:
+    axes.set_yscale("log")
+    axes.set_ylim(low, high * (high / low) ** 0.16)
+    plain_decades(axes.yaxis, low, high)
+
 
 FAR_OFF = 0.1  # share of the measured space by which a nominal robot may miss
 LACKS = 1.5  # times the noise from which a lack of fit is told
@@ -26,7 +177,7 @@ TOO_GOOD = 0.7  # times the stated noise below which the stated noise is doubted
 WORSE = 1.5  # held-out over training mean error from which the model does not carry over
 
 
-def write(material: Material) -> list[Block]:
+def _accuracy(material: Material) -> list[Block]:
     """Say how accurate each model is, where the error went, and how the errors that are left are spread."""
     accuracy = latest(material.results, "accuracy")
     own = len(material.tables["identify/accuracy.csv"])
@@ -189,11 +340,11 @@ def _identified(results: Results) -> IdentifySummary:
     return results.document("identify/summary.json", IdentifySummary)
 
 
-SECTION = Section(
+ACCURACY_SECTION = Section(
     10,
     "Accuracy",
     ("identify/accuracy.csv", "identify/residuals.csv", "identify/summary.json"),
-    write,
+    _accuracy,
     (
         noise_contradicted,
         nominal_far_off,
@@ -207,3 +358,36 @@ SECTION = Section(
         reaches_beyond,
     ),
 )
+
+
+FIELD_ACCURACY = "residual_field/accuracy.csv"
+MEANING = (
+    "The study asks for a smooth function of the joint readings that takes away what the model leaves and no cause explains. It is "
+    "not physical: it says nothing of the robot, holds for this tool and these payloads alone, and beyond the measured range of "
+    "any joint fades to nothing."
+)
+WHERE_APPLIED = (
+    "Predictions and commands of calflow predict, compensate, filter and validate have it, with its own standard deviation, which "
+    "rises to what was left without it where nothing was measured. Every other page of this report, and what calflow export and "
+    "drift make, is without it."
+)
+
+
+def _residual_field(material: Material) -> list[Block]:
+    """Say what it is and show what it gains at poses that it has not seen."""
+    told = material.results.document(SUMMARY, FieldSummary)
+    rows = [
+        (one.correction, one.where, str(one.n), f"{one.mean_mm:.3f}", f"{one.rms_mm:.3f}", f"{one.max_mm:.3f}",
+         "–" if one.covered is None else f"{100 * one.covered:.0f} %")
+        for one in material.results.rows(FIELD_ACCURACY, FieldAccuracy)
+    ]  # fmt: skip
+    header = ("correction", "where", "n", "mean [mm]", "rms [mm]", "max [mm]", "in 95 % interval")
+    return [
+        Paragraph(MEANING, keep=True),
+        Paragraph(f"{first_up(told.statement)}.", bold=True),
+        *([Table(header, rows, "llrrrrr", wide=0)] if rows else []),
+        *([Paragraph(WHERE_APPLIED)] if told.applied else []),
+    ]
+
+
+RESIDUAL_FIELD_SECTION = Section(16, "A correction that is not physical", (SUMMARY, FIELD_ACCURACY), _residual_field)

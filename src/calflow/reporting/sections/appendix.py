@@ -89,7 +89,7 @@ LETTERS = 42  # of a value in a line
 PACKAGES = ("calflow", "casadi", "emcee", "numpy", "scipy", "pandas")
 
 
-def write(material: Material) -> list[Block]:
+def _appendix(material: Material) -> list[Block]:
     """Tabulate what was asked, what was used and how it ended."""
     study = material.study
     facts: list[tuple[str, str] | str] = [
@@ -164,4 +164,4 @@ def _placement(material: Material) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-SECTION = Section(90, "Appendix: the run", (), write)
+APPENDIX_SECTION = Section(90, "Appendix: the run", (), _appendix)

@@ -49,7 +49,7 @@ INTRODUCTION = (
 CAPTION = "Joint errors as found here (line) and on the other series alone (dashes), beyond their first order."
 
 
-def write(material: Material) -> list[Block]:
+def _confirmation(material: Material) -> list[Block]:
     """Show each joint's curve on both series, how well they agree, and what carries over."""
     rows = material.tables["diagnose/confirmation.csv"]
     curves = material.tables["diagnose/confirmation_curves.csv"]
@@ -98,9 +98,9 @@ def _number(value: object, form: str) -> str:
     return form.format(number) if np.isfinite(number) else "–"
 
 
-SECTION = Section(
+CONFIRMATION_SECTION = Section(
     57,
     "Confirmation by an independent series",
     ("diagnose/confirmation.csv", "diagnose/confirmation_curves.csv", "diagnose/confirmation_accuracy.csv"),
-    write,
+    _confirmation,
 )

@@ -150,7 +150,7 @@ BASE = (
 TOOL = "Where each marker sits in the flange's frame, from which a tool is measured."
 
 
-def write(material: Material) -> list[Block]:
+def _controller_figures(material: Material) -> list[Block]:
     """Tabulate links, zeros, base and tool, and say what these figures alone are worth."""
     robot = material.known.model.robot
     joints = links(material)
@@ -249,10 +249,10 @@ def _numbers(values: Sequence[float] | np.ndarray, form: str) -> str:
     return ", ".join(number(float(value), form) for value in values)
 
 
-SECTION = Section(
+CONTROLLER_SECTION = Section(
     20,
     "Figures for the controller",
     ("identify/parameters.csv", "identify/accuracy.csv"),
-    write,
+    _controller_figures,
     worth_telling=lambda results: bool((latest(results, "parameters")["effect"] == Geometry.id).any()),
 )

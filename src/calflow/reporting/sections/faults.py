@@ -21,7 +21,7 @@ INTRODUCTION = (
 )
 
 
-def write(material: Material) -> list[Block]:
+def _data_faults(material: Material) -> list[Block]:
     """Tabulate each fault with its rows and what was done, then say what to do."""
     faults = _faults(material.tables[FAULTS])
     rows = [
@@ -61,11 +61,11 @@ def _sentence(own: pd.DataFrame) -> str:
     return f"{said[0].upper()}{said[1:]}."
 
 
-SECTION = Section(
+FAULTS_SECTION = Section(
     5,
     "Data faults",
     (FAULTS,),
-    write,
+    _data_faults,
     (correct_the_file,),
     worth_telling=lambda results: len(results.tables[FAULTS]) > 0,
 )

@@ -66,7 +66,7 @@ CAUSES = (
 )
 
 
-def write(material: Material) -> list[Block]:
+def _model_choice(material: Material) -> list[Block]:
     """Draw how probable each cause is, and list the likeliest models."""
     models = material.results.rows("sample/models.csv", ModelRow)
     causes = material.results.rows("sample/cause_probabilities.csv", CauseProbability)
@@ -111,10 +111,10 @@ def _any(results: Results) -> bool:
     return len(results.tables["sample/models.csv"]) > 0
 
 
-SECTION = Section(
+MODEL_CHOICE_SECTION = Section(
     77,
     "Which causes: all models in reach",
     ("sample/models.csv", "sample/cause_probabilities.csv"),
-    write,
+    _model_choice,
     worth_telling=_any,
 )

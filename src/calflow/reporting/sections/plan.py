@@ -1,26 +1,112 @@
-"""The first page of a plan: how many poses, how sure they make the tool, what they cannot tell apart, and what to do."""
+"""The first page of a plan: how many poses, how sure they make the tool, what they cannot tell apart, and what to do.
+
+The section on planned poses: how many are worth it, and which.
+Figures of what a number of poses is worth.
+The section on what one thing more is worth: a payload, a marker, a station, a repeat, ten poses.
+The section on the order of the poses: what a drift that nobody sees would pull, and from which side joints come.
+"""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from calflow.design.measuring_order import DriftPull
+from calflow.design.selection import Aim, Certificate
 from calflow.design.separability import isolability_gaps, isolability_summary
 from calflow.design.worth import HowMany, Worth
 from calflow.files.results import Results
-from calflow.files.words import first_up, listed, mm, percent, plural
-from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Item, Paragraph, Plot, RestOfPage
-from calflow.reporting.figures.poses import expected_error
+from calflow.files.words import cut, first_up, listed, mm, number, percent, plural
+from calflow.reporting.blocks import (
+    Block,
+    Bullets,
+    Card,
+    Columns,
+    Gap,
+    Heading,
+    Item,
+    Paragraph,
+    Plot,
+    RestOfPage,
+    Table,
+)
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.sections.told_apart import TABLE as ISOLABILITY
+from calflow.reporting.sections.isolability import ISOLABILITY_TABLE as ISOLABILITY
+from calflow.reporting.style import ACCENT, ALONE, DARK, MANY, MIDDLE, figure, panels, same_scale
+from calflow.robot.readings import reading_columns, reading_labels
+from calflow.robot.robot import Robot
 
-NEEDS = ("select/poses.csv", "select/observability.csv", "select/how_many.json", "select/worth.csv")
+INDICES = ("O1", "O2", "O3", "O4", "O5")
+CURVES = {"expected_sd_mm": "root mean square", "worst_sd_mm": "worst pose"}
+
+
+def observability(table: pd.DataFrame, certificate: Certificate) -> Figure:
+    """Draw the indices, each relative to its value with all poses, and the tool's expected sd [mm] with its bound."""
+    drawn, ((left, right),) = panels(1, 2, 2.3)
+    poses = table["n_poses"].to_numpy()
+    for name, (colour, line, marker) in zip(INDICES, ALONE, strict=True):
+        values = table[name].to_numpy(dtype=float)
+        if np.isfinite(values[-1]) and values[-1] != 0:
+            left.plot(poses, values / values[-1], color=colour, linestyle=line, marker=marker, markevery=max(1, len(poses) // 8),
+                      markersize=3, label=name)  # fmt: skip
+    left.set(xlabel="number of poses", ylabel="observability index\n[relative to all poses]", ylim=(0, None))
+    if left.lines:  # with fewer poses than it takes there is no index
+        left.legend(ncols=2)
+    for (name, label), (colour, line, marker) in zip(CURVES.items(), ALONE, strict=False):
+        right.plot(poses, table[name], color=colour, linestyle=line, marker=marker, markersize=2.5, label=label)
+    if certificate.criterion != "parameters":
+        right.axhline(certificate.least_loss, color=DARK, linewidth=0.8, label="least possible")
+    right.set(xlabel="number of poses", ylabel="expected sd of the\npredicted position [mm]", ylim=(0, None))
+    right.legend()
+    return drawn
+
+
+def expected_error(table: pd.DataFrame, how_many: HowMany) -> Figure:
+    """Draw the tool's expected sd [mm] against the number of poses, with the knee and the tolerance that was asked for."""
+    drawn = figure(2.3, 3.4)
+    axes = drawn.add_subplot()
+    for (name, label), (colour, line, marker) in zip(CURVES.items(), ALONE, strict=False):
+        axes.plot(
+            table["n_poses"], table[name], color=colour, linestyle=line, marker=marker, markersize=2.5, label=label
+        )
+    axes.axvline(how_many.knee_poses, color=MIDDLE, linestyle=":", linewidth=0.9, label="knee")
+    if how_many.tolerance_mm is not None:
+        axes.axhline(how_many.tolerance_mm, color=DARK, linewidth=0.8, label="asked for")
+    axes.set(xlabel="number of poses", ylabel="expected sd of the tool [mm]", ylim=(0, None))
+    axes.legend()
+    return drawn
+
+
+PLAN_TABLES = ("select/poses.csv", "select/observability.csv", "select/how_many.json", "select/worth.csv")
 GAPS = 5  # that are told on the first page
 UNASKED = "Not worked out: isolability = true in the study's [stages.select] says which causes these poses would show."
-WORTH = "Expected standard deviation of the predicted tool position over the task, by the number of poses."
+EXPECTED_CAPTION = "Expected standard deviation of the predicted tool position over the task, by the number of poses."
 
 
-def write(material: Material) -> list[Block]:
+def map_of_poses(position: np.ndarray) -> Figure:
+    """Draw planned tool positions (n_poses, 3) [mm] in space and from above, the path in measuring order."""
+    drawn = figure(2.9)
+    drawn.set_layout_engine("none")
+    points = position / 1000
+    space = drawn.add_axes((0.0, 0.02, 0.5, 0.98), projection="3d")
+    assert isinstance(space, Axes3D)
+    above = drawn.add_axes((0.6, 0.17, 0.38, 0.75))
+    for axes, columns in ((space, points.T), (above, points[:, :2].T)):
+        axes.plot(*columns, color="#b4bbc3", linewidth=0.4)
+        axes.plot(*columns, "o", color=DARK, markersize=2.5, rasterized=len(points) > MANY)
+        axes.plot(*columns[:, :1], "s", color=ACCENT, markersize=5)
+    same_scale(space, points[:, None])
+    above.set(xlabel="x [m]", ylabel="y [m]", title="from above")
+    above.set_aspect("equal", adjustable="datalim")
+    return drawn
+
+
+def _plan(material: Material) -> list[Block]:
     """Put the plan on one page."""
     results = material.results
     how_many = results.document("select/how_many.json", HowMany)
@@ -33,27 +119,27 @@ def write(material: Material) -> list[Block]:
     ]
     lists: list[tuple[str, list[Item]]] = [
         ("What these poses cannot tell apart, and what would change that", _gaps(results)),
-        ("What to do next", _next(how_many, worth)),
+        ("What to do next", _next_things(how_many, worth)),
     ]
     return [
         Paragraph("Measurement plan", 10),
         Heading(material.title, 0),
         Paragraph(_planned(material), 10),
         Gap(20),
-        Paragraph(verdict(how_many), 14, bold=True),
+        Paragraph(_plan_verdict(how_many), 14, bold=True),
         Gap(16),
         Columns([[card] for card in cards], [1] * len(cards), 8),
         Gap(16),
         Columns(
-            [[Plot("expected_error", expected_error(curve, how_many), WORTH, curve)],
-             [Heading("How many poses?"), Bullets([*number_words(how_many), *_held_out(material, how_many)], 10.5)]],
+            [[Plot("expected_error", expected_error(curve, how_many), EXPECTED_CAPTION, curve)],
+             [Heading("How many poses?"), Bullets([*_how_many_words(how_many), *_held_out(material, how_many)], 10.5)]],
             [1, 1],
         ),
         RestOfPage([block for title, lines in lists for block in (Heading(title), Bullets(lines, None))]),
     ]  # fmt: skip
 
 
-def verdict(how_many: HowMany) -> str:
+def _plan_verdict(how_many: HowMany) -> str:
     """Say what the poses are worth."""
     said = f"{plural(how_many.n_poses, 'pose')} make the tool's position certain to {mm(how_many.expected_sd_mm)} mm"
     if how_many.tolerance_mm is None:
@@ -62,7 +148,7 @@ def verdict(how_many: HowMany) -> str:
     return f"{said}: the {mm(how_many.tolerance_mm)} mm asked for are {met}."
 
 
-def number_words(how_many: HowMany) -> list[Item]:
+def _how_many_words(how_many: HowMany) -> list[Item]:
     """Say what the number of poses is worth: the knee, ten more, and the tolerance."""
     said: list[Item] = [
         ("Knee:", f"the curve bends at {how_many.knee_poses} poses: fewer cost much, more gain little."),
@@ -119,7 +205,7 @@ def _gaps(results: Results) -> list[Item]:
     return [*(f"{first_up(words)}." for words in (isolability_summary(table), *gaps[:GAPS])), *more]
 
 
-def _next(how_many: HowMany, worth: list[Worth]) -> list[Item]:
+def _next_things(how_many: HowMany, worth: list[Worth]) -> list[Item]:
     """What to do with the plan."""
     said: list[Item] = []
     if how_many.enough_poses and how_many.enough_poses > how_many.n_poses:
@@ -134,6 +220,158 @@ def _next(how_many: HowMany, worth: list[Worth]) -> list[Item]:
     ]
 
 
-SECTION = Section(
-    1, "Plan", NEEDS, write, worth_telling=lambda results: "identify/summary.json" not in results
+PLAN_SECTION = Section(
+    1, "Plan", PLAN_TABLES, _plan, worth_telling=lambda results: "identify/summary.json" not in results
 )  # a calibration has a first page of its own
+
+
+FIRST_POSES = 10  # poses in the table
+AIMS: dict[Aim, str] = {
+    "parameters": "tell the most about all parameters",
+    "tool": "make the tool's position over the task as sure as can be",
+    "worst": "make the tool's position sure also where in the task it is least so",
+}
+NUMBER_CAPTION = (
+    "What more poses are worth. Left: observability indices O1 to O5 (the higher, the better parameters are told apart), "
+    "each relative to its value with all poses. Right: expected standard deviation of the predicted tool position over the "
+    "task, and at its worst pose; where the curve is flat, more poses gain little. A line is what no other choice of as "
+    "many gets below."
+)
+
+
+def _planned_poses(material: Material) -> list[Block]:
+    """Show what the number of poses is worth, where they are and the first of them."""
+    poses, worth = material.tables["select/poses.csv"], material.tables["select/observability.csv"]
+    expected, worst = (float(worth[name].iloc[-1]) for name in ("expected_sd_mm", "worst_sd_mm"))
+    certificate = material.results.document("select/certificate.json", Certificate)
+    position = poses[[f"nominal_{axis}_mm" for axis in "xyz"]].to_numpy(dtype=float)
+    return [
+        Paragraph(
+            f"{len(poses)} poses were chosen so that together they {AIMS[certificate.criterion]}. With all of them the "
+            f"predicted tool position is expected to be certain to {mm(expected)} mm (1 sd, root mean square over the task), "
+            f"and to {mm(worst)} mm where it is least so. {_bound_words(certificate)}",
+            keep=True,
+        ),
+        Paragraph(_number_words(material.results.document("select/how_many.json", HowMany))),
+        Plot("observability", observability(worth, certificate), NUMBER_CAPTION, worth),
+        Plot(
+            "poses",
+            map_of_poses(position),
+            "The tool at the chosen poses, in measuring order; the square is the first.",
+            poses,
+        ),
+        *_first_poses(poses, material.study.robot),
+    ]
+
+
+def _bound_words(certificate: Certificate) -> str:
+    """Say how much better other poses could be."""
+    what = "the parameters' standard deviations" if certificate.criterion == "parameters" else "that standard deviation"
+    gained = certificate.refined_percent
+    moved = "" if gained is None else f" Moved between the candidates, these are better by {gained:.2g} %."
+    return (
+        f"No other choice of {certificate.n_poses} of these {certificate.n_candidates:,} candidates makes {what} smaller by "
+        f"more than {certificate.could_gain_percent:.2g} % (equivalence theorem).{moved}"
+    )
+
+
+def _number_words(how_many: HowMany) -> str:
+    """Say what the number of poses is worth."""
+    said = f"Ten poses more would lower it by {mm(how_many.next_ten_mm)} mm; the curve below bends at {how_many.knee_poses} poses."
+    if how_many.tolerance_mm is None:
+        return said
+    asked = f"{mm(how_many.tolerance_mm)} mm"
+    if how_many.enough_poses is None:
+        return f"{said} The {asked} asked for are not met by any number of these candidates."
+    return (
+        f"{said} The {asked} asked for are met with {how_many.enough_poses} poses; with fewer than {how_many.needed_poses} no "
+        "choice of these candidates meets them."
+    )
+
+
+def _first_poses(poses: pd.DataFrame, robot: Robot) -> list[Block]:
+    joints = reading_columns(robot)
+    columns = ["pose", *joints, *(f"nominal_{axis}_mm" for axis in "xyz")]
+    head = ["pose", *reading_labels(robot), *(f"{axis} [mm]" for axis in "xyz")]
+    rows = [
+        [str(row["pose"]), *(number(row[name], ".2f") for name in joints),
+         *(number(row[name], ".0f") for name in columns[-3:])]
+        for row in poses.head(FIRST_POSES).to_dict("records")
+    ]  # fmt: skip
+    return [
+        Heading("The first poses to measure"),
+        Paragraph("All poses, with the side from which each joint is to arrive, are in select/poses.csv.", keep=True),
+        Table(head, rows, "r" * len(head), size=7.6 if len(joints) > 6 else 8.4),
+    ]
+
+
+POSES_SECTION = Section(
+    70,
+    "Planned poses",
+    ("select/poses.csv", "select/observability.csv", "select/certificate.json", "select/how_many.json"),
+    _planned_poses,
+)
+
+
+WORTH_TABLE = "select/worth.csv"
+ADDITIONS = (
+    "By how much the tool would be surer over the task if one thing more were measured, all else as planned. Only what is not "
+    "known of the parameters counts: causes that a payload or a marker would show come on top. What a second station or marker "
+    "has to tell of its own place is taken off."
+)
+
+
+def _worth_of_additions(material: Material) -> list[Block]:
+    """Tabulate the additions, the one that gains most first."""
+    rows = material.results.rows(WORTH_TABLE, Worth)
+    cells = [
+        [first_up(row.addition) or "As planned", str(row.n_poses), str(row.n_points), mm(row.expected_sd_mm),
+         f"{row.gain_percent:.0f} %" if row.addition else "", ", ".join(_gaining(row))]
+        for row in rows
+    ]  # fmt: skip
+    head = ["addition", "poses", "points", "tool sd [mm]", "less by", "what gains most (its sd less by)"]
+    return [Paragraph(ADDITIONS, keep=True), Table(head, cells, "lrrrrl", wide=0, size=8.4)]
+
+
+def _gaining(row: Worth) -> list[str]:
+    return [
+        f"{cut(name)} {number(fall, '.0f')} %" for name, fall in zip(row.parameters, row.falls_percent, strict=True)
+    ]
+
+
+WORTH_SECTION = Section(72, "What one thing more is worth", (WORTH_TABLE,), _worth_of_additions)
+
+
+ORDER_TABLE = "select/order.csv"
+DRIFTS = (
+    "What wanders steadily while the poses are measured looks like an error of the robot, more or less by their order. Short is "
+    "the order of short ways; random is in blocks of ten drawn from all poses, each on short ways, of fifty such orders the one "
+    "that a drift pulls least. The device drifts one way, the worst; the robot grows from its base, as one that warms up."
+)
+VIAS = (
+    "Each joint comes to its pose from a via (columns via1 …): straight, and from both sides in about equal numbers, so that play "
+    "and friction are not taken for a matter of place."
+)
+
+
+def _measuring_order(material: Material) -> list[Block]:
+    """Tabulate what each drift would pull in each order."""
+    rows = material.results.rows(ORDER_TABLE, DriftPull)
+    poses = material.tables["select/poses.csv"]
+    cells = [
+        [f"{row.order}, as planned" if row.taken else row.order, f"{row.travel:.2f}", f"{row.drifting} by {mm(row.drift_mm)} mm",
+         mm(row.tool_pull_mm), f"{row.parameter}: {row.pull_sd:.1f} sd"]
+        for row in rows
+    ]  # fmt: skip
+    head = ["order", "ways", "what drifts", "pulls the tool by [mm]", "pulls most"]
+    via = [Paragraph(VIAS)] if any(str(name).startswith("via") for name in poses) else []
+    return [Paragraph(DRIFTS, keep=True), Table(head, cells, "lrlrl", wide=4), *via]
+
+
+ORDER_SECTION = Section(
+    73,
+    "The order of the poses",
+    (ORDER_TABLE, "select/poses.csv"),
+    _measuring_order,
+    worth_telling=lambda results: len(results.tables[ORDER_TABLE]) > 0,
+)

@@ -1,17 +1,153 @@
-"""The section on the task: how far off the tool may be where the robot works."""
+"""The section on the task: how far off the tool may be where the robot works.
+
+What the report says of the task: whether the robot is accurate enough where it works.
+
+Figures of the task: how far off the tool may be, where in space and along a path.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import matplotlib
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
 
 from calflow.files.results import Results
 from calflow.files.words import mm
 from calflow.reporting.blocks import Block, Bullets, Paragraph, Plot, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Advice, Section
-from calflow.reporting.task_answer import LIKELY, Course, along, answer, chance, strange, task_map, task_of
-from calflow.sampling.task_points import TaskSummary
+from calflow.reporting.style import ALONE, crowded, figure
+from calflow.sampling.task_points import LIKELY, TaskSummary
+
+ALMOST_CERTAIN = 0.999  # probability from which no further digits are told
+
+
+def task_of(results: Results) -> TaskSummary | None:
+    """Return the summary of the task, None where the study names none."""
+    path = "sample/task_summary.json"
+    return results.document(path, TaskSummary) if path in results else None
+
+
+def asked(task: TaskSummary) -> str:
+    """Say what is asked of it."""
+    parts = []
+    if task.tolerance_mm is not None:
+        parts.append(f"{mm(task.tolerance_mm)} mm")
+    if task.turn_tolerance_mrad is not None:
+        parts.append(f"{mm(task.turn_tolerance_mrad)} mrad")
+    return " and ".join(parts)
+
+
+def answer(task: TaskSummary) -> str | None:
+    """Say in a sentence or two whether the task's tolerances are met; None where none is asked."""
+    if task.likely_points is None or task.all_within is None or task.all_within_alike is None:
+        return None
+    where = "points of the path" if task.in_order else "points of the task"
+    together = sorted((task.all_within, task.all_within_alike))
+    low, high = map(_chance, together)
+    chances = low if low == high else f"{low} to {high}"
+    sentence = (
+        f"Task: {task.likely_points} of {task.points} {where} are within {asked(task)} with at least {100 * LIKELY:.0f} % "
+        f"probability{_apart(task)}; all of them together with {chances}."
+    )
+    return sentence + (f" {strange(task)}" if task.beyond_measured else "")
+
+
+def _apart(task: TaskSummary) -> str:
+    """Say how many points meet each of two tolerances alone."""
+    if task.likely_positions is None or task.likely_turns is None:
+        return ""
+    return f" ({task.likely_positions} in position alone, {task.likely_turns} in orientation alone)"
+
+
+def task_lines(results: Results) -> list[str]:
+    """Return the answer where a tolerance is asked of a task."""
+    task = task_of(results)
+    said = answer(task) if task else None
+    return [said] if said else []
+
+
+def strange(task: TaskSummary) -> str:
+    """Say how many points are unlike what was measured."""
+    return (
+        f"{task.beyond_measured} of {task.points} points of the task are unlike what was measured, in joint readings or payload: "
+        "what is said of them is extrapolated."
+    )
+
+
+def _chance(probability: float) -> str:
+    """Say a probability that draws tell to about a per cent."""
+    if probability > ALMOST_CERTAIN:
+        return f"more than {100 * ALMOST_CERTAIN:.1f} %"
+    if probability < 1 - ALMOST_CERTAIN:
+        return f"less than {100 * (1 - ALMOST_CERTAIN):.1f} %"
+    return f"{100 * probability:.0f} %" if 0.01 < probability < 0.99 else f"{100 * probability:.1f} %"
+
+
+VIEWS = (((0, 1), "from above"), ((0, 2), "from the side"), ((1, 2), "from the front"))
+CELLS = 14  # across a map
+DENSE = 150  # points from which a map has cells in the place of dots
+
+
+def task_map(place: np.ndarray, radius: np.ndarray, groups: Sequence[tuple[str, np.ndarray]]) -> Figure:
+    """Draw the radius (n_points,) [mm] over places (n_points, 3) [m] from three sides; the darker, the larger.
+
+    groups are payloads and which points (n_points,) are under them, a line of maps each. Where points are many, a cell shows the
+    largest radius of those that lie behind each other in it.
+    """
+    dark = ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(0.1, 1, 256)))
+    norm = Normalize(radius.min(), radius.max() if np.ptp(radius) > 0 else radius.min() + 1e-6)
+    drawn = figure(2.1 * len(groups) + 0.3)
+    grid = drawn.subplots(len(groups), len(VIEWS), squeeze=False)
+    for line, (name, own) in zip(grid, groups, strict=True):
+        for axes, ((i, j), title) in zip(line, VIEWS, strict=True):
+            _seen(axes, place[own][:, [i, j]], radius[own], dark, norm)
+            axes.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=f"{name}, {title}" if name else title)
+            axes.set_aspect("equal", adjustable="datalim")
+    drawn.colorbar(ScalarMappable(norm, dark), ax=grid, shrink=0.8, aspect=30, label="95 % radius [mm]")
+    return drawn
+
+
+def _seen(axes: Axes, place: np.ndarray, radius: np.ndarray, colours: ListedColormap, norm: Normalize) -> None:
+    if len(place) >= DENSE:
+        x, y = place.T
+        axes.hexbin(x, y, radius, reduce_C_function=np.max, gridsize=CELLS, cmap=colours, norm=norm, linewidths=0.2)
+    else:
+        size = 3 * crowded(len(place))
+        axes.scatter(place[:, 0], place[:, 1], size, radius, cmap=colours, norm=norm, linewidths=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A quantity along a path (n_points,): an axis' words, and the tolerance in the same unit, None where none is asked."""
+
+    words: str
+    limit: np.ndarray
+    tolerance: float | None
+
+
+def along(courses: Sequence[Course], groups: Sequence[tuple[str, np.ndarray]]) -> Figure:
+    """Draw quantities in the order of a path's points, below each other; groups are as for `task_map`, a line each."""
+    drawn = figure(1.9 * len(courses) + 0.2)
+    grid = drawn.subplots(len(courses), 1, squeeze=False, sharex=True)[:, 0]
+    for axes, course in zip(grid, courses, strict=True):
+        for (name, own), (colour, dashes, _) in zip(groups, ALONE, strict=False):
+            number = np.arange(1, int(own.sum()) + 1)
+            axes.plot(number, course.limit[own], color=colour, linestyle=dashes, label=name or "95 %")
+        if course.tolerance is not None:
+            axes.axhline(course.tolerance, color="#000000", linewidth=1.8, linestyle=(0, (1, 1)), label="tolerance")
+        axes.set(ylabel=course.words, ylim=(0, None))
+    grid[-1].set_xlabel("point of the path")
+    drawn.legend(*grid[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
+    return drawn
+
 
 MAPS = 3  # payloads that have a line of maps, the least sure ones
 WORST = 5  # points in the table
@@ -28,7 +164,7 @@ TOGETHER = (
 )
 
 
-def write(material: Material) -> list[Block]:
+def _task(material: Material) -> list[Block]:
     """Show errors over the task, and what is probable."""
     task, table = _summary(material.results), material.tables["sample/task.csv"]
     said = answer(task)
@@ -78,7 +214,7 @@ def _worst(task: TaskSummary, table: pd.DataFrame) -> list[tuple[str, ...]]:
     rows = told.sort_values([by, "radius95_mm"], ascending=[upwards, False], kind="stable").head(WORST)
     return [
         (row["point"], row["payload"] or "none", mm(row["nominal_mm"]), mm(row["radius95_mm"]), mm(row["turn95_mrad"]),
-         chance(row["within"]) if task.likely_points is not None else "not asked")
+         _chance(row["within"]) if task.likely_points is not None else "not asked")
         for row in rows.to_dict("records")
     ]  # fmt: skip
 
@@ -117,4 +253,6 @@ def _summary(results: Results) -> TaskSummary:
     return found
 
 
-SECTION = Section(78, "How accurate where it works", ("sample/task.csv", "sample/task_summary.json"), write, (not_met,))
+TASK_SECTION = Section(
+    78, "How accurate where it works", ("sample/task.csv", "sample/task_summary.json"), _task, (not_met,)
+)

@@ -1,4 +1,8 @@
-"""The first page: what calibration gained, how sure that is, what stays open and what to do next."""
+"""The first page: what calibration gained, how sure that is, what stays open and what to do next.
+
+Further steps: what is advised besides what the first page has room for.
+Where the experts' part begins.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +15,11 @@ from calflow.estimation.fit_summary import IdentifySummary
 from calflow.files.results import Results
 from calflow.files.words import first_up, listed, mm, plural, ratio
 from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Paragraph, Plot, RestOfPage
-from calflow.reporting.causes.first_page import foremost, lacked, structure, unsure
-from calflow.reporting.figures.error_budget import before_after
-from calflow.reporting.findings import findings
 from calflow.reporting.material import (
     Material,
     ModelAccuracy,
     as_table,
+    findings,
     gathered,
     latest,
     latest_summary,
@@ -25,11 +27,12 @@ from calflow.reporting.material import (
     steps,
 )
 from calflow.reporting.section import Section, advice, sections
-from calflow.reporting.sections.accuracy import LACKS
-from calflow.reporting.sections.identifiability import open_questions
-from calflow.reporting.sections.predictive import coverage_words
-from calflow.reporting.task_answer import task_lines
-from calflow.reporting.tolerance import judged, useless
+from calflow.reporting.sections.acceptance import judged, useless
+from calflow.reporting.sections.accuracy import LACKS, before_after
+from calflow.reporting.sections.causes import foremost, lacked, structure, unsure
+from calflow.reporting.sections.parameters import open_questions
+from calflow.reporting.sections.posterior import coverage_words
+from calflow.reporting.sections.task import task_lines
 
 ENOUGH = 1.1  # times the noise up to which a model counts as complete
 CARDS = 3
@@ -38,11 +41,11 @@ ROOM, LETTERS = 27, 119  # lines below the figure, and letters in a line, as sma
 FEWEST = 3  # steps that are told on the first page whether there is room or not
 Listed = tuple[str, list[str | tuple[str, str]]]
 CHOICE = " and the choice among causes that do as well"
-TOLD = "Nothing: the data determine every parameter."
+ALL_TOLD = "Nothing: the data determine every parameter."
 FINE = "Nothing needs attention: the parameters can be used for the tools, loads and workspace that were measured."
 
 
-def write(material: Material) -> list[Block]:
+def _first_page(material: Material) -> list[Block]:
     """Put the verdict on one page."""
     accuracy = latest(material.results, "accuracy")
     split = split_judged(accuracy)
@@ -173,7 +176,7 @@ def split_steps(steps: Sequence[str], above: Sequence[str]) -> tuple[list[str], 
 
 def _lists(results: Results) -> list[Listed]:
     """What the model lacked, and what the data cannot tell."""
-    open_: list[str | tuple[str, str]] = [*unsure(results), *open_questions(results)] or [TOLD]
+    open_: list[str | tuple[str, str]] = [*unsure(results), *open_questions(results)] or [ALL_TOLD]
     lists: list[Listed] = [("What the data cannot tell", open_)]
     if "diagnose/findings.csv" in results:
         lists.insert(0, ("What the study's model lacked", lacked(results)))
@@ -204,6 +207,34 @@ def _measured(material: Material) -> str:
     return "  ·  ".join(parts)
 
 
-SECTION = Section(
-    0, "Verdict", ("identify/accuracy.csv", "identify/summary.json", "identify/identifiability.csv"), write
+VERDICT_SECTION = Section(
+    0, "Verdict", ("identify/accuracy.csv", "identify/summary.json", "identify/identifiability.csv"), _first_page
 )
+
+
+def _further_steps(material: Material) -> list[Block]:
+    """List them, the most urgent first."""
+    return [Bullets(next_steps(material.results)[1])]
+
+
+FURTHER_STEPS_SECTION = Section(
+    4,
+    "Further steps",
+    ("identify/accuracy.csv", "identify/summary.json", "identify/identifiability.csv"),
+    _further_steps,
+    worth_telling=lambda results: bool(next_steps(results)[1]),
+)
+
+
+WHAT_FOLLOWS = (
+    "What was asked and found is told up to here. What follows is for those who judge the calibration, go on with it or repeat "
+    "it: what is left at each pose, how causes were searched for, every parameter, and how sure all of that is."
+)
+
+
+def _for_experts(material: Material) -> list[Block]:
+    """Say what follows."""
+    return [Paragraph(WHAT_FOLLOWS, keep=True)]
+
+
+FOR_EXPERTS_SECTION = Section(49, "For experts", ("identify/accuracy.csv",), _for_experts)

@@ -1,4 +1,7 @@
-"""How the search went: the places that spoke most strongly, how small a cause these data show, and what was not testable."""
+"""The section on the search for causes: which places spoke, how small a cause would have shown, what could not be tested.
+
+How the search went: the places that spoke most strongly, how small a cause these data show, and what was not testable.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +18,11 @@ from calflow.effects.words import cause_words, place_name, place_names, readable
 from calflow.files.results import Results
 from calflow.files.words import chance, first_up, listed, two_digits
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
-from calflow.reporting.causes.unexplained import unexplained
-from calflow.reporting.figures.causes import evidence
-from calflow.reporting.findings import findings
-from calflow.reporting.material import Material
-from calflow.reporting.section import Advice
+from calflow.reporting.cause_figures import evidence
+from calflow.reporting.material import Material, findings
+from calflow.reporting.section import Section
 
-SHOWN = 10  # candidates in the figure
+CANDIDATES_SHOWN = 10  # candidates in the figure
 LONGEST = 46  # letters of a name with its detail, beyond which the detail is left out
 EVIDENCE = (
     "The places that spoke most strongly against the study's model, each tested alone; what one cause explains, others "
@@ -41,15 +42,15 @@ def candidates(results: Results) -> list[CandidateRow]:
 
 def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
     """Draw the places that spoke most strongly, where any spoke; causes are those in the extended model."""
-    rows = _tested(candidates(material.results))[:SHOWN]
+    rows = _tested(candidates(material.results))[:CANDIDATES_SHOWN]
     if not rows or not findings(material.results):
         return []
     places = {(one.cause, one.joint) for one in causes}
     added = np.array([(row.cause, row.joint) in places for row in rows])
-    drawn = evidence([_words(row) for row in rows], np.array([-row.delta_bic for row in rows]),
+    drawn = evidence([_candidate_words(row) for row in rows], np.array([-row.delta_bic for row in rows]),
                      np.array([row.p_family for row in rows]), added, WITHIN, threshold(material))  # fmt: skip
     data = pd.DataFrame(
-        [(_words(row), -row.delta_bic, row.p_family) for row in rows],
+        [(_candidate_words(row), -row.delta_bic, row.p_family) for row in rows],
         columns=["place", "fall_of_bic", "chance_of_a_false_alarm"],
     ).assign(in_the_model=added)
     return [Heading("How the search went"), Plot("evidence", drawn, EVIDENCE, data)]
@@ -105,22 +106,13 @@ def untestable(rows: Sequence[CandidateRow]) -> dict[str, list[str]]:
     return groups
 
 
-def untested(results: Results) -> list[Advice]:
-    """Where something stays unexplained, what would make more causes testable is worth its while."""
-    needs = {lacking: names for lacking, names in untestable(candidates(results)).items() if lacking}
-    if not needs or not unexplained(results):
-        return []
-    said = "; ".join(f"{what} ({listed(names, 4)})" for what, names in list(needs.items())[:3])
-    return [Advice(3, f"More causes could be tested with {said}.")]
-
-
 def strongest(rows: Sequence[CandidateRow]) -> str:
     """Say which place came nearest where nothing was found."""
     tested = _tested(rows)
     if not tested:
         return ""
     return (
-        f" The strongest, {_words(tested[0])}, is no more than noise alone shows in such a search: the chance of it is "
+        f" The strongest, {_candidate_words(tested[0])}, is no more than noise alone shows in such a search: the chance of it is "
         f"{chance(tested[0].p_family)}."
     )
 
@@ -138,7 +130,17 @@ def _tested(rows: Sequence[CandidateRow]) -> list[CandidateRow]:
     return sorted((row for row in rows if np.isfinite(row.delta_bic)), key=lambda row: row.delta_bic)
 
 
-def _words(row: CandidateRow) -> str:
+def _candidate_words(row: CandidateRow) -> str:
     name = place_name(row.cause, row.joint, row.part)
     detail = f" ({row.detail})" if row.detail else ""
     return name + detail if len(name + detail) <= LONGEST else name
+
+
+def _search(material: Material) -> list[Block]:
+    """Draw the strongest places, and tabulate limits and what was not testable."""
+    rows = candidates(material.results)
+    causes = [one for one in findings(material.results) if one.is_cause]
+    return [*went(material, causes), *limits(rows), *not_tested(rows)]
+
+
+SEARCH_SECTION = Section(55, "The search for causes", ("diagnose/findings.csv", "diagnose/candidates.csv"), _search)

@@ -1,7 +1,6 @@
 """The section on what planned poses tell apart: which causes they would show, and which gaps could be filled.
 
-Figure of what a plan of poses shows and tells apart.
-"""
+Figure of what a plan of poses shows and tells apart."""
 
 from __future__ import annotations
 
@@ -27,11 +26,11 @@ COLOURS = ("#ffffff", DARK, LIGHT, "#777777")
 HATCH = "////"  # of what is not seen, so that it is known on any paper
 
 
-def isolability(table: pd.DataFrame) -> Figure:
+def apart_figure(table: pd.DataFrame) -> Figure:
     """Draw a row a cause and a column a rival: told apart, not told apart, or not seen at all."""
     tested = table[(table["part"] != "") & table["part"].notna()]
     own = tested[tested["rival"].fillna("") == ""]
-    names = [_name(*cause) for cause in zip(own["cause"], own["joint"], own["part"], strict=True)]
+    names = [_cause_label(*cause) for cause in zip(own["cause"], own["joint"], own["part"], strict=True)]
     number = {place: k for k, place in enumerate(zip(own["cause"], own["part"], strict=True))}
     cells = np.full((len(names), len(names)), SEEN)
     for row in tested.to_dict("records"):
@@ -66,41 +65,43 @@ def isolability(table: pd.DataFrame) -> Figure:
     return drawn
 
 
-def _name(cause: str, joint: float | None, part: str) -> str:
+def _cause_label(cause: str, joint: float | None, part: str) -> str:
     """Name a cause with its joint, or with its part where that has no number."""
     if joint is not None and joint == joint and joint:
         return f"{cause} {joint:.0f}"
     return f"{cause} ({part})"
 
 
-TABLE = "select/isolability.csv"
-FIRST = 3  # gaps on the first page
-CAPTION = (
+ISOLABILITY_TABLE = "select/isolability.csv"
+GAPS_ADVISED = 3  # gaps on the first page
+APART_CAPTION = (
     "What the planned poses tell apart, if one cause of a row is there at the size stated: white, it is seen and told from the "
     "cause of the column in 9 of 10 measurements; dark, it is seen and not told from it; hatched, it is not seen. Causes that "
     "lack a column or a figure of the robot have no row."
 )
 
 
-def write(material: Material) -> list[Block]:
+def _isolability(material: Material) -> list[Block]:
     """Show the matrix, and say every gap that something fills."""
-    table = material.tables[TABLE]
+    table = material.tables[ISOLABILITY_TABLE]
     return [
-        Paragraph(f"{_sentence(isolability_summary(table))} Before anything is measured this follows from the model, the "
+        Paragraph(f"{_as_sentence(isolability_summary(table))} Before anything is measured this follows from the model, the "
                   "device's noise and the tests of diagnose; a cause is taken at its usual size, in any direction.", keep=True),
-        Plot("isolability", isolability(table), CAPTION, table),
-        *(Paragraph(_sentence(words)) for words in isolability_gaps(table)),
-        Paragraph(f"All chances, and what nothing tried fills, are in {TABLE}."),
+        Plot("isolability", apart_figure(table), APART_CAPTION, table),
+        *(Paragraph(_as_sentence(words)) for words in isolability_gaps(table)),
+        Paragraph(f"All chances, and what nothing tried fills, are in {ISOLABILITY_TABLE}."),
     ]  # fmt: skip
 
 
 def add_to_the_plan(results: Results) -> list[Advice]:
     """Say on the first page what should be added to the plan."""
-    return [Advice(3, _sentence(words)) for words in isolability_gaps(results.tables[TABLE])[:FIRST]]
+    return [
+        Advice(3, _as_sentence(words)) for words in isolability_gaps(results.tables[ISOLABILITY_TABLE])[:GAPS_ADVISED]
+    ]
 
 
-def _sentence(words: str) -> str:
+def _as_sentence(words: str) -> str:
     return f"{words[0].upper()}{words[1:]}."
 
 
-SECTION = Section(71, "What these poses tell apart", (TABLE,), write, (add_to_the_plan,))
+ISOLABILITY_SECTION = Section(71, "What these poses tell apart", (ISOLABILITY_TABLE,), _isolability, (add_to_the_plan,))

@@ -157,7 +157,9 @@ def evidence(
     return drawn
 
 
-def in_space(position: np.ndarray, before: np.ndarray, after: np.ndarray, held: np.ndarray, factor: float) -> Figure:
+def errors_in_space(
+    position: np.ndarray, before: np.ndarray, after: np.ndarray, held: np.ndarray, factor: float
+) -> Figure:
     """Draw positions with their errors [mm] (n_rows, 3) times factor, before and after, from above and from the side."""
     drawn, (grid,) = panels(1, 4, 2.7)
     sizes = [np.linalg.norm(error, axis=1) for error in (before, after)]

@@ -1,1 +1,0 @@
-"""Causes: what the report says of findings, a concept a file, for its section and for the first page."""

@@ -1,1 +1,0 @@
-"""Figures: each function draws numbers and knows nothing of the document."""

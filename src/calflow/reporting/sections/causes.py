@@ -1,0 +1,564 @@
+"""The section on causes: what the study's model lacked, how sure that is, and what stays unexplained.
+
+A finding told: what it is, how sure that is, what it gained, and its curve.
+
+What tells a finding from its rivals: further poses, or something else at the robot.
+What a cause, or what no cause explains, takes off the error at poses that no fit has seen.
+What no cause explains: what it depends on, and how much it matters.
+The causes on the first page: what the study's model lacked, and what the data leave open of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import count
+
+import numpy as np
+import pandas as pd
+from scipy.stats import ttest_1samp
+
+from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow, no_pose_words
+from calflow.diagnosis.findings.extended_model import DiagnosisSummary
+from calflow.diagnosis.findings.finding import Finding
+from calflow.effects.words import UNEXPLAINED, cause_name, cause_words
+from calflow.estimation.fit_summary import IdentifySummary
+from calflow.files.results import Results
+from calflow.files.words import (
+    chance,
+    chance_figure,
+    effect_words,
+    first_up,
+    listed,
+    mm,
+    number,
+    plural,
+    ratio,
+    sureness,
+)
+from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
+from calflow.reporting.cause_figures import errors_in_space, explained, gains
+from calflow.reporting.material import Material, findings, split_judged, steps
+from calflow.reporting.section import Advice, Section
+from calflow.reporting.sections.search import candidates, strongest, threshold, untestable
+from calflow.reporting.style import magnification
+
+WORSE = 1.02  # times the error without causes from which they do not help
+HARM = 1.25  # times that error from which they do harm, however few poses say so
+SURE = 0.05  # chance of so large a loss from which it is none
+GAINS = (
+    "What each cause takes off the mean error at held-out poses, in the order in which they were added. The order matters "
+    "where causes hide each other."
+)
+
+
+def gain_words(one: Finding, floor: float | None) -> str:
+    """Say what a cause gained on poses that no fit has seen; floor is what noise alone would leave [mm]."""
+    gain, low, high = one.gain
+    if math.isnan(gain):
+        return "No poses were held out, so what it is worth at other poses is not known."
+    interval = f"95 % interval {_signed(low)} to {_signed(high)} mm"
+    noise = f"; noise alone would leave {mm(floor)} mm" if floor else ""
+    if low > 0:
+        return (
+            f"At poses that no fit has seen it takes {mm(gain)} mm off the mean error ({interval}) and leaves "
+            f"{mm(one.heldout_mean_mm)} mm{noise}."
+        )
+    if high < 0:
+        return f"At poses that no fit has seen it makes the mean error {mm(-gain)} mm larger ({interval}): do not rely on it."
+    return (
+        f"At poses that no fit has seen the step that added it gained {_signed(gain)} mm, which cannot be told from nothing "
+        f"({interval}); {mm(one.heldout_mean_mm)} mm are left{noise}."
+    )
+
+
+def gain_cells(one: Finding) -> tuple[str, str]:
+    """Return a gain and its interval for a table."""
+    gain, low, high = one.gain
+    if math.isnan(gain):
+        return "–", "–"
+    return _signed(gain), f"{_signed(low)} … {_signed(high)}"
+
+
+def worth(one: Finding) -> str:
+    """Say what a Gaussian process would gain."""
+    gain, low, high = one.gain
+    if math.isnan(gain):
+        return ""
+    interval = f"95 % interval {_signed(low)} to {_signed(high)} mm"
+    if low <= 0:
+        return f" How much it matters at other poses cannot be told (a Gaussian process gains {_signed(gain)} mm, {interval})."
+    return f" A Gaussian process of it, which has no physical meaning, would take {mm(gain)} mm off the mean error ({interval})."
+
+
+def gained(material: Material, causes: Sequence[Finding]) -> list[Block]:
+    """Draw what each cause took off, one after the other."""
+    moved = [one for one in causes if math.isfinite(one.gain[0])]
+    if not moved:
+        return []
+    before = material.tables["identify/accuracy.csv"]
+    start = steps(before, split_judged(before))[-1].mean
+    drawn = gains(start, labels(moved), [one.heldout_mean_mm for one in moved], np.array([one.gain[1:] for one in moved]),
+                  material.noise_floor)  # fmt: skip
+    data = pd.DataFrame(
+        [(name, *one.gain, one.heldout_mean_mm) for name, one in zip(labels(moved), moved, strict=True)],
+        columns=["cause", "gain_mean_mm", "gain_low_mm", "gain_high_mm", "heldout_mean_mm"],
+    )
+    unknown = (
+        "" if material.noise_floor else " What noise alone would leave is not known: it was estimated from the fit."
+    )
+    return [Heading("What the causes gained"), Plot("gains", drawn, GAINS + unknown, data)]
+
+
+def makes_it_worse(results: Results) -> list[Advice]:
+    """Causes with which unseen poses fit worse were fitted to too few poses."""
+    if "diagnose/accuracy.csv" not in results or split_judged(results.tables["diagnose/accuracy.csv"]) != "holdout":
+        return []
+    own, last = (
+        steps(results.tables[f"{stage}/accuracy.csv"], "holdout")[-1].mean for stage in ("identify", "diagnose")
+    )
+    if last <= WORSE * own:
+        return []
+    said = f"{mm(last)} mm against {mm(own)} mm"
+    if last > HARM * own or loss_by_chance(results) < SURE:
+        sentence = (
+            f"Do not use the model with the causes: at held-out poses it is worse than without them ({said}). The fitted poses "
+            "are too few or too alike for so many causes; measure more."
+        )
+        return [Advice(1, sentence)]
+    sentence = (
+        f"At held-out poses the model with the causes is no better than without them ({said}), which may be chance. Measure more "
+        "poses before you rely on what was found, or leave it out (stages.diagnose.leave_out)."
+    )
+    return [Advice(2, sentence)]
+
+
+def loss_by_chance(results: Results) -> float:
+    """Return the chance of so large a loss at held-out poses where the causes change nothing: Student's test of poses in pairs.
+
+    1 where there are fewer than two poses, or all are alike.
+    """
+    by_pose = [
+        rows[rows["split"] == "holdout"].groupby("pose")["error_mm"].mean()
+        for rows in (results.tables[f"{stage}/residuals.csv"] for stage in ("diagnose", "identify"))
+    ]
+    lost = (by_pose[0] - by_pose[1]).dropna()
+    return float(ttest_1samp(lost, 0.0, alternative="greater").pvalue) if len(lost) > 1 and lost.std() > 0 else 1.0
+
+
+def labels(causes: Sequence[Finding]) -> list[str]:
+    """Return the causes' names, with their details where a name comes twice."""
+    names = [one.name for one in causes]
+    return [f"{one.name} ({one.detail})" if names.count(one.name) > 1 and one.detail else one.name for one in causes]
+
+
+def _signed(value: float) -> str:
+    return number(value, ".3f")
+
+
+def still_unexplained(left: Sequence[Finding]) -> list[Block]:
+    """Tell what stays unexplained."""
+    if not left:
+        return []
+    items = [
+        ("The model as a whole:", f"{first_up(one.statement)}.") if one.is_misfit else
+        (f"{first_up(one.inputs_in_words)}:", f"part of the error depends on it, and no cause of the catalogue explains it. The "
+         f"chance that noise looks like this is {chance(one.p_family)}.{worth(one)}")
+        for one in left
+    ]  # fmt: skip
+    return [
+        Heading("What stays unexplained"),
+        Bullets(items),
+        Paragraph("It is not in the model. Where it acts, predictions are off by more than noise."),
+    ]
+
+
+def structure(results: Results) -> str:
+    """Name what the unexplained part of the error depends on; empty where nothing is unexplained."""
+    left = unexplained_findings(results)
+    return listed([one.inputs_in_words for one in left], 3) if left else ""
+
+
+def unexplained_findings(results: Results) -> list[Finding]:
+    """Return what stays unexplained and depends on an input."""
+    return [one for one in findings(results) if one.status == "unexplained" and not one.is_misfit]
+
+
+def lack_of_fit(results: Results) -> str:
+    """Say that the extended model leaves more than its noise, and where most; empty where it does not."""
+    p = next((one.p_family for one in findings(results) if one.is_misfit), None)
+    if p is None:
+        return ""
+    summary = results.document("diagnose/summary.json", DiagnosisSummary)
+    where = summary.worst.words if summary.worst else "about alike everywhere"
+    return f"The model leaves {ratio(summary.lack_of_fit)} times the noise (chance of so much: {chance(p)}), {where}."
+
+
+def unexplained(results: Results) -> list[Advice]:
+    """Structure without a cause is to be looked for at the robot."""
+    if not unexplained_findings(results):
+        return [_look_there(results)] if lack_of_fit(results) else []
+    sentence = (
+        f"Something depends on {structure(results)} that no cause of the catalogue explains. Look at the robot for what changes "
+        "with it (hoses and cables, loose bolts, collisions, the device's support), and measure again."
+    )
+    return [Advice(2, sentence)]
+
+
+def _look_there(results: Results) -> Advice:
+    """What to do about a lack of fit that no input explains."""
+    worst = results.document("diagnose/summary.json", DiagnosisSummary).worst
+    where = f"where {worst.where}" if worst else "at the poses with the largest errors (diagnose/residuals.csv)"
+    sentence = (
+        f"More is left than noise, and nothing that was tested explains it. Measure again {where}, coming back to some poses from "
+        "elsewhere: what repeats is the robot's, what does not is the device's or the set-up's."
+    )
+    return Advice(2, sentence)
+
+
+def untested(results: Results) -> list[Advice]:
+    """Where something stays unexplained, what would make more causes testable is worth its while."""
+    needs = {lacking: names for lacking, names in untestable(candidates(results)).items() if lacking}
+    if not needs or not unexplained(results):
+        return []
+    said = "; ".join(f"{what} ({listed(names, 4)})" for what, names in list(needs.items())[:3])
+    return [Advice(3, f"More causes could be tested with {said}.")]
+
+
+STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
+SUMMARY = "diagnose/summary.json"
+FAULT = "data_fault"  # told in a section of its own
+NO_PROOF = (
+    "A smaller error does not prove a name: whatever bends with the data takes something off. That something is there "
+    "rests on the test; its name rests on what else could explain the same data, which is said with each cause."
+)
+NOTHING = "Nothing was found that the model lacks."
+CURVES = (
+    "The figures show errors along the direction in which a cause moves the tool. Left: the final model without this "
+    "cause, its other parameters kept; middle: with it; right: what was measured against what the cause explains."
+)
+
+
+def _causes(material: Material) -> list[Block]:
+    """Tell each finding in words and figures, then what is left."""
+    found = findings(material.results)
+    causes = [one for one in found if one.is_cause]
+    left = [one for one in found if one.status == "unexplained"]
+    return [
+        *_opening(material, found),
+        *[block for k, one in enumerate(causes, start=1) for block in _finding(material, one, k)],
+        *gained(material, causes),
+        *still_unexplained(left),
+        *space(material, causes),
+    ]
+
+
+def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
+    summary = material.results.document(SUMMARY, DiagnosisSummary)
+    searched = (
+        f"What the study's model leaves was searched for {summary.causes_tested} causes, each at its place in the robot or its "
+        f"surroundings. A cause counts as found where, with nothing hidden, fewer than {100 * threshold(material):.2g} % of such "
+        f"searches would find anything.{_mended(every)}"
+    )
+    found = [one for one in every if one.status != FAULT]
+    if not found:
+        best = strongest(candidates(material.results))
+        unseen = f" But {summary.unseen}." if summary.unseen else ""
+        return [Paragraph(NOTHING + unseen, bold=True), Paragraph(f"{searched}{best}")]
+    order = count(1)
+    rows = [
+        (str(next(order)) if one.is_cause else "–", _title(one), one.amount if one.is_cause and one.unit else "–",
+         STATUS.get(one.status, one.status),
+         chance_figure(one.p_family), sureness(one.probability), *gain_cells(one))
+        for one in found
+    ]  # fmt: skip
+    header = ("", "finding", "size (± 1 sd)", "name", "false alarm", "probability", "gain [mm]", "95 % interval")
+    told = any(one.is_cause for one in found)
+    first = [] if told else [Paragraph("No cause of the catalogue was found.", bold=True)]
+    listing: list[Block] = [Paragraph(NO_PROOF), Table(header, rows, "rlrlrrrr", size=8, wide=1)]
+    return [
+        *first,
+        Paragraph(searched),
+        *listing,
+        *([Paragraph(CURVES)] if any(moves(material, one) for one in found) else []),
+    ]
+
+
+def extension_not_converged(results: Results) -> list[Advice]:
+    """A model with causes whose fit stopped before its optimum is not to be used, and names rest on it."""
+    summary = results.document(SUMMARY, DiagnosisSummary)
+    if summary.converged:
+        return []
+    sentence = (
+        f"Do not use the model that diagnose extended: its fit did not converge ({summary.solver.words}). Check the flagged rows "
+        "and what was found last, or look for fewer causes (stages.diagnose.causes), then run again."
+    )
+    return [Advice(1, sentence)]
+
+
+def _mended(every: Sequence[Finding]) -> str:
+    """Say that the search was made on data whose faults were seen to."""
+    faults = dict.fromkeys(effect_words(one.cause) for one in every if one.status == FAULT)
+    return (
+        f" Faults of the data ({listed(list(faults))}) were seen to before: see the section on them." if faults else ""
+    )
+
+
+def _title(one: Finding) -> str:
+    if one.is_misfit:
+        return f"more than noise{f', most where {one.detail}' if one.detail else ''}"
+    if one.status == "unexplained":
+        return f"depends on {one.inputs_in_words}"
+    return one.names
+
+
+RIVALS_TOLD = 3  # rivals that a finding's own text names
+
+
+def apart(one: Finding, results: Results) -> list[str]:
+    """Say what would tell a cause from its rivals."""
+    said = []
+    for row in _separations(results):
+        if (row.cause, row.joint) != (one.cause, one.joint):
+            continue
+        if row.chance_after < ENOUGH:
+            after = row.separation_after_sd if row.tested else None
+            why = no_pose_words(cause_words(row.cause).name, cause_words(row.rival).name, after, row.unasked)
+            said.append(f"{first_up(why)}: {row.means}.")
+            continue
+        poses = "The poses of diagnose/next_poses.csv" if row.proposed else "Further poses"
+        said.append(
+            f"{poses} would tell it from {cause_name(row.rival, row.rival_joint)}: {row.separation_after_sd:.1f} standard "
+            f"deviations apart instead of {row.separation_before_sd:.1f}."
+        )
+    return list(dict.fromkeys(said))[:RIVALS_TOLD]
+
+
+def next_poses(results: Results) -> list[Advice]:
+    """Poses that tell a cause from its rival are to be measured."""
+    plans: dict[tuple[object, ...], list[NextPose]] = {}
+    for pose in results.rows("diagnose/next_poses.csv", NextPose):
+        plans.setdefault((pose.cause, pose.joint, pose.rival_causes, pose.rival_joints), []).append(pose)
+    found = []
+    for poses in plans.values():
+        first = poses[0]
+        own, others = cause_name(first.cause, first.joint), _names(first.rival_causes, first.rival_joints)
+        sentence = (
+            f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that tell {own} from {listed(others)}: they "
+            f"would be at least {first.separation_after_sd:.1f} standard deviations apart instead of "
+            f"{first.separation_before_sd:.1f}.{_left_open(first)}"
+        )
+        found.append(Advice(3, sentence))
+    return found
+
+
+def other_means(results: Results) -> list[Advice]:
+    """Where no pose tells a cause from its rival, something else does."""
+    open_ = {(one.cause, one.joint) for one in findings(results) if one.status == "one_of"}
+    means: dict[str, list[str]] = {}
+    for row in _separations(results):
+        if row.chance_after < ENOUGH and (row.cause, row.joint) in open_:
+            own, rival = cause_name(row.cause, row.joint), cause_name(row.rival, row.rival_joint)
+            means.setdefault(row.means, []).append(f"{own} from {rival}")
+    return [Advice(3, f"To tell {listed(pairs, 3)}: {what}.") for what, pairs in means.items()]
+
+
+def _separations(results: Results) -> list[SeparationRow]:
+    return results.rows("diagnose/separations.csv", SeparationRow)
+
+
+def _left_open(pose: NextPose) -> str:
+    first = _names(pose.open_causes, pose.open_joints)
+    second = _names(pose.open_other_causes, pose.open_other_joints)
+    pairs = [" or ".join(pair) for pair in zip(first, second, strict=True)]
+    return f" They leave open whether it is {listed(pairs, 3)}." if pairs else ""
+
+
+def _names(causes: tuple[str, ...], joints: tuple[int, ...]) -> list[str]:
+    return [cause_name(cause, joint) for cause, joint in zip(causes, joints, strict=True)]
+
+
+WANDERED = "What the device reports shifts in the course of the measurement"
+ARROWS = 700  # arrows in the workspace
+
+
+def _finding(material: Material, one: Finding, number: int) -> list[Block]:
+    """Tell a cause, the number of which counts those found, in words and figures."""
+    head = f"{number}. {first_up(one.names)}"
+    text = " ".join(
+        part
+        for part in (_what(one), how_sure(one), *apart(one, material.results), _gained_words(material, one))
+        if part
+    )
+    return [Heading(head), Paragraph(text), *_curves(material, one)]
+
+
+def _what(one: Finding) -> str:
+    words = cause_words(one.cause)
+    size = f"{words.size} {one.amount}" if one.unit else ""
+    if one.of_family:
+        best = f"{words.name} ({one.detail})" if one.detail else words.name
+        off = f"The angle of joint {one.joint} is off by an amount that goes with the angle" if one.joint else WANDERED
+        return f"{off}; best described as {best}: {size}."
+    said = first_up(words.what or words.name)
+    return f"{said}: {size} (1 sd)." if size and "±" in size else f"{said}{f': {size}' if size else ''}."
+
+
+def how_sure(one: Finding) -> str:
+    """Say how sure it is that there is something, and how sure its name is."""
+    said = [f"The chance that noise alone makes any cause look like this is {chance(one.p_family)}."]
+    if one.of_family:
+        kin = first_up(listed([cause_words(name).name for name in one.kin]))
+        sure = "That it goes with the joint's angle is sure; its order, or finer form, is not."
+        said.append(sure if one.joint else "That it goes with the time is sure; its course is not.")
+        said += [f"{kin} would do as well."] if one.kin else []
+    if one.others:
+        named = [other for other in one.others if other.cause != UNEXPLAINED]
+        tested = [other.name for other in named if other.cause not in one.not_tested]
+        untested = [other.name for other in named if other.cause in one.not_tested]
+        verb = "explains" if len(tested) == 1 else "explain"
+        why = [f"{listed(tested, 5)} {verb} these data as well, or nearly so"] if tested else []
+        why += [f"{listed(untested, 5)} could not be tested with these data"] if untested else []
+        why += ["something that no cause explains may be all of it"] if len(named) < len(one.others) else []
+        said.append(
+            f"Its name is less sure: {', and '.join(why)} (probability of {cause_name(one.cause, one.joint)}: "
+            f"{sureness(one.probability)})."
+        )
+    elif UNEXPLAINED in one.cannot_tell_from:
+        said.append(
+            "Its name is not sure: something that no cause explains depends on the same input, and may be all of it."
+        )
+    elif not one.of_family:
+        said.append(
+            f"Nothing else that was tested explains the data nearly as well (probability {sureness(one.probability)})."
+        )
+    if one.carries_over is False:
+        said.append("It does not hold in blocks of the fitted poses that were left out: do not rely on its name.")
+    return " ".join(said)
+
+
+def _gained_words(material: Material, one: Finding) -> str:
+    if not moves(material, one):
+        return "It changes how much each row counts, not where the tool is predicted."
+    return gain_words(one, material.noise_floor)
+
+
+def moves(material: Material, one: Finding) -> bool:
+    """Whether a finding is in the model of the position, and not in that of the noise."""
+    return one.is_cause and bool((material.tables["diagnose/curves.csv"]["finding"].isin(one.numbers)).any())
+
+
+def _curves(material: Material, one: Finding) -> list[Block]:
+    every = material.tables["diagnose/curves.csv"]
+    drawn = [every[(every["finding"] == number) & every["split"].isin(["train", "holdout"])] for number in one.numbers]
+    return [_curve_figure(one, rows, number) for rows, number in zip(drawn, one.numbers, strict=True) if not rows.empty]
+
+
+def _curve_figure(one: Finding, rows: pd.DataFrame, number: int) -> Block:
+    x, before, after, fitted = rows[["x", "before_mm", "after_mm", "fitted_mm"]].to_numpy(dtype=float).T
+    unit = "" if pd.isna(rows["variable_unit"].iloc[0]) else str(rows["variable_unit"].iloc[0])
+    drawn = explained(
+        x, before, after, fitted, (rows["split"] != "train").to_numpy(), str(rows["variable"].iloc[0]), unit
+    )
+    said = one.name if len(one.numbers) == 1 else cause_name(str(rows["cause"].iloc[0]), one.joint)
+    caption = f"{first_up(said)}: errors without it, with it, and against what it explains."
+    told = rows[["variable", "variable_unit", "x", "before_mm", "after_mm", "fitted_mm", "split"]]
+    return Plot(f"cause_{number}", drawn, caption, told)
+
+
+def space(material: Material, causes: Sequence[Finding]) -> list[Block]:
+    """Draw the errors before and after the causes were added."""
+    if not any(moves(material, one) for one in causes):
+        return []
+    position, before, after = 1e3 * material.place, material.error_before, material.error
+    whole = np.isfinite(before).all(axis=1)
+    if not whole.any():
+        return []
+    position, before, after, held = position[whole], before[whole], after[whole], material.held[whole]
+    shown = np.unique(np.linspace(0, len(position) - 1, ARROWS).astype(int))
+    factor = magnification(position, before)
+    drawn = errors_in_space(position[shown], before[shown], after[shown], held[shown], factor)
+    said = (
+        f"Errors before and after the causes were added, both drawn {factor:,.0f} times enlarged; the darker, the larger. "
+        "Circles: used for the fit; triangles: held out."
+    )
+    columns = {f"{name}_{axis}_mm": values[:, k] for name, values in (("at", position), ("before", before), ("after", after))
+               for k, axis in enumerate("xyz")}  # fmt: skip
+    return [Plot("causes_workspace", drawn, said, pd.DataFrame({**columns, "held_out": held}))]
+
+
+CAPPED = (
+    "As many causes were found as were allowed (stages.diagnose.causes): there may be more, and what they would explain is "
+    "left over or put down to those."
+)
+
+
+def foremost(results: Results) -> list[str]:
+    """Say what a reader must know before any cause: a contradicted noise, and that the model leaves more than its noise."""
+    doubts = results.document("identify/summary.json", IdentifySummary).noise_doubts
+    said = (*(doubt.statement for doubt in doubts), lack_of_fit(results))
+    return [sentence for sentence in said if sentence]
+
+
+def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
+    """Say for the first page in a line each what the model lacked: what gains most first, what gains nothing last, as such."""
+    causes = [one for one in findings(results) if one.is_cause]
+    summary = results.document("diagnose/summary.json", DiagnosisSummary)
+    if not causes:
+        more = unexplained_findings(results) or lack_of_fit(results)
+        told = "No cause explains what is left" if more else "Nothing was found"
+        unseen = f" {first_up(summary.unseen)}." if summary.unseen else ""
+        return [f"{told}: {summary.causes_tested} causes were tested.{unseen}"]
+    named = list(zip(causes, labels(causes), strict=True))
+    worth = sorted((pair for pair in named if not _in_vain(pair[0])), key=lambda pair: -_mean_gain(pair[0]))
+    vain = [name for cause, name in named if _in_vain(cause)]
+    said: list[str | tuple[str, str]] = [(f"{first_up(name)}:", _line(cause)) for cause, name in worth[:most]]
+    if len(worth) > most:
+        rest = listed(list(dict.fromkeys(cause.name for cause, _ in worth[most:])), len(worth))
+        said.append((f"And {plural(len(worth) - most, 'more cause')}:", f"{rest}."))
+    if vain:
+        said.append(("In the model without measurable gain at held-out poses:", f"{listed(vain, len(vain))}."))
+    if summary.capped:
+        said.append(CAPPED)
+    return said
+
+
+def _in_vain(one: Finding) -> bool:
+    """Whether the step that added a cause shows no gain at poses that no fit has seen."""
+    return math.isfinite(one.gain[0]) and not one.gain[1] > 0
+
+
+def _mean_gain(one: Finding) -> float:
+    """What a cause takes off the mean error; nothing where that is not known."""
+    return one.gain[0] if math.isfinite(one.gain[0]) else 0.0
+
+
+def _line(one: Finding) -> str:
+    gained = f"; it takes {mm(one.gain[0])} mm off the mean error" if math.isfinite(one.gain[0]) else ""
+    return f"{one.amount}{gained}."
+
+
+def unsure(results: Results) -> list[str]:
+    """Say for the first page which names and which structure the data leave open."""
+    said = []
+    for one in findings(results):
+        if one.of_family:
+            said.append(f"The order, or finer form, of the {one.name}.")
+        if UNEXPLAINED in one.cannot_tell_from:
+            said.append(f"Whether it is {one.name} at all, or a part of what stays unexplained.")
+        elif one.status == "one_of" and one.others:
+            said.append(f"Whether it is {' or '.join([one.name, *(rival.name for rival in one.others[:3])])}.")
+    left = unexplained_findings(results)
+    why = f"Why a part of the error depends on {structure(results)}: no cause of the catalogue explains it."
+    gain = max((one.gain[0] for one in left if one.gain[1] > 0), default=0.0)
+    worth = f" What depends on it is worth {mm(gain)} mm of the mean error, or more." if gain else ""
+    return [*said, why + worth] if left else said
+
+
+CAUSES_SECTION = Section(
+    15,
+    "What the model lacked: causes",
+    (*(f"diagnose/{name}.csv" for name in ("findings", "candidates", "separations", "next_poses")), SUMMARY),
+    _causes,
+    (extension_not_converged, makes_it_worse, unexplained, next_poses, other_means, untested),
+)

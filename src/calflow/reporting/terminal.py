@@ -1,0 +1,155 @@
+"""What a run ends with: the accuracy, what was found and page one's verdict, as plain lines.
+
+The measuring loop as a terminal tells it: what the measurements say, whether that is enough, and what is in doubt.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from calflow.design.measuring.measuring_verdict import MeasuringVerdict, Suspect
+from calflow.diagnosis.findings.extended_model import DiagnosisSummary
+from calflow.diagnosis.findings.finding import Finding
+from calflow.effects.words import place_name
+from calflow.estimation.accuracy import Accuracy
+from calflow.files.results import Results
+from calflow.files.tables import from_frame
+from calflow.files.words import mm, number
+from calflow.reporting.material import findings, gathered, latest, split_judged, steps
+from calflow.reporting.section import advice, sections
+from calflow.reporting.sections.verdict import VERDICT_SECTION as SECTION
+from calflow.reporting.sections.verdict import headline, judgement
+
+WRONG = 2  # urgency of advice that is repeated; what could be better is left to the report
+
+
+def last_lines(results: Results) -> list[str]:
+    """Return accuracy, findings, verdict and what is wrong, as far as there are results of it."""
+    return [*_accuracy(results), *_findings(results), *_verdict(results), *_wrong(results)]
+
+
+def _accuracy(results: Results) -> list[str]:
+    """The accuracy of every model on the way; of a model with one more cause, what it has more."""
+    if "identify/accuracy.csv" not in results:
+        return []
+    own = set(results.tables["identify/accuracy.csv"]["model"])
+    rows = from_frame(latest(results, "accuracy"), Accuracy)
+    names = [row.model if row.model in own else f"+ {place_name(row.effect, row.joint, row.part)}" for row in rows]
+    width = max(map(len, names))
+    return [
+        f"{'position error':{width}}  split      mean mm    max mm",
+        *(
+            f"{name:{width}}  {row.split:8} {row.mean_mm:9.3f} {row.max_mm:9.3f}"
+            for name, row in zip(names, rows, strict=True)
+        ),
+    ]
+
+
+def _findings(results: Results) -> list[str]:
+    if "diagnose/findings.csv" not in results:
+        return []
+    told = [f"found: {_told(one)}" for one in findings(results)]
+    unseen = results.document("diagnose/summary.json", DiagnosisSummary).unseen
+    return told or [f"found: nothing that the model lacks{f'; {unseen}' if unseen else ''}"]
+
+
+def _told(one: Finding) -> str:
+    """A finding with its cause, joint, size and gain."""
+    said, (gain, low, high) = one.in_short, one.gain
+    if one.is_misfit or one.status == "data_fault":
+        return said
+    if math.isnan(gain):
+        return said
+    if math.isnan(low):
+        return f"{said}; takes {mm(gain)} mm off the mean error"
+    interval = f"({number(low, '.3f')} to {number(high, '.3f')}, 95 %)"
+    if low > 0:
+        return f"{said}; takes {mm(gain)} mm off the mean error {interval}"
+    if high < 0:
+        return f"{said}; makes the mean error {mm(-gain)} mm larger at poses that no fit has seen {interval}"
+    return f"{said}; takes nothing off the mean error that poses that no fit has seen would show {interval}"
+
+
+def _verdict(results: Results) -> list[str]:
+    if not all(name in results for name in SECTION.needs):
+        return []
+    accuracy = latest(results, "accuracy")
+    split = split_judged(accuracy)
+    found = gathered(steps(accuracy, split), len(steps(results.tables["identify/accuracy.csv"], split)))
+    return [judgement(results, found), headline(found, split)]
+
+
+def _wrong(results: Results) -> list[str]:
+    return [f"! {item.sentence}" for item in advice(sections(), results) if item.urgency <= WRONG]
+
+
+SUSPECTS_TOLD = 4  # suspects in words
+HOPELESS = 0.5  # probability at best below which more poses of the same kind are no way
+MEASURES = {"rms": "root mean square", "worst": "worst point"}
+
+
+def next_lines(verdict: MeasuringVerdict) -> list[str]:
+    """Return the verdict in words, its first line the answer."""
+    return [_answer(verdict), *_figures(verdict), *(f"note: {note}" for note in verdict.notes)]
+
+
+def _answer(verdict: MeasuringVerdict) -> str:
+    """Stop, or go on, and why."""
+    if verdict.status == "nothing measured":
+        return "nothing measured yet: poses to begin with"
+    if verdict.status == "too few":
+        return f"{verdict.poses} poses are too few to identify anything"
+    if verdict.tolerance_mm is None or verdict.probability is None:
+        return "no tolerance stated (--tolerance-mm, or tolerance_mm in [stages.select]): nothing to stop at"
+    within = f"the tool is within {mm(verdict.tolerance_mm)} mm over the task ({MEASURES[verdict.measure]})"
+    sure = f"with probability {_probability(verdict.probability)}"
+    if verdict.status == "stop":
+        return f"stop: {within} {sure}"
+    return f"go on: {within} {sure}, {verdict.confidence:.0%} is asked for"
+
+
+def _figures(verdict: MeasuringVerdict) -> Iterator[str]:
+    if verdict.error_mm is None or verdict.error_most_mm is None:
+        return
+    yield (
+        f"true error of the tool over the task: about {mm(verdict.error_mm)} mm, below {mm(verdict.error_most_mm)} mm with "
+        f"{verdict.confidence:.0%}"
+    )
+    parts = [f"left out in turn {mm(verdict.leftout_rms_mm)} mm"] if verdict.leftout_rms_mm is not None else []
+    parts += [f"held out {mm(verdict.heldout_rms_mm)} mm"] if verdict.heldout_rms_mm is not None else []
+    noise = f"noise {mm(verdict.noise_mm)} mm per axis" if verdict.noise_mm is not None else ""
+    yield f"{verdict.poses} poses, {verdict.fitted_poses} fitted; errors as measured (rms): {', '.join((*parts, noise))}"
+    if not verdict.noise_known:
+        yield (
+            "the noise is not known apart from the fit, so all of it counts as the robot's own error: repeat some poses, or state "
+            "sigma_mm in [measurements]"
+        )
+    yield from (f"found: {said}" for said in verdict.found or ("nothing that the model lacks",))
+    if verdict.suspected:
+        more = len(verdict.suspected) - SUSPECTS_TOLD
+        said = ", ".join(map(_suspect, verdict.suspected[:SUSPECTS_TOLD]))
+        yield f"suspected, not proven: {said}{f', and {more} more' if more > 0 else ''}"
+    if verdict.untested:
+        yield f"not tested, for want of what they need, and not in the probability: {', '.join(verdict.untested)}"
+    best = verdict.probability_at_best
+    if verdict.status == "measure" and best is not None and best < HOPELESS:
+        yield (
+            f"more poses of this kind will hardly do: with every parameter known it would be within with probability "
+            f"{_probability(best)}. See what is suspected, or a wider tolerance"
+        )
+
+
+def _suspect(one: Suspect) -> str:
+    what = {
+        "cause": one.name,
+        "background": f"a smooth error by {one.name}",
+        "pose": "an error of each pose for itself",
+        "rival": f"{one.name} instead of what was found",
+    }[one.kind]
+    return f"{what} ({number(one.probability, '.2g')})"
+
+
+def _probability(value: float) -> str:
+    """A probability of so many draws: never more than they can tell."""
+    return "over 0.999" if value > 0.999 else "below 0.001" if value < 0.001 else f"{value:.3f}"
