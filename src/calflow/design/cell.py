@@ -86,12 +86,12 @@ class Skeleton:
     def of(cls, robot: Robot, readings: np.ndarray, marker: str) -> Self:
         """Return the skeletons at joint readings (n, n_joints) [rad, or m]."""
         points = _function(robot, marker)
-        (found,) = over_rows(points, np.zeros(0), np.asarray(readings @ robot.reading_matrix.T).T)
-        every = found.T.reshape(len(readings), -1, 3)
+        (values,) = over_rows(points, np.zeros(0), np.asarray(readings @ robot.reading_matrix.T).T)
+        every = values.T.reshape(len(readings), -1, 3)
         n = robot.n_joints
         ends = np.cumsum([n + 2, n, 3, 1])
-        nodes, axes, flange, own, bars = np.split(every, ends, axis=1)
-        return cls(nodes, axes, np.swapaxes(flange, 1, 2), own[:, 0], bars)
+        nodes, axes, flange, link_points, bars = np.split(every, ends, axis=1)
+        return cls(nodes, axes, np.swapaxes(flange, 1, 2), link_points[:, 0], bars)
 
     def part(self, which: np.ndarray) -> Self:
         """Return some of the poses: indices, or a mask (n,)."""
@@ -107,9 +107,9 @@ def link_lengths(robot: Robot) -> np.ndarray:
 
 def reflector(robot: Robot, marker: str, q: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the expressions of the marker (3,) and of the flange's turn (3, 3) at driven joint angles q (n_joints,)."""
-    found = _function(robot, marker)(ca.SX(0, 1), q)
+    point = _function(robot, marker)(ca.SX(0, 1), q)
     turn = 3 * (2 * robot.n_joints + 2)
-    return found[turn + 9 : turn + 12], ca.reshape(found[turn : turn + 9], 3, 3)
+    return point[turn + 9 : turn + 12], ca.reshape(point[turn : turn + 9], 3, 3)
 
 
 @lru_cache(maxsize=16)
@@ -125,7 +125,7 @@ def _function(robot: Robot, marker: str) -> ca.Function:
         bars = [crank[:3, 3], rod[:3, 3], rod[:3, 3] + robot.loop.rod.length * rod[:3, 0]]
     places = [at.ends[0], *at.joints, at.flange]
     nodes = [at.grounded(robot, place[:3, 3]) for place in places]
-    turned = [stands @ one for one in (*(joint[:3, 2] for joint in at.joints), *ca.horzsplit(at.flange[:3, :3]))]
+    turned = [stands @ axis for axis in (*(joint[:3, 2] for joint in at.joints), *ca.horzsplit(at.flange[:3, :3]))]
     points = [at.grounded(robot, point) for point in (reflector, *bars)]
     return ca.Function("skeleton", [ca.SX.sym("p", 0), q], [ca.densify(ca.vertcat(*nodes, *turned, *points))])
 
@@ -192,15 +192,15 @@ class Cell:
 
     def refusals(self, model: Model, rows: np.ndarray, marker: str) -> np.ndarray:
         """Return which of RULES is the first to refuse each of packed rows (n_conditions, n), from 1; 0 where none does."""
-        found = np.zeros(rows.shape[1], dtype=int)
-        for begin in range(0, len(found), BLOCK):
-            left = np.arange(begin, min(begin + BLOCK, len(found)))
+        refusal = np.zeros(rows.shape[1], dtype=int)
+        for begin in range(0, len(refusal), BLOCK):
+            left = np.arange(begin, min(begin + BLOCK, len(refusal)))
             at = Skeleton.of(model.robot, rows[: model.robot.n_joints, left].T, marker)
             for number, rule in enumerate(RULES.values(), start=1):
                 good = rule(self, model, rows[:, left], at)
-                found[left[~good]] = number
+                refusal[left[~good]] = number
                 left, at = left[good], at.part(good)
-        return found
+        return refusal
 
     def link_radii(self, robot: Robot) -> np.ndarray:
         """Return the radius [m] of every link, the base's first, shape (n_joints + 1,)."""
@@ -212,8 +212,8 @@ class Cell:
 def refused_words(refusals: np.ndarray) -> str:
     """Say how many poses each rule refused, of whose first refusals (n,) these are, and how many none did."""
     counts = np.bincount(refusals, minlength=len(RULES) + 1)
-    told = [f"{name} {number}" for name, number in zip(RULES, counts[1:], strict=True) if number]
-    return f"the cell allows {counts[0]} of {len(refusals)} poses; refused by {', '.join(told) or 'nothing'}"
+    reasons = [f"{name} {number}" for name, number in zip(RULES, counts[1:], strict=True) if number]
+    return f"the cell allows {counts[0]} of {len(refusals)} poses; refused by {', '.join(reasons) or 'nothing'}"
 
 
 def configuration(robot: Robot, at: Skeleton) -> np.ndarray:
@@ -284,9 +284,9 @@ def _obstacles(cell: Cell, start: np.ndarray, end: np.ndarray) -> Iterator[np.nd
     """The distances (n,) of segments from each thing drawn but the floor, in the drawing's frame."""
     for box in cell.boxes:
         yield from_box(start, end, np.array(box.low), np.array(box.high))
-    for one in cell.cylinders:
-        ends = (np.broadcast_to(np.array(place), start.shape) for place in (one.start, one.end))
-        yield between_segments(start, end, *ends) - one.radius
+    for cylinder in cell.cylinders:
+        ends = (np.broadcast_to(np.array(place), start.shape) for place in (cylinder.start, cylinder.end))
+        yield between_segments(start, end, *ends) - cylinder.radius
 
 
 def _like(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:

@@ -68,9 +68,9 @@ def _basis(jacobians: np.ndarray, prior: np.ndarray, chosen: Sequence[int], crit
     return np.asarray(jacobians @ np.hstack([covariance, covariance @ criterion.root]))
 
 
-def _changed(basis: np.ndarray, pose: np.ndarray, own: np.ndarray, sign: int) -> np.ndarray:
+def _changed(basis: np.ndarray, pose: np.ndarray, gain: np.ndarray, sign: int) -> np.ndarray:
     """The basis after a pose (n_axes, n_parameters) came (+1) or went (-1): C changes by rank n_axes (Woodbury)."""
     n = pose.shape[1]
-    inner = np.linalg.solve(np.eye(len(pose)) + sign * own[:, :n] @ pose.T, own)
+    inner = np.linalg.solve(np.eye(len(pose)) + sign * gain[:, :n] @ pose.T, gain)
     shared = basis[:, :, :n] @ pose.T
     return np.asarray(basis - sign * (shared @ inner))

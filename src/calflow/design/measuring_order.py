@@ -104,16 +104,16 @@ def drift_pulls(
     if not _told(plan):
         return []
     short = max(travel(plan.readings[every["short"]]), np.finfo(float).tiny)
-    found = []
+    pulls = []
     for name, order in every.items():
         for what, moved in displacements(plan).items():
             tool, k, sd = pulled(plan, order, moved)
-            found.append(
+            pulls.append(
                 DriftPull(order=name, taken=name == taken, travel=travel(plan.readings[order]) / short, drifting=what,
                           drift_mm=1e3 * drift, tool_pull_mm=1e3 * drift * tool, pull_sd=drift * sd,
                           parameter=plan.model.parameters[k].name)
             )  # fmt: skip
-    return found
+    return pulls
 
 
 def displacements(plan: PlanInformation) -> dict[Drifting, np.ndarray]:
@@ -135,9 +135,9 @@ def pulled(plan: PlanInformation, order: np.ndarray, moved: np.ndarray) -> tuple
     seen = np.einsum("n,nup,nuk->pk", time, plan.own[:, :3], moved, optimize=True) / plan.planned.sigma
     off = plan.covariance @ seen
     _, sizes, ways = np.linalg.svd(plan.tool.root.T @ off, full_matrices=False)
-    own = np.abs(off @ ways[0]) / np.sqrt(np.diag(plan.covariance))
-    k = int(np.argmax(own))
-    return float(sizes[0]), k, float(own[k])
+    pull = np.abs(off @ ways[0]) / np.sqrt(np.diag(plan.covariance))
+    k = int(np.argmax(pull))
+    return float(sizes[0]), k, float(pull[k])
 
 
 def _told(plan: PlanInformation) -> bool:
@@ -147,15 +147,15 @@ def _told(plan: PlanInformation) -> bool:
 
 def drift_words(pulls: Sequence[DriftPull]) -> list[str]:
     """Say what each drift would pull in the order that was taken, and in the other one."""
-    found = []
-    for own in (pull for pull in pulls if pull.taken):
-        (other,) = (pull for pull in pulls if pull.drifting == own.drifting and not pull.taken)
-        found.append(
-            f"a {own.drifting} that drifts by {own.drift_mm:.3g} mm would pull the tool by {own.tool_pull_mm:.2g} mm in the "
-            f"{own.order} order, by {other.tool_pull_mm:.2g} mm in the {other.order} one, whose ways are "
-            f"{other.travel / own.travel:.2g} times as long"
+    sentences = []
+    for worst in (pull for pull in pulls if pull.taken):
+        (other,) = (pull for pull in pulls if pull.drifting == worst.drifting and not pull.taken)
+        sentences.append(
+            f"a {worst.drifting} that drifts by {worst.drift_mm:.3g} mm would pull the tool by {worst.tool_pull_mm:.2g} mm in the "
+            f"{worst.order} order, by {other.tool_pull_mm:.2g} mm in the {other.order} one, whose ways are "
+            f"{other.travel / worst.travel:.2g} times as long"
         )
-    return found
+    return sentences
 
 
 TURNS = (np.deg2rad(2.0), np.deg2rad(10.0))  # least and largest way of a joint from its via
@@ -175,16 +175,16 @@ def vias(
     sides = np.stack([rng.permutation(np.where(np.arange(n) % 2, 1.0, -1.0)) for _ in range(n_joints)], axis=1)
     least, most = np.array([SLIDES if joint.kind == "prismatic" else TURNS for joint in robot.joints]).T
     ways = rng.uniform(least, most, readings.shape) * np.isin(np.arange(n_joints), robot.driven)
-    found, left = readings.copy(), np.arange(n)
+    points, left = readings.copy(), np.arange(n)
     for _ in range(TRIES):
         via = readings[left] - _within(robot, readings[left], sides, ways[left])
         good = allowed(model, via, payload, marker, None, cell)
-        found[left[good]] = via[good]
+        points[left[good]] = via[good]
         left = left[~good]
         if not len(left):
             break
         sides = rng.choice([-1.0, 1.0], (len(left), n_joints))
-    return found
+    return points
 
 
 def reached(readings: np.ndarray, reached_from: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

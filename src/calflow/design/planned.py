@@ -61,9 +61,9 @@ class Planned:
         """
         reported = self.observation.expected(model.point(p, rows), model.rotation(p, rows))
         sigma = np.tile(self.sd[:, None], rows.shape[1])
-        own = np.arange(rows.shape[1])
+        every = np.arange(rows.shape[1])
         return LeastSquares(
-            model, (SeriesBlock(model, self.observation, own, rows, reported, 1 / sigma, sigma, sigma),)
+            model, (SeriesBlock(model, self.observation, every, rows, reported, 1 / sigma, sigma, sigma),)
         )
 
     @property
@@ -82,7 +82,7 @@ def stated_poses(file: Path, model: Model) -> np.ndarray:
     cells = read_cells(file, Layout())
     columns = _joint_columns(list(map(str, cells)), model.robot, file)
     read = [numbers(cells[column.theirs], column, Layout(), file) for column in columns]
-    wrong = [problem for column in read for problem in column.problems]
+    misread = [problem for column in read for problem in column.problems]
     stated = np.zeros((len(cells), model.robot.n_joints))
     stated[:, model.robot.driven] = np.transpose([column.values for column in read])
     empty = np.any([column.empty for column in read], axis=0)
@@ -93,29 +93,29 @@ def stated_poses(file: Path, model: Model) -> np.ndarray:
     problems = [Problem("a joint reading is empty or not a number", file, int(line)) for line in lines[empty]]
     problems += [Problem("the four-bar loop cannot be closed at these joint readings", file, int(line))
                  for line in lines[finite & ~closed]]  # fmt: skip
-    if wrong or problems:
-        raise InputError([*problems, *wrong])
+    if misread or problems:
+        raise InputError([*problems, *misread])
     return np.asarray(stated)
 
 
 def _joint_columns(there: list[str], robot: Robot, file: Path) -> list[ReadColumn]:
     """The column of each joint's reading, whatever its unit."""
-    found: list[ReadColumn] = []
+    columns: list[ReadColumn] = []
     problems: list[Problem] = []
     for i in robot.driven:
         joint, name = robot.joints[i], f"q{i + 1}"
         units = SUFFIXES["angle" if joint.kind == "revolute" else "length"]
         ways = [f"{name}_{unit}" for unit in units]
-        own = [ReadColumn(name, unit, way, way) for unit, way in zip(units, ways, strict=True) if way in there]
-        if not own:
+        readable = [ReadColumn(name, unit, way, way) for unit, way in zip(units, ways, strict=True) if way in there]
+        if not readable:
             problems.append(Problem(f"missing column: expected {' or '.join(ways)}{nearest(ways[1], there)}", file, 1))
-        elif len(own) > 1:
-            problems.append(Problem(f"{own[1]}: '{name}' is there twice, in different units", file, 1))
+        elif len(readable) > 1:
+            problems.append(Problem(f"{readable[1]}: '{name}' is there twice, in different units", file, 1))
         else:
-            found += own
+            columns += readable
     if problems:
         raise InputError(problems)
-    return found
+    return columns
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,20 +69,20 @@ def refined_poses(
     solver, bounds = _program(model, slope, payload, marker, region, prior, criterion, len(readings), cell)
     far = np.inf if cell is None else NEARBY
     start = readings.ravel()
-    found = np.array(solver(x0=start, lbx=start - far, ubx=start + far, **bounds)["x"]).reshape(readings.shape)
+    solution = np.array(solver(x0=start, lbx=start - far, ubx=start + far, **bounds)["x"]).reshape(readings.shape)
 
     def loss(poses: np.ndarray) -> float:
         own = planned.whitened(model, model.nominal, packed_conditions(model, poses, payload, marker)) * model.prior_sd
         return criterion.loss(np.linalg.inv(information(own, prior)))
 
-    whole = allowed(model, found, payload, marker, region, cell)
-    best = min(readings, np.where(whole[:, None], found, readings), key=loss)
+    whole = allowed(model, solution, payload, marker, region, cell)
+    best = min(readings, np.where(whole[:, None], solution, readings), key=loss)
     for share in SHARES if not whole.all() else ():
-        part = readings + share * (found - readings)
+        part = readings + share * (solution - readings)
         for k in np.flatnonzero(allowed(model, part, payload, marker, region, cell)):
-            one = best.copy()
-            one[k] = part[k]
-            best = min(best, one, key=loss)
+            moved = best.copy()
+            moved[k] = part[k]
+            best = min(best, moved, key=loss)
     return best
 
 

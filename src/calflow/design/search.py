@@ -54,9 +54,9 @@ def relaxed(
         slope = criterion.slope(covariance)
         sensitivity = sensitivities(jacobians, slope)
         level = criterion.loss(covariance)
-        found = level * np.sqrt(_reached(slope, covariance) / _most(slope, prior, sensitivity, number))
-        best = max(best, found)
-        if (level / found) ** 2 < 1 + CLOSE:
+        bound = level * np.sqrt(_reached(slope, covariance) / _most(slope, prior, sensitivity, number))
+        best = max(best, bound)
+        if (level / bound) ** 2 < 1 + CLOSE:
             break
         kept = weights > NEGLIGIBLE
         joining = np.setdiff1d(np.argsort(sensitivity)[-ADDED:], active[kept])
@@ -70,12 +70,12 @@ def relaxed(
 
 def sensitivities(jacobians: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """Return |J F|² of each candidate, shape (n_candidates,), in blocks that fit into the processor's cache."""
-    found = np.empty(len(jacobians))
+    values = np.empty(len(jacobians))
     for start in range(0, len(jacobians), BLOCK):
         part = jacobians[start : start + BLOCK]
         moved = part.reshape(-1, part.shape[2]) @ slope
-        found[start : start + BLOCK] = (moved.reshape(len(part), -1) ** 2).sum(axis=1)
-    return found
+        values[start : start + BLOCK] = (moved.reshape(len(part), -1) ** 2).sum(axis=1)
+    return values
 
 
 def _settled(
@@ -203,6 +203,6 @@ def search_worst(
         variances = tool.variances(np.linalg.inv(information(jacobians[held], prior, weights[held])))
         shares = shares * (variances / variances.max()) ** EAGERNESS
         shares /= shares.sum()
-    found = search_poses(jacobians, prior, number, replace(tool, shares=shares), rng)
-    variances = tool.variances(np.linalg.inv(information(jacobians[found.chosen], prior)))
-    return SearchResult(found.chosen, float(np.sqrt(variances.max())), bound)
+    result = search_poses(jacobians, prior, number, replace(tool, shares=shares), rng)
+    variances = tool.variances(np.linalg.inv(information(jacobians[result.chosen], prior)))
+    return SearchResult(result.chosen, float(np.sqrt(variances.max())), bound)

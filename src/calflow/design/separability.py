@@ -402,8 +402,8 @@ def _words(
         return f"{_name(planned, cause)} is {how}"
     means = ["at this size it takes a surer device or more poses"]
     if rival is not None:
-        known = [effect_class(one if isinstance(one, str) else one[0]) for one in (cause, rival)]
-        means = [effect.told_by for effect in known if effect and effect.told_by] or [ANY_MEANS]
+        effects = [effect_class(place if isinstance(place, str) else place[0]) for place in (cause, rival)]
+        means = [effect.told_by for effect in effects if effect and effect.told_by] or [ANY_MEANS]
     return f"{_name(planned, cause)} is {how}, and nothing tried changes that: {', or '.join(dict.fromkeys(means))}"
 
 

@@ -69,7 +69,7 @@ class Imitation:
     def spread(self) -> np.ndarray:
         """Covariance of what each pose will show beside its own noise's, 1, shape (n_poses, n_units, n_units)."""
         turned = [part.turned for part in self.parts]
-        return np.asarray(np.eye(turned[0].shape[1]) + sum(one @ one.transpose(0, 2, 1) for one in turned))
+        return np.asarray(np.eye(turned[0].shape[1]) + sum(block @ block.transpose(0, 2, 1) for block in turned))
 
     def shared(self, pose: int) -> np.ndarray:
         """Return the covariance of what each pose will show with what one will, shape (n_poses, n_units, n_units)."""
@@ -147,7 +147,7 @@ class TCriterion:
         sd = both.prior_sd
         seen = LeastSquares.of(both, fitted.data, fitted.noise).screened(point)[1] * sd
         new = planned.whitened(both, point, choices.rows) * sd
-        effects = [score.estimate / sd[own] for score, own in zip(scores, columns, strict=True)]
+        effects = [score.estimate / sd[span] for score, span in zip(scores, columns, strict=True)]
         products = seen.T @ seen
         information = products + np.eye(len(sd))
         factor = np.linalg.cholesky(information[np.ix_(rest, rest)])
@@ -155,10 +155,10 @@ class TCriterion:
 
         def imitation(other: int) -> Imitation:
             """What is common to all explanations is turned once, then the other's own parameters beside it."""
-            own = columns[other]
-            mixed = solve_triangular(factor, information[np.ix_(rest, own)], lower=True)
-            left = np.linalg.cholesky(information[np.ix_(own, own)] - mixed.T @ mixed)
-            return Imitation((common, Slopes(_turned(left, new[..., own] - common.turned @ mixed))))
+            span = columns[other]
+            mixed = solve_triangular(factor, information[np.ix_(rest, span)], lower=True)
+            left = np.linalg.cholesky(information[np.ix_(span, span)] - mixed.T @ mixed)
+            return Imitation((common, Slopes(_turned(left, new[..., span] - common.turned @ mixed))))
 
         imitations = [imitation(k) for k in range(len(scores))]
 

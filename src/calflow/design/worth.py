@@ -90,7 +90,7 @@ class PlanInformation:
     def informations(self) -> Iterator[tuple[str, int, int, np.ndarray]]:
         """Yield in words what may be added, how many poses and points there are then, and the information with it."""
         n, robot = len(self.readings), self.model.robot
-        known = information(self.own, self.prior)
+        current = information(self.own, self.prior)
         every_other = np.arange(n) % 2 == 1
         for name in robot.payloads:
             if name != self.payload:
@@ -99,15 +99,15 @@ class PlanInformation:
         others = [name for name in robot.markers if name != self.marker]
         for name in others:
             words = f"marker '{name}' measured at every pose too"
-            yield words, n, 2 * n, information(self.seen(self.payload, name), known)
+            yield words, n, 2 * n, information(self.seen(self.payload, name), current)
         if not others:
             words = f"a second marker, {1e3 * ASIDE:.0f} mm beside the first, measured at every pose too"
-            yield words, n, 2 * n, known + self._second_marker()
+            yield words, n, 2 * n, current + self._second_marker()
         if isinstance(self.planned.observation, Position):
-            yield "a second station that measures every pose too", n, 2 * n, known + self._second_station()
-        yield "every pose measured twice", n, 2 * n, information(self.own, known)
+            yield "a second station that measures every pose too", n, 2 * n, current + self._second_station()
+        yield "every pose measured twice", n, 2 * n, information(self.own, current)
         if more := len(self.further):
-            yield f"{more} further poses", n + more, n + more, information(self.further, known)
+            yield f"{more} further poses", n + more, n + more, information(self.further, current)
 
     def _second_marker(self) -> np.ndarray:
         """What a marker tells that the robot file does not have, at the flange's side that has the most lever."""
@@ -132,20 +132,25 @@ class PlanInformation:
         """Return what a wider model's Jacobians (n, n_units, n_wider) tell of the plan's parameters, its own integrated out."""
         names = [parameter.name for parameter in model.parameters]
         shared = [names.index(parameter.name) for parameter in self.model.parameters]
-        own = np.setdiff1d(np.arange(len(names)), shared)
+        separate = np.setdiff1d(np.arange(len(names)), shared)
         flat = whitened.reshape(-1, len(names))
-        mixed, alone = flat[:, own].T @ flat[:, shared], flat[:, own].T @ flat[:, own] + np.eye(len(own))
+        mixed, alone = (
+            flat[:, separate].T @ flat[:, shared],
+            flat[:, separate].T @ flat[:, separate] + np.eye(len(separate)),
+        )
         return np.asarray(flat[:, shared].T @ flat[:, shared] - mixed.T @ np.linalg.solve(alone, mixed))
 
     @cached_property
     def worth(self) -> tuple[Worth, ...]:
         """The plan as it is, then with each addition, the one that gains most first."""
         n = len(self.readings)
-        plain, *rest = (self._row(*one) for one in (("", n, n, information(self.own, self.prior)), *self.informations))
+        plain, *rest = (
+            self._row(*arguments) for arguments in (("", n, n, information(self.own, self.prior)), *self.informations)
+        )
         return (plain, *sorted(rest, key=lambda row: row.expected_sd_mm))
 
-    def _row(self, words: str, poses: int, points: int, known: np.ndarray) -> Worth:
-        before, after = self.covariance, np.linalg.inv(known)
+    def _row(self, words: str, poses: int, points: int, known_so_far: np.ndarray) -> Worth:
+        before, after = self.covariance, np.linalg.inv(known_so_far)
         had, left = self.tool.loss(before), self.tool.loss(after)
         falls = 100 * (1 - np.sqrt(np.diag(after) / np.diag(before)))
         at_tool = np.sqrt(np.diag(before)) * np.linalg.norm(self.tool.root, axis=1)
@@ -188,12 +193,12 @@ class HowMany:
     needed_poses: int | None = column("no choice of fewer of these candidates meets it", default=None)
 
 
-def next_best(jacobians: np.ndarray, known: np.ndarray, chosen: list[int], tool: ToolError) -> np.ndarray:
+def next_best(jacobians: np.ndarray, gathered: np.ndarray, chosen: list[int], tool: ToolError) -> np.ndarray:
     """Return the ten candidates, besides those chosen, with which the tool's error falls most, the best one after the other."""
-    promise = sensitivities(jacobians, tool.slope(np.linalg.inv(known)))
+    promise = sensitivities(jacobians, tool.slope(np.linalg.inv(gathered)))
     promise[chosen] = -np.inf
     near = np.argsort(promise)[len(chosen) :][-SHORTLIST:]
-    return np.asarray(near[greedy(jacobians[near], known, min(FURTHER, len(near)), tool)])
+    return np.asarray(near[greedy(jacobians[near], gathered, min(FURTHER, len(near)), tool)])
 
 
 def knee(numbers: np.ndarray, errors: np.ndarray) -> int:

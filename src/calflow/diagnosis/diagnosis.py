@@ -24,7 +24,7 @@ BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
 
 
 def search_causes(
-    known: CalibratedModel,
+    calibrated: CalibratedModel,
     data: Measurements,
     *,
     false_alarm: float = FALSE_ALARM,
@@ -38,7 +38,7 @@ def search_causes(
     """Extend the identified model on the training rows, and weigh what was found.
 
     Args:
-        known: the model as it was identified.
+        calibrated: the model as it was identified.
         data: the rows it was identified from, on the robot that its errors refer to.
         false_alarm: chance that anything is found where nothing is.
         causes: the most to add.
@@ -49,13 +49,13 @@ def search_causes(
         advance: is told the share of work done.
     """
     train = data.only(data.train)
-    scattered = repeats_scatter(train, leading_errors(known.model, known.estimate, train))
-    train, noise = averaged(train, replace(known.noise(train), scatter=scattered))
-    start = Fitted.of(known, train, noise)
+    scattered = repeats_scatter(train, leading_errors(calibrated.model, calibrated.estimate, train))
+    train, noise = averaged(train, replace(calibrated.noise(train), scatter=scattered))
+    start = Fitted.of(calibrated, train, noise)
     alarm = SHARES["noise"] * false_alarm
     if grown := growth_of_repeats(start, alarm):
         start = start.weighed(grown.sigma(train, start.device))
-    have = [effect.id for effect in known.model.effects]
+    have = [effect.id for effect in calibrated.model.effects]
     wanted = Catalogue.of(train, have, catalogue, leave_out)
     advance(BEGUN)
     acceptance = Acceptance(SHARES["causes"] * false_alarm, causes)

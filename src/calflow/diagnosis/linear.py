@@ -119,8 +119,8 @@ class LinearProblem:
 
     def columns(self, blocks: Sequence[Block]) -> np.ndarray:
         """Return the columns of matrix that are some blocks'."""
-        found = {candidate.cause: candidate.columns for candidate in self.candidates}
-        return np.concatenate([np.zeros(0, dtype=int), *(found[block] for block in blocks)])
+        columns = {candidate.cause: candidate.columns for candidate in self.candidates}
+        return np.concatenate([np.zeros(0, dtype=int), *(columns[block] for block in blocks)])
 
     def solved(self, blocks: Sequence[Block]) -> Solution:
         """Return the most probable parameters with some blocks in the model, within the bounds."""
@@ -129,18 +129,18 @@ class LinearProblem:
         bounds = np.hstack([free, *(block.bounds for block in blocks)])
         design = np.hstack([self.jacobian, self.matrix[:, self.columns(blocks)]])
         level = 1.0 if self.noise_known else float(np.sqrt(np.mean(self.residual**2)))
-        found = _solved(self.residual, design, sd, bounds, level)
+        solution = _solved(self.residual, design, sd, bounds, level)
         for _ in range(LEVELS):
-            before, level = level, self._level(found)
+            before, level = level, self._level(solution)
             if np.isclose(level, before, rtol=1e-6):
                 break
-            found = _solved(self.residual, design, sd, bounds, level)
-        return found
+            solution = _solved(self.residual, design, sd, bounds, level)
+        return solution
 
-    def _level(self, found: Solution) -> float:
+    def _level(self, solution: Solution) -> float:
         """What is left over sigma, per degree of freedom; 1 where the noise is known and that is no significant lack of fit."""
-        left = float((found.residual**2).sum()) * found.level**2
-        degrees_of_freedom = max(1.0, len(found.residual) - found.effective_parameters)
+        left = float((solution.residual**2).sum()) * solution.level**2
+        degrees_of_freedom = max(1.0, len(solution.residual) - solution.effective_parameters)
         if self.noise_known and chi2_distribution.sf(left, degrees_of_freedom) > LACK_OF_FIT:
             return 1.0
         return float(np.sqrt(left / degrees_of_freedom))
@@ -177,12 +177,12 @@ def _solved(residual: np.ndarray, design: np.ndarray, sd: np.ndarray, bounds: np
     left, scaled = residual / level, design * sd / level
     factor = np.linalg.cholesky(scaled.T @ scaled + np.eye(len(sd)))
     target = np.linalg.solve(factor, -scaled.T @ left)
-    found, (lower, upper) = np.linalg.solve(factor.T, target), bounds / sd
+    optimum, (lower, upper) = np.linalg.solve(factor.T, target), bounds / sd
     held = np.zeros(len(sd), dtype=bool)
-    if ((found < lower) | (found > upper)).any():
+    if ((optimum < lower) | (optimum > upper)).any():
         inside = lsq_linear(factor.T, target, (lower, upper), method="bvls")
-        found, held = inside.x, inside.active_mask != 0
-    return Solution(level, found * sd, sd, held, left + scaled @ found, design / level)
+        optimum, held = inside.x, inside.active_mask != 0
+    return Solution(level, optimum * sd, sd, held, left + scaled @ optimum, design / level)
 
 
 @dataclass(frozen=True)
@@ -214,37 +214,37 @@ class LinearTrial(Trial[Block]):
     @cached_property
     def bic(self) -> float:
         """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
-        found, own = self.solution, self._own
-        pulled = sum(relief(found.estimate[columns], found.prior_sd[columns]) for columns in own)
-        parameters = found.effective_parameters + float(found.at_bound.sum())
+        solution, spans = self.solution, self._own
+        pulled = sum(relief(solution.estimate[columns], solution.prior_sd[columns]) for columns in spans)
+        parameters = solution.effective_parameters + float(solution.at_bound.sum())
         variants = [sum(block.name == other.name for other in self.problem.blocks) for block in self.blocks]
-        return bic((found.misfit - pulled) * found.level**2, self.n_residuals, parameters, variants)
+        return bic((solution.misfit - pulled) * solution.level**2, self.n_residuals, parameters, variants)
 
     @cached_property
     def linearisation(self) -> Linearisation[Block]:
         """The solved problem with the regressors of all blocks, those in the model too."""
-        found, problem, n = self.solution, self.problem, self.solution.design.shape[1]
-        residual, both = found.residual, np.hstack([found.design, problem.matrix / found.level])
+        solution, problem, n = self.solution, self.problem, self.solution.design.shape[1]
+        residual, both = solution.residual, np.hstack([solution.design, problem.matrix / solution.level])
         if problem.group is not None:
-            shared, _ = shared_error(residual, problem.group, found.effective_parameters)
+            shared, _ = shared_error(residual, problem.group, solution.effective_parameters)
             residual, both = (counted_once(values, problem.group, shared) for values in (residual, both))
-        free = np.flatnonzero(~found.at_bound)
-        precision = found.prior_sd**-2.0
+        free = np.flatnonzero(~solution.at_bound)
+        precision = solution.prior_sd**-2.0
         jacobian, matrix = both[:, free], Held(both[:, n:])
         regressors = Regressors(
             residual=residual,
             jacobian=jacobian,
             precision=precision[free],
-            pull=(precision * found.estimate)[free],
-            prior_rss=float(precision @ found.estimate**2),
+            pull=(precision * solution.estimate)[free],
+            prior_rss=float(precision @ solution.estimate**2),
             matrix=matrix,
             prior_sd=np.concatenate([block.sd for block in problem.blocks]),
             candidates=problem.candidates,
             products=RegressorProducts.of(residual, jacobian, matrix, problem.candidates),
-            determined=found.effective_parameters,
+            determined=solution.effective_parameters,
         )
-        columns = tuple(np.flatnonzero(np.isin(free, own)) for own in self._own)
-        return Linearisation(self.blocks, regressors, found.estimate[free], columns)
+        columns = tuple(np.flatnonzero(np.isin(free, span)) for span in self._own)
+        return Linearisation(self.blocks, regressors, solution.estimate[free], columns)
 
     @property
     def _own(self) -> list[np.ndarray]:
@@ -326,8 +326,8 @@ def diagnose_linear(
         InputError: shapes do not match, or figures are not finite or of no use, all of them named.
     """
     residual, jacobian = np.asarray(residual, dtype=float), np.asarray(jacobian, dtype=float)
-    if wrong := _problems(residual, jacobian, candidates, prior_sd, noise, groups):
-        raise InputError(Problem(message) for message in wrong)
+    if problems := _problems(residual, jacobian, candidates, prior_sd, noise, groups):
+        raise InputError(Problem(message) for message in problems)
     sigma = np.broadcast_to(1.0 if noise is None else noise, residual.shape)
     whitened, design = residual / sigma, jacobian / sigma[:, None]
     matrix = np.hstack([block.matrix for block in candidates]) / sigma[:, None]
@@ -343,12 +343,14 @@ def diagnose_linear(
 
 
 def _finding(finding: Detection[Block]) -> LinearFinding:
-    told, own = verdict(finding), finding.own
-    rivals = tuple(LinearRival(rival.id, rival.cause.detail if rival.cause else "", rival.bic) for rival in told.rivals)
-    held = (own.estimate == finding.cause.bounds).any(axis=0)
-    sd = np.where(held, np.nan, np.sqrt(np.diag(own.covariance)))
+    named, score = verdict(finding), finding.own
+    rivals = tuple(
+        LinearRival(rival.id, rival.cause.detail if rival.cause else "", rival.bic) for rival in named.rivals
+    )
+    held = (score.estimate == finding.cause.bounds).any(axis=0)
+    sd = np.where(held, np.nan, np.sqrt(np.diag(score.covariance)))
     cause = finding.cause
-    return LinearFinding(cause.name, cause.variant, own.estimate, sd, finding.p, told.probability, rivals)
+    return LinearFinding(cause.name, cause.variant, score.estimate, sd, finding.p, named.probability, rivals)
 
 
 def _flat(residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
@@ -369,29 +371,29 @@ def _problems(
     if residual.ndim != 1:
         return [f"residual: expected shape (n,), found {residual.shape}"]
     n = len(residual)
-    found = []
+    problems = []
     if jacobian.ndim != 2 or len(jacobian) != n:
-        found.append(f"jacobian: expected shape ({n}, n_fitted), found {jacobian.shape}")
+        problems.append(f"jacobian: expected shape ({n}, n_fitted), found {jacobian.shape}")
     elif n <= jacobian.shape[1]:
-        found.append(f"residual: expected more than the {jacobian.shape[1]} fitted parameters, found {n}")
+        problems.append(f"residual: expected more than the {jacobian.shape[1]} fitted parameters, found {n}")
     elif prior_sd is not None and np.shape(prior_sd) != jacobian.shape[1:]:
-        found.append(f"prior_sd: expected shape {jacobian.shape[1:]}, found {np.shape(prior_sd)}")
-    found += [f"{name}: has figures that are not finite" for name, one in (("residual", residual), ("jacobian", jacobian))
-              if not np.isfinite(one).all()]  # fmt: skip
+        problems.append(f"prior_sd: expected shape {jacobian.shape[1:]}, found {np.shape(prior_sd)}")
+    problems += [f"{name}: has figures that are not finite" for name, array in (("residual", residual), ("jacobian", jacobian))
+              if not np.isfinite(array).all()]  # fmt: skip
     if not residual.any():
-        found.append("residual: is zero throughout, nothing is left to explain")
+        problems.append("residual: is zero throughout, nothing is left to explain")
     for name, figure in (("prior_sd", prior_sd), ("noise", noise)):
         if figure is not None and not (np.isfinite(figure) & (np.asarray(figure) > 0)).all():
-            found.append(f"{name}: expected figures above 0")
+            problems.append(f"{name}: expected figures above 0")
     if noise is not None and np.shape(noise) not in ((), (n,)):
-        found.append(f"noise: expected one figure or shape ({n},), found {np.shape(noise)}")
+        problems.append(f"noise: expected one figure or shape ({n},), found {np.shape(noise)}")
     if groups is not None and np.shape(groups) != (n,):
-        found.append(f"groups: expected shape ({n},), found {np.shape(groups)}")
+        problems.append(f"groups: expected shape ({n},), found {np.shape(groups)}")
     if not candidates:
-        found.append("candidates: expected at least one block")
+        problems.append("candidates: expected at least one block")
     for block in candidates:
-        found += [f"candidate {' '.join(filter(None, (block.name, block.variant)))}: {m}" for m in _wrong(block, n)]
-    return found
+        problems += [f"candidate {' '.join(filter(None, (block.name, block.variant)))}: {m}" for m in _wrong(block, n)]
+    return problems
 
 
 def _wrong(block: Block, n: int) -> list[str]:
@@ -401,10 +403,10 @@ def _wrong(block: Block, n: int) -> list[str]:
         return [f"expected a matrix of shape ({n}, n_parameters), found {shape}"]
     if any(np.shape(figure) not in ((), shape[1:]) for figure in (block.prior_sd, block.lower, block.upper)):
         return [f"expected one figure or shape {shape[1:]} for prior_sd, lower and upper"]
-    found = [] if np.isfinite(block.matrix).all() else ["its matrix has figures that are not finite"]
+    problems = [] if np.isfinite(block.matrix).all() else ["its matrix has figures that are not finite"]
     if not (np.isfinite(block.sd) & (block.sd > 0)).all():
-        found.append("expected a prior_sd above 0")
+        problems.append("expected a prior_sd above 0")
     lower, upper = block.bounds
     if not ((lower <= 0) & (upper >= 0) & (lower < upper)).all():
-        found.append("expected lower <= 0 <= upper, and lower < upper: zero is where it does nothing")
-    return found
+        problems.append("expected lower <= 0 <= upper, and lower < upper: zero is where it does nothing")
+    return problems

@@ -54,13 +54,13 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
     """
     data, faults = search_faults(data)
     problems = []
-    for past, said in past_limits(data):
+    for past, message in past_limits(data):
         series = data.series_number[past]
-        problems += [Problem(said, paths[k] if paths else None) for k in dict.fromkeys(map(int, series))]
+        problems += [Problem(message, paths[k] if paths else None) for k in dict.fromkeys(map(int, series))]
     positions = is_position(data)
     seen = data.only(positions)
-    if not problems and positions.any() and (said := nominal_misfit(seen) or base_elsewhere(seen)):
-        problems.append(Problem(said, paths[int(data.series_number[positions][0])] if paths else None))
+    if not problems and positions.any() and (message := nominal_misfit(seen) or base_elsewhere(seen)):
+        problems.append(Problem(message, paths[int(data.series_number[positions][0])] if paths else None))
     if problems:
         raise InputError(problems)
     return data, faults
@@ -78,8 +78,8 @@ def search_faults(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
             faults.append(fault)
     positions = is_position(data)
     if positions.all():
-        data, found = _of_positions(data)
-        return data, (*faults, *found)
+        data, position_faults = _of_positions(data)
+        return data, (*faults, *position_faults)
     if positions.any():
         for fault in _of_positions(data.only(positions))[1]:
             moved = fault.among(np.flatnonzero(positions))
@@ -96,11 +96,11 @@ def _of_positions(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
     models = Models.of(data)
     reference = Reference.of(data, models)
     for check in checks():
-        found = check.find(data, reference) if reference else ()
-        for fault in found:
+        detected = check.find(data, reference) if reference else ()
+        for fault in detected:
             data = correct(data, fault)
-        if found:
-            faults += found
+        if detected:
+            faults += detected
             reference = Reference.of(data, models)
     return data, tuple(faults)
 
@@ -125,10 +125,12 @@ def corrected(data: Measurements, table: pd.DataFrame) -> Measurements:
     fits = rows.between(0, len(data)) & (table["source"].astype(int) <= len(data))
     if not fits.all() or (data.table["line"].iloc[rows - 1].to_numpy() != lines)[rows > 0].any():
         raise refuse("identify/faults.csv does not fit the measurements; run identify again")
-    for _, own in table.groupby(["cause", "joint", "action", "statement"], sort=False):
-        first = own.iloc[0]
-        own = own.assign(quantity=own["quantity"].astype(object).where(own["quantity"].notna(), ""))
-        values = own[["row", "quantity", "factor", "offset", "source"]].to_numpy(dtype=object)
+    for _, rows_of_fault in table.groupby(["cause", "joint", "action", "statement"], sort=False):
+        first = rows_of_fault.iloc[0]
+        rows_of_fault = rows_of_fault.assign(
+            quantity=rows_of_fault["quantity"].astype(object).where(rows_of_fault["quantity"].notna(), "")
+        )
+        values = rows_of_fault[["row", "quantity", "factor", "offset", "source"]].to_numpy(dtype=object)
         corrections = tuple(
             Correction(int(row), str(of), float(by), float(more), int(source)) for row, of, by, more, source in values
         )

@@ -81,7 +81,10 @@ class Fault:
         def moved(row: int) -> int:
             return int(rows[row - 1]) + 1 if row else 0
 
-        corrections = (replace(one, row=moved(one.row), source=moved(one.source)) for one in self.corrections)
+        corrections = (
+            replace(correction, row=moved(correction.row), source=moved(correction.source))
+            for correction in self.corrections
+        )
         return replace(self, corrections=tuple(corrections))
 
     def table(self, data: Measurements) -> pd.DataFrame:
@@ -143,30 +146,32 @@ def fault(
     return Fault(check.id, joint, lines, statement.replace("LINES", lines_in_words(lines)), action, tuple(corrections))
 
 
-def correct(data: Measurements, one: Fault) -> Measurements:
+def correct(data: Measurements, fault: Fault) -> Measurements:
     """Return the rows with one fault put right, or with the rows it spoils left out of every split."""
     before, table = data.table, data.table.copy()
-    for quantity in dict.fromkeys(own.quantity for own in one.corrections if own.quantity):
-        same = [own for own in one.corrections if own.quantity == quantity]
-        which, factor, offset = (np.array([getattr(own, name) for own in same]) for name in ("row", "factor", "offset"))
+    for quantity in dict.fromkeys(correction.quantity for correction in fault.corrections if correction.quantity):
+        same = [correction for correction in fault.corrections if correction.quantity == quantity]
+        which, factor, offset = (
+            np.array([getattr(correction, name) for correction in same]) for name in ("row", "factor", "offset")
+        )
         at = which - 1 if which[0] else slice(None)
         names = EXCHANGED.get(quantity, PLACE if quantity == POSITION else (quantity,))
         values = table[[*names]].to_numpy(copy=True)
         mended = values[at] * factor[:, None] + offset[:, None]
         values[at] = mended[:, ::-1] if quantity in EXCHANGED else mended
         table[[*names]] = values
-    moved = [(own.row - 1, own.source - 1) for own in one.corrections if own.source]
+    moved = [(correction.row - 1, correction.source - 1) for correction in fault.corrections if correction.source]
     if moved:
         rows, sources = np.array(moved).T
         for name in (name for name in OF_DEVICE if name in table):
             theirs = table[name].to_numpy(copy=True)
             theirs[rows] = before[name].to_numpy()[sources]
             table[name] = theirs
-    if one.action == "left out":
+    if fault.action == "left out":
         split = table["split"].to_numpy(copy=True)
-        split[[own.row - 1 for own in one.corrections]] = ""
+        split[[correction.row - 1 for correction in fault.corrections]] = ""
         table["split"] = split
-    mirrored = any(own.quantity in (*PLACE, *EXCHANGED) for own in one.corrections)
+    mirrored = any(correction.quantity in (*PLACE, *EXCHANGED) for correction in fault.corrections)
     return replace(data, table=_followed(table, before, data, mirrored))
 
 

@@ -74,8 +74,8 @@ class Linear:
         best: tuple[float, int, int, int] | None = None
         for sign, (along, square, parts) in sums.items():
             gram = parts @ parts.T
-            own = np.diag(gram)
-            gain = 2 * (along - along[:, None]) - (square - square[:, None]) + own + own[:, None] - 2 * gram
+            diagonal = np.diag(gram)
+            gain = 2 * (along - along[:, None]) - (square - square[:, None]) + diagonal + diagonal[:, None] - 2 * gram
             size = np.arange(n + 1) - np.arange(n + 1)[:, None]
             gain[(size < FEWEST) | (size > n - FEWEST)] = -np.inf
             begin, end = np.unravel_index(gain.argmax(), gain.shape)
@@ -98,7 +98,8 @@ class Linear:
         along, square = (moved * self.left).sum(axis=1), (moved**2).sum(axis=1)
         parts = np.einsum("nip,ni->np", self.fitted, moved)
         added = (
-            np.concatenate([np.zeros((1, *own.shape[1:])), np.cumsum(own, axis=0)]) for own in (along, square, parts)
+            np.concatenate([np.zeros((1, *terms.shape[1:])), np.cumsum(terms, axis=0)])
+            for terms in (along, square, parts)
         )
         first, second, third = added
         return first, second, third
@@ -121,8 +122,8 @@ def states(costs: np.ndarray, change: float) -> np.ndarray:
         stay = total <= total[best] + change
         came[k] = np.where(stay, np.arange(n_states), best)
         total = np.where(stay, total, total[best] + change) + costs[:, k]
-    found = np.empty(n_rows, dtype=int)
-    found[-1] = total.argmin()
+    path = np.empty(n_rows, dtype=int)
+    path[-1] = total.argmin()
     for k in range(n_rows - 1, 0, -1):
-        found[k - 1] = came[k, found[k]]
-    return found
+        path[k - 1] = came[k, path[k]]
+    return path

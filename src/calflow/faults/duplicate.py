@@ -60,8 +60,8 @@ def _setting(data: Measurements) -> list[str]:
 def _measured(data: Measurements) -> list[str]:
     """Return the columns that hold what the device reported."""
     conditions = {column for name in data.given for column in condition_columns(name, data.robot)}
-    known = conditions | set(numbered("q", data.robot.n_joints)) | set(OF_THE_ROW)
-    return [str(name) for name in data.table if name not in known and data.table[name].dtype.kind == "f"]
+    stated = conditions | set(numbered("q", data.robot.n_joints)) | set(OF_THE_ROW)
+    return [str(name) for name in data.table if name not in stated and data.table[name].dtype.kind == "f"]
 
 
 def _by_chance(data: Measurements, setting: list[str], values: list[str], again: np.ndarray) -> float:
@@ -74,9 +74,9 @@ def _by_chance(data: Measurements, setting: list[str], values: list[str], again:
     stated = BEST if data.sigma is None else float(np.nanmedian(data.sigma))
     alike = 1.0
     for k, name in enumerate(values):
-        own = table[name].to_numpy()[~np.isnan(table[name].to_numpy())]
+        numbers = table[name].to_numpy()[~np.isnan(table[name].to_numpy())]
         scatter = float(np.sqrt(np.nanmean((apart[:, k] / shrunk[:, 0]) ** 2))) if len(apart) else stated
-        alike *= min(1.0, _last_digit(own) / max(2 * np.sqrt(np.pi) * scatter, 1e-12))
+        alike *= min(1.0, _last_digit(numbers) / max(2 * np.sqrt(np.pi) * scatter, 1e-12))
     sizes = table.groupby(setting, sort=False, dropna=False).size().to_numpy()
     return float(alike * (sizes * (sizes - 1) / 2).sum())
 

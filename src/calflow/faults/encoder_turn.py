@@ -48,9 +48,10 @@ class EncoderTurn(Check):
     def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         """Return the block with a motor's turn too much, and the rows with a whole turn too much, joint by joint."""
         faults = self._motor(data, reference)
-        for found in faults:  # a motor's turn may have taken readings past a limit
-            data = correct(data, found)
-        return (*faults, *(found for joint in range(data.robot.n_joints) for found in self._whole(data, joint)))
+        for turned in faults:  # a motor's turn may have taken readings past a limit
+            data = correct(data, turned)
+        joints = range(data.robot.n_joints)
+        return (*faults, *(turned for joint in joints for turned in self._whole(data, joint)))
 
     def _whole(self, data: Measurements, joint: int) -> list[Fault]:
         of = data.robot.joints[joint]
@@ -61,14 +62,14 @@ class EncoderTurn(Check):
         inside = (angle + turns * TURN > low) & (angle + turns * TURN < high)
         if (turns != 0).mean() > FEW:
             return []
-        found = []
+        faults = []
         for turn in (-1, 1):
             rows = np.flatnonzero((turns == turn) & inside)
             if len(rows):
-                found.append(
+                faults.append(
                     self._fault(data, joint, rows, turn * of.sign * TURN, "whole turn", "lies outside its limits")
                 )
-        return found
+        return faults
 
     def _motor(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         steps = {
@@ -84,16 +85,20 @@ class EncoderTurn(Check):
         blocks = [block for j, step in steps.items() if (block := linear.best(j, step)) is not None]
         if not blocks:
             return ()
-        block = max(blocks, key=lambda one: one.gain)
-        sides = [side for one in (block, block.others) if (side := self._refined(data, reference, one)) is not None]
+        block = max(blocks, key=lambda candidate: candidate.gain)
+        sides = [
+            side
+            for candidate in (block, block.others)
+            if (side := self._refined(data, reference, candidate)) is not None
+        ]
         if not sides:
             return ()
         nearest = min(side.deviation for side in sides)
         alike = [side for side in sides if side.deviation < nearest + DECISIVE]
-        found = min(alike, key=lambda side: (side.outside, len(side.rows)))
+        chosen = min(alike, key=lambda side: (side.outside, len(side.rows)))
         ratio = data.robot.joints[block.joint].gear_ratio
-        why = f"turn of its motor ({abs(np.rad2deg(found.step)):.4g} deg at gear ratio {ratio:g})"
-        return (self._fault(data, block.joint, found.rows, found.step, why, "does not agree with the position"),)
+        why = f"turn of its motor ({abs(np.rad2deg(chosen.step)):.4g} deg at gear ratio {ratio:g})"
+        return (self._fault(data, block.joint, chosen.rows, chosen.step, why, "does not agree with the position"),)
 
     def _refined(self, data: Measurements, reference: Reference, block: RowBlock) -> Turned | None:
         """Return the rows that need the turn by a robot that is fitted with it; None where it does not explain them."""
@@ -106,7 +111,7 @@ class EncoderTurn(Check):
             if again is None:
                 return None
             fit = again.fit
-            before, after = (lengths(data.position - fit.predicted(own)) for own in (data.rows, read))
+            before, after = (lengths(data.position - fit.predicted(conditions)) for conditions in (data.rows, read))
             needed = states(np.stack([state_cost(before, fit.scale), state_cost(after, fit.scale)]), CHANGE) == 1
             # Nearly all rows may need a turn that the fit has followed: the others must be right without it.
             if not all(

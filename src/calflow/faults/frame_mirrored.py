@@ -47,8 +47,8 @@ class PlacedRobot:
         rows[list(signs)] *= -1
         turn, shift, _ = motion(models.nominal.position(models.nominal.nominal, rows), position)
         fit = rough(models.placed, rows, position, turn, shift)
-        known = {name for name, marker in few.robot.markers.items() if marker.known}
-        moved = [value for p, value in zip(fit.model.parameters, fit.estimate, strict=True) if p.part in known]
+        markers = {name for name, marker in few.robot.markers.items() if marker.known}
+        moved = [value for p, value in zip(fit.model.parameters, fit.estimate, strict=True) if p.part in markers]
         error = float(level(lengths(position - fit.predicted(rows))))
         return PlacedRobot(error, turn, float(np.abs(moved).max(initial=0.0)))
 
@@ -114,9 +114,9 @@ def _expected(few: Measurements, models: Models) -> np.ndarray:
     if few.rotation is not None:
         there = np.flatnonzero(np.isfinite(few.rotation).all(axis=(1, 2)))
         if len(there) > 3:
-            said = Rotation.from_matrix(models.nominal.rotation(models.nominal.nominal, few.rows[:, there]))
+            predicted = Rotation.from_matrix(models.nominal.rotation(models.nominal.nominal, few.rows[:, there]))
             seen = Rotation.from_matrix(few.rotation[there])
-            axes, wanted = ((own[1:] * own[:-1].inv()).as_rotvec() for own in (said, seen))
+            axes, wanted = ((turns[1:] * turns[:-1].inv()).as_rotvec() for turns in (predicted, seen))
             clear = np.linalg.norm(axes, axis=1) < LARGEST
             if clear.sum() > 1:
                 return np.asarray(Rotation.align_vectors(wanted[clear], axes[clear])[0].as_matrix())

@@ -112,7 +112,7 @@ def _hint(data: Measurements, i: int, angle: np.ndarray, reading: np.ndarray) ->
     """Say what may be meant by limits that a joint (from 0) is past at these angles and readings (n,)."""
     joint, slack = data.robot.joints[i], TOLERANCE[data.robot.joints[i].unit]
     limits, (unit, factor) = joint.range, joint.shown
-    coupled = any(own.joint == i + 1 for own in data.robot.couplings)
+    coupled = any(coupling.joint == i + 1 for coupling in data.robot.couplings)
     if (_past(reading, limits) < slack).all() and (joint.sign == -1 or coupled):
         low, high = -factor * limits[1], -factor * limits[0]
         before, here = ("its coupling", "") if coupled else ("`sign`", f", here {low:.6g} to {high:.6g} {unit}")

@@ -43,26 +43,26 @@ class TorqueSign(PlainCheck):
     def find(self, data: Measurements) -> tuple[Fault, ...]:
         """Return a fault a joint; it is corrected where all joints, or all whose readings count the other way, agree."""
         compared = comparisons(data)
-        turned = {one.joint for one in compared if one.correlation < AGAINST}
+        turned = {comparison.joint for comparison in compared if comparison.correlation < AGAINST}
         if not turned:
             return ()
         backwards = {j for j, joint in enumerate(data.robot.joints) if joint.sign == -1}
-        loaded = {one.joint for one in compared}
-        clear = {one.joint for one in compared if abs(one.correlation) > -AGAINST}
+        loaded = {comparison.joint for comparison in compared}
+        clear = {comparison.joint for comparison in compared if abs(comparison.correlation) > -AGAINST}
         # Columns of the motors' torques as the controller counts them: all alike, those of unloaded joints too.
         for alike in (set(range(data.robot.n_joints)), backwards):
             if turned == alike & loaded == alike & clear:
-                return tuple(self._fault(data, one, compared) for one in sorted(alike))
-        return tuple(self._fault(data, one, compared, False) for one in sorted(turned))
+                return tuple(self._fault(data, comparison, compared) for comparison in sorted(alike))
+        return tuple(self._fault(data, comparison, compared, False) for comparison in sorted(turned))
 
     def _fault(
         self, data: Measurements, joint: int, compared: tuple[TorqueComparison, ...], clear: bool = True
     ) -> Fault:
-        own = next((one for one in compared if one.joint == joint), None)
+        compared_joint = next((comparison for comparison in compared if comparison.joint == joint), None)
         why = (
             "as those of the joints that gravity loads"
-            if own is None
-            else f"correlation {own.correlation:.3f} with {own.against}"
+            if compared_joint is None
+            else f"correlation {compared_joint.correlation:.3f} with {compared_joint.against}"
         )
         do = (
             f"turned here, turn the sign of column tau{joint + 1}"
@@ -83,19 +83,19 @@ class TorqueScale(PlainCheck):
 
     def find(self, data: Measurements) -> tuple[Fault, ...]:
         """Return a fault a joint; nothing is changed, since torques or masses may be wrong."""
-        found = []
-        for one in comparisons(data):
-            times = abs(one.slope)
+        faults = []
+        for comparison in comparisons(data):
+            times = abs(comparison.slope)
             off = max(times - SCALE, 1 / SCALE - times)
-            if abs(one.correlation) < ALONG or off <= SURE * one.sd:
+            if abs(comparison.correlation) < ALONG or off <= SURE * comparison.sd:
                 continue
             statement = (
-                f"joint {one.joint + 1}: measured torques are {times:.2g} times {one.against} (correlation "
-                f"{abs(one.correlation):.3f}); not changed: check the unit of tau{one.joint + 1}, whether it is the motor's "
-                "side of the gear, the masses, and whether a spring or cylinder carries a part"
+                f"joint {comparison.joint + 1}: measured torques are {times:.2g} times {comparison.against} (correlation "
+                f"{abs(comparison.correlation):.3f}); not changed: check the unit of tau{comparison.joint + 1}, "
+                "whether it is the motor's side of the gear, the masses, and whether a spring or cylinder carries a part"
             )
-            found.append(fault(self, data, one.joint + 1, [Correction(0)], "told", statement))
-        return tuple(found)
+            faults.append(fault(self, data, comparison.joint + 1, [Correction(0)], "told", statement))
+        return tuple(faults)
 
 
 def comparisons(data: Measurements) -> tuple[TorqueComparison, ...]:
@@ -125,13 +125,13 @@ def comparisons(data: Measurements) -> tuple[TorqueComparison, ...]:
     else:
         return ()
     spread = held.std(axis=0)
-    found = []
+    compared = []
     for j in np.flatnonzero(spread > LOADED * spread.max(initial=0.0)):
         other = [np.ones(len(angles)), *([] if came is None else [came[:, j]])]
         beside = np.column_stack([*other, *(() if moments is None else moments[:, :, j].T)])
-        one = _compared(int(j), measured[:, j], held[:, j], beside, against)
-        found += [] if one is None else [one]
-    return tuple(found)
+        comparison = _compared(int(j), measured[:, j], held[:, j], beside, against)
+        compared += [] if comparison is None else [comparison]
+    return tuple(compared)
 
 
 def _compared(

@@ -133,20 +133,20 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
     faults = []
     far = distances(miss)
     for k in np.unique(data.series_number[which]):
-        own = which & data.of_series(int(k)) & (data.train | data.held_out)
-        scale = float(np.median(far[own])) / MEDIAN_LENGTH[int((~np.isnan(miss[own][0])).sum())]
-        found = own & (far > limit_of(far[own], scale, max(GROSS * scale, LEAST_GROSS)))
-        if found.any() and found.sum() <= MOST * own.sum():
-            faults.append(_outliers(data, int(k), found, far, float(np.median(far[own & ~found]))))
+        rows = which & data.of_series(int(k)) & (data.train | data.held_out)
+        scale = float(np.median(far[rows])) / MEDIAN_LENGTH[int((~np.isnan(miss[rows][0])).sum())]
+        gross = rows & (far > limit_of(far[rows], scale, max(GROSS * scale, LEAST_GROSS)))
+        if gross.any() and gross.sum() <= MOST * rows.sum():
+            faults.append(_outliers(data, int(k), gross, far, float(np.median(far[rows & ~gross]))))
     return tuple(faults)
 
 
-def _outliers(data: Measurements, k: int, found: np.ndarray, far: np.ndarray, others: float) -> Fault:
+def _outliers(data: Measurements, k: int, beyond: np.ndarray, far: np.ndarray, others: float) -> Fault:
     """Tell the rows (n_rows,) of a series that are too far [m] from what all others say."""
-    rows = np.flatnonzero(found)
+    rows = np.flatnonzero(beyond)
     lines = tuple(dict.fromkeys(int(line) for line in data.table["line"].iloc[rows]))
     several = f" of measurements {data.series[k].name or k + 1}" if len(data.series) > 1 else ""
-    low, high = (f"{1e3 * end:.3g}" for end in (far[found].min(), far[found].max()))
+    low, high = (f"{1e3 * end:.3g}" for end in (far[beyond].min(), far[beyond].max()))
     statement = (
         f"what was measured in {lines_in_words(lines)}{several} is {low if low == high else f'{low} to {high}'} mm from what all "
         f"other rows say, which miss by {1e3 * others:.2g} mm; left out, measure again"
@@ -225,11 +225,11 @@ def _fitted(good: np.ndarray, degrees: float) -> tuple[float, float]:
     squared = good**2 / degrees
     constant = gammaln((degrees + 1) / 2) - gammaln(degrees / 2) - np.log(degrees * np.pi) / 2
     middle = np.log(max(float(np.median(good)), TINY) / t.isf(0.25, degrees))
-    found = minimize_scalar(cost, bounds=(middle - 1.0, middle + 1.0), method="bounded", options={"xatol": 1e-3})
-    return float(found.fun), float(np.exp(found.x))
+    minimum = minimize_scalar(cost, bounds=(middle - 1.0, middle + 1.0), method="bounded", options={"xatol": 1e-3})
+    return float(minimum.fun), float(np.exp(minimum.x))
 
 
-def odd_rows(result: Fit, data: Measurements, found: Studentised) -> tuple[np.ndarray, tuple[Fault, ...]]:
+def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple[np.ndarray, tuple[Fault, ...]]:
     """Return which rows (n_rows,) are outliers by the final model, and the fault that says so, by its lines.
 
     The limit is by the residuals' own tail. Rows that are off together (a payload, a marker, poses in a row the same way) are no
@@ -237,16 +237,16 @@ def odd_rows(result: Fit, data: Measurements, found: Studentised) -> tuple[np.nd
     """
     used = data.train | data.held_out
     odd = np.zeros(len(data), dtype=bool)
-    length = np.sqrt(found.squared)
-    for size in np.unique(found.units[used]):
-        alike = used & (found.units == size)
-        values = found.values[alike]
+    length = np.sqrt(studentised.squared)
+    for size in np.unique(studentised.units[used]):
+        alike = used & (studentised.units == size)
+        values = studentised.values[alike]
         odd[alike] = length[alike] > limit_of_length(values[~np.isnan(values)].reshape(-1, int(size)))
     error = errors(result.model, result.estimate, data)
     odd &= ~off_together(data, np.nan_to_num(error), odd)
     if not 0 < odd.sum() <= MOST * used.sum():
         return np.zeros(len(data), dtype=bool), ()
-    far, times = 1e3 * distances(error[odd]), found.whitened[odd]
+    far, times = 1e3 * distances(error[odd]), studentised.whitened[odd]
     statement = (
         f"the measured values in LINES do not fit the final model: off by {_span(far, '.3g')} mm, {_span(times, '.2g')} times the "
         "expected; they hardly count in the fit, and count in the accuracy: measure again"

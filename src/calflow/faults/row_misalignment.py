@@ -42,15 +42,15 @@ class RowMisalignment(Check):
         guess = _guess(data, reference.models.nominal, lags)
         again = None if guess is None else Reference.of(_realigned(data, guess), reference.models)
         fits += [] if again is None else [again.fit]
-        found = [
+        alignments = [
             (left, source)
             for fit in fits
             if fit.scale < FAR_OFF * spread
             for left, source in _realigning(data, fit, lags)
         ]
-        if not found:
+        if not alignments:
             return ()
-        _, source = min(found, key=lambda one: one[0])
+        _, source = min(alignments, key=lambda alignment: alignment[0])
         return self._shifted(data, source, np.flatnonzero(source != np.arange(len(data))))
 
     def _shifted(self, data: Measurements, source: np.ndarray, moved: np.ndarray) -> tuple[Fault, ...]:
@@ -124,8 +124,8 @@ def _realigning(data: Measurements, fit: Rough, lags: list[int]) -> Iterator[tup
     moved = np.flatnonzero(source != np.arange(len(data)))
     partnered = moved[source[moved] >= 0]
     after = fit.miss(_realigned(data, source))
-    wrong = partnered[miss[partnered] > fit.gross]  # of repeats, a row late, only each pose's last is wrong
-    if len(wrong) < FEWEST or fit.better(miss[wrong], after[wrong]).mean() < BELIEVED:
+    misaligned = partnered[miss[partnered] > fit.gross]  # of repeats, a row late, only each pose's last is wrong
+    if len(misaligned) < FEWEST or fit.better(miss[misaligned], after[misaligned]).mean() < BELIEVED:
         return
     if (after[partnered] < fit.gross).mean() >= BELIEVED:
         yield int((after > fit.gross).sum()), source

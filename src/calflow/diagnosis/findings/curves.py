@@ -60,11 +60,11 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
     for effect in model.effects:
         if effect not in causes:
             continue
-        own = model.columns(effect)
+        columns = model.columns(effect)
         assert isinstance(effect, Cause)
-        moved = jacobian[:, :, own] @ estimate[own]
+        moved = jacobian[:, :, columns] @ estimate[columns]
         lever = levers[:, :, effect.joint - 1] if effect.joint else None
-        along = _direction(jacobian[:, :, own], estimate[own], lever)
+        along = _direction(jacobian[:, :, columns], estimate[columns], lever)
         variable = effect.effect.variable(effect.joint)
         after, fitted = (np.einsum("ra,ra->r", part, along) for part in (left, moved))
         block = {

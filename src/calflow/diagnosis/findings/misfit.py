@@ -129,21 +129,21 @@ def largest(fitted: Fitted, rng: np.random.Generator) -> MisfitRegion | None:
     """
     squared, number = _studentised(fitted)
     inputs = _inputs(fitted)
-    tried = [_worst(one, squared, number, fitted.poses, rng) for one in inputs]
-    found = [one for one in tried if one and one.chance * len(inputs) <= BY_CHANCE]
-    if not found:
+    tried = [_worst(candidate, squared, number, fitted.poses, rng) for candidate in inputs]
+    significant = [candidate for candidate in tried if candidate and candidate.chance * len(inputs) <= BY_CHANCE]
+    if not significant:
         return None
-    worst = min(found, key=lambda one: (one.chance, -one.ratio))
+    worst = min(significant, key=lambda candidate: (candidate.chance, -candidate.ratio))
     return _region(worst.of, worst.inside, fitted)
 
 
 def _worst(
-    one: _Input, squared: np.ndarray, number: np.ndarray, poses: np.ndarray, rng: np.random.Generator
+    candidate: _Input, squared: np.ndarray, number: np.ndarray, poses: np.ndarray, rng: np.random.Generator
 ) -> _Worst | None:
     """Return the region of an input in which most is left; None where it has none. What a pose's rows share is moved together."""
-    groups = poses if _constant(one.values, poses) else np.arange(len(squared))
+    groups = poses if _constant(candidate.values, poses) else np.arange(len(squared))
     _, first, group = np.unique(groups, return_index=True, return_inverse=True)
-    inside = np.array([region[first] for region in one.regions()], dtype=bool).reshape(-1, len(first))
+    inside = np.array([region[first] for region in candidate.regions()], dtype=bool).reshape(-1, len(first))
     size = inside.sum(axis=1)
     inside = inside[(size >= FEWEST) & (size <= MOST * len(first))]
     if not len(inside):
@@ -152,7 +152,7 @@ def _worst(
     orders = np.array([np.arange(len(first)), *(rng.permutation(len(first)) for _ in range(DRAWS))]).T
     ratio = _likelihood_ratio(inside, total[orders], count[orders])  # (n_regions, 1 + DRAWS)
     best = ratio.max(axis=0)
-    return _Worst(one, inside[int(ratio[:, 0].argmax())][group], float(best[0]), float((best >= best[0]).mean()))
+    return _Worst(candidate, inside[int(ratio[:, 0].argmax())][group], float(best[0]), float((best >= best[0]).mean()))
 
 
 def _studentised(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
@@ -181,18 +181,18 @@ def _inputs(fitted: Fitted) -> list[_Input]:
     """What regions are sought along: joints, place, time or order, payloads and markers."""
     data: Measurements = fitted.data
     angles = data.joints @ data.robot.reading_matrix.T
-    found = []
+    inputs = []
     for i, joint in enumerate(data.robot.joints):
         shown, factor = joint.shown
-        found.append(_Input(f"q{i + 1}", factor * angles[:, i], shown))
+        inputs.append(_Input(f"q{i + 1}", factor * angles[:, i], shown))
     place = 1e3 * fitted.model.point(fitted.fit.estimate, data.rows)
-    found += [_Input(axis, place[:, i], "mm") for i, axis in enumerate("xyz")]
+    inputs += [_Input(axis, place[:, i], "mm") for i, axis in enumerate("xyz")]
     for name, unit in (("time", "s"), ("order", "")):
         if name in data.given:
-            found.append(_Input(name, data.table[name].to_numpy(float), unit))
+            inputs.append(_Input(name, data.table[name].to_numpy(float), unit))
             break
     labels = [_Input(name, data.table[name].astype(str).to_numpy(object)) for name in LABELS if name in data.table]
-    return found + [one for one in labels if len(set(one.values)) > 1]
+    return inputs + [label for label in labels if len(set(label.values)) > 1]
 
 
 def _constant(values: np.ndarray, groups: np.ndarray) -> bool:
@@ -201,13 +201,17 @@ def _constant(values: np.ndarray, groups: np.ndarray) -> bool:
     return bool((values == values[first][group]).all())
 
 
-def _region(one: _Input, inside: np.ndarray, fitted: Fitted) -> MisfitRegion:
+def _region(candidate: _Input, inside: np.ndarray, fitted: Fitted) -> MisfitRegion:
     size = 1e3 * distances(errors(fitted.model, fitted.fit.estimate, fitted.data))
     there, elsewhere = float(size[inside].mean()), float(size[~inside].mean())
-    if one.values.dtype == object:
-        return MisfitRegion(input=one.name, value=str(one.values[inside][0]), there_mm=there, elsewhere_mm=elsewhere)
-    low, high = float(one.values[inside].min()), float(one.values[inside].max())
-    return MisfitRegion(input=one.name, low=low, high=high, unit=one.unit, there_mm=there, elsewhere_mm=elsewhere)
+    if candidate.values.dtype == object:
+        return MisfitRegion(
+            input=candidate.name, value=str(candidate.values[inside][0]), there_mm=there, elsewhere_mm=elsewhere
+        )
+    low, high = float(candidate.values[inside].min()), float(candidate.values[inside].max())
+    return MisfitRegion(
+        input=candidate.name, low=low, high=high, unit=candidate.unit, there_mm=there, elsewhere_mm=elsewhere
+    )
 
 
 def _said(value: float | None) -> str:
@@ -240,14 +244,14 @@ def remainder(
 
     Single functions are tested first, which a sharp dependence shows best; then the background as a whole.
     """
-    found: list[Remainder] = []
-    for one in (*_single(fitted, rng), *_together(fitted), *_of_poses(fitted)):
-        if one.p >= significance or one.share < MATERIAL or len(found) == MOST_PARTS:
+    accepted: list[Remainder] = []
+    for structure in (*_single(fitted, rng), *_together(fitted), *_of_poses(fitted)):
+        if structure.p >= significance or structure.share < MATERIAL or len(accepted) == MOST_PARTS:
             continue
-        if not any(set(one.inputs) & set(other.inputs) for other in found):
-            found.append(one)
-            say(f"left over, by {' and '.join(one.inputs)}: p = {one.p:.2g}")
-    return found
+        if not any(set(structure.inputs) & set(other.inputs) for other in accepted):
+            accepted.append(structure)
+            say(f"left over, by {' and '.join(structure.inputs)}: p = {structure.p:.2g}")
+    return accepted
 
 
 def _single(fitted: Fitted, rng: np.random.Generator) -> list[Remainder]:
@@ -258,7 +262,7 @@ def _single(fitted: Fitted, rng: np.random.Generator) -> list[Remainder]:
         decoy = score.cause.effect
         assert isinstance(decoy, Decoy)
         tested.append(Remainder(decoy.inputs, family.p(score), score.share, (score.cause,), score.cause.detail))
-    return sorted(tested, key=lambda one: one.p)
+    return sorted(tested, key=lambda structure: structure.p)
 
 
 def _together(fitted: Fitted) -> list[Remainder]:
@@ -270,11 +274,11 @@ def _together(fitted: Fitted) -> list[Remainder]:
     left = fitted.background
     if left is None:
         return []
-    known, n = dict(functions(fitted)), len(left.inputs)
+    bases, n = dict(functions(fitted)), len(left.inputs)
     p = comb(left.tried, n) * 0.5**n * float(chi2.sf(left.gain, n))
     inputs = tuple(dict.fromkeys(name for part in left.inputs for name in part))
     share = -float(np.expm1(-left.gain / fitted.fit.residual.size))
-    return [Remainder(inputs, min(1.0, p), share, tuple(effect for part in left.inputs for effect in known[part]))]
+    return [Remainder(inputs, min(1.0, p), share, tuple(effect for part in left.inputs for effect in bases[part]))]
 
 
 def _of_poses(fitted: Fitted) -> list[Remainder]:

@@ -85,36 +85,36 @@ class Confirmation:
     accuracy: pd.DataFrame
 
 
-def confirm(found: Fitted, other: Measurements) -> Confirmation:
+def confirm(calibrated: Fitted, other: Measurements) -> Confirmation:
     """Fit the same effects to another series alone, and compare each joint error's curve over the common travel.
 
     Args:
-        found: the extended model on the first series.
+        fitted: the extended model on the first series.
         other: the independent series, split into train and holdout, its faults seen to.
     """
     robot, observed = registered(other.robot, observations(other), other.only(other.train))
     other = other.on(robot)
     train = other.only(other.train)
-    causes = [cause for cause in found.causes if _is_curve(cause)]
-    plain = tuple(_on(effect, train) for effect in found.plain)
-    own = [matched for cause in causes if (matched := _matched(cause, train)) is not None]
+    causes = [cause for cause in calibrated.causes if _is_curve(cause)]
+    plain = tuple(_on(effect, train) for effect in calibrated.plain)
+    matching = [matched for cause in causes if (matched := _matched(cause, train)) is not None]
     noise = measured_noise(other, nominal=Model(robot, (), other.given, observed)).only(other.train)
 
     def fitted(effects: Sequence[Effect]) -> Fit:
         model = Model(robot, tuple(effects), other.given, observed)
-        return fit_reweighted(model, train, noise, model.prior_mean[None], found.loss)[0]
+        return fit_reweighted(model, train, noise, model.prior_mean[None], calibrated.loss)[0]
 
-    alone, without = fitted((*plain, *own)), fitted(plain)
+    alone, without = fitted((*plain, *matching)), fitted(plain)
     rows, curves = [], []
     for cause in causes:
-        matched = next((one for one in own if one.place == cause.place), None)
-        row, curve = _compared(cause, found, matched, alone, train)
+        matched = next((candidate for candidate in matching if candidate.place == cause.place), None)
+        row, curve = _compared(cause, calibrated, matched, alone, train)
         rows.append(row)
         curves += [curve] if curve is not None else []
     table = to_frame(rows, ConfirmedCause)
-    values = [tuple(map(float, found.fit.estimate[found.model.columns(cause)])) for cause in causes]
+    values = [tuple(map(float, calibrated.fit.estimate[calibrated.model.columns(cause)])) for cause in causes]
     carried = fitted((*plain, *(Carried(robot, cause, v) for cause, v in zip(causes, values, strict=True))))
-    heldout = other.only(other.held_out & _covered(found, causes, other))
+    heldout = other.only(other.held_out & _covered(calibrated, causes, other))
     steps = [
         ("without the causes", without),
         ("its own fit of the causes", alone),
@@ -161,10 +161,10 @@ def _matched(cause: Cause, data: Measurements) -> Cause | None:
 
 
 def _compared(
-    cause: Cause, found: Fitted, matched: Cause | None, alone: Fit, data: Measurements
+    cause: Cause, fitted: Fitted, matched: Cause | None, alone: Fit, data: Measurements
 ) -> tuple[ConfirmedCause, pd.DataFrame | None]:
     i = cause.joint - 1
-    here, there = ((m.joints @ m.robot.reading_matrix.T)[:, i] for m in (found.data, data))
+    here, there = ((m.joints @ m.robot.reading_matrix.T)[:, i] for m in (fitted.data, data))
     unit, factor = data.robot.joints[i].shown
     error = "urad" if unit == "deg" else "um"
     low, high = max(here.min(), there.min()), min(here.max(), there.max())
@@ -181,9 +181,9 @@ def _compared(
         none = f"has no reading of joint {cause.joint} within the travel that was seen here"
         return told(f"the other series {none if high <= low else few}"), None
     angle = np.linspace(low, high, GRID)
-    own = found.fit.estimate[found.model.columns(cause)]
+    amplitudes = fitted.fit.estimate[fitted.model.columns(cause)]
     other = alone.estimate[alone.model.columns(matched)]
-    whole = [curve(c, v, angle) for c, v in ((cause, own), (matched, other))]
+    whole = [curve(c, v, angle) for c, v in ((cause, amplitudes), (matched, other))]
     first, second = (_beyond_first_order(values, angle) for values in whole)
     correlation = float(np.corrcoef(first, second)[0, 1])
     share = float((high - low) / travel)
@@ -210,9 +210,9 @@ def _beyond_first_order(values: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return np.asarray(values - imitated @ np.linalg.lstsq(imitated, values)[0])
 
 
-def _covered(found: Fitted, causes: Sequence[Cause], other: Measurements) -> np.ndarray:
+def _covered(fitted: Fitted, causes: Sequence[Cause], other: Measurements) -> np.ndarray:
     """Which rows of another series lie within the travel on which the causes were found, shape (n_rows,)."""
-    here, there = (m.joints @ m.robot.reading_matrix.T for m in (found.data, other))
+    here, there = (m.joints @ m.robot.reading_matrix.T for m in (fitted.data, other))
     joints = [cause.joint - 1 for cause in causes]
     low, high = here.min(axis=0), here.max(axis=0)
     return np.asarray(((there >= low) & (there <= high))[:, joints].all(axis=1))

@@ -52,15 +52,17 @@ def fitted_alternatives(verdicts: Sequence[Verdict], final: Fitted) -> tuple[Fit
         for rival in verdict.rivals
         if rival.cause is not None or rival.id == UNEXPLAINED
     ]
-    likeliest = sorted((one for one in asked if one[0] >= LEAST), key=lambda one: -one[0])[:MOST_FITTED]
-    found = []
+    likeliest = sorted(
+        (alternative for alternative in asked if alternative[0] >= LEAST), key=lambda alternative: -alternative[0]
+    )[:MOST_FITTED]
+    alternatives = []
     for probability, k, rival in likeliest:
         stay = [cause for cause in final.causes if cause != verdicts[k].finding.cause]
         causes = [*stay, rival] if rival is not None and rival not in stay else stay
-        found.append(
+        alternatives.append(
             FittedAlternative(k, rival if len(causes) > len(stay) else None, final.fit_with(causes), probability)
         )
-    return tuple(found)
+    return tuple(alternatives)
 
 
 def _probability(verdict: Verdict, rival: Rival) -> float:
@@ -69,18 +71,20 @@ def _probability(verdict: Verdict, rival: Rival) -> float:
     return float(verdict.probability * np.exp(-bic / 2))
 
 
-def alternatives_table(found: Sequence[FittedAlternative], causes: Sequence[Cause], final: Fitted) -> pd.DataFrame:
+def alternatives_table(
+    alternatives: Sequence[FittedAlternative], causes: Sequence[Cause], final: Fitted
+) -> pd.DataFrame:
     """Return the table of `AlternativeParameter`s; causes are those found, in the order of their verdicts."""
     order = list(final.causes)
     rows = [
         AlternativeParameter(
-            alternative=number, probability=one.probability, instead_of=order.index(causes[one.number]) + 1,
-            effect=one.rival.effect.id if one.rival else "", part=one.rival.part if one.rival else "",
-            variant=json.dumps(one.rival.effect.figures) if one.rival else "",
+            alternative=number, probability=item.probability, instead_of=order.index(causes[item.number]) + 1,
+            effect=item.rival.effect.id if item.rival else "", part=item.rival.part if item.rival else "",
+            variant=json.dumps(item.rival.effect.figures) if item.rival else "",
             parameter=parameter.name, estimate=float(estimate),
         )
-        for number, one in enumerate(found, start=1)
-        for parameter, estimate in zip(one.fit.model.parameters, one.fit.estimate, strict=True)
+        for number, item in enumerate(alternatives, start=1)
+        for parameter, estimate in zip(item.fit.model.parameters, item.fit.estimate, strict=True)
     ]  # fmt: skip
     return to_frame(rows, AlternativeParameter)
 
@@ -112,8 +116,8 @@ def models_in_reach(
         for causes, change, weight in _neighbours(final, findings, beside, places)
         if weight > -REACH
     ]
-    found = ModelInReach(final.causes, "found", log_prior(final.causes), 0.0, independent)
-    return (found, *sorted(near, key=lambda one: -one.log_weight)[: MOST_IN_REACH - 1])
+    current = ModelInReach(final.causes, "found", log_prior(final.causes), 0.0, independent)
+    return (current, *sorted(near, key=lambda model: -model.log_weight)[: MOST_IN_REACH - 1])
 
 
 def rivals_shown(findings: Sequence[Detection[Cause]], beside: Sequence[Score[Cause]]) -> dict[tuple[str, str], Cause]:
@@ -133,11 +137,11 @@ def _neighbours(
     for finding in findings:
         if not _is_small(finding.cause):
             continue
-        own = finding.own.delta_bic
-        yield [cause for cause in causes if cause != finding.cause], "without", own / 2 + places
+        bic = finding.own.delta_bic
+        yield [cause for cause in causes if cause != finding.cause], "without", bic / 2 + places
         for score in finding.scores:
             if score.cause != finding.cause and _is_small(score.cause):
-                yield swapped(causes, finding.cause, score.cause), "instead", (own - score.delta_bic) / 2
+                yield swapped(causes, finding.cause, score.cause), "instead", (bic - score.delta_bic) / 2
     for score in beside:
         if _is_small(score.cause):
             yield [*causes, score.cause], "besides", -score.delta_bic / 2 - places

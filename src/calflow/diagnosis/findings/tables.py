@@ -50,7 +50,9 @@ def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple
         return float(values[0]), float(np.sqrt(covariance[0, 0]))
     p = ca.SX.sym("p", len(values))
     size = cause.effect.size(p)
-    figure, slope = (np.array(one).ravel() for one in ca.Function("size", [p], [size, ca.gradient(size, p)])(values))
+    figure, slope = (
+        np.array(output).ravel() for output in ca.Function("size", [p], [size, ca.gradient(size, p)])(values)
+    )
     return float(figure[0]), float(np.sqrt(slope @ covariance @ slope))
 
 
@@ -61,8 +63,8 @@ def found_amplitude(finding: Detection, fitted: Fitted) -> tuple[float, float]:
     evidence (Bayesian model averaging: Hoeting et al. 1999), about the estimate of the best one.
     """
     cause = finding.cause
-    own = fitted.model.columns(cause)
-    estimate, sd = amplitude(cause, fitted.fit.estimate[own], fitted.covariance[np.ix_(own, own)])
+    columns = fitted.model.columns(cause)
+    estimate, sd = amplitude(cause, fitted.fit.estimate[columns], fitted.covariance[np.ix_(columns, columns)])
     if sd == 0:
         return estimate, sd  # at a bound
     forms = [score for score in finding.scores if score.cause.place == cause.place]
@@ -76,9 +78,9 @@ def found_amplitude(finding: Detection, fitted: Fitted) -> tuple[float, float]:
     return estimate, float(np.sqrt(np.average(variances, weights=weights)))
 
 
-def same_quantities(one: Cause, other: Cause) -> bool:
+def same_quantities(cause: Cause, other: Cause) -> bool:
     """Whether the parameters of two forms of a cause mean the same."""
-    first, second = ([(parameter.symbol, parameter.unit) for parameter in cause.declared] for cause in (one, other))
+    first, second = ([(p.symbol, p.unit) for p in form.declared] for form in (cause, other))
     return first == second
 
 
@@ -124,9 +126,9 @@ def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> n
     """
     regressors = replace(fitted, background=None).regressors(decoys)
     amplitudes = _amplitudes(Screening(regressors)) * regressors.prior_sd
-    own = regressors.jacobian
-    imitated = own.T @ regressors.matrix.times(amplitudes)
-    settled = -np.linalg.solve(own.T @ own + np.diag(regressors.precision), imitated)
+    jacobian = regressors.jacobian
+    imitated = jacobian.T @ regressors.matrix.times(amplitudes)
+    settled = -np.linalg.solve(jacobian.T @ jacobian + np.diag(regressors.precision), imitated)
     model, fit = fitted.model, fitted.fit
     both = replace(model, probes=tuple(decoys))
     change = np.zeros(len(both.parameters))
@@ -277,9 +279,9 @@ def _gained(
     )  # fmt: skip
 
 
-def candidates_table(found: Diagnosis) -> pd.DataFrame:
+def candidates_table(diagnosis: Diagnosis) -> pd.DataFrame:
     """Return diagnose/candidates.csv: every place in its best variant, as first tested, and what could not be tested."""
-    first = found.extended.first
+    first = diagnosis.extended.first
     places = by_place(first.scores)
     least = min((bic for bic, _ in places.values()), default=0.0)
     weights = {place: np.exp(-(bic - least) / 2) for place, (bic, _) in places.items()}
@@ -293,7 +295,7 @@ def candidates_table(found: Diagnosis) -> pd.DataFrame:
                 p_family=first.family.p(score),
                 delta_bic=bic,
                 probability=weights[place] / total,
-                limit=detection_limit(score, first.family, found.false_alarm),
+                limit=detection_limit(score, first.family, diagnosis.false_alarm),
                 tests=first.family.tests(score),
             )
         )
@@ -302,14 +304,14 @@ def candidates_table(found: Diagnosis) -> pd.DataFrame:
         rows.append(
             CandidateRow(cause=cause.id, joint=cause.joint or None, part=cause.part, note=imitated, imitated=True)
         )
-    untested = {**found.lacking, **found.superseded}
+    untested = {**diagnosis.lacking, **diagnosis.superseded}
     rows += [
-        _noise(kind, found.growth) for name, kind in catalogue().items() if kind.is_noise() and name not in untested
+        _noise(kind, diagnosis.growth) for name, kind in catalogue().items() if kind.is_noise() and name not in untested
     ]
     for name in (name for name in catalogue() if name in untested):
-        lacking, why = found.lacking.get(name, ""), found.superseded.get(name)
-        said = f"not tested: {why}" if why else f"not testable: needs {lacking}"
-        rows.append(CandidateRow(cause=name, note=said, lacking=lacking))
+        lacking, why = diagnosis.lacking.get(name, ""), diagnosis.superseded.get(name)
+        note = f"not tested: {why}" if why else f"not testable: needs {lacking}"
+        rows.append(CandidateRow(cause=name, note=note, lacking=lacking))
     return to_frame(rows, CandidateRow)
 
 
@@ -349,13 +351,13 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     same = [row for row in rows if row.unit == lead.unit]
     size = float(np.sqrt(sum(row.estimate**2 for row in same)))
     sd = float(np.sqrt(sum((row.estimate * row.sd) ** 2 for row in same))) / size
-    said = [f"{cause.title} ({cause.detail})" if cause.detail else cause.title for cause in causes]
+    names = [f"{cause.title} ({cause.detail})" if cause.detail else cause.title for cause in causes]
     carried = [row.carries_over for row in rows]
     return replace(
         lead, status="one_of", estimate=size, sd=sd, p_family=min(row.p_family for row in rows),
         probability=min(row.probability for row in rows), cannot_tell_from=tuple(name for name in alike if name != lead.cause),
-        detail=", with ".join([lead.detail or causes[0].title, *said[1:]]),
-        rivals=tuple(NamedCause(rival.id, rival.joint) for rival in others), statement=f"{family}{where}: {', and '.join(said)}",
+        detail=", with ".join([lead.detail or causes[0].title, *names[1:]]),
+        rivals=tuple(NamedCause(rival.id, rival.joint) for rival in others), statement=f"{family}{where}: {', and '.join(names)}",
         not_tested=tuple(dict.fromkeys(name for row in rows for name in row.not_tested)),
         carries_over=False if False in carried else None if None in carried else True,
         numbers=tuple(number for row in rows for number in row.numbers),
@@ -416,9 +418,9 @@ def _place(cause: Cause) -> str:
 def _overlapping(verdict: Verdict, left: tuple[Remainder, ...]) -> Remainder | None:
     """What is left along the input that a cause depends on: its joint, the course of the measurement, or the payload."""
     cause = verdict.finding.cause
-    own = {f"q{cause.joint}"} if cause.joint else IN_TIME if cause.effect.of_device() else set()
-    own = own | {"payload"} if "payload" in cause.effect.needs else own
-    return next((remainder for remainder in left if own & set(remainder.inputs)), None)
+    inputs = {f"q{cause.joint}"} if cause.joint else IN_TIME if cause.effect.of_device() else set()
+    inputs = inputs | {"payload"} if "payload" in cause.effect.needs else inputs
+    return next((remainder for remainder in left if inputs & set(remainder.inputs)), None)
 
 
 def _relatives(cause: Cause) -> list[str]:

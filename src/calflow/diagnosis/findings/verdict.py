@@ -60,12 +60,12 @@ class Verdict(Generic[H]):
     def family(self) -> str:
         """The family to name it by where all that it could be are of one family, at one joint; empty otherwise."""
         cause = self.finding.cause
-        own = cause.family
+        family = cause.family
         same = all(
-            rival.cause is not None and rival.cause.family == own and rival.joint == cause.joint
+            rival.cause is not None and rival.cause.family == family and rival.joint == cause.joint
             for rival in self.rivals
         )
-        return own if own and self.rivals and same else ""
+        return family if family and self.rivals and same else ""
 
 
 def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyType({})) -> Verdict[H]:
@@ -75,16 +75,16 @@ def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyT
     """
     evidence = by_place(finding.scores)
     cause = finding.cause
-    own = evidence[cause.place][0]
+    named_bic = evidence[cause.place][0]
     rivals = [
-        Rival(best.cause.id, best.cause.joint, bic - own, best)
+        Rival(best.cause.id, best.cause.joint, bic - named_bic, best)
         for place, (bic, best) in evidence.items()
-        if place != cause.place and bic - own < WITHIN
+        if place != cause.place and bic - named_bic < WITHIN
     ]
     tested = {(score.cause.id, score.cause.joint) for score in finding.scores}
     untested = [other for other in dict.fromkeys([*cause.alike, *untestable]) if (other, cause.joint) not in tested]
     rivals += [Rival(other, cause.joint, 0.0, None, untestable.get(other, "")) for other in untested]
-    weights = [np.exp(-(bic - own) / 2) for place, (bic, _) in evidence.items() if place != cause.place]
+    weights = [np.exp(-(bic - named_bic) / 2) for place, (bic, _) in evidence.items() if place != cause.place]
     against = TEMPERED * finding.unnamed
     if against < WITHIN:
         rivals.append(Rival(UNEXPLAINED, 0, against, None))

@@ -47,7 +47,7 @@ class TallMatrix:
     def products(self, columns: np.ndarray) -> np.ndarray:
         """Return the products of some columns with each other, (n_own, n_own)."""
         parts = (x[:, columns] for _, x in self.blocks())
-        return reduce(np.add, (own.T @ own for own in parts))
+        return reduce(np.add, (part.T @ part for part in parts))
 
     def response(self, columns: np.ndarray) -> np.ndarray:
         """Return the products of all columns with some, (n_columns, n_own)."""
@@ -55,10 +55,10 @@ class TallMatrix:
 
     def times(self, amplitudes: np.ndarray) -> np.ndarray:
         """Return it times amplitudes (n_columns, …)."""
-        found = np.empty((self.shape[0], *amplitudes.shape[1:]))
+        product = np.empty((self.shape[0], *amplitudes.shape[1:]))
         for rows, x in self.blocks():
-            found[rows] = x @ amplitudes
-        return found
+            product[rows] = x @ amplitudes
+        return product
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,14 +116,14 @@ class Remade(TallMatrix):
             units = block.n_units
             order = np.argsort(self.poses[block.rows], kind="stable")
             for part in whole_groups(self.poses[block.rows[order]], ROWS):
-                own = order[part]
-                out = np.zeros((len(own) * units, self.probe.shape[1]))
-                self.probe.of_rows(number, own, out)
+                rows = order[part]
+                out = np.zeros((len(rows) * units, self.probe.shape[1]))
+                self.probe.of_rows(number, rows, out)
                 x = out[:, self.probe.n_parameters :]
                 if self.shared < 1:
-                    pose = np.unique(self.poses[block.rows[own]], return_inverse=True)[1]
+                    pose = np.unique(self.poses[block.rows[rows]], return_inverse=True)[1]
                     x = counted_once(x, (pose[:, None] * units + np.arange(units)).ravel(), self.shared)
-                yield start + (own[:, None] * units + np.arange(units)).ravel(), x
+                yield start + (rows[:, None] * units + np.arange(units)).ravel(), x
             start += len(block.rows) * units
 
 
@@ -175,22 +175,22 @@ class RegressorProducts:
         correlation: ErrorCorrelation | None = None,
     ) -> RegressorProducts:
         """Add up the products of the residual (n,), the Jacobian (n, n_free) and the regressors (n, n_columns)."""
-        own = np.zeros((matrix.shape[1], max((len(c.columns) for c in candidates), default=0)))
-        squared, left = np.zeros(len(own)), np.zeros(len(own))
+        gram = np.zeros((matrix.shape[1], max((len(c.columns) for c in candidates), default=0)))
+        squared, left = np.zeros(len(gram)), np.zeros(len(gram))
         modes = correlation.modes if correlation else np.zeros((len(residual), 0))
-        mixed, along = np.zeros((jacobian.shape[1], len(own))), np.zeros((modes.shape[1], len(own)))
+        mixed, along = np.zeros((jacobian.shape[1], len(gram))), np.zeros((modes.shape[1], len(gram)))
         for rows, values in matrix.blocks():
             for candidate in candidates:
                 columns = candidate.columns
                 x = values[:, side_by_side(columns)]
                 product = x.T @ x
-                own[columns, : len(columns)] += product
+                gram[columns, : len(columns)] += product
                 squared[columns] += product.diagonal()
             mixed += jacobian[rows].T @ values
             left += values.T @ residual[rows]
             along += modes[rows].T @ values
         return RegressorProducts(
-            jacobian.T @ jacobian, mixed, own, squared, jacobian.T @ residual, left, modes.T @ jacobian, along
+            jacobian.T @ jacobian, mixed, gram, squared, jacobian.T @ residual, left, modes.T @ jacobian, along
         )
 
     def without(self, gone: np.ndarray, value: np.ndarray) -> RegressorProducts:
@@ -326,14 +326,14 @@ def shared_error(residual: np.ndarray, group: np.ndarray, determined: float) -> 
 
 def candidates_of(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:
     """Return every place of these effects with its columns, effect by effect."""
-    found, start = [], 0
+    candidates, start = [], 0
     for effect in effects:
         if isinstance(effect, Cause):
             size = len(effect.declared)
-            found.append(Candidate(effect, start + np.arange(size)))
+            candidates.append(Candidate(effect, start + np.arange(size)))
             start += size
             continue
         for part, columns in parts(effect).items():
-            found.append(Candidate(Cause(effect.robot, effect, part), start + columns))
+            candidates.append(Candidate(Cause(effect.robot, effect, part), start + columns))
         start += len(effect.declared)
-    return tuple(found)
+    return tuple(candidates)

@@ -70,8 +70,11 @@ class Trials(Generic[H]):
         for k, cause in enumerate(self.causes):
             members.setdefault(cause.place, []).append(k)
         return {
-            place: (-2 * np.logaddexp.reduce(-self.bic[own] / 2, axis=0), np.asarray(self.passed[own].any(axis=0)))
-            for place, own in members.items()
+            place: (
+                -2 * np.logaddexp.reduce(-self.bic[columns] / 2, axis=0),
+                np.asarray(self.passed[columns].any(axis=0)),
+            )
+            for place, columns in members.items()
         }
 
 
@@ -259,7 +262,7 @@ class Screening(Generic[H]):
     def scores(self) -> list[Score[H]]:
         """Every visible candidate's score, best first."""
         n = len(self.regressors.residual)
-        found = []
+        scores = []
         for block in self._blocks:
             sure = np.median(
                 self.sure[block.columns], axis=1
@@ -269,7 +272,7 @@ class Screening(Generic[H]):
             p = self._p(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
             drops, bic, relief = weighed.drops[:, 0], weighed.bic[:, 0], weighed.relief[:, 0]
             spent = block.weight.sum(axis=1)
-            found += [
+            scores += [
                 Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),
                       float(p[k]), float(bic[k]), float(block.share[k]), weighed.estimate[k, :, 0], weighed.covariance[k],
                       block.information[k], int(block.degrees_of_freedom[k]), 
@@ -277,7 +280,7 @@ class Screening(Generic[H]):
                       float(n * relief[k] / self.chi2))
                 for k, member in enumerate(block.members)
             ]  # fmt: skip
-        return sorted(found, key=lambda score: score.delta_bic)
+        return sorted(scores, key=lambda score: score.delta_bic)
 
     def _weighed(self, block: _Block, score: np.ndarray, chi2: np.ndarray) -> _Weighed:
         """Weigh a block's candidates by any scores (n_members, d, n_draws) of theirs where the model leaves a chi² (n_draws,)."""
@@ -389,9 +392,9 @@ def by_place(scores: Sequence[Score[H]]) -> dict[tuple[str, str], tuple[float, S
     groups: dict[tuple[str, str], list[Score[H]]] = {}
     for score in scores:
         groups.setdefault(score.cause.place, []).append(score)
-    found = {}
+    places = {}
     for place, members in groups.items():
         values = np.array([score.delta_bic for score in members])
         least = float(values.min())
-        found[place] = (least - 2 * float(np.log(np.exp((least - values) / 2).sum())), members[int(values.argmin())])
-    return found
+        places[place] = (least - 2 * float(np.log(np.exp((least - values) / 2).sum())), members[int(values.argmin())])
+    return places

@@ -98,19 +98,19 @@ def functions(fitted: Fitted) -> list[tuple[tuple[str, ...], list[Decoy]]]:
     """Return inputs and functions of what may be left: of each joint, two together, place, payload, and time or order."""
     robot, data = fitted.data.robot, fitted.data
     turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
-    found: list[tuple[tuple[str, ...], list[Decoy]]] = [
+    bases: list[tuple[tuple[str, ...], list[Decoy]]] = [
         ((f"q{i + 1}",), [JointField(robot, (i,), ORDERS), Shift(robot, (i,), ORDERS)]) for i in turning
     ]
     if len(turning) > 1:
-        found.append((("joints",), [Shift(robot, pair) for pair in combinations(turning, 2)]))
-    found.append((("x", "y", "z"), [placed_decoys(fitted)]))
+        bases.append((("joints",), [Shift(robot, pair) for pair in combinations(turning, 2)]))
+    bases.append((("x", "y", "z"), [placed_decoys(fitted)]))
     if loaded := under_payloads(fitted):
-        found.append((("payload",), [*loaded]))
+        bases.append((("payload",), [*loaded]))
     clock = next((clock for clock in ("time", "order") if clock in data.given), None)
     if clock:
         span = float(np.ptp(data.table[clock].to_numpy(float))) or 1.0
-        found.append(((clock,), [InTime(robot, np.pi * k / span, clock, 1 / k) for k in range(1, TURNS + 1)]))
-    return found
+        bases.append(((clock,), [InTime(robot, np.pi * k / span, clock, 1 / k) for k in range(1, TURNS + 1)]))
+    return bases
 
 
 def background(fitted: Fitted, basis: BackgroundBasis) -> Background | None:
@@ -178,8 +178,8 @@ class Sizes:
         modes = basis.weighed(weight)
         held = Held(modes)
         products = RegressorProducts.of(regressors.residual, regressors.jacobian, held, ())
-        own = replace(regressors, matrix=held, candidates=(), products=products)
-        seen = Screening(own)
+        reduced = replace(regressors, matrix=held, candidates=(), products=products)
+        seen = Screening(reduced)
         columns = np.arange(modes.shape[1])
         return Sizes(basis, weight, regressors.shared, modes, seen.information(columns), modes.T @ modes, seen.score,
                      seen.chi2, len(modes), seen.degrees_of_freedom)  # fmt: skip
@@ -255,10 +255,10 @@ class Sizes:
         here, size, inverse, chi2 = self._solved(variance)
         taken = self._gram[:, here] * size
         along = self._along - taken @ (inverse @ (size * self._along[here]))
-        seen = np.array([along[own] @ along[own] for own in self.basis.spans]) * self.total / chi2
-        each = [self._gram[own, own] - taken[own] @ inverse @ taken[own].T for own in self.basis.spans]
-        expected = np.array([np.trace(one) for one in each])
-        information = np.array([np.vdot(one, one) for one in each])
+        seen = np.array([along[span] @ along[span] for span in self.basis.spans]) * self.total / chi2
+        each = [self._gram[span, span] - taken[span] @ inverse @ taken[span].T for span in self.basis.spans]
+        expected = np.array([np.trace(block) for block in each])
+        information = np.array([np.vdot(block, block) for block in each])
         return (seen - expected) / np.sqrt(2 * information), (seen - expected) / information
 
     def believed(self, without: Collection[str] = ()) -> np.ndarray:
@@ -289,6 +289,6 @@ class Sizes:
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
         """Return how well each part's variance is known, shape (n_parts,): that of as many squares of normals."""
         here, _, inverse, _ = self._solved(variance)
-        own = self.basis.part[here]
-        known = np.where(own[:, None] == own, np.eye(len(here)) - inverse, 0.0) ** 2
-        return np.maximum(self._by_part(known.sum(axis=1), here), 1.0)
+        part = self.basis.part[here]
+        determined = np.where(part[:, None] == part, np.eye(len(here)) - inverse, 0.0) ** 2
+        return np.maximum(self._by_part(determined.sum(axis=1), here), 1.0)

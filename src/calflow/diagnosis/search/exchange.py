@@ -67,9 +67,9 @@ class Exchange(Generic[H]):
         columns = np.zeros((len(few), COLUMNS), dtype=int)
         sd = np.zeros(columns.shape)
         for k, score in enumerate(few):
-            own = score.candidate.columns
-            columns[k, : len(own)] = own
-            sd[k, : len(own)] = screening.regressors.prior_sd[own]
+            span = score.candidate.columns
+            columns[k, : len(span)] = span
+            sd[k, : len(span)] = screening.regressors.prior_sd[span]
         used, which = np.unique(columns, return_inverse=True)
         which = which.ravel()
         information = screening.information(used)[np.ix_(which, which)] * sd.ravel()[:, None] * sd.ravel()
@@ -113,15 +113,15 @@ class Exchange(Generic[H]):
     @cached_property
     def _bic(self) -> np.ndarray:
         """Return delta BIC of every pair, shape (m, m)."""
-        one = np.eye(COLUMNS)
+        identity = np.eye(COLUMNS)
         m = len(self.scores)
-        own = self.information[np.arange(m), np.arange(m)]
-        alone = np.linalg.inv(own + one)
+        diagonal = self.information[np.arange(m), np.arange(m)]
+        alone = np.linalg.inv(diagonal + identity)
         drop_alone = np.einsum("ma,mab,mb->m", self.score, alone, self.score)
         # What j shows beside i, and what is left for it to explain.
         taken = np.einsum("ijab,iac->ijbc", self.information, alone, optimize=True)
-        beside = own + one - np.einsum("ijbc,ijcd->ijbd", taken, self.information, optimize=True)
-        beside[np.arange(m), np.arange(m)] = one
+        beside = diagonal + identity - np.einsum("ijbc,ijcd->ijbd", taken, self.information, optimize=True)
+        beside[np.arange(m), np.arange(m)] = identity
         left = self.score - np.einsum("ijbc,ic->ijb", taken, self.score, optimize=True)
         inverse = np.linalg.inv(beside)
         drop = drop_alone[:, None] + np.einsum("ijb,ijbc,ijc->ij", left, inverse, left, optimize=True)
@@ -134,8 +134,8 @@ class Exchange(Generic[H]):
 
     def _p(self, i: int, j: int) -> float:
         """Return the family-wise p-value of candidate j where i is in the model."""
-        one = np.eye(COLUMNS)
-        taken = self.information[j, i] @ np.linalg.inv(self.information[i, i] + one)
+        identity = np.eye(COLUMNS)
+        taken = self.information[j, i] @ np.linalg.inv(self.information[i, i] + identity)
         values, vectors = np.linalg.eigh(self.information[j, j] - taken @ self.information[i, j])
         shown = values > INVISIBLE
         if not shown.any():
@@ -161,9 +161,9 @@ def doubtful(finding: Detection[H]) -> list[Score[H]]:
     if doubt < WORTH:
         return []
     places = by_place(finding.scores)
-    own = places.pop(finding.cause.place)[0]
-    near = [(bic, score) for bic, score in places.values() if bic - own < WITHIN + doubt]
-    return [score for _, score in sorted(near, key=lambda one: one[0])]
+    named_bic = places.pop(finding.cause.place)[0]
+    near = [(bic, score) for bic, score in places.values() if bic - named_bic < WITHIN + doubt]
+    return [score for _, score in sorted(near, key=lambda scored: scored[0])]
 
 
 def doubted(best: Trial[H]) -> Iterator[list[H]]:
@@ -177,16 +177,16 @@ def doubted(best: Trial[H]) -> Iterator[list[H]]:
         for score in doubtful(finding):
             yield swapped(best.causes, cause, best.in_place([cause], score.cause))
         for other in (
-            one.cause for one in small if one.cause != cause and cause.joint and one.cause.joint == cause.joint
+            rival.cause for rival in small if rival.cause != cause and cause.joint and rival.cause.joint == cause.joint
         ):
-            stay = [one for one in best.causes if one != cause]
+            stay = [rival for rival in best.causes if rival != cause]
             yield stay
             yield swapped(stay, other, best.in_place([cause, other], other))
 
 
 def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Detection[H], ...]:
     """Return the findings, with the rivals' evidence from the fits that there were with one of them in a cause's place."""
-    found = []
+    detections = []
     for finding in best.findings:
         stay = [cause for cause in best.causes if cause != finding.cause]
         above = {
@@ -194,8 +194,8 @@ def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Detection[H], .
             for score in doubtful(finding)
             if (fitted := [other.bic - best.bic for other in tried if _has(other, stay, score.cause)])
         }
-        found.append(corrected_rivals(finding, above, best.n_residuals))
-    return tuple(found)
+        detections.append(corrected_rivals(finding, above, best.n_residuals))
+    return tuple(detections)
 
 
 def _has(trial: Trial[H], stay: Sequence[H], rival: H) -> bool:
@@ -207,8 +207,8 @@ def _has(trial: Trial[H], stay: Sequence[H], rival: H) -> bool:
 def corrected_rivals(finding: Detection[H], above: Mapping[Place, float], n: int) -> Detection[H]:
     """Return the finding with some places' BICs as they were fitted, above that of the cause; n is the number of residuals."""
     places = by_place(finding.scores)
-    own = places[finding.cause.place][0]
-    shift = {place: bic + own - places[place][0] for place, bic in above.items()}
+    own_bic = places[finding.cause.place][0]
+    shift = {place: bic + own_bic - places[place][0] for place, bic in above.items()}
 
     def moved(score: Score[H]) -> Score[H]:
         if score.cause.place not in shift:

@@ -54,8 +54,8 @@ def extend(
     say is told each step in words, advance the share of the search that is done, which never falls.
     """
     first = Linearisation.at(start, catalogue).screened(rng)
-    found = Stepwise(acceptance, first, rng, say, advance).best(FittedTrial(first.family, start, catalogue))
-    return extended(*found, first)
+    ended = Stepwise(acceptance, first, rng, say, advance).best(FittedTrial(first.family, start, catalogue))
+    return extended(*ended, first)
 
 
 def extended(found: Trial[Cause], every: list[Trial[Cause]], first: Screened[Cause]) -> Extended:
@@ -65,8 +65,8 @@ def extended(found: Trial[Cause], every: list[Trial[Cause]], first: Screened[Cau
     return Extended(best.fitted, verified(best, tried), trail, first)
 
 
-def weighed_against(known: Extended, catalogue: Catalogue) -> Extended:
+def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
     """Score a wider catalogue's candidates in each cause's place: what was left out of the search can still be the truth."""
-    if not known.findings:
-        return known
-    return replace(known, findings=FittedTrial(known.first.family, known.fitted, catalogue).findings)
+    if not extension.findings:
+        return extension
+    return replace(extension, findings=FittedTrial(extension.first.family, extension.fitted, catalogue).findings)

@@ -98,9 +98,9 @@ class Fitted:
             wider = t.ppf(TWO_SIDED, sure) / norm.ppf(TWO_SIDED)
             within = wider[:, None] * within * wider
         free = np.flatnonzero(~self.fit.at_bound)
-        found = np.zeros((len(self.fit.estimate), len(self.fit.estimate)))
-        found[np.ix_(free, free)] = within
-        return found
+        covariance = np.zeros((len(self.fit.estimate), len(self.fit.estimate)))
+        covariance[np.ix_(free, free)] = within
+        return covariance
 
     @cached_property
     def elsewhere(self) -> float:
@@ -115,11 +115,11 @@ class Fitted:
     @property
     def misfit(self) -> float:
         """Huber's cost of all rows, and the priors' chi²; beside a background by what it leaves of independent noise."""
-        own, model = self.fit, self.model
+        fit, model = self.fit, self.model
         if self.background is not None:
             return Screening(self.regressors(())).chi2 + 2 * FAR**2 * float((self.far - 1).sum())
-        pulled = (own.estimate - model.prior_mean) / model.prior_sd
-        return float((own.residual**2).sum() + 2 * FAR**2 * (self.far - 1).sum() + pulled @ pulled)
+        pulled = (fit.estimate - model.prior_mean) / model.prior_sd
+        return float((fit.residual**2).sum() + 2 * FAR**2 * (self.far - 1).sum() + pulled @ pulled)
 
     @property
     def problem(self) -> LeastSquares:
@@ -136,15 +136,15 @@ class Fitted:
         )
 
     @staticmethod
-    def of(known: CalibratedModel, data: Measurements, noise: Noise) -> Fitted:
+    def of(calibrated: CalibratedModel, data: Measurements, noise: Noise) -> Fitted:
         """Fit an identified model anew on training rows, from where identify left it."""
         bare = replace(noise, discrepancy=PerUnit(), intraclass=0.0)
-        return _settled(known.model, data, bare, known.estimate, known.loss)
+        return _settled(calibrated.model, data, bare, calibrated.estimate, calibrated.loss)
 
     def _values(self, model: Model) -> np.ndarray:
         """Another model's parameters at the estimates there are, nominal where there are none."""
-        known = dict(zip((p.identity for p in self.model.parameters), self.fit.estimate, strict=True))
-        return np.array([known.get(p.identity, p.nominal) for p in model.parameters])
+        values = dict(zip((p.identity for p in self.model.parameters), self.fit.estimate, strict=True))
+        return np.array([values.get(p.identity, p.nominal) for p in model.parameters])
 
     @property
     def causes(self) -> tuple[Cause, ...]:
@@ -185,11 +185,11 @@ def _settled(
     far = np.ones(len(data)) if far is None else far
     for _ in range(WEIGHINGS):
         weighed = replace(device, sigma=device.sigma * far)
-        found, noise, lack, _ = fit_reweighted(model, data, weighed, start[None], loss, SETTLED)
-        before, far, start = far, _excess(found, far), found.estimate
+        settled, noise, lack, _ = fit_reweighted(model, data, weighed, start[None], loss, SETTLED)
+        before, far, start = far, _excess(settled, far), settled.estimate
         if np.allclose(far, before, rtol=SETTLED):
             break
-    return Fitted(found, data, noise, lack, loss, device)
+    return Fitted(settled, data, noise, lack, loss, device)
 
 
 def _excess(fit: Fit, far: np.ndarray) -> np.ndarray:

@@ -41,10 +41,10 @@ def refined_causes(now: Fitted) -> Iterator[list[Cause]]:
     if not any(finer):
         return
     linearisation = Linearisation.at(now, Catalogue(tuple(chain.from_iterable(finer)), {}))
-    for cause in (cause for cause, found in zip(now.causes, finer, strict=True) if found):
+    for cause in (cause for cause, variants in zip(now.causes, finer, strict=True) if variants):
         near = [score for score in linearisation.apart([cause]).scores if score.cause.place == cause.place]
-        own = next((score.delta_bic for score in near if score.cause == cause), np.inf)
-        if near and near[0].delta_bic < own - CLEARLY_FINER:
+        bic = next((score.delta_bic for score in near if score.cause == cause), np.inf)
+        if near and near[0].delta_bic < bic - CLEARLY_FINER:
             yield swapped(now.causes, cause, near[0].cause)
 
 
@@ -123,8 +123,8 @@ class FittedTrial(Trial[Cause]):
 
     def _relief(self, cause: Cause) -> float:
         model = self.fitted.model
-        own = model.columns(cause)
-        return relief(self.fitted.fit.estimate[own] - model.prior_mean[own], model.prior_sd[own])
+        columns = model.columns(cause)
+        return relief(self.fitted.fit.estimate[columns] - model.prior_mean[columns], model.prior_sd[columns])
 
 
 def among(trail: Sequence[Fitted], causes: Sequence[Cause]) -> Fit:

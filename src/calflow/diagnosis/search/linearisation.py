@@ -71,19 +71,19 @@ class Linearisation(Generic[H]):
     @staticmethod
     def at(fitted: Fitted, catalogue: Catalogue) -> Linearisation[Cause]:
         """Linearise a fitted model; its own causes are among the candidates, for when they are taken out."""
-        own = (cause for cause in fitted.causes if cause.effect not in catalogue.effects)
-        regressors = fitted.regressors((*catalogue.effects, *own))
+        added = (cause for cause in fitted.causes if cause.effect not in catalogue.effects)
+        regressors = fitted.regressors((*catalogue.effects, *added))
         free = np.flatnonzero(~fitted.fit.at_bound)
         columns = tuple(np.flatnonzero(np.isin(free, fitted.model.columns(cause))) for cause in fitted.causes)
         return Linearisation(fitted.causes, regressors, fitted.fit.estimate[free], columns)
 
-    def screened(self, rng: np.random.Generator, known: Family | None = None) -> Screened[H]:
+    def screened(self, rng: np.random.Generator, family: Family | None = None) -> Screened[H]:
         """Test what the model does not have yet; known is what the number of tests costs, if that is known."""
         screening = self.beside
         shown = {score.cause.place for score in screening.scores}
         every = {candidate.cause.place: candidate.cause for candidate in screening.regressors.candidates}
         hidden = tuple(cause for place, cause in every.items() if place not in shown)
-        return Screened(tuple(screening.scores), known or screening.family(rng), hidden)
+        return Screened(tuple(screening.scores), family or screening.family(rng), hidden)
 
     @property
     def beside(self) -> Screening[H]:
@@ -109,4 +109,6 @@ def _besides(candidates: Sequence[Candidate[H]], causes: Sequence[H]) -> tuple[C
     acting: dict[tuple[str, str], list[H]] = {}
     for cause in causes:
         acting.setdefault(cause.place, []).append(cause)
-    return tuple(c for c in candidates if not any(c.cause.same_form(one) for one in acting.get(c.cause.place, ())))
+    return tuple(
+        c for c in candidates if not any(c.cause.same_form(present) for present in acting.get(c.cause.place, ()))
+    )

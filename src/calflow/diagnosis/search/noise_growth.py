@@ -92,13 +92,15 @@ def _of_repeats(fitted: Fitted) -> SpreadByRange | None:
     if noise.scatter is None or RANGE not in data.given:
         return None
     distance = data.table[RANGE].to_numpy()
-    own = (noise.scatter.freedom > 0) & ~noise.scatter.gross & np.isfinite(distance)
+    usable = (noise.scatter.freedom > 0) & ~noise.scatter.gross & np.isfinite(distance)
     for k, series in enumerate(data.series):
-        own &= ~data.of_series(k) | (series.beam is None)
-    found = noise.scatter.only(own)
-    if found.freedom.sum() < MIN_REPEATS:
+        usable &= ~data.of_series(k) | (series.beam is None)
+    scatter = noise.scatter.only(usable)
+    if scatter.freedom.sum() < MIN_REPEATS:
         return None
-    return SpreadByRange(found.squared, found.freedom, (noise.sigma * np.sqrt(data.repeats))[own], distance[own])
+    return SpreadByRange(
+        scatter.squared, scatter.freedom, (noise.sigma * np.sqrt(data.repeats))[usable], distance[usable]
+    )
 
 
 def _of_residuals(fitted: Fitted, smooth: bool = True) -> SpreadByRange:
@@ -146,9 +148,9 @@ def _fitted(spread: SpreadByRange, p: float) -> Growth:
     curvature, slope = ca.hessian(cost, x)
     function = ca.Function("likelihood", [x], [cost, slope, curvature])
     start = np.log([middle / 2, middle / 2 / np.mean(spread.distance)])
-    found = minimize(
+    optimum = minimize(
         lambda at: float(function(at)[0]), start, jac=lambda at: np.array(function(at)[1]).ravel(), method="BFGS"
     ).x
-    inverse = np.linalg.pinv(np.array(function(found)[2]), hermitian=True)
-    sd = float(np.sqrt(max(inverse[1, 1], 0.0)) * np.exp(found[1]))
-    return Growth(float(np.exp(found[0])), float(np.exp(found[1])), sd, p)
+    inverse = np.linalg.pinv(np.array(function(optimum)[2]), hermitian=True)
+    sd = float(np.sqrt(max(inverse[1, 1], 0.0)) * np.exp(optimum[1]))
+    return Growth(float(np.exp(optimum[0])), float(np.exp(optimum[1])), sd, p)

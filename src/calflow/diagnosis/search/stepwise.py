@@ -114,8 +114,8 @@ class Stepwise(Generic[H]):
         for gone in (*combinations(small, 2), *combinations(small, 1)):
             exchange = Exchange.of(trial.linearisation.apart(gone), trial.family, gone)
             stay = [cause for cause in trial.causes if cause not in gone]
-            if (one := exchange.alone()) and self.acceptance.accepts(one, trial.family):
-                yield _replaced(trial, [*stay, one.cause])
+            if (single := exchange.alone()) and self.acceptance.accepts(single, trial.family):
+                yield _replaced(trial, [*stay, single.cause])
             pairs = exchange.better() if len(stay) + 2 <= self.acceptance.most else ()
             if pair := next((pair for pair in pairs if pair.p < self.acceptance.false_alarm), None):
                 yield _replaced(trial, [*stay, pair.first.cause, pair.second.cause])
@@ -140,8 +140,8 @@ def _added(
     if not passed:
         return
     best = trial.finest(min(passed, key=lambda score: score.delta_bic + score.unusual))  # usual sizes first
-    said = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
-    yield Proposal([*trial.causes, best.cause], said, best)
+    message = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
+    yield Proposal([*trial.causes, best.cause], message, best)
 
 
 def _replaced(trial: Trial[H], causes: list[H]) -> Proposal[H]:

@@ -141,8 +141,8 @@ class Acceptance:
 
     def keeps(self, finding: Detection) -> bool:
         """Whether a cause that is in the model would pass again."""
-        own = [score for score in finding.scores if score.cause == finding.cause]
-        return bool(own) and self.accepts(own[0], finding.family)
+        scores = [score for score in finding.scores if score.cause == finding.cause]
+        return bool(scores) and self.accepts(scores[0], finding.family)
 
 
 Kin = tuple[str, int]  # a family and the joint (0 for none) where its members act
@@ -150,11 +150,11 @@ Kin = tuple[str, int]  # a family and the joint (0 for none) where its members a
 
 def kindred(causes: Sequence[H]) -> dict[Kin, list[H]]:
     """Return the causes of each family at each joint, where there are several."""
-    found: dict[Kin, list[H]] = {}
+    groups: dict[Kin, list[H]] = {}
     for cause in causes:
         if cause.family:
-            found.setdefault((cause.family, cause.joint), []).append(cause)
-    return {kin: members for kin, members in found.items() if len(members) > 1}
+            groups.setdefault((cause.family, cause.joint), []).append(cause)
+    return {kin: members for kin, members in groups.items() if len(members) > 1}
 
 
 def merged(trial: Trial[H]) -> Iterator[list[H]]:
@@ -163,5 +163,5 @@ def merged(trial: Trial[H]) -> Iterator[list[H]]:
         stay = [cause for cause in trial.causes if cause not in members]
         scores = trial.linearisation.apart(members).scores
         alike = [score for score in scores if (score.cause.family, score.cause.joint) == (family, joint)]
-        for _, best in sorted(by_place(alike).values(), key=lambda one: one[0]):
+        for _, best in sorted(by_place(alike).values(), key=lambda scored: scored[0]):
             yield [*stay, best.cause]

@@ -63,11 +63,11 @@ def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
     first, number = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
     angles = data.joints[first]
     levels = min(LEVELS, int(np.log2(max(len(first) // FEWEST, 1))))
-    found = [_halved(angles / np.maximum(angles.std(axis=0), 1e-9), levels)[number]]
+    kinds = [_halved(angles / np.maximum(angles.std(axis=0), 1e-9), levels)[number]]
     if "order" in data.given:
         rank = np.argsort(np.argsort(data.table["order"].to_numpy(float)[first]))
-        found.append((rank * 2**levels // len(first))[number])
-    return found
+        kinds.append((rank * 2**levels // len(first))[number])
+    return kinds
 
 
 def _halved(places: np.ndarray, levels: int) -> np.ndarray:
@@ -75,10 +75,10 @@ def _halved(places: np.ndarray, levels: int) -> np.ndarray:
     block = np.zeros(len(places), dtype=int)
     for _ in range(levels):
         upper = np.zeros(len(places), dtype=bool)
-        for one in np.unique(block):
-            own = np.flatnonzero(block == one)
-            along = places[own, int(np.argmax(np.ptp(places[own], axis=0)))]
-            upper[own[np.argsort(along, kind="stable")[len(own) // 2 :]]] = True
+        for leaf in np.unique(block):
+            members = np.flatnonzero(block == leaf)
+            along = places[members, int(np.argmax(np.ptp(places[members], axis=0)))]
+            upper[members[np.argsort(along, kind="stable")[len(members) // 2 :]]] = True
         block = 2 * block + upper
     return block
 
@@ -99,8 +99,8 @@ class BlocksLeftOut:
     @staticmethod
     def of(regressors: Regressors[Cause], block: np.ndarray) -> BlocksLeftOut:
         """Add up the products block by block, by which the residuals are numbered (n,)."""
-        rows = tuple(np.flatnonzero(block == one) for one in np.unique(block))
-        parts = [(regressors.jacobian[own], regressors.residual[own]) for own in rows]
+        rows = tuple(np.flatnonzero(block == number) for number in np.unique(block))
+        parts = [(regressors.jacobian[members], regressors.residual[members]) for members in rows]
         return BlocksLeftOut(
             regressors, rows, np.array([j.T @ j for j, _ in parts]), np.array([j.T @ e for j, e in parts])
         )
@@ -112,18 +112,18 @@ class BlocksLeftOut:
 
     def missed_without(self, gone: np.ndarray, value: np.ndarray) -> list[np.ndarray]:
         """Return the same without some of the free parameters (their numbers), which have these values."""
-        known = self.regressors
+        regressors = self.regressors
         keep = np.setdiff1d(np.arange(self.fitted.shape[1]), gone)
-        change, prior = np.zeros(self.fitted.shape[1]), np.diag(known.precision[keep])
+        change, prior = np.zeros(self.fitted.shape[1]), np.diag(regressors.precision[keep])
         change[gone] = value
-        found = []
-        for k, own in enumerate(self.rows):
+        missed = []
+        for k, members in enumerate(self.rows):
             others = np.arange(len(self.rows)) != k
             whole = self.fitted[others].sum(axis=0)
             left = self.left[others].sum(axis=0) - whole[:, gone] @ value
-            change[keep] = np.linalg.solve(whole[np.ix_(keep, keep)] + prior, left[keep] + known.pull[keep])
-            found.append(known.residual[own] - known.jacobian[own] @ change)
-        return found
+            change[keep] = np.linalg.solve(whole[np.ix_(keep, keep)] + prior, left[keep] + regressors.pull[keep])
+            missed.append(regressors.residual[members] - regressors.jacobian[members] @ change)
+        return missed
 
 
 def blocks_left_out(fitted: Fitted) -> list[BlocksLeftOut]:
@@ -135,11 +135,11 @@ def blocks_left_out(fitted: Fitted) -> list[BlocksLeftOut]:
 def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[BlocksLeftOut]) -> CarriedOver:
     """Predict each block of each kind from the others, with a cause of the model and without it."""
     free = np.flatnonzero(~fitted.fit.at_bound)
-    own = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
-    value = fitted.fit.estimate[free][own]
+    columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
+    value = fitted.fit.estimate[free][columns]
     gains, ratios = [], list[float]()
     for kind in kinds:
-        pairs = list(zip(kind.missed_without(own, value), kind.missed, strict=True))
+        pairs = list(zip(kind.missed_without(columns, value), kind.missed, strict=True))
         gains.append(float(sum(a @ a - b @ b for a, b in pairs)))
         ratios += [np.log(np.abs(a).max() / np.abs(b).max()) for a, b in pairs]
     mean, spread = float(np.mean(ratios)), float(np.std(ratios, ddof=1)) / np.sqrt(len(ratios))
@@ -167,15 +167,15 @@ def unnamed(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> dict[
     weight = fitted.problem.weight
     whole = _evidence(regressors, basis, weight)
     covariance = np.linalg.inv(regressors.jacobian.T @ regressors.jacobian + np.diag(regressors.precision))
-    found = {}
+    evidence = {}
     for cause in fitted.causes:
-        own = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
-        pull = value[own] * np.sqrt(regressors.precision[own])
-        without = regressors.without(own, value[own])
-        spent = _occam(covariance, regressors.precision, own) + 2 * np.log(variants.get(cause.place, 1))
+        columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
+        pull = value[columns] * np.sqrt(regressors.precision[columns])
+        without = regressors.without(columns, value[columns])
+        spent = _occam(covariance, regressors.precision, columns) + 2 * np.log(variants.get(cause.place, 1))
         other = _evidence(without, basis, weight, cause.effect.smooth_in)
-        found[cause] = float(other - whole - spent - _unusual(pull))
-    return found
+        evidence[cause] = float(other - whole - spent - _unusual(pull))
+    return evidence
 
 
 def unnamed_evidence(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> float:
@@ -191,14 +191,14 @@ def unnamed_evidence(fitted: Fitted, basis: BackgroundBasis, variants: Variants)
         whole
         + _occam(covariance, precision, np.concatenate([[], *columns]).astype(int))
         + float(spent)
-        + sum(_unusual(value[own] * np.sqrt(precision[own])) for own in columns)
+        + sum(_unusual(value[columns_of_cause] * np.sqrt(precision[columns_of_cause])) for columns_of_cause in columns)
     )
 
 
-def _occam(covariance: np.ndarray, precision: np.ndarray, own: np.ndarray) -> float:
+def _occam(covariance: np.ndarray, precision: np.ndarray, columns: np.ndarray) -> float:
     """What it costs to have parameters with these columns: how much smaller than their priors they have become, -2 log."""
-    scale = np.sqrt(precision[own])
-    return -float(np.linalg.slogdet(covariance[np.ix_(own, own)] * np.outer(scale, scale))[1])
+    scale = np.sqrt(precision[columns])
+    return -float(np.linalg.slogdet(covariance[np.ix_(columns, columns)] * np.outer(scale, scale))[1])
 
 
 def _unusual(pull: np.ndarray) -> float:
@@ -219,7 +219,7 @@ THOUGHTS = 3  # rivals that may take a cause's place one after another
 
 def weighed(
     start: Fitted,
-    found: Extended,
+    extension: Extended,
     catalogue: Catalogue,
     acceptance: Acceptance,
     rng: np.random.Generator,
@@ -227,7 +227,7 @@ def weighed(
 ) -> Extended:
     """Drop and exchange causes that do not hold beside a background of the size that is left, until they agree with it."""
     basis = BackgroundBasis.of(start)
-    now, rounds = found, list[Extended]()
+    now, rounds = extension, list[Extended]()
     for _ in range(ROUNDS):
         against = unnamed(now.fitted, basis, catalogue.variants)
         while weakest := _weakest(now.fitted, against):
@@ -241,13 +241,13 @@ def weighed(
                 f"left over, by {', '.join(' and '.join(inputs) for inputs in left.inputs)}: what is found is held against it"
             )
         beside = replace(now.fitted, background=left)
-        now = _searched(replace(start, background=left), beside, found, catalogue, acceptance, rng, say)
+        now = _searched(replace(start, background=left), beside, extension, catalogue, acceptance, rng, say)
         rounds.append(now)
         if same(now.fitted.causes, beside.causes):
             break
         if any(same(now.fitted.causes, other.fitted.causes) for other in rounds[:-1]):
             now = min(
-                rounds, key=lambda one: unnamed_evidence(one.fitted, basis, catalogue.variants)
+                rounds, key=lambda extended_model: unnamed_evidence(extended_model.fitted, basis, catalogue.variants)
             )  # they go round in circles
             break
     if not same(list(against), now.fitted.causes):
@@ -269,26 +269,26 @@ def _weakest(fitted: Fitted, against: dict[Cause, float]) -> Cause | None:
 def _searched(
     start: Fitted,
     beside: Fitted,
-    found: Extended,
+    extension: Extended,
     catalogue: Catalogue,
     acceptance: Acceptance,
     rng: np.random.Generator,
     say: Callable[[str], None],
 ) -> Extended:
     """Search on from a model with its background."""
-    family = found.first.family
-    first = found.first
+    family = extension.first.family
+    first = extension.first
     if not beside.causes and start.background is not None:
         first = Linearisation.at(start, catalogue).screened(rng, family)
-    known = [FittedTrial(family, beside, catalogue)] if beside.causes else []
-    tried: list[Trial[Cause]] = [FittedTrial(family, start, catalogue), *known]
+    fitted_trials = [FittedTrial(family, beside, catalogue)] if beside.causes else []
+    tried: list[Trial[Cause]] = [FittedTrial(family, start, catalogue), *fitted_trials]
     search = Stepwise(acceptance, first, rng, say, lambda share: None)
     best = _second_thought(search.settled(tried), tried, search)
-    for trial in known:
+    for trial in fitted_trials:
         more = len(best.causes) - len(trial.causes)
         if more > 0 and search.stands(trial) and best.bic > trial.bic - SPLIT * more:
             best = trial  # two that together are what one was: as in an exchange, they must be clearly better
-    return replace(extended(best, tried, first), first=found.first)
+    return replace(extended(best, tried, first), first=extension.first)
 
 
 def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepwise[Cause]) -> Trial[Cause]:
@@ -309,13 +309,13 @@ def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepw
     return best
 
 
-def _judged(found: Extended, against: dict[Cause, float]) -> tuple[Detection[Cause], ...]:
-    kinds = blocks_left_out(found.fitted)
+def _judged(extension: Extended, against: dict[Cause, float]) -> tuple[Detection[Cause], ...]:
+    kinds = blocks_left_out(extension.fitted)
     return tuple(
         replace(
             finding,
             unnamed=against[finding.cause],
-            carries_over=carried_over(found.fitted, finding.cause, kinds).holds,
+            carries_over=carried_over(extension.fitted, finding.cause, kinds).holds,
         )
-        for finding in found.findings
+        for finding in extension.findings
     )
