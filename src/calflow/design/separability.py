@@ -88,7 +88,7 @@ class Visits:
                 yield words, replace(self, records=self.records | {record})
         for name in self.robot.payloads:
             if name not in self.payloads:
-                half = tuple(name if k % 2 else own for k, own in enumerate(self.payloads))
+                half = tuple(name if k % 2 else payload for k, payload in enumerate(self.payloads))
                 yield f"payload '{name}' at every other pose", replace(self, payloads=half)
         for name in self.robot.markers:
             if name not in self.markers:
@@ -147,10 +147,12 @@ def isolability(
         draws: measurements of each cause.
     """
     screening, catalogue = screened(effects, planned, visits.measurements().split(holdout, seed), rng)
-    seen, told = chances(screening, screening.family(rng), SHARES["causes"] * false_alarm, rng, size=size, draws=draws)
+    seen, told_apart = chances(
+        screening, screening.family(rng), SHARES["causes"] * false_alarm, rng, size=size, draws=draws
+    )
     causes = {candidate.cause.place: candidate.cause for candidate in screening.regressors.candidates}
     untold = {place: _untold(cause, catalogue, causes) for place, cause in causes.items()}
-    return Isolability(causes, seen, told, catalogue.lacking, untold)
+    return Isolability(causes, seen, told_apart, catalogue.lacking, untold)
 
 
 def screened(
@@ -185,30 +187,30 @@ def chances(
     forms: dict[Place, list[Candidate[H]]] = {}
     for candidate in regressors.candidates:
         forms.setdefault(candidate.cause.place, []).append(candidate)
-    true = {place: own for place, own in forms.items() if places is None or place in places}
+    true = {place: form for place, form in forms.items() if places is None or place in places}
     seen = dict.fromkeys(true, 0)
-    told = dict.fromkeys(((place, rival) for place in true for rival in forms if rival != place), 0)
-    for place, own in true.items():
-        tried = [own[k] for k in rng.permutation(len(own))[:FORMS]]
+    told_apart = dict.fromkeys(((place, rival) for place in true for rival in forms if rival != place), 0)
+    for place, form in true.items():
+        tried = [form[k] for k in rng.permutation(len(form))[:FORMS]]
         for candidate, which in zip(tried, np.array_split(np.arange(draws), len(tried)), strict=True):
             truth, columns = amplitudes(candidate, regressors.prior_sd, size, len(which), rng), candidate.columns
             score = still[:, which] - screening.response(columns) @ truth
             chi2 = left[which] - (truth * (still[columns][:, which] + score[columns])).sum(axis=0)
-            found = screening.trials(score, chi2, family, false_alarm).by_place()
-            if place not in found:  # it does not show in any form
+            by_place = screening.trials(score, chi2, family, false_alarm).by_place()
+            if place not in by_place:  # it does not show in any form
                 break
-            left_open = _left_open(found)
+            left_open = _left_open(by_place)
             seen[place] += int(left_open[place].sum())
             for rival in forms.keys() - {place}:  # what does not show cannot be behind what does
-                told[place, rival] += int((left_open[place] & ~left_open.get(rival, np.False_)).sum())
-    return {place: n / draws for place, n in seen.items()}, {pair: n / draws for pair, n in told.items()}
+                told_apart[place, rival] += int((left_open[place] & ~left_open.get(rival, np.False_)).sum())
+    return {place: n / draws for place, n in seen.items()}, {pair: n / draws for pair, n in told_apart.items()}
 
 
-def _left_open(found: Mapping[Place, tuple[np.ndarray, np.ndarray]]) -> dict[Place, np.ndarray]:
+def _left_open(by_place: Mapping[Place, tuple[np.ndarray, np.ndarray]]) -> dict[Place, np.ndarray]:
     """In which draws (n_draws,) a place is among what the finding may be: the best that passes, and all that are near it."""
-    bic, passed = (np.array([own[k] for own in found.values()]) for k in (0, 1))
+    bic, passed = (np.array([values[k] for values in by_place.values()]) for k in (0, 1))
     best = np.where(passed, bic, np.inf).min(axis=0)
-    return dict(zip(found, (bic - best < WITHIN) & np.isfinite(best), strict=True))
+    return dict(zip(by_place, (bic - best < WITHIN) & np.isfinite(best), strict=True))
 
 
 def amplitudes(
@@ -234,19 +236,19 @@ def _regressors(
     soft = np.array([p.prior_sd if p.effect == "joint-compliance" else 0.0 for p in model.parameters])
     point = model.nominal + soft
     _, matrix = probed(planned.problem(model, point, rows), point, effects)
-    jacobian, found, candidates = matrix[:, :n], Held(matrix[:, n:]), candidates_of(effects)
+    jacobian, held, candidates = matrix[:, :n], Held(matrix[:, n:]), candidates_of(effects)
     residual, precision = rng.standard_normal(len(matrix)), sd**-2.0
-    products = RegressorProducts.of(residual, jacobian, found, candidates)
-    known = cho_solve(cho_factor(products.fitted + np.diag(precision)), products.fitted)
+    products = RegressorProducts.of(residual, jacobian, held, candidates)
+    determined = cho_solve(cho_factor(products.fitted + np.diag(precision)), products.fitted)
     prior_sd = np.array([parameter.prior_sd for effect in effects for parameter in effect.declared])
     return Regressors(
-        residual, jacobian, precision, np.zeros(n), 0.0, found, prior_sd, candidates, products, float(np.trace(known))
+        residual, jacobian, precision, np.zeros(n), 0.0, held, prior_sd, candidates, products, float(np.trace(determined))
     )  # fmt: skip
 
 
 def _untold(cause: Cause, catalogue: Catalogue, tested: Mapping[Place, Cause]) -> dict[str, str]:
     """What may be behind a cause and no such data test, or tell from it, with what that would take."""
-    there = {(one.id, one.joint) for one in tested.values()}
+    there = {(tested_cause.id, tested_cause.joint) for tested_cause in tested.values()}
     alike = {name: "" for name in cause.alike if (name, cause.joint) not in there}
     return alike | catalogue.untestable(cause.id)
 
@@ -309,8 +311,8 @@ def isolability_summary(table: pd.DataFrame) -> str:
     """Say how many causes are seen, and how many of these are told from all others."""
     tested = table[table["part"].fillna("") != ""]
     seen = int(tested.loc[tested["rival"].fillna("") == "", "enough"].sum())
-    told = tested.groupby(["cause", "part"])["enough"].all()
-    return f"of {len(told)} causes {seen} would be seen, and {int(told.sum())} of these told from all others"
+    separable = tested.groupby(["cause", "part"])["enough"].all()
+    return f"of {len(separable)} causes {seen} would be seen, and {int(separable.sum())} of these told from all others"
 
 
 def isolability_gaps(table: pd.DataFrame) -> list[str]:
@@ -348,7 +350,7 @@ def _worst(planned: Isolability, cause: Known, rivals: tuple[Known, ...]) -> tup
 def _filled(tried: Mapping[str, Isolability], cause: Known, rival: Known | None) -> tuple[str, float] | None:
     """The first addition with which a gap is none, and the chance then."""
     then = ((words, chance_of(with_it, cause, rival)) for words, with_it in tried.items())
-    return next((one for one in then if one[1] >= ENOUGH), None)
+    return next((count for count in then if count[1] >= ENOUGH), None)
 
 
 def _needs(planned: Isolability, cause: Known, rival: Known | None) -> str:
