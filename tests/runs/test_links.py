@@ -50,3 +50,12 @@ def test_a_link_out_of_the_run_folder_is_refused(finished, outside, name, target
     *_, told = finished.refused(command, *asked)
     assert "leads out of the folder" in told
     assert untouched(outside)
+
+
+def test_what_a_killed_run_was_writing_goes(finished):
+    """Fails if files that were not complete when a run was killed stay for ever, under names that nobody writes again."""
+    halves = [finished / "runs" / name for name in (".0123456789abcdef.part", "inputs/.0123456789abcdef.part")]
+    for half in halves:
+        half.write_bytes(b"half")
+    assert finished.calflow("run").code == 0
+    assert not any(half.exists() for half in halves)

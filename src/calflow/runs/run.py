@@ -8,7 +8,7 @@ from pathlib import Path
 
 from calflow.files.results import Documents, Results
 from calflow.files.tables import Tables
-from calflow.files.writing import inside, write_whole
+from calflow.files.writing import PART, inside, write_whole
 from calflow.measurements.reading import fetch
 from calflow.run_folder import default_folder, read_manifest, read_results
 from calflow.runs.execution import execute, record_reuse
@@ -99,6 +99,8 @@ def run(
 
 def _keep_inputs(study: Study, folder: Path) -> None:
     """Copy the files that were asked, so that the run folder alone tells what was done and can predict."""
+    for part in (*folder.glob(f".*{PART}"), *inside(folder, "inputs").glob(f".*{PART}")):  # of a run that was killed
+        part.unlink()
     robot, *described = study.robot_paths
     for name, path in (
         ("study.toml", study.path),
