@@ -11,9 +11,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calflow.files.data_package import table_schema
 from calflow.files.problems import InputError
 from calflow.files.results import from_document, to_document
-from calflow.files.tables import column, from_frame, schema, to_frame, typed
+from calflow.files.tables import column, from_frame, to_frame, typed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +87,7 @@ def test_what_is_not_declared_is_no_table():
 
 def test_a_schema_tells_every_column():
     """Fails if another program cannot learn a column's type, unit and meaning from the schema."""
-    fields = {field["name"]: field for field in schema(to_frame([FULL], Sample), Sample)["fields"]}
+    fields = {field["name"]: field for field in table_schema(to_frame([FULL], Sample), Sample)["fields"]}
     assert list(fields) == list(to_frame([FULL], Sample))
     assert fields["size_mm"] == {"name": "size_mm", "type": "number", "description": "how large", "unit": "mm"}
     assert fields["kind"]["constraints"] == {"enum": ["a", "b"]}

@@ -156,7 +156,7 @@ def test_an_archive_has_the_same_bytes_each_time_and_describes_each_file(finishe
     described = {entity.id for entity in crate.data_entities}
     assert described == names - {"ro-crate-metadata.json"}
     table = crate.dereference("identify/parameters.csv")
-    assert table["conformsTo"].id == "identify/parameters.schema.json"
+    assert table["subjectOf"].id == "datapackage.json"
     lock = (tmp_path / "crate" / "environment.txt").read_text(encoding="utf-8").splitlines()
     assert {"numpy", "casadi"} <= {line.partition("==")[0] for line in lock}
     assert not any(line.startswith("calflow") for line in lock)  # no index has it, or somebody else's

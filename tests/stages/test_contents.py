@@ -7,8 +7,12 @@ from dataclasses import fields
 from pathlib import Path
 
 import pandas as pd
+import pytest
 
-from calflow.files.tables import columns, from_frame, schema, to_frame
+from calflow.files.data_package import table_schema
+from calflow.files.tables import columns, from_frame, to_frame
+from calflow.measurements.reading import sha256
+from calflow.run_folder import read_manifest
 from calflow.stages import STAGES
 from calflow.stages.contents import renewed
 
@@ -36,13 +40,26 @@ def test_every_column_has_a_meaning_and_the_unit_of_its_name():
 def test_a_run_keeps_what_is_declared_with_its_schema(finished):
     """Fails if a table of a run lacks its schema or holds what is not declared, or a summary is no JSON."""
     run = finished / "runs"
+    package = json.loads((run / "datapackage.json").read_text(encoding="utf-8"))
+    resources = {resource["path"]: resource for resource in package["resources"]}
+    assert set(resources) == {name for entry in read_manifest(run).stages.values() for name in entry.outputs}
+    assert all(resource["hash"] == f"sha256:{sha256(run / name)}" for name, resource in resources.items())
+    assert all(resource["bytes"] == (run / name).stat().st_size for name, resource in resources.items())
     made = {path.relative_to(run).as_posix() for path in run.rglob("*") if path.suffix in (".csv", ".json")}
     for name in (name for name in made if name.endswith(".csv")):
         table = pd.read_csv(run / name)
         assert list(to_frame(from_frame(table, KNOWN[name]), KNOWN[name])) == list(table), name
-        described = json.loads((run / name).with_suffix(".schema.json").read_text(encoding="utf-8"))
-        assert described == schema(table, KNOWN[name])
+        assert [field["name"] for field in resources[name]["schema"]["fields"]] == list(table)
+        assert resources[name]["schema"] == table_schema(table, KNOWN[name])
     assert {"identify/summary.json", "sample/summary.json"} <= made
     summary = json.loads((run / "identify" / "summary.json").read_text(encoding="utf-8"))
     assert summary["converged"] is True
     assert isinstance(summary["sigma_mm"], float)
+
+
+def test_other_programs_read_a_runs_data_package(finished):
+    """Fails if Frictionless finds a fault in the package, a file's bytes or hash, or a cell that is not of its column's type."""
+    frictionless = pytest.importorskip("frictionless")
+    report = frictionless.validate(str(finished / "runs" / "datapackage.json"))
+    assert report.valid, report.flatten(["title", "fieldName", "rowNumber", "message"])
+    assert len(report.tasks) > 20

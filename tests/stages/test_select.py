@@ -200,7 +200,8 @@ def test_what_the_plan_tells_apart_is_said_where_it_is_asked_for(small):
     assert not (small / "runs" / "select" / "isolability.csv").exists()
     said = selected(small, "isolability = true\nrecords = []", out="told")[2]
     table = pd.read_csv(small / "told" / "select" / "isolability.csv")
-    assert (small / "told" / "select" / "isolability.schema.json").exists()
+    package = json.loads((small / "told" / "datapackage.json").read_text(encoding="utf-8"))
+    assert "select/isolability.csv" in {resource["path"] for resource in package["resources"] if "schema" in resource}
     assert not set(table["cause"]) & {"geometry", "joint-compliance"}
     worst = table[table["worst"]]
     assert worst["cause"].isin(["joint-backlash"]).any()

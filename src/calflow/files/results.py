@@ -12,13 +12,16 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any, TypeVar
 
 import pandas as pd
 from pydantic import TypeAdapter, ValidationError
 
+from calflow.files.csv import write_csv
 from calflow.files.problems import InputError, refuse
 from calflow.files.tables import Tables, from_frame
+from calflow.files.writing import inside, write_text
 
 Document = Mapping[str, Any]
 Documents = Mapping[str, Document]
@@ -43,6 +46,11 @@ def from_document(document: Document, kind: type[Kind]) -> Kind:
     except ValidationError as error:
         said = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
         raise refuse(f"a summary of calflow was changed ({said}); run the study again") from None
+
+
+def document_text(document: Document) -> str:
+    """Return a document as it is written."""
+    return f"{json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)}\n"
 
 
 def sealed(document: Document) -> Document:
@@ -113,6 +121,18 @@ class Results:
         if path not in self.documents:
             raise _lacking(path)
         return from_document(self.documents[path], kind)
+
+
+def write_results(folder: Path, results: Results) -> None:
+    """Write tables and documents.
+
+    Raises:
+        InputError: a link leads out of the folder.
+    """
+    for name, table in results.tables.items():
+        write_csv(inside(folder, name), table)
+    for name, document in results.documents.items():
+        write_text(inside(folder, name), document_text(document))
 
 
 Made = TypeVar("Made", pd.DataFrame, Document)

@@ -27,9 +27,6 @@ from calflow.files.problems import refuse
 Tables = Mapping[str, pd.DataFrame]
 Row = TypeVar("Row")
 
-FRICTIONLESS = {str: "string", int: "integer", float: "number", bool: "boolean"}  # datapackage.org, Table Schema 2
-PROFILE = "https://datapackage.org/profiles/2.0/tableschema.json"
-
 
 @dataclass(frozen=True)
 class Column:
@@ -60,18 +57,6 @@ class Column:
     def matches(self, name: str) -> bool:
         """Whether a column of this name is meant: `{a|b}` is a or b, `{word}` any text."""
         return re.fullmatch(_expression(self.name), name) is not None
-
-    def described(self, name: str) -> dict[str, Any]:
-        """Return a column of this name as a field of a Frictionless Table Schema."""
-        kind = FRICTIONLESS[self.kind]
-        said: dict[str, Any] = {"name": name, "type": "list" if self.many else kind, "description": self.meaning}
-        if self.many:
-            said |= {"delimiter": self.separator, "itemType": kind}
-        if self.unit:
-            said["unit"] = self.unit
-        if self.choices:
-            said["constraints"] = {"enum": list(self.choices)}
-        return said
 
 
 def column(
@@ -156,7 +141,7 @@ def typed(frame: pd.DataFrame, row_type: type) -> pd.DataFrame:
     Raises:
         TypeError: a declared column is missing, or one is not declared.
     """
-    found = _found(frame, row_type)
+    found = declared_among(frame.columns, row_type)
     missing, extra = _missing(found, row_type), set(frame) - set(found)
     if missing or extra:
         raise TypeError(f"{row_type.__name__}: missing {missing}, not declared {sorted(map(str, extra))}")
@@ -171,7 +156,7 @@ def from_frame(frame: pd.DataFrame, row_type: type[Row], name: str = "a table of
     Raises:
         InputError: a column is missing, or holds what is not of its type.
     """
-    found = _found(frame, row_type)
+    found = declared_among(frame.columns, row_type)
     if missing := _missing(found, row_type):
         raise refuse(f"{name} lacks columns: {', '.join(missing)}; run the study again")
     try:
@@ -237,26 +222,19 @@ class TypedTable(Sequence[Row]):
 
 def lacking(frame: pd.DataFrame, row_type: type) -> list[str]:
     """Return the declared columns that a table does not have."""
-    return _missing(_found(frame, row_type), row_type)
+    return _missing(declared_among(frame.columns, row_type), row_type)
 
 
-def schema(frame: pd.DataFrame, row_type: type) -> dict[str, Any]:
-    """Return a table's Frictionless Table Schema: name, type, description and unit of each column."""
-    described = [one.described(name) for name, one in _found(frame, row_type).items()]
-    return {"$schema": PROFILE, "fields": described, "missingValues": [""]}
-
-
-def _found(frame: pd.DataFrame, row_type: type) -> dict[str, Column]:
-    """Return a table's declared columns by name, in the order declared."""
-    declared = columns(row_type)
-    own = {one.name for one in declared}
+def declared_among(names: Iterable[str], row_type: type) -> dict[str, Column]:
+    """Return a row's declared columns that are among these names, by name and in the order declared."""
+    declared, there = columns(row_type), [str(name) for name in names]
+    fixed = {column.name for column in declared}
     found: dict[str, Column] = {}
-    for one in declared:
-        if one.is_pattern:
-            names = map(str, frame.columns)
-            found |= {name: one for name in names if name not in own | set(found) and one.matches(name)}
-        elif one.name in frame:
-            found[one.name] = one
+    for column in declared:
+        if column.is_pattern:
+            found |= {name: column for name in there if name not in fixed | set(found) and column.matches(name)}
+        elif column.name in there:
+            found[column.name] = column
     return found
 
 

@@ -14,7 +14,7 @@ from calflow.fleet.fleet_folder import CAUSES, TABLE, TYPES, UNLIKE, FleetFolder
 from calflow.fleet.outcome import Outcome, worst_first
 from calflow.fleet.reason import reason
 from calflow.fleet.types import CommonCauseRow, TypeParameter, UnlikeRow, by_type, unlike_parameters
-from calflow.runs.kept import write_results
+from calflow.runs.kept import keep_results
 
 TABLES = {TABLE: Outcome, TYPES: TypeParameter, UNLIKE: UnlikeRow, CAUSES: CommonCauseRow}
 
@@ -37,7 +37,7 @@ def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]
         UNLIKE: to_frame([row for one in types for row in one.odd_ones()], UnlikeRow),
         CAUSES: to_frame([row for one in types for row in one.common()], CommonCauseRow),
     }
-    write_results(folder.path, Results(tables), TABLES)
+    keep_results(folder.path, Results(tables), TABLES, fleet.title)
     for one in types:
         expecting = one.expecting(next(type_.study.robot for type_ in fleet.types if type_.name == one.type))
         if expecting:

@@ -12,14 +12,15 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from calflow.files.data_package import DATA_PACKAGE
 from calflow.files.plugins import packages
-from calflow.files.results import Results
+from calflow.files.results import Results, write_results
 from calflow.files.writing import PART, inside, write_whole
 from calflow.measurements.reading import sha256
 from calflow.run_folder import Manifest, StageEntry, is_measured, read_manifest, write_manifest
 from calflow.runs.cache_key import code_digest, file_hashes, versions
 from calflow.runs.environment import environment, machine
-from calflow.runs.kept import write_results
+from calflow.runs.kept import run_package
 from calflow.runs.listener import Listener, onward
 from calflow.runs.planning import PlannedStage
 from calflow.runs.reasons import FORCED
@@ -55,7 +56,7 @@ def execute(
         status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
         record(study, folder, stage, running.model_copy(update={"status": status}))
         raise
-    write_results(work, made, stage.tables)
+    write_results(work, made)
     files = [path for path in work.rglob("*") if path.is_file() and path.suffix != PART]
     outputs = sorted(path.relative_to(work).as_posix() for path in files if path != work / KEY)
     for name in set(running.outputs or {}) - set(outputs):
@@ -68,6 +69,8 @@ def execute(
     shutil.rmtree(work)
     if not any((folder / PARTIAL).iterdir()):
         (folder / PARTIAL).rmdir()
+    package = run_package(folder, study.name, {**_other_outputs(folder, stage), **hashes})
+    write_results(folder, Results(documents={DATA_PACKAGE: package}))
     seconds = round(time.monotonic() - started, 3)
     now = datetime.now(UTC).isoformat(timespec="seconds")
     done = StageEntry(status="done", reason=step.reason, key=step.key, seconds=seconds, finished=now, outputs=hashes)
@@ -102,6 +105,14 @@ def record(study: Study, folder: Path, stage: Stage, entry: StageEntry) -> None:
         stages=stages,
     )
     write_manifest(folder, manifest)
+
+
+def _other_outputs(folder: Path, stage: Stage) -> dict[str, str]:
+    """The files of a run's other stages, with their SHA-256."""
+    manifest = read_manifest(folder)
+    assert manifest is not None  # which says that the stage is running
+    others = (name for name in manifest.stages if name != stage.name)
+    return {path: digest for name in others for path, digest in manifest.outputs(name).items()}
 
 
 def _entry(folder: Path, stage: Stage) -> StageEntry | None:

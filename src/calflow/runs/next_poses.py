@@ -39,7 +39,7 @@ from calflow.files.tables import typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.observations import observations
-from calflow.runs.kept import not_of_a_run, write_results
+from calflow.runs.kept import keep_results
 from calflow.stages.diagnose import DiagnoseSettings
 from calflow.stages.identify import IdentifySettings
 from calflow.stages.select_settings import SelectSettings
@@ -67,9 +67,8 @@ class NextStep:
         Raises:
             InputError: the folder is a run's own, or a stage's.
         """
-        not_of_a_run(folder)
         results = Results({"poses.csv": self.poses}, {"verdict.json": to_document(self.verdict)})
-        write_results(folder, results, TABLES)
+        keep_results(folder, results, TABLES, "Poses to measure next")
 
 
 def next_poses(

@@ -10,9 +10,12 @@ from pathlib import Path
 
 from packaging.version import VERSION_PATTERN
 
+from calflow.files.data_package import DATA_PACKAGE
 from calflow.files.problems import InputError, Problem, seen
+from calflow.files.results import document_text
 from calflow.files.writing import inside
 from calflow.run_folder import INPUTS, LAID_OUT, NAME, Manifest, check_inputs, laid_out, lay_out
+from calflow.runs.kept import run_package
 from calflow.runs.reproduce import checked_run, finished
 from calflow.runs.ro_crate import NAME as METADATA
 from calflow.runs.ro_crate import ro_crate
@@ -72,11 +75,13 @@ def environment_lock(manifest: Manifest) -> str:
 
 def _files(manifest: Manifest, folder: Path) -> dict[str, bytes]:
     """The archive's files by their path in it, but for the metadata, in order."""
-    names = [NAME, *(name for stage in finished(manifest) for name in manifest.outputs(stage))]
+    outputs = {name: said for stage in finished(manifest) for name, said in manifest.outputs(stage).items()}
+    names = [NAME, *outputs]
     names += [f"{INPUTS}/{path.name}" for path in (folder / INPUTS).glob("*") if path.is_file()]
     found = {name: inside(folder, name).read_bytes() for name in names}
     found |= {f"{LAID_OUT}/{place}": content for place, content in _inputs(manifest, folder).items()}
     found[ENVIRONMENT] = environment_lock(manifest).encode()
+    found[DATA_PACKAGE] = document_text(run_package(folder, manifest.study, outputs)).encode()
     return dict(sorted(found.items()))
 
 

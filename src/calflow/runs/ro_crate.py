@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import PurePosixPath
 from typing import Any
 
+from calflow.files.data_package import DATA_PACKAGE
 from calflow.files.tables import columns
 from calflow.run_folder import INPUTS, Manifest
 from calflow.runs.terms import Terms
@@ -24,7 +25,7 @@ RUN, PROGRAM = "#run", "#calflow"
 def ro_crate(manifest: Manifest, files: Mapping[str, bytes], terms: Terms) -> bytes:
     """Return the crate's metadata; files are the archive's by their path in it, without the metadata, used by these terms.
 
-    The run is a CreateAction of calflow on the inputs, whose results are all else; a table names its schema.
+    The run is a CreateAction of calflow on the inputs, whose results are all else; the data package has the schema of every table.
     """
     inputs = [name for name in files if name.startswith(f"{INPUTS}/")]
     results = [name for name in files if ("/" in name and name not in inputs) or name.startswith("report.")]
@@ -49,7 +50,7 @@ def ro_crate(manifest: Manifest, files: Mapping[str, bytes], terms: Terms) -> by
             "identifier": manifest.code, "description": "calibrates robots; identifier is a hash of its code",
             "operatingSystem": manifest.machine,
         },
-        *(_file(name, content, files) for name, content in files.items()),
+        *(_file(name, content) for name, content in files.items()),
     ]  # fmt: skip
     return f"{json.dumps({'@context': CONTEXT, '@graph': graph}, indent=2, ensure_ascii=False)}\n".encode()
 
@@ -62,7 +63,7 @@ def _named(names: Mapping[str, bytes] | list[str]) -> list[dict[str, str]]:
     return [{"@id": name} for name in names]
 
 
-def _file(name: str, content: bytes, files: Mapping[str, bytes]) -> dict[str, Any]:
+def _file(name: str, content: bytes) -> dict[str, Any]:
     path = PurePosixPath(name)
     kind = KINDS.get(path.suffix) or mimetypes.guess_type(name)[0] or "application/octet-stream"
     said: dict[str, Any] = {
@@ -73,7 +74,5 @@ def _file(name: str, content: bytes, files: Mapping[str, bytes]) -> dict[str, An
     if declared is not None:
         said["description"] = (declared.__doc__ or "").strip().splitlines()[0]
         said["variableMeasured"] = [one.name for one in columns(declared)]
-    schema = path.with_suffix(".schema.json").as_posix()
-    if schema in files and schema != name:
-        said["conformsTo"] = {"@id": schema}
+        said["subjectOf"] = {"@id": DATA_PACKAGE}
     return said
