@@ -16,12 +16,12 @@ SCHEMA_PROFILE = "https://datapackage.org/profiles/2.0/tableschema.json"
 FRICTIONLESS = {str: "string", int: "integer", float: "number", bool: "boolean"}  # types of a Table Schema
 
 
-def data_package(folder: Path, title: str, digests: Mapping[str, str], tables: Mapping[str, type]) -> Document:
-    """Describe files of a folder by their path in it: SHA-256 and bytes of each, and of a table every column.
+def data_package(title: str, files: Mapping[str, tuple[Path, str]], tables: Mapping[str, type]) -> Document:
+    """Describe files by their path in a folder: SHA-256 and bytes of each, and of a table every column.
 
-    digests has the SHA-256 of each file, tables the row types of those that are tables.
+    files has for each path in the folder where the file lies now, and its SHA-256; tables the row types of those that are tables.
     """
-    resources = [_resource(folder, name, digests[name], tables.get(name)) for name in sorted(digests)]
+    resources = [_resource(name, *files[name], tables.get(name)) for name in sorted(files)]
     return {"$schema": PACKAGE_PROFILE, "title": title, "resources": resources}
 
 
@@ -31,8 +31,7 @@ def table_schema(names: Iterable[str], row_type: type) -> dict[str, Any]:
     return {"$schema": SCHEMA_PROFILE, "fields": described, "missingValues": [""]}
 
 
-def _resource(folder: Path, name: str, digest: str, row_type: type | None) -> dict[str, Any]:
-    path = folder / name
+def _resource(name: str, path: Path, digest: str, row_type: type | None) -> dict[str, Any]:
     resource: dict[str, Any] = {"name": name.removesuffix(".csv").replace("/", "-").lower(), "path": name}
     resource |= {"bytes": path.stat().st_size, "hash": f"sha256:{digest}"}
     if row_type is None:  # some readers look into a JSON file of no stated type for a package

@@ -62,15 +62,17 @@ def execute(
     for name in set(running.outputs or {}) - set(outputs):
         inside(folder, name).unlink(missing_ok=True)
     hashes = {name: sha256(work / name) for name in outputs}
+    others = {name: (folder / name, digest) for name, digest in _other_outputs(folder, stage).items()}
+    made_here = {name: (work / name, digest) for name, digest in hashes.items()}
+    write_results(work, Results(documents={DATA_PACKAGE: run_package(study.name, others | made_here)}))
     for name in sorted(outputs, key=lambda name: name in stage.resumes):  # what is dear to make last: see _work_folder
         target = inside(folder, name)
         target.parent.mkdir(parents=True, exist_ok=True)
         os.replace(work / name, target)
+    os.replace(work / DATA_PACKAGE, inside(folder, DATA_PACKAGE))
     shutil.rmtree(work)
     if not any((folder / PARTIAL).iterdir()):
         (folder / PARTIAL).rmdir()
-    package = run_package(folder, study.name, {**_other_outputs(folder, stage), **hashes})
-    write_results(folder, Results(documents={DATA_PACKAGE: package}))
     seconds = round(time.monotonic() - started, 3)
     now = datetime.now(UTC).isoformat(timespec="seconds")
     done = StageEntry(status="done", reason=step.reason, key=step.key, seconds=seconds, finished=now, outputs=hashes)

@@ -27,15 +27,15 @@ def keep_results(folder: Path, results: Results, tables: Mapping[str, type], tit
         message = "holds what 'calflow run' made, which would be written over; give another folder with --out"
         raise refuse(message, folder)
     write_results(folder, results)
-    digests = {name: sha256(folder / name) for name in (*results.tables, *results.documents)}
-    write_results(folder, Results(documents={DATA_PACKAGE: data_package(folder, title, digests, tables)}))
+    files = {name: (folder / name, sha256(folder / name)) for name in (*results.tables, *results.documents)}
+    write_results(folder, Results(documents={DATA_PACKAGE: data_package(title, files, tables)}))
 
 
-def run_package(folder: Path, study: str, outputs: Mapping[str, str]) -> Document:
-    """Return a run's data package; outputs has the SHA-256 of each file, of which some may be gone since."""
+def run_package(study: str, files: Mapping[str, tuple[Path, str]]) -> Document:
+    """Return a run's data package; files are as of `data_package`, of which some may be gone since."""
     tables = {name: row_type for stage in STAGES.values() for name, row_type in stage.tables.items()}
-    there = {name: digest for name, digest in outputs.items() if (folder / name).is_file()}
-    return data_package(folder, study, there, tables)
+    there = {name: (path, digest) for name, (path, digest) in files.items() if path.is_file()}
+    return data_package(study, there, tables)
 
 
 def keep(

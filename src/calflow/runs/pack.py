@@ -76,12 +76,13 @@ def environment_lock(manifest: Manifest) -> str:
 def _files(manifest: Manifest, folder: Path) -> dict[str, bytes]:
     """The archive's files by their path in it, but for the metadata, in order."""
     outputs = {name: said for stage in finished(manifest) for name, said in manifest.outputs(stage).items()}
+    files = {name: (inside(folder, name), said) for name, said in outputs.items()}
     names = [NAME, *outputs]
     names += [f"{INPUTS}/{path.name}" for path in (folder / INPUTS).glob("*") if path.is_file()]
     found = {name: inside(folder, name).read_bytes() for name in names}
     found |= {f"{LAID_OUT}/{place}": content for place, content in _inputs(manifest, folder).items()}
     found[ENVIRONMENT] = environment_lock(manifest).encode()
-    found[DATA_PACKAGE] = document_text(run_package(folder, manifest.study, outputs)).encode()
+    found[DATA_PACKAGE] = document_text(run_package(manifest.study, files)).encode()
     return dict(sorted(found.items()))
 
 
