@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calflow.deployment import usability
+from calflow.deployment.usability import Advice, Rule
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.design.separability import IsolabilityCell
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary
@@ -22,7 +24,7 @@ from calflow.estimation.noise_doubt import NoiseDoubt
 from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
 from calflow.reporting.material import ModelAccuracy
-from calflow.reporting.section import Advice, Rule, advice, sections
+from calflow.reporting.section import advice, sections
 from calflow.reporting.sections import accuracy, causes, faults, isolability, parameters, posterior, residuals, task
 from calflow.reporting.sections.causes import foremost
 from calflow.reporting.sections.verdict import FEWEST, headline, leftover, next_steps, split_steps
@@ -194,15 +196,15 @@ QUIET: dict[str, object] = {
 }
 
 SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
-    (accuracy.nominal_far_off, summary(spread_mm=40.0), 1, "swapped axes"),
-    (accuracy.not_converged, summary(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1, "Max_Iter"),
-    (causes.extension_not_converged, diagnosed(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1,
+    (usability.nominal_far_off, summary(spread_mm=40.0), 1, "swapped axes"),
+    (usability.not_converged, summary(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1, "Max_Iter"),
+    (usability.extension_not_converged, diagnosed(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1,
      "the model that diagnose extended: its fit did not converge (IPOPT: Max_Iter"),
     (accuracy.starts_disagree, summary(starts_agreeing=1), 2, "Only 1 of 3"),
     (accuracy.model_lacks, summary(reduced_chi2=9.0), 2, "leaves 3.0 times the noise"),
     (accuracy.noise_doubtful, summary(reduced_chi2=0.25), 3, "only 0.50 times"),
-    (accuracy.noise_contradicted, summary(noise_doubts=(DOUBT,)), 1, "Do not use this result. The stated noise, 40 mm"),
-    (accuracy.noise_contradicted, summary(noise_doubts=(replace(DOUBT, believed=False),)), 2, "1,000 times too large"),
+    (usability.noise_contradicted, summary(noise_doubts=(DOUBT,)), 1, "Do not use this result. The stated noise, 40 mm"),
+    (usability.noise_contradicted, summary(noise_doubts=(replace(DOUBT, believed=False),)), 2, "1,000 times too large"),
     (accuracy.noise_unknown, summary(noise_sources=("estimated",)), 2, "several times"),
     (accuracy.nothing_held_out, {"identify/accuracy.csv": accuracies(holdout=None)}, 2, "split.holdout"),
     (accuracy.does_not_carry_over, {"identify/accuracy.csv": accuracies(holdout=0.2)}, 2, "4.0 times"),
@@ -218,10 +220,10 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (parameters.unseen_compliance,
      {"identify/identifiability.csv": statements(("silent", "joint1.s")),
       "identify/parameters.csv": parameter_table(parameter="joint1.s", part="joint1", joint=1, unit="rad/Nm")}, 3, "joint 1"),
-    (causes.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.08), **lost(0.1, -0.06)}, 1,
+    (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.08), **lost(0.1, -0.06)}, 1,
      "0.080 mm against 0.060 mm"),
-    (causes.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.01, 0.011, 0.009)}, 1, "Do not use"),
-    (causes.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.1, -0.05, -0.02)}, 2, "may be chance"),
+    (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.01, 0.011, 0.009)}, 1, "Do not use"),
+    (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.1, -0.05, -0.02)}, 2, "may be chance"),
     (causes.unexplained, {"diagnose/findings.csv": found("unexplained")}, 2,
      "depends on the angle of joint 2 that no cause"),
     (causes.next_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "the 3 poses of diagnose/next_poses.csv that tell backlash"),
@@ -275,9 +277,9 @@ def test_every_rule_is_tested() -> None:
         (parameters.unseen_compliance, {"identify/identifiability.csv": statements(("silent", "joint2.a"))}),
         (accuracy.model_lacks, {**summary(reduced_chi2=9.0), **summary("diagnose", reduced_chi2=1.1)}),
         (accuracy.model_lacks, {**summary(reduced_chi2=9.0), "diagnose/findings.csv": found("unexplained")}),
-        (causes.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.061)}),
-        (causes.extension_not_converged, diagnosed()),
-        (causes.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=None)}),
+        (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.061)}),
+        (usability.extension_not_converged, diagnosed()),
+        (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=None)}),
         (causes.other_means, {"diagnose/findings.csv": found("named"), "diagnose/separations.csv": separations(0.0, "b")}),
         (causes.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(0.9)}),
         (causes.untested, {"diagnose/findings.csv": found("unexplained"),

@@ -527,5 +527,5 @@ def test_effects_with_few_parameters_are_named_apart(sizes: tuple[int, ...]) -> 
 def test_steps_of_the_extended_model_are_labelled_by_their_cause(small: Context) -> None:
     """Fails if the accuracy table or its waterfall shows ids."""
     given = with_diagnosis(small, STEP, BACKLASH)
-    labels = [step.label for step in steps(given.tables["diagnose/accuracy.csv"], "holdout")]
+    labels = [step.label for step in steps(given.results, "holdout")]
     assert labels[-2:] == ["+ step of the measuring device", "+ backlash of joint 2"]

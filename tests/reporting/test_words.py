@@ -129,14 +129,14 @@ def test_steps_are_named_by_what_they_add() -> None:
         Accuracy(model=model, split="holdout", n=3, mean_mm=1.0, rms_mm=1.0, max_mm=2.0, step=step, effect=effect)
         for model, step, effect in (*named, ("other", 1, "other"))
     ]
-    table = to_frame(rows, Accuracy)
-    assert [step.label for step in steps(table, "holdout")] == [
+    results = Results({"identify/accuracy.csv": to_frame(rows, Accuracy)})
+    assert [step.label for step in steps(results, "holdout")] == [
         "nominal robot",
         "geometry",
         "+ joint compliance",
         "other",
     ]
-    assert steps(table, "train") == []
+    assert steps(results, "train") == []
 
 
 def test_lack_of_fit_is_a_factor_on_the_noise() -> None:

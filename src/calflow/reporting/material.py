@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from calflow.deployment.usability import accuracy_steps, split_judged
 from calflow.diagnosis.findings.finding import Finding
 from calflow.effects.cause import Cause
 from calflow.effects.words import place_name
@@ -22,7 +23,7 @@ from calflow.estimation.fit_summary import FitSummary
 from calflow.estimation.registration import in_measuring_frame
 from calflow.faults import corrected
 from calflow.files.results import Results
-from calflow.files.tables import Tables, from_frame
+from calflow.files.tables import Tables
 from calflow.files.words import effect_words
 from calflow.measurements.measurements import Measurements
 from calflow.study import Study
@@ -219,17 +220,23 @@ def latest_summary(results: Results) -> FitSummary:
     return results.document(extended if extended in results else "identify/summary.json", FitSummary)
 
 
-def split_judged(accuracy: pd.DataFrame) -> str:
-    """Return the split by which models are judged: holdout where there is one."""
-    return "holdout" if (accuracy["split"] == "holdout").any() else "train"
-
-
-def steps(accuracy: pd.DataFrame, split: str) -> list[ModelAccuracy]:
-    """Return the models of accuracy.csv in their order."""
-    rows = [row for row in from_frame(accuracy, Accuracy) if row.split == split]
+def steps(results: Results, split: str) -> list[ModelAccuracy]:
+    """Return the models on the way to the best one, in their order."""
     return [
-        ModelAccuracy(row.model, _name(row), row.n, row.mean_mm, row.rms_mm, row.max_mm, row.step > 1) for row in rows
-    ]
+        ModelAccuracy(row.model, _name(row), row.n, row.mean_mm, row.rms_mm, row.max_mm, row.step > 1)
+        for row in accuracy_steps(results) if row.split == split
+    ]  # fmt: skip
+
+
+def study_steps(results: Results, split: str) -> list[ModelAccuracy]:
+    """Return those of them that the study asks for, before any cause was added."""
+    return steps(results.of({"identify"}), split)
+
+
+def gathered_steps(results: Results) -> list[ModelAccuracy]:
+    """Return the models on the split by which they are judged, the causes that were added drawn together."""
+    split = split_judged(results)
+    return gathered(steps(results, split), len(study_steps(results, split)))
 
 
 def as_table(found: list[ModelAccuracy]) -> pd.DataFrame:

@@ -7,24 +7,11 @@ import pkgutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from calflow.deployment.usability import Advice, Rule
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block
 from calflow.reporting.material import Material
 from calflow.study import Study
-
-
-@dataclass(frozen=True)
-class Advice:
-    """A sentence that tells the reader what to do; the most urgent, 1, stand first.
-
-    1: do not use the result; 2: something is wrong or missing; 3: it could be better.
-    """
-
-    urgency: int
-    sentence: str
-
-
-Rule = Callable[[Results], list[Advice]]
 
 
 @dataclass(frozen=True)

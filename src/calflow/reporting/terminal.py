@@ -8,15 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from calflow.deployment.usability import accuracy_steps, split_judged
 from calflow.design.measuring.measuring_verdict import MeasuringVerdict, Suspect
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary
 from calflow.diagnosis.findings.finding import Finding
 from calflow.effects.words import place_name
 from calflow.estimation.accuracy import Accuracy
 from calflow.files.results import Results
-from calflow.files.tables import from_frame
 from calflow.files.words import mm, number
-from calflow.reporting.material import findings, gathered, latest, split_judged, steps
+from calflow.reporting.material import findings, gathered_steps
 from calflow.reporting.section import advice, sections
 from calflow.reporting.sections.verdict import VERDICT_SECTION as SECTION
 from calflow.reporting.sections.verdict import headline, judgement
@@ -33,8 +33,8 @@ def _accuracy(results: Results) -> list[str]:
     """The accuracy of every model on the way; of a model with one more cause, what it has more."""
     if "identify/accuracy.csv" not in results:
         return []
-    own = set(results.tables["identify/accuracy.csv"]["model"])
-    rows = from_frame(latest(results, "accuracy"), Accuracy)
+    own = {row.model for row in results.rows("identify/accuracy.csv", Accuracy)}
+    rows = accuracy_steps(results)
     names = [row.model if row.model in own else f"+ {place_name(row.effect, row.joint, row.part)}" for row in rows]
     width = max(map(len, names))
     return [
@@ -74,10 +74,7 @@ def _told(one: Finding) -> str:
 def _verdict(results: Results) -> list[str]:
     if not all(name in results for name in SECTION.needs):
         return []
-    accuracy = latest(results, "accuracy")
-    split = split_judged(accuracy)
-    found = gathered(steps(accuracy, split), len(steps(results.tables["identify/accuracy.csv"], split)))
-    return [judgement(results, found), headline(found, split)]
+    return [judgement(results), headline(gathered_steps(results), split_judged(results))]
 
 
 def _wrong(results: Results) -> list[str]:

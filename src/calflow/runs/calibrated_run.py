@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from calflow.deployment.usability import warning
 from calflow.estimation.calibrated_model import CalibratedModel, calibrated
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.needed_conditions import NeededCondition
@@ -79,8 +80,6 @@ class CalibratedRun:
     @property
     def warning(self) -> tuple[str, ...]:
         """Say that its own report finds that the model is not to be used; nothing where it may be."""
-        from calflow.reporting.sections.acceptance import warning
-
         declared = {**STAGES["identify"].tables, **STAGES["diagnose"].tables}
         tables = self.results.tables
         older = [name for name, rows in declared.items() if name in tables and lacking(tables[name], rows)]

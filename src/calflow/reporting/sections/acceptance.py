@@ -10,14 +10,13 @@ from dataclasses import dataclass
 import pandas as pd
 from scipy.stats import beta
 
-from calflow.files.results import Results
+from calflow.deployment.usability import is_useless
 from calflow.files.words import mm, percent, plural
 from calflow.reporting.blocks import Block, Paragraph, Signatures, Table
-from calflow.reporting.material import Material, ModelAccuracy, latest, split_judged, steps
-from calflow.reporting.section import Section, advice, sections
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
 from calflow.study_file import Acceptance
 
-USELESS = 0.95  # share of the nominal error above which calibration gained nothing
 SURE = 0.95  # how sure it is that at least so many poses are within
 
 
@@ -64,7 +63,7 @@ class Judged:
         )
 
 
-def judged(material: Material, found: list[ModelAccuracy]) -> Judged | None:
+def judged(material: Material) -> Judged | None:
     """Hold the model against the study's tolerance: a pose is within it where all its rows are; None where there is none."""
     asked = material.study.file.acceptance
     if asked is None or asked.tolerance is None:
@@ -77,25 +76,8 @@ def judged(material: Material, found: list[ModelAccuracy]) -> Judged | None:
         len(largest),
         int((largest <= tolerance).sum()),
         float(largest.max()) if len(largest) else 0.0,
-        useless(material.results, found),
+        is_useless(material.results),
     )
-
-
-def useless(results: Results, found: list[ModelAccuracy]) -> bool:
-    """Whether the model is not to be used: something says so, or calibration gained nothing."""
-    urgent = any(one.urgency == 1 for one in advice(sections(), results))
-    return urgent or found[-1].mean > USELESS * found[0].mean
-
-
-def warning(results: Results) -> str | None:
-    """Say that a run's model is not to be used, and why, to whoever uses it; None where it may be."""
-    accuracy = latest(results, "accuracy")
-    found = steps(accuracy, split_judged(accuracy))
-    if not useless(results, found):
-        return None
-    why = [one.sentence for one in advice(sections(), results) if one.urgency == 1]
-    gained = f"calibration left {mm(found[-1].mean)} mm of a mean error of {mm(found[0].mean)} mm"
-    return f"Do not use this model: {' '.join(why) or f'{gained}.'}"
 
 
 KELVIN = 273.15
@@ -111,8 +93,7 @@ def _acceptance(material: Material) -> list[Block]:
     """State what the study gives, and the verdict."""
     asked = material.study.file.acceptance
     assert asked is not None
-    accuracy = latest(material.results, "accuracy")
-    verdict = judged(material, steps(accuracy, split_judged(accuracy)))
+    verdict = judged(material)
     return [
         *([Paragraph(verdict.verdict, 12, bold=True)] if verdict else []),
         Table(("what", "stated"), _stated(material, asked), "ll", wide=1),

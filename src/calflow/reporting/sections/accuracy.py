@@ -16,6 +16,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from calflow.deployment.usability import FIT_RULES, Advice, accuracy_steps, split_judged
+from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.repeats import MIN_REPEATS
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
@@ -23,17 +25,8 @@ from calflow.files.results import Results
 from calflow.files.words import effect_words, first_up, listed, mm, ratio
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.cause_figures import waterfall
-from calflow.reporting.material import (
-    Material,
-    ModelAccuracy,
-    as_table,
-    findings,
-    latest,
-    latest_summary,
-    split_judged,
-    steps,
-)
-from calflow.reporting.section import Advice, Section
+from calflow.reporting.material import Material, ModelAccuracy, as_table, findings, latest_summary, steps
+from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, figure, panels, plain_decades
 
 NOISE_DRAWS = 200_000
@@ -167,7 +160,6 @@ def _log_mm(axes: Axes, low: float, high: float) -> None:
     plain_decades(axes.yaxis, low, high)
 
 
-FAR_OFF = 0.1  # share of the measured space by which a nominal robot may miss
 LACKS = 1.5  # times the noise from which a lack of fit is told
 DASHED = " Dashed: the mean error that measurement noise alone would give."
 SPREAD = "Errors of the calibrated model: in bins (left) and cumulative (right). "
@@ -179,23 +171,23 @@ WORSE = 1.5  # held-out over training mean error from which the model does not c
 
 def _accuracy(material: Material) -> list[Block]:
     """Say how accurate each model is, where the error went, and how the errors that are left are spread."""
-    accuracy = latest(material.results, "accuracy")
-    own = len(material.tables["identify/accuracy.csv"])
+    results = material.results
+    accuracy, own = accuracy_steps(results), len(results.rows("identify/accuracy.csv", Accuracy))
     words = {"train": "used for the fit", "holdout": "held out"}
-    label = {step.model: step.label for split in words for step in steps(accuracy, split)}
+    label = {step.model: step.label for split in words for step in steps(results, split)}
     rows = [
-        (effect_words(row["model"]) if k < own else label[row["model"]], words.get(row["split"], row["split"]), str(row["n"]),
-         *(f"{row[name]:.3f}" for name in ("mean_mm", "rms_mm", "max_mm")))
-        for k, row in enumerate(accuracy.to_dict("records"))
+        (effect_words(row.model) if k < own else label[row.model], words[row.split], str(row.n),
+         *(f"{value:.3f}" for value in (row.mean_mm, row.rms_mm, row.max_mm)))
+        for k, row in enumerate(accuracy)
     ]  # fmt: skip
-    final = frozenset(np.flatnonzero(accuracy["model"] == accuracy["model"].iloc[-1]).tolist())
-    split = split_judged(accuracy)
+    final = frozenset(k for k, row in enumerate(accuracy) if row.model == accuracy[-1].model)
+    split = split_judged(results)
     known = material.noise_floor is not None
     errors = pd.DataFrame(
         {"held_out": material.held, "error_mm": material.distance, "noise_per_axis_mm": material.sigma}
     ).iloc[material.drawn]
     draw = waterfall if len(accuracy) > own else budget
-    spent = draw(steps(accuracy, split), material.noise_floor)
+    spent = draw(steps(results, split), material.noise_floor)
     name = "noise alone" if known else "normal noise"
     spread = distribution(material.distance, material.held, material.sigma, name)
     return [
@@ -208,29 +200,9 @@ def _accuracy(material: Material) -> list[Block]:
             "error_budget",
             spent,
             f"Where the mean error went ({words[split]} poses; logarithmic scale).{DASHED * known}",
-            as_table(steps(accuracy, split)),
+            as_table(steps(results, split)),
         ),
         Plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if known else NORMAL), errors),
-    ]
-
-
-def not_converged(results: Results) -> list[Advice]:
-    """A fit that stopped before its optimum is not to be used."""
-    summary = _identified(results)
-    if summary.converged:
-        return []
-    sentence = (
-        f"Do not use these parameters: the fit did not converge ({summary.solver.words}). Check the robot file's "
-        "dimensions and units and the flagged rows, then run again."
-    )
-    return [Advice(1, sentence)]
-
-
-def noise_contradicted(results: Results) -> list[Advice]:
-    """A stated noise that the measurements contradict is the first thing to know; a fit that believed it is worth nothing."""
-    return [
-        Advice(1 if doubt.useless else 2, f"{'Do not use this result. ' * doubt.useless}{doubt.words}")
-        for doubt in _identified(results).noise_doubts
     ]
 
 
@@ -285,22 +257,9 @@ def noise_unknown(results: Results) -> list[Advice]:
     return [Advice(2, sentence)]
 
 
-def nominal_far_off(results: Results) -> list[Advice]:
-    """A nominal robot that misses by a tenth of the measured space was described or read wrongly."""
-    accuracy = results.tables["identify/accuracy.csv"]
-    off = float(accuracy["mean_mm"].iloc[0])
-    if off < FAR_OFF * _identified(results).spread_mm:
-        return []
-    sentence = (
-        f"Do not use this result: the nominal robot misses by {mm(off)} mm, which no robot does. Check for swapped axes, a "
-        "joint's sign or order, the DH convention, and single wild rows."
-    )
-    return [Advice(1, sentence)]
-
-
 def nothing_held_out(results: Results) -> list[Advice]:
     """Accuracy on the poses of the fit flatters."""
-    if split_judged(results.tables["identify/accuracy.csv"]) == "holdout":
+    if split_judged(results) == "holdout":
         return []
     sentence = (
         "Hold out some poses (split.holdout = 0.3 in the study): the accuracy given here is that of the poses that were "
@@ -311,10 +270,9 @@ def nothing_held_out(results: Results) -> list[Advice]:
 
 def does_not_carry_over(results: Results) -> list[Advice]:
     """A model much worse at held-out poses was fitted to too few or too similar poses."""
-    accuracy = latest(results, "accuracy")
-    if split_judged(accuracy) == "train" or not (accuracy["split"] == "train").any():
+    if split_judged(results) == "train" or not steps(results, "train"):
         return []
-    train, held = steps(accuracy, "train")[-1], steps(accuracy, "holdout")[-1]
+    train, held = steps(results, "train")[-1], steps(results, "holdout")[-1]
     if held.mean <= WORSE * train.mean:
         return []
     sentence = (
@@ -346,9 +304,7 @@ ACCURACY_SECTION = Section(
     ("identify/accuracy.csv", "identify/residuals.csv", "identify/summary.json"),
     _accuracy,
     (
-        noise_contradicted,
-        nominal_far_off,
-        not_converged,
+        *FIT_RULES,
         starts_disagree,
         model_lacks,
         noise_doubtful,

@@ -16,8 +16,8 @@ from itertools import count
 
 import numpy as np
 import pandas as pd
-from scipy.stats import ttest_1samp
 
+from calflow.deployment.usability import CAUSE_RULES, Advice, split_judged
 from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow, no_pose_words
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary
 from calflow.diagnosis.findings.finding import Finding
@@ -38,14 +38,11 @@ from calflow.files.words import (
 )
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
 from calflow.reporting.cause_figures import errors_in_space, explained, gains
-from calflow.reporting.material import Material, findings, split_judged, steps
-from calflow.reporting.section import Advice, Section
+from calflow.reporting.material import Material, findings, study_steps
+from calflow.reporting.section import Section
 from calflow.reporting.sections.search import candidates, strongest, threshold, untestable
 from calflow.reporting.style import magnification
 
-WORSE = 1.02  # times the error without causes from which they do not help
-HARM = 1.25  # times that error from which they do harm, however few poses say so
-SURE = 0.05  # chance of so large a loss from which it is none
 GAINS = (
     "What each cause takes off the mean error at held-out poses, in the order in which they were added. The order matters "
     "where causes hide each other."
@@ -96,8 +93,7 @@ def gained(material: Material, causes: Sequence[Finding]) -> list[Block]:
     moved = [one for one in causes if math.isfinite(one.gain[0])]
     if not moved:
         return []
-    before = material.tables["identify/accuracy.csv"]
-    start = steps(before, split_judged(before))[-1].mean
+    start = study_steps(material.results, split_judged(material.results))[-1].mean
     drawn = gains(start, labels(moved), [one.heldout_mean_mm for one in moved], np.array([one.gain[1:] for one in moved]),
                   material.noise_floor)  # fmt: skip
     data = pd.DataFrame(
@@ -108,42 +104,6 @@ def gained(material: Material, causes: Sequence[Finding]) -> list[Block]:
         "" if material.noise_floor else " What noise alone would leave is not known: it was estimated from the fit."
     )
     return [Heading("What the causes gained"), Plot("gains", drawn, GAINS + unknown, data)]
-
-
-def makes_it_worse(results: Results) -> list[Advice]:
-    """Causes with which unseen poses fit worse were fitted to too few poses."""
-    if "diagnose/accuracy.csv" not in results or split_judged(results.tables["diagnose/accuracy.csv"]) != "holdout":
-        return []
-    own, last = (
-        steps(results.tables[f"{stage}/accuracy.csv"], "holdout")[-1].mean for stage in ("identify", "diagnose")
-    )
-    if last <= WORSE * own:
-        return []
-    said = f"{mm(last)} mm against {mm(own)} mm"
-    if last > HARM * own or loss_by_chance(results) < SURE:
-        sentence = (
-            f"Do not use the model with the causes: at held-out poses it is worse than without them ({said}). The fitted poses "
-            "are too few or too alike for so many causes; measure more."
-        )
-        return [Advice(1, sentence)]
-    sentence = (
-        f"At held-out poses the model with the causes is no better than without them ({said}), which may be chance. Measure more "
-        "poses before you rely on what was found, or leave it out (stages.diagnose.leave_out)."
-    )
-    return [Advice(2, sentence)]
-
-
-def loss_by_chance(results: Results) -> float:
-    """Return the chance of so large a loss at held-out poses where the causes change nothing: Student's test of poses in pairs.
-
-    1 where there are fewer than two poses, or all are alike.
-    """
-    by_pose = [
-        rows[rows["split"] == "holdout"].groupby("pose")["error_mm"].mean()
-        for rows in (results.tables[f"{stage}/residuals.csv"] for stage in ("diagnose", "identify"))
-    ]
-    lost = (by_pose[0] - by_pose[1]).dropna()
-    return float(ttest_1samp(lost, 0.0, alternative="greater").pvalue) if len(lost) > 1 and lost.std() > 0 else 1.0
 
 
 def labels(causes: Sequence[Finding]) -> list[str]:
@@ -282,18 +242,6 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
         *listing,
         *([Paragraph(CURVES)] if any(moves(material, one) for one in found) else []),
     ]
-
-
-def extension_not_converged(results: Results) -> list[Advice]:
-    """A model with causes whose fit stopped before its optimum is not to be used, and names rest on it."""
-    summary = results.document(SUMMARY, DiagnosisSummary)
-    if summary.converged:
-        return []
-    sentence = (
-        f"Do not use the model that diagnose extended: its fit did not converge ({summary.solver.words}). Check the flagged rows "
-        "and what was found last, or look for fewer causes (stages.diagnose.causes), then run again."
-    )
-    return [Advice(1, sentence)]
 
 
 def _mended(every: Sequence[Finding]) -> str:
@@ -560,5 +508,5 @@ CAUSES_SECTION = Section(
     "What the model lacked: causes",
     (*(f"diagnose/{name}.csv" for name in ("findings", "candidates", "separations", "next_poses")), SUMMARY),
     _causes,
-    (extension_not_converged, makes_it_worse, unexplained, next_poses, other_means, untested),
+    (*CAUSE_RULES, unexplained, next_poses, other_means, untested),
 )

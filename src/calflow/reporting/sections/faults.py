@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import pandas as pd
 
+from calflow.deployment.usability import Advice
 from calflow.faults.base import lines_in_words
 from calflow.files.results import Results
 from calflow.files.words import effect_words, plural
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
-from calflow.reporting.section import Advice, Section
+from calflow.reporting.section import Section
 
 FAULTS = "identify/faults.csv"
 SHOWN = 12  # places that a list of lines names

@@ -10,11 +10,12 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from calflow.deployment.usability import Advice
 from calflow.design.separability import isolability_gaps, isolability_summary
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.material import Material
-from calflow.reporting.section import Advice, Section
+from calflow.reporting.section import Section
 from calflow.reporting.style import DARK, LIGHT, WIDTH, figure
 
 ROW, HIGHEST = 0.115, 7.0  # inches of a cause, and of all together

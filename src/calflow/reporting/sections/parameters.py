@@ -18,13 +18,14 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from calflow.deployment.usability import Advice
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.identifiability import Redundant, Statement, scale_words, silent_words, trade_words
 from calflow.files.results import Results
 from calflow.files.words import cut, effect_words, first_up, interval, listed, number, part_words, readable, with_sd
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
 from calflow.reporting.material import Material, latest
-from calflow.reporting.section import Advice, Section
+from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, turned
 
 AT_BOUND = "at a bound, no sd"

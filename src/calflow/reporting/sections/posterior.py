@@ -19,13 +19,14 @@ from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 from scipy.stats import binom
 
+from calflow.deployment.usability import Advice
 from calflow.effects.cause import Cause
 from calflow.effects.words import cause_name
 from calflow.files.results import Results
 from calflow.files.words import cut, listed, percent, readable, with_sd
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
 from calflow.reporting.material import Material, latest
-from calflow.reporting.section import Advice, Section
+from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, MIDDLE, WIDTH, figure, panels, turned
 from calflow.robot.parameter import Parameter
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of

@@ -18,11 +18,12 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
+from calflow.deployment.usability import Advice
 from calflow.files.results import Results
 from calflow.files.words import listed, mm, plural, ratio
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Scene, Table
 from calflow.reporting.material import Material, latest
-from calflow.reporting.section import Advice, Section
+from calflow.reporting.section import Section
 from calflow.reporting.style import DARK, MANY, crowded, dots, figure, magnification, panels, same_scale
 from calflow.robot.readings import reading_columns, reading_labels, shown_readings
 

@@ -18,11 +18,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
+from calflow.deployment.usability import Advice
 from calflow.files.results import Results
 from calflow.files.words import mm
 from calflow.reporting.blocks import Block, Bullets, Paragraph, Plot, Table
 from calflow.reporting.material import Material
-from calflow.reporting.section import Advice, Section
+from calflow.reporting.section import Section
 from calflow.reporting.style import ALONE, crowded, figure
 from calflow.sampling.task_points import LIKELY, TaskSummary
 

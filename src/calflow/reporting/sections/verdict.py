@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calflow.deployment.usability import is_useless, split_judged
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.files.results import Results
 from calflow.files.words import first_up, listed, mm, plural, ratio
@@ -20,14 +21,11 @@ from calflow.reporting.material import (
     ModelAccuracy,
     as_table,
     findings,
-    gathered,
-    latest,
+    gathered_steps,
     latest_summary,
-    split_judged,
-    steps,
 )
 from calflow.reporting.section import Section, advice, sections
-from calflow.reporting.sections.acceptance import judged, useless
+from calflow.reporting.sections.acceptance import judged
 from calflow.reporting.sections.accuracy import LACKS, before_after
 from calflow.reporting.sections.causes import foremost, lacked, structure, unsure
 from calflow.reporting.sections.parameters import open_questions
@@ -47,9 +45,7 @@ FINE = "Nothing needs attention: the parameters can be used for the tools, loads
 
 def _first_page(material: Material) -> list[Block]:
     """Put the verdict on one page."""
-    accuracy = latest(material.results, "accuracy")
-    split = split_judged(accuracy)
-    found = gathered(steps(accuracy, split), len(steps(material.tables["identify/accuracy.csv"], split)))
+    split, found = split_judged(material.results), gathered_steps(material.results)
     shown = [found[0], *found[1:][-(CARDS - 1) :]]
     cards = [
         [Card(step.label, mm(step.mean), f"largest {mm(step.max)} mm", dark=step is found[-1] and len(found) > 1)]
@@ -59,13 +55,13 @@ def _first_page(material: Material) -> list[Block]:
     more = [f"{plural(len(further), 'further step')}, less urgent, under “Further steps”."] if further else []
     lists: list[Listed] = [*_lists(material.results), ("What to do next", [*urgent, *more] or [FINE])]
     first = foremost(material.results)
-    verdict = judged(material, found)
+    verdict = judged(material)
     return [
         Paragraph("Calibration report", 10),
         Heading(material.title, 0),
         Paragraph(_measured(material), 10),
         Gap(20),
-        Paragraph(judgement(material.results, found), 14, bold=True),
+        Paragraph(judgement(material.results), 14, bold=True),
         Gap(6),
         *([Paragraph(verdict.verdict, 11, bold=True)] if verdict else []),
         *(Paragraph(said, 11, bold=True) for said in (*task_lines(material.results), *first)),
@@ -82,9 +78,9 @@ def _first_page(material: Material) -> list[Block]:
     ]  # fmt: skip
 
 
-def judgement(results: Results, found: list[ModelAccuracy]) -> str:
+def judgement(results: Results) -> str:
     """Say in a few words whether to use the model."""
-    if useless(results, found):
+    if is_useless(results):
         return "Do not use this model: see what to do next."
     summary = latest_summary(results)
     times = summary.lack_of_fit
