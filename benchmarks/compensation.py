@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 import calflow
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from applied import compensate
 from hidden.case import Case, World, draw, write_case
 from hidden.causes import Hidden
 from hidden.landings import missed, targets
@@ -63,7 +64,7 @@ def shown(causes: str, errors: np.ndarray) -> str:
 
 def landed(folder: Path, seed: int) -> tuple[str, np.ndarray]:
     """What diagnose found of one robot; rms true errors [mm] of nominal and of compensated commands, and what was promised."""
-    world, asked, commands = compensated(folder, seed, ASKED)
+    world, asked, commands = commanded(folder, seed, ASKED)
     found = pd.read_csv(folder / "run" / "diagnose" / "findings.csv")
     causes = ", ".join(f"{row.cause} {row.joint}" for row in found.itertuples() if row.status in ("named", "one_of"))
     readings = [f"q{i}_deg" for i in range(1, 7)]
@@ -77,14 +78,14 @@ def landed(folder: Path, seed: int) -> tuple[str, np.ndarray]:
 def seconds(number: int, start: bool, oriented: bool) -> float:
     """Seconds of the processor for so many targets, from the CSV to the table."""
     with tempfile.TemporaryDirectory() as folder:
-        compensated(Path(folder), 1, 10)
+        commanded(Path(folder), 1, 10)
         world, case = draw(CASE, np.random.default_rng(1)), replace(CASE, poses=number)
         asked, readings = targets(world, case, np.random.default_rng(2)), [f"q{i}_deg" for i in range(1, 7)]
         if oriented:
             asked[["rx_deg", "ry_deg", "rz_deg"]] = turns(world, asked[readings].to_numpy())
         asked.drop(columns=[] if start else readings).to_csv(Path(folder, "many.csv"), index=False)
         begun = time.process_time()
-        calflow.compensate(Path(folder, "run"), Path(folder, "many.csv"), in_order=True)
+        compensate(Path(folder, "run"), Path(folder, "many.csv"), in_order=True)
         return time.process_time() - begun
 
 
@@ -94,14 +95,14 @@ def turns(world: World, q_deg: np.ndarray) -> np.ndarray:
     return Rotation.from_matrix(world.stated.base[:3, :3] @ tips[:, :3, :3]).as_euler("XYZ", degrees=True)
 
 
-def compensated(folder: Path, seed: int, number: int):
+def commanded(folder: Path, seed: int, number: int):
     """A hidden robot that was measured, identified and diagnosed; its targets, and the commands for them."""
     write_case(folder / "case", CASE, np.random.default_rng(seed))
     world = draw(CASE, np.random.default_rng(seed))
     calflow.run(calflow.load_study(folder / "case" / "study.toml"), folder / "run")
     asked = targets(world, replace(CASE, poses=number), np.random.default_rng(1000 + seed))
     asked.to_csv(folder / "targets.csv", index=False)
-    return world, asked, calflow.compensate(folder / "run", folder / "targets.csv", in_order=True)
+    return world, asked, compensate(folder / "run", folder / "targets.csv", in_order=True)
 
 
 if __name__ == "__main__":

@@ -91,7 +91,7 @@ def checked(rng: np.random.Generator, markers: int, counted: Counted) -> None:
         truth, verdicts = points(), counted.verdicts.setdefault(case, Counter())
         for k in range(days):
             data = robot.measured(q, seen(truth, rng), payload, split="train")
-            verdicts[drift(known, [], data, false_alarm=ALARM, station=station, seed=k).summary.status] += 1
+            verdicts[drift(known, data, false_alarm=ALARM, station=station, seed=k).summary.status] += 1
     for day in range(SHIFTED * JOINTS):
         joint, sign = day % JOINTS, (-1) ** (day // JOINTS)
         result = count(robot, known, q, joint, sign * SHIFT, rng, counted)
@@ -111,7 +111,7 @@ def count(
     shift = size * np.eye(JOINTS)[joint]
 
     def told(q: np.ndarray, points: np.ndarray) -> Drift:
-        return drift(known, [], robot.measured(q, points, split="train"), false_alarm=ALARM, station="known")
+        return drift(known, robot.measured(q, points, split="train"), false_alarm=ALARM, station="known")
 
     def named(result: Drift) -> bool:
         return bool(result.moved) and result.moved[0].joint == joint + 1

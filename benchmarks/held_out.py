@@ -7,10 +7,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from calflow.calibration import Calibration
+from calflow.deployment.prediction import predict_rows
 from calflow.files.results import Results
-from calflow.runs.predict import predict
+from calflow.runs.given_rows import rows_to_predict
 
 WITHIN = 1.96  # standard deviations, of a 95 % interval
+
+
+def predicted_sd(run: Path, rows: Path) -> np.ndarray:
+    """Return the standard deviations that a run predicts of rows (n, 3) [mm]."""
+    calibration = Calibration.load(run)
+    return 1e3 * predict_rows(calibration, rows_to_predict(calibration, rows).data).sd
 
 
 def errors(results: Results) -> dict[str, object]:
@@ -44,7 +52,7 @@ def covered(run: Path, measurements: Path, results: Results) -> dict[str, object
     asked = table.iloc[left["line"] - 2]
     rows = run.parent / "rows_to_predict.csv"
     asked.drop(columns=["x_mm", "y_mm", "z_mm", "split", "sigma_mm"], errors="ignore").to_csv(rows, index=False)
-    sd = predict(run, rows)[["sd_x_mm", "sd_y_mm", "sd_z_mm"]].to_numpy()
+    sd = predicted_sd(run, rows)
     (noise,) = results.tables["diagnose/noise.csv"].to_dict("records")
     if noise["source"] != "estimated":
         own = asked["sigma_mm"].to_numpy()[:, None] if "sigma_mm" in asked else noise["sigma_mm"]

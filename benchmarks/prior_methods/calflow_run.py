@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 from real_data import columns
 
+from calflow.calibration import Calibration
+from calflow.deployment.prediction import on_conditions_of
 from calflow.estimation.certainty import field_correction
 from calflow.estimation.field_gain import gainful_field
 from calflow.estimation.identification import fit_effects
 from calflow.measurements.measurements import Measurements
-from calflow.runs.calibrated_run import CalibratedRun
 from calflow.runs.run import run
 from calflow.study import load_study
 from prior_methods.method import Fitted, Predictor, processor_seconds, timed
@@ -60,7 +61,7 @@ class Calflow:
             seconds.write_text(f"{reused + processor_seconds() - started:.2f}\n", encoding="utf-8")
 
         def positions(rows: Measurements) -> np.ndarray:
-            known = CalibratedRun.of(folder / "run").known(rows.given)
+            known = on_conditions_of(Calibration.load(folder / "run"), rows)
             packed = counted(rows, train).on(known.model.robot).rows
             return known.model.position(known.estimate, packed) + field_correction(
                 known, packed

@@ -18,69 +18,60 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from calflow.calibration import Calibration, diagnose, identify, report
     from calflow.deployment.comparison import Comparison
-    from calflow.deployment.compensation import Compensation
-    from calflow.deployment.drift import Drift
+    from calflow.deployment.compensation import Compensation, compensate
+    from calflow.deployment.drift import Drift, choose_check_poses, drift
+    from calflow.deployment.export import export
     from calflow.deployment.history import History
-    from calflow.deployment.prediction import Prediction
-    from calflow.deployment.validation import Validation
+    from calflow.deployment.prediction import Prediction, predict
+    from calflow.deployment.validation import Validation, validate
     from calflow.estimation.parameters import Parameters
     from calflow.files.problems import InputError
     from calflow.measurements.measurements import Measurements
+    from calflow.programs.filtering import filter_program
     from calflow.robot.frames import Frame, dh, modified_dh
     from calflow.robot.parts import Base, Coupling, Expected, FourBar, Joint, Marker, Payload
     from calflow.robot.robot import Robot
-    from calflow.runs.check_poses import choose_check_poses
-    from calflow.runs.compare import compare
-    from calflow.runs.compensate import compensate
-    from calflow.runs.drift import drift
-    from calflow.runs.export import export_run
-    from calflow.runs.filter import filter_program
-    from calflow.runs.history import history
+    from calflow.runs.between_runs import compare_runs, history_of_runs
+    from calflow.runs.given_rows import rows_measured
     from calflow.runs.next_poses import NextStep, next_poses
     from calflow.runs.pack import pack
-    from calflow.runs.predict import predict
     from calflow.runs.reproduce import Reproduction, reproduce
     from calflow.runs.run import Run, run
-    from calflow.runs.validate import validate
     from calflow.sampling.posterior import Posterior
     from calflow.simulation import simulate
     from calflow.study import Study, load_study
 
 __all__ = [
     "Base", "Calibration", "Comparison", "Compensation", "Coupling", "Drift", "Expected", "FourBar", "Frame",
-    "History", "InputError", "Joint", "Marker", "Measurements", "NextStep", "Parameters", "Payload", "Posterior", "Prediction",
-    "Reproduction", "Robot", "Run", "Study", "Validation", "choose_check_poses", "compare", "compensate", "dh",
-    "diagnose", "drift", "export_run", "filter_program", "history", "identify", "load_study", "modified_dh", "next_poses", "pack",
-    "predict", "report", "reproduce", "run", "simulate", "validate",
+    "History", "InputError", "Joint", "Marker", "Measurements", "NextStep", "Parameters", "Payload", "Posterior",
+    "Prediction", "Reproduction", "Robot", "Run", "Study", "Validation", "choose_check_poses", "compare_runs",
+    "compensate", "dh", "diagnose", "drift", "export", "filter_program", "history_of_runs", "identify", "load_study",
+    "modified_dh", "next_poses", "pack", "predict", "report", "reproduce", "rows_measured", "run", "simulate",
+    "validate",
 ]  # fmt: skip
 
 _HOMES = {
     "calibration": ("Calibration", "diagnose", "identify", "report"),
-    "deployment.compensation": ("Compensation",),
+    "deployment.compensation": ("Compensation", "compensate"),
     "deployment.comparison": ("Comparison",),
-    "deployment.drift": ("Drift",),
+    "deployment.drift": ("Drift", "choose_check_poses", "drift"),
+    "deployment.export": ("export",),
     "deployment.history": ("History",),
-    "deployment.prediction": ("Prediction",),
-    "deployment.validation": ("Validation",),
+    "deployment.prediction": ("Prediction", "predict"),
+    "deployment.validation": ("Validation", "validate"),
     "estimation.parameters": ("Parameters",),
     "files.problems": ("InputError",),
     "measurements.measurements": ("Measurements",),
+    "programs.filtering": ("filter_program",),
     "robot.frames": ("Frame", "dh", "modified_dh"),
     "robot.parts": ("Base", "Coupling", "Expected", "FourBar", "Joint", "Marker", "Payload"),
     "robot.robot": ("Robot",),
-    "runs.check_poses": ("choose_check_poses",),
-    "runs.compensate": ("compensate",),
-    "runs.export": ("export_run",),
-    "runs.filter": ("filter_program",),
-    "runs.compare": ("compare",),
-    "runs.drift": ("drift",),
-    "runs.history": ("history",),
+    "runs.between_runs": ("compare_runs", "history_of_runs"),
+    "runs.given_rows": ("rows_measured",),
     "runs.next_poses": ("NextStep", "next_poses"),
     "runs.pack": ("pack",),
-    "runs.predict": ("predict",),
     "runs.reproduce": ("Reproduction", "reproduce"),
     "runs.run": ("Run", "run"),
-    "runs.validate": ("validate",),
     "sampling.posterior": ("Posterior",),
     "simulation": ("simulate",),
     "study": ("Study", "load_study"),

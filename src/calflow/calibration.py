@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from html import escape
@@ -14,13 +15,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
-from calflow.deployment.compensation import Compensation, compensated
-from calflow.deployment.inverse_kinematics import Targets
-from calflow.deployment.prediction import Missing, Prediction, predict_positions
+from calflow.deployment import compensation, prediction, validation
+from calflow.deployment import drift as drift_check
+from calflow.deployment import export as exporting
+from calflow.deployment.export import Export, Format
+from calflow.deployment.usability import warning
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
 from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.findings.curves import CurvePoint, curves
@@ -63,12 +64,14 @@ from calflow.faults import Fault, FaultyRow, as_table, corrected, examined
 from calflow.faults.outlier import odd_rows
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.results import Results, to_document
-from calflow.files.tables import TypedTable, to_frame
+from calflow.files.tables import TypedTable, lacking, to_frame
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.source import MeasurementSource
 from calflow.model import build
+from calflow.programs import filtering
+from calflow.robot.formats.robot_file import drives
 from calflow.robot.robot import Robot
-from calflow.run_folder import CalibratedFolder, load_again, read_calibrated
+from calflow.run_folder import INPUTS, CalibratedFolder, load_again, read_calibrated
 from calflow.sampling.chain import ChainLength
 from calflow.sampling.posterior import Posterior
 from calflow.sampling.sample import sample
@@ -83,6 +86,7 @@ if TYPE_CHECKING:
 OPEN_SHOWN = 6  # statements of what the data leave open, beyond which the rest is counted
 IN_PYTHON = "python"  # the name of what no study asked for
 AGAIN = "run the study again"
+INSTEAD = "costs are over random poses within the joint limits instead"
 
 
 @dataclass(frozen=True)
@@ -215,6 +219,18 @@ class Calibration(CalibratedModel):
             *(f"without {what}; {AGAIN}" for what in without),
         )
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Say that the model is not to be used, and why; nothing where it may be."""
+        read = {"accuracy.csv": Accuracy, "residuals.csv": JudgedResidual}
+        tables = {f"{stage}/{name}": rows for stage in ("identify", "diagnose") for name, rows in read.items()}
+        given = self.results.tables
+        if older := [name for name, rows in tables.items() if name in given and lacking(given[name], rows)]:
+            return (f"whether the model is to be used cannot be told from {', '.join(older)}, which another version of calflow "
+                    f"made; {AGAIN}",)  # fmt: skip
+        said = warning(self.results)
+        return () if said is None else (said,)
+
     @cached_property
     def parameters(self) -> Parameters:
         """What was estimated, by name."""
@@ -332,66 +348,26 @@ class Calibration(CalibratedModel):
             results=before.results | tables,
         )  # fmt: skip
 
-    def predict(
-        self, q: ArrayLike, *, payload: str | Sequence[str] | None = None, marker: str | Sequence[str] | None = None,
-        missing: Missing = "refuse", **conditions: ArrayLike,
-    ) -> Prediction:  # fmt: skip
-        """Return where the marker will be in the measuring frame, and how surely.
+    predict = prediction.predict
+    compensate = compensation.compensate
+    filter_program = filtering.filter_program
+    validate = validation.validate
+    drift = drift_check.drift
+    choose_check_poses = drift_check.choose_check_poses
 
-        Args:
-            q: joint readings, shape (n_rows, n_joints), or (n_joints,) of one row [rad, or m].
-            payload: what is carried; nothing where it is None.
-            marker: which marker; the first where it is None.
-            missing: "widen" to go on without conditions that are needed, with a wider standard deviation.
-            conditions: approach, travel, wrench, torque, time, temperature, as in `Measurements.from_arrays`.
+    def export(self, to: Format) -> Export:
+        """Return the calibrated robot in a format; costs are told over the measured rows where these are to be had.
 
         Raises:
-            InputError: a condition is missing that an effect needs, or an array is at fault.
+            InputError: the robot's frames cannot be stated in it.
         """
-        return predict_positions(self, self.needed, self._rows(q, payload, marker, conditions), missing)
-
-    def compensate(
-        self, targets: ArrayLike, *, start: ArrayLike | None = None, payload: str | Sequence[str] | None = None,
-        marker: str | Sequence[str] | None = None, in_order: bool = False, missing: Missing = "refuse", seed: int = 1,
-        **conditions: ArrayLike,
-    ) -> Compensation:  # fmt: skip
-        """Return joint readings with which the marker lands on the targets.
-
-        They are those nearest to start: give the readings that the nominal robot would be sent to. Without start any nominal
-        solution within the joint limits is taken as such. Where the targets are positions, the tool keeps its orientation as
-        nearly as the start has it; without a start it is left open.
-
-        Args:
-            targets: positions (n, 3), or (3,), or poses (n, 4, 4), or (4, 4), in the measuring frame [m]. A pose is where the
-                marker is, and how the frame of the last link is turned, with the robot's tool_rotation where it has one.
-            start: readings (n, n_joints), or (n_joints,) for all [rad, or m]; of a robot with external axes theirs must be there,
-                and the arm's may be nan.
-            payload: what is carried, for all or one a target.
-            marker: which marker, likewise.
-            in_order: the robot goes from target to target, so that the side from which each joint comes follows from the commands.
-            missing: as in `predict`.
-            seed: of the poses from which nominal solutions are looked for.
-            conditions: as in `predict`; approach is the side that each joint will come from.
-
-        Raises:
-            InputError: a condition is missing that an effect needs, or an array is at fault.
-        """
-        asked, n = Targets.of(targets), self.model.robot.n_joints
-        given = np.full(n, np.nan) if start is None else np.asarray(start, dtype=float)
-        if given.shape not in ((n,), (len(asked), n)):
-            raise refuse(f"expected shape ({n},) or ({len(asked)}, {n}), found {given.shape}", key="start")
-        begun = np.broadcast_to(given, (len(asked), n))
-        if np.isnan(begun[:, self.model.robot.external]).any():
-            named = ", ".join(str(i + 1) for i in self.model.robot.external)
-            raise refuse(
-                f"expected readings of the external axes (joints {named}): they stay where they are", key="start"
-            )
-        data = self._rows(np.nan_to_num(begun), payload, marker, conditions)
-        known = not np.isnan(begun).any()
-        return compensated(
-            self, self.needed, data, asked, start=begun if known else None, in_order=in_order,
-            missing=missing, seed=seed,
-        )  # fmt: skip
+        model: CalibratedModel = self
+        rows, lost = None, [f"the measurements are not there any more: {INSTEAD}"]
+        with suppress(InputError):
+            model, rows, lost = prediction.on_conditions_of(self, self.data), self.data.rows, []
+        moved_by = drives(self.folder.folder / INPUTS / "robot.toml") if self.folder else None
+        found = exporting.export(model, to, rows=rows, maker=self.robot, drives=moved_by)
+        return replace(found, notes=(*lost, *found.notes))
 
     def with_residual_field(self, *, seed: int | None = None, say: Say = nobody) -> Calibration:
         """Return it with a smooth correction of what it leaves of the training rows, which is not physical.
@@ -474,17 +450,6 @@ class Calibration(CalibratedModel):
         study = Study(Path(), request, self.model.robot, Path(), workflow, Path())
         used = self.data.only(self.data.train | self.data.held_out)
         return Material(study, self.results, Path(), Calibrated(used, replace(self, field=None)))
-
-    def _rows(
-        self, q: ArrayLike, payload: str | Sequence[str] | None, marker: str | Sequence[str] | None,
-        conditions: dict[str, ArrayLike],
-    ) -> Measurements:  # fmt: skip
-        q = np.atleast_2d(np.asarray(q, dtype=float))
-        named: dict[str, Any] = {"payload": payload, "marker": marker}
-        stated: dict[str, Any] = {name: value for name, value in named.items() if value is not None} | conditions
-        if "time" in conditions:
-            stated["time_origin"] = self.time_origin
-        return Measurements.from_arrays(self.model.robot, q, None, pose=np.arange(len(q)), **stated)
 
     def _latest(self, name: str) -> pd.DataFrame:
         return self.results.tables[f"{'diagnose' if self.diagnosed else 'identify'}/{name}.csv"]

@@ -45,6 +45,6 @@ def test_eight_chosen_poses_tell_more_than_any_others_drawn():
     others = [told(replace(loaded, table=loaded.table.iloc[own].reset_index(drop=True))) for own in drawn]
     assert told(chosen) > max(others)
 
-    foreseen = drift(known, [], unmoved(known, chosen), station="known")
+    foreseen = drift(known, unmoved(known, chosen), station="known")
     assert (foreseen.summary.status, foreseen.summary.sessions) == ("in place", 1)
     assert foreseen.summary.error_mm < 1e-9

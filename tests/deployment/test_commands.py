@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.deployment.compensation import clearance, compensated, not_known
+from calflow.deployment.compensation import clearance, compensate_rows, not_known
 from calflow.deployment.inverse_kinematics import FrameTable, Targets, in_measuring_frame
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.files.problems import InputError
@@ -39,7 +39,7 @@ def posed():
 def test_a_pose_is_met_in_place_and_orientation(posed):
     """Fails if the tool lands beside its target, turned otherwise, or what the nominal command misses by is not told."""
     known, data, targets = posed
-    found = compensated(known, (), data, targets, start=data.joints)
+    found = compensate_rows(known, data, targets, start=data.joints)
     there = np.vstack([found.readings.T, data.rows[6:]])
     on = found.reached
     assert on.mean() > 0.9
@@ -55,7 +55,7 @@ def test_poses_are_reached_without_a_start(posed):
     """Fails if a sampled inverse misses poses that are within reach, or leaves the limits."""
     known, data, targets = posed
     few = np.arange(10)
-    found = compensated(known, (), data.only(np.isin(np.arange(len(data)), few)), targets.only(few))
+    found = compensate_rows(known, data.only(np.isin(np.arange(len(data)), few)), targets.only(few))
     low, high = known.model.robot.stops.T
     assert found.reached.all()
     assert ((found.readings >= low - 1e-8) & (found.readings <= high + 1e-8)).all()
@@ -67,8 +67,8 @@ def test_what_is_out_of_reach_is_named_and_the_rest_done(posed):
     position = targets.position.copy()
     position[3] = [9.0, 0.0, 0.0]
     names = [f"P{k}" for k in range(len(data))]
-    found = compensated(
-        known, (), replace(data, table=data.table.assign(pose=names)), Targets(position), start=data.joints
+    found = compensate_rows(
+        known, replace(data, table=data.table.assign(pose=names)), Targets(position), start=data.joints
     )
     assert list(np.flatnonzero(~found.reached)) == [3]
     assert "1 of" in found.notes[0]
@@ -81,8 +81,8 @@ def test_what_one_start_does_not_lead_to_is_not_called_out_of_reach(posed):
     known, data, targets = posed
     few = np.arange(24)
     data, targets = data.only(np.isin(np.arange(len(data)), few)), targets.only(few)
-    near = compensated(known, (), data, targets, start=data.joints)
-    found = compensated(known, (), data, targets, start=np.roll(data.joints, 1, axis=0))
+    near = compensate_rows(known, data, targets, start=data.joints)
+    found = compensate_rows(known, data, targets, start=np.roll(data.joints, 1, axis=0))
     stuck = near.reached & ~found.reached
     assert stuck.sum() >= 2
     beyond = [note for note in found.notes if "other starts neither" in note]
@@ -94,13 +94,14 @@ def test_what_one_start_does_not_lead_to_is_not_called_out_of_reach(posed):
 def test_backlash_is_taken_by_the_direction_of_the_commands():
     """Fails if the play is taken from the wrong side, or left out: some 2.5 mm at the tool."""
     known, measured = calibrated(("geometry", "joint-backlash"), {"joint1.joint-backlash.b": PLAY}, approach=sides())
-    robot, needed = known.model.robot, needed_conditions(known.model, known.estimate, measured)
+    robot = known.model.robot
+    known = replace(known, needed=needed_conditions(known.model, known.estimate, measured))
     data = Measurements.from_arrays(robot, measured.joints, None, payload="load")
     model = replace(known.model, given=())
     targets = Targets(model.point(known.estimate, data.rows))
     with pytest.raises(InputError, match="joint-backlash"):
-        compensated(known, needed, data, targets, start=data.joints)
-    found = compensated(known, needed, data, targets, start=data.joints, in_order=True)
+        compensate_rows(known, data, targets, start=data.joints)
+    found = compensate_rows(known, data, targets, start=data.joints, in_order=True)
     came = np.vstack([np.zeros(6), np.sign(np.diff(found.readings, axis=0))])
     there = Measurements.from_arrays(robot, found.readings, None, payload="load", approach=came)
     sided = replace(known.model, given=there.given)

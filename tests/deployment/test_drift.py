@@ -61,7 +61,7 @@ def test_a_shifted_zero_is_found_with_its_joint_and_size(robot):
     """Fails if a tenth of a millirad of a joint is missed, another one is named, or its size is not within what is stated."""
     known, q = robot
     for joint in (2, 3):
-        found = drift(known, [], checked(known, q, joint, zero(joint, 2e-4)), station="known")
+        found = drift(known, checked(known, q, joint, zero(joint, 2e-4)), station="known")
         assert found.summary.status == "moved"
         assert found.moved[0].joint == joint
         own = next(one for one in found.candidates if one.movement == f"joint{joint}.zero")
@@ -74,7 +74,7 @@ def test_dates_are_told_by_time_alone(robot):
     known, q = robot
     days = np.repeat([0.0, 5 * 86400.0], len(q))
     data = checked(known, q, 5, zero(3, 4e-4), since=1, dates=("mon", "sat"), time=days)
-    found = drift(known, [], replace(data, table=data.table.drop(columns="session")), station="known")
+    found = drift(known, replace(data, table=data.table.drop(columns="session")), station="known")
     assert (found.moved[0].joint, found.summary.sessions, found.summary.poses) == (3, 2, 2 * len(q))
     assert (found.moved[0].since, found.moved[0].before) == ("120.0 h", "0.0 h")
     assert abs(found.recalibration[0].shift - 4e-4) < 4 * found.recalibration[0].sd
@@ -99,7 +99,7 @@ def test_nothing_is_found_where_nothing_moved(robot):
     """Fails if the calibration's own errors or the device's noise raise alarms more often than stated."""
     known, q = robot
     alarms = [
-        drift(known, [], checked(known, q, seed), station="known", false_alarm=0.05).summary.status != "in place"
+        drift(known, checked(known, q, seed), station="known", false_alarm=0.05).summary.status != "in place"
         for seed in range(30)
     ]
     assert sum(alarms) <= 5
@@ -108,10 +108,10 @@ def test_nothing_is_found_where_nothing_moved(robot):
 def test_false_alarms_rarer_than_draws_can_tell_still_let_a_shift_be_found(robot):
     """Fails if a level below one of all draws is never reached, or a limit is stated that such a level does not keep."""
     known, q = robot
-    found = drift(known, [], checked(known, q, 3, zero(2, 5e-4)), station="known", false_alarm=1e-4)
+    found = drift(known, checked(known, q, 3, zero(2, 5e-4)), station="known", false_alarm=1e-4)
     assert found.moved[0].joint == 2
     assert found.moved[0].p < 1e-4
-    rare, usual = (drift(known, [], checked(known, q, 3), station="known", false_alarm=alarm) for alarm in (1e-4, 1e-2))
+    rare, usual = (drift(known, checked(known, q, 3), station="known", false_alarm=alarm) for alarm in (1e-4, 1e-2))
     at = [next(x.limits[0] for x in one.candidates if x.movement == "joint2.zero") for one in (rare, usual)]
     assert 1.1 * at[1] < at[0] < 2 * at[1]
 
@@ -120,7 +120,7 @@ def test_since_when_is_told_where_there_are_dates(robot):
     """Fails if a shift that came between two dates is told of another one, or of all."""
     known, q = robot
     data = checked(known, q, 5, zero(2, 3e-4), since=2, dates=("March", "April", "May"))
-    found = drift(known, [], data, station="known")
+    found = drift(known, data, station="known")
     assert (found.moved[0].since, found.moved[0].before) == ("May", "April")
 
 
@@ -129,11 +129,11 @@ def test_a_device_that_stood_elsewhere_is_no_drift(robot):
     known, q = robot
     data = checked(known, q, 6)
     away = data.table.assign(x=data.table["y"] + 3.0, y=-data.table["x"], z=data.table["z"] - 0.5)
-    still = drift(known, [], replace(data, table=away))
+    still = drift(known, replace(data, table=away))
     assert (still.summary.station, still.summary.status) == ("fitted", "in place")
     data = checked(known, q, 6, zero(3, 4e-4))
     away = data.table.assign(x=data.table["y"] + 3.0, y=-data.table["x"], z=data.table["z"] - 0.5)
-    found = drift(known, [], replace(data, table=away))
+    found = drift(known, replace(data, table=away))
     assert found.summary.status == "moved"
     assert "station" not in [one.movement for one in found.candidates]
 
@@ -143,7 +143,7 @@ def test_rows_that_do_not_state_their_noise_have_that_of_the_calibration(robot):
     known, q = robot
     data = checked(known, q, 6)
     silent = replace(data, table=data.table.drop(columns="sigma"))
-    stated, found = (drift(known, [], rows, station="known").summary for rows in (data, silent))
+    stated, found = (drift(known, rows, station="known").summary for rows in (data, silent))
     assert found.expected_mm == pytest.approx(stated.expected_mm)
     assert found.status == "in place"
 
@@ -181,7 +181,7 @@ def test_what_moves_points_is_the_graph_s_derivative(robot):
 def test_what_is_not_told_apart_gets_poses_that_would(robot):
     """Fails if rivals are left without a proposal, or poses are proposed beyond the joints' limits."""
     known, q = robot
-    found = drift(known, [], checked(known, q[:5], 9, zero(5, 4e-4)), station="known")
+    found = drift(known, checked(known, q[:5], 9, zero(5, 4e-4)), station="known")
     assert found.moved
     assert found.next_poses
     limits = np.rad2deg(known.model.robot.limits)
@@ -198,7 +198,7 @@ def test_one_mistaken_pose_is_no_movement(robot, size, station):
     data = checked(known, q, 7)
     seen = data.position.copy()
     seen[3, 0] += size
-    found = drift(known, [], with_positions(data, seen), station=station)
+    found = drift(known, with_positions(data, seen), station=station)
     assert (found.summary.status, found.moved, found.recalibration) == ("cannot be told", (), ())
     assert any(note.startswith("pose 3, marker E alone carries the error") for note in found.summary.notes)
 
@@ -209,7 +209,7 @@ def test_units_and_signs_that_are_wrong_are_no_movement(robot, seen_by):
     known, q = robot
     data = checked(known, q, 8)
     wrong = with_positions(data, data.position * [seen_by, 1, 1])
-    found = drift(known, [], wrong, station="known")
+    found = drift(known, wrong, station="known")
     assert (found.summary.status, found.moved, found.recalibration) == ("cannot be told", (), ())
     assert any("off by more than any calibrated robot" in note for note in found.summary.notes)
 
@@ -219,12 +219,12 @@ def test_a_station_that_moved_between_sessions_is_fitted_there_alone(robot):
     known, q = robot
     data = checked(known, q, 9, dates=("mon", "tue"))
     moved = data.position + 0.3 * (data.table["session"] == "tue").to_numpy()[:, None]
-    found = drift(known, [], with_positions(data, moved))
+    found = drift(known, with_positions(data, moved))
     assert (found.summary.status, found.summary.station) == ("in place", "fitted")
     assert [one for one in found.summary.notes if "was fitted in session 'tue', where it stood elsewhere" in one]
-    both = drift(known, [], with_positions(data, data.position + 0.3))
+    both = drift(known, with_positions(data, data.position + 0.3))
     assert (both.summary.station, both.summary.status) == ("fitted", "in place")
-    judged = validate(known, [], with_positions(data, moved), tolerance=2e-3).summary
+    judged = validate(known, with_positions(data, moved), tolerance=2e-3).summary
     assert (judged.station, judged.frames, judged.freedom_lost, judged.beyond) == ("fitted", 1, 6, 0)
     assert judged.moved_mm == pytest.approx(300 * 3**0.5, abs=1)
     assert any("than in the calibration in session 'tue': its frame was fitted" in one for one in judged.notes)

@@ -15,7 +15,7 @@ from calflow.model import build
 from calflow.robot.frames import modified_dh
 from calflow.robot.parts import Base, Joint, Marker
 from calflow.robot.statics import gravity_torque
-from calflow.runs.compensate import check_external
+from calflow.runs.given_rows import check_external
 from robot.formats.urdfs import Reference
 from robots import industrial, marker_position, rows
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
-import calflow as cf
-from calflow.deployment.prediction import predict_positions
+from applied import predict
+from calflow.deployment.prediction import predict_rows
 from calflow.deployment.validation import validate
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.needed_conditions import needed_conditions
@@ -71,20 +73,20 @@ def test_a_validation_names_no_option_that_it_has_not():
     known, data = calibrated(("geometry", "joint-backlash"), {"joint1.joint-backlash.b": PLAY}, approach=sides())
     bare = Measurements.from_arrays(known.model.robot, data.joints, np.zeros((40, 3)), payload="load", split="train")
     with pytest.raises(InputError, match=r"needs columns approach1 … approach6, which the rows lack$"):
-        validate(known, list(needed_conditions(known.model, known.estimate, data)), bare)
+        validate(replace(known, needed=needed_conditions(known.model, known.estimate, data)), bare)
 
 
 def test_backlash_without_a_side_is_refused_or_widened():
     """Fails if backlash is dropped in silence: millimetres off with a stated deviation of hundredths."""
     known, data = calibrated(("geometry", "joint-backlash"), {"joint1.joint-backlash.b": PLAY}, approach=sides())
-    needed = needed_conditions(known.model, known.estimate, data)
-    truth = predict_positions(known, needed, data).position
+    known = replace(known, needed=needed_conditions(known.model, known.estimate, data))
+    truth = predict_rows(known, data).position
     asked = Measurements.from_arrays(known.model.robot, data.joints, None, payload="load")
     with pytest.raises(
         InputError, match="effect 'joint-backlash' needs columns approach1 … approach6, which the rows lack"
     ):
-        predict_positions(known, needed, asked)
-    told = predict_positions(known, needed, asked, "widen")
+        predict_rows(known, asked)
+    told = predict_rows(known, asked, "widen")
     off = truth - told.position
     assert np.abs(off).max() > 1e-3
     assert 0.5 < np.sqrt((off[:, :2] ** 2).mean()) / told.sd[:, :2].mean() < 1.2
@@ -97,11 +99,9 @@ def test_conditions_that_nothing_needs_change_nothing():
     more = Measurements.from_arrays(
         known.model.robot, data.joints, None, payload="load", approach=sides(), torque=np.zeros((40, 6))
     )
-    needed = needed_conditions(known.model, known.estimate, data)
-    assert needed == ()
-    np.testing.assert_array_equal(
-        predict_positions(known, needed, more).position, predict_positions(known, needed, data).position
-    )
+    known = replace(known, needed=needed_conditions(known.model, known.estimate, data))
+    assert known.needed == ()
+    np.testing.assert_array_equal(predict_rows(known, more).position, predict_rows(known, data).position)
 
 
 def test_a_run_and_the_command_line_do_the_same(small):
@@ -122,7 +122,7 @@ def test_a_run_and_the_command_line_do_the_same(small):
     )
     assert answer.code == 0, answer
     assert "nothing is predicted of joint-backlash" in answer.err
-    widened, whole = pd.read_csv(small / "p.csv"), cf.predict(str(small / "runs"), str(small / "whole.csv"))
+    widened, whole = pd.read_csv(small / "p.csv"), predict(str(small / "runs"), str(small / "whole.csv"))
     off = np.abs(widened[X].to_numpy() - whole[X].to_numpy())
     assert off.max() > 0.5
     assert widened["sd_x_mm"].min() > 0.3 > whole["sd_x_mm"].max()

@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from applied import predict
 from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.estimation.calibrated_model import identified
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
 from calflow.run_folder import read_manifest, read_results
-from calflow.runs.predict import predict
 
 X, SD = ["x_mm", "y_mm", "z_mm"], ["sd_x_mm", "sd_y_mm", "sd_z_mm"]
 

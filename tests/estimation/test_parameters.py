@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 
 import calflow as cf
+from calflow.calibration import Calibration
 from calflow.estimation.parameters import Parameters
 from calflow.model import build
-from calflow.runs.calibrated_run import CalibratedRun
 from calflow.study import load_study
 from robots import hh800
 
@@ -123,8 +123,7 @@ def test_a_study_states_it_and_every_stage_keeps_to_it(small):
     assert table.loc["joint3.s", "upper"] == pytest.approx(1e-6)
     for name in ("identify/covariance.csv", "sample/posterior.csv"):
         assert "joint2.theta" not in set(pd.read_csv(small / "runs" / name)["parameter"])
-    run = CalibratedRun.of(small / "runs")
-    known = run.known(())
+    known = Calibration.load(small / "runs")
     assert known.model.values(known.model.effects[0], known.estimate)[
         [one.name for one in known.model.effects[0].declared].index("joint2.theta")
     ] == pytest.approx(np.deg2rad(0.01))

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calflow.programs.axes import Axes, Correction
-from calflow.programs.configuration import Posture
-from calflow.programs.filtering import Choices
+from calflow.programs.axes import Axes, CorrectedReadings
+from calflow.programs.configuration import ArmPosture
+from calflow.programs.filtering import FilterSettings
 
 RAPID = """%%%
   VERSION:1
@@ -216,11 +216,11 @@ end
 
 EYE = np.eye(4)
 FILES = {
-    "weld.mod": (RAPID, Choices({}, {}, tool="tool0", frame="wobj0")),
-    "weld.dat": (KRL_DATA, Choices({"1": EYE}, {"2": EYE}, tool="1", frame="2")),
-    "weld.src": (KRL, Choices({}, {}, tool="0", frame="0")),
-    "weld.ls": (FANUC, Choices({"1": EYE}, {"1": EYE})),
-    "weld.script": (URSCRIPT, Choices({}, {})),
+    "weld.mod": (RAPID, FilterSettings({}, {}, tool="tool0", frame="wobj0")),
+    "weld.dat": (KRL_DATA, FilterSettings({"1": EYE}, {"2": EYE}, tool="1", frame="2")),
+    "weld.src": (KRL, FilterSettings({}, {}, tool="0", frame="0")),
+    "weld.ls": (FANUC, FilterSettings({"1": EYE}, {"1": EYE})),
+    "weld.script": (URSCRIPT, FilterSettings({}, {})),
 }
 
 
@@ -249,11 +249,11 @@ class Hand:
         turns = Rotation.from_matrix(flanges[:, :3, :3]).as_rotvec()
         return [np.concatenate([pose[:3, 3], turn])[None] for pose, turn in zip(flanges, turns, strict=True)]
 
-    def posture(self, readings: np.ndarray) -> Posture:
+    def posture(self, readings: np.ndarray) -> ArmPosture:
         """No arm at all."""
-        return Posture((), None, None)
+        return ArmPosture((), None, None)
 
-    def corrected(self, readings: np.ndarray, names: list[str]) -> Correction:
+    def corrected(self, readings: np.ndarray, names: list[str]) -> CorrectedReadings:
         """Readings with the shift."""
         n = len(readings)
-        return Correction(readings + np.array(self.shift), np.zeros(n), np.zeros(n), ("",) * n)
+        return CorrectedReadings(readings + np.array(self.shift), np.zeros(n), np.zeros(n), ("",) * n)

@@ -17,7 +17,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.programs.calibrated_robot import CalibratedRobot
 from calflow.programs.configuration import KrlConfiguration, RapidConfiguration
-from calflow.programs.filtering import Choices, filtered
+from calflow.programs.filtering import FilterSettings, filtered
 from calflow.programs.formats import parsed
 from robots import ASKEW, industrial, robot, ur10
 
@@ -40,7 +40,7 @@ def calibrated(of, effects=("geometry",), sizes=0.0, **conditions):
     known = CalibratedModel(
         model, p, 1e-16 * np.eye(len(p)), np.zeros(len(p), bool), (SeriesNoise(1e-5, "file"),), 0.0, 0.0, "linear"
     )  # fmt: skip
-    return CalibratedRobot(known, [], rows)
+    return CalibratedRobot(known, rows)
 
 
 def rapid_program(corrector, readings):
@@ -69,7 +69,7 @@ def test_a_model_that_changes_nothing_leaves_a_program_to_the_last_byte():
     """Fails if the way through joint readings and back changes a target."""
     corrector = calibrated(industrial())
     source = rapid_program(corrector, usual(corrector, 4))
-    done = filtered(parsed(source, Path("weld.mod")), corrector, Choices({}, {}))
+    done = filtered(parsed(source, Path("weld.mod")), corrector, FilterSettings({}, {}))
     assert done.source == source
     assert [row.outcome for row in done.rows] == ["unchanged"] * 5
 
@@ -79,7 +79,7 @@ def test_a_corrected_program_lands_where_it_says():
     corrector = calibrated(industrial(), ("geometry", "joint-compliance"), 0.3)
     readings = usual(corrector, 4)
     program = parsed(rapid_program(corrector, readings), Path("weld.mod"))
-    done = filtered(program, corrector, Choices({}, {}))
+    done = filtered(program, corrector, FilterSettings({}, {}))
     assert {row.outcome for row in done.rows} == {"moved"}
     assert max(row.moved_mm for row in done.rows) > 1
     before = [pose_matrix(target.values, "quaternion") for target in program.targets[:4]]
@@ -167,7 +167,7 @@ def test_a_controller_shows_the_readings_that_its_configuration_means():
             return super().corrected(readings, names)
 
     watched = Watched(corrector.known, (), corrector.rows)
-    done = filtered(parsed(SHOWN.encode(), Path("poses.ls")), watched, Choices({}, {}))
+    done = filtered(parsed(SHOWN.encode(), Path("poses.ls")), watched, FilterSettings({}, {}))
     assert [row.outcome for row in done.rows] == ["unchanged"] * 2
     shown = [(7.962, -5.284, -36.25, 77.661, -51.975, -79.273), (7.962, -5.284, -36.25, -102.339, 51.975, 100.727)]
     np.testing.assert_allclose(np.rad2deg(asked[0]), shown, atol=0.02)
@@ -177,13 +177,13 @@ def test_base_and_flange_of_the_controller_may_be_elsewhere():
     """Fails if a program whose poses are counted from another base, to another flange, is not reached or moved otherwise."""
     corrector = calibrated(industrial(), ("geometry",), 0.3)
     source = rapid_program(corrector, usual(corrector, 3))
-    plain = filtered(parsed(source, Path("w.mod")), corrector, Choices({}, {}))
+    plain = filtered(parsed(source, Path("w.mod")), corrector, FilterSettings({}, {}))
     base, flange = pose_matrix([0, 0, 0.67, 0, 0, 0], "xyz"), pose_matrix([0, 0, 0, 0, 0, np.pi], "xyz")
     tool = inverse(flange) @ TOOL
     other = filtered(
         parsed(source, Path("w.mod")),
         corrector,
-        Choices({"gun": tool}, {"wobj0": inverse(base)}, base=base, flange=flange),
+        FilterSettings({"gun": tool}, {"wobj0": inverse(base)}, base=base, flange=flange),
     )
     assert other.source == plain.source
 
@@ -195,10 +195,10 @@ def test_flags_of_no_way_are_said():
     flags = ",".join(RapidConfiguration(()).of(corrector.posture(usual(corrector, 2)[1])))
     wrong = source.replace(f",[{flags}],".encode(), b",[3,3,3,0],")
     assert wrong != source
-    done = filtered(parsed(wrong, Path("w.mod")), corrector, Choices({}, {}))
+    done = filtered(parsed(wrong, Path("w.mod")), corrector, FilterSettings({}, {}))
     (row,) = [row for row in done.rows if row.outcome == "left alone"]
     assert "configuration" in row.note
-    done = filtered(parsed(wrong, Path("w.mod")), corrector, Choices({}, {}, loosely=True))
+    done = filtered(parsed(wrong, Path("w.mod")), corrector, FilterSettings({}, {}, loosely=True))
     assert [row.outcome for row in done.rows].count("moved") == 3
     assert any("configuration" in row.note for row in done.rows)
 
@@ -212,15 +212,15 @@ def test_joints_that_come_from_either_side_are_told_apart():
     estimate[play] = 1e-3
     given = ("approach", "travel")
     known = replace(plain.known, estimate=estimate, model=replace(plain.known.model, given=given))
-    needed = [NeededCondition(condition="approach", effects=("joint-backlash",), columns="approach1", spread_mm=1.0)]
-    corrector = CalibratedRobot(known, needed, plain.rows, in_order=True)
+    needed = NeededCondition(condition="approach", effects=("joint-backlash",), columns="approach1", spread_mm=1.0)
+    corrector = CalibratedRobot(replace(known, needed=(needed,)), plain.rows, in_order=True)
     readings = np.tile(usual(plain, 1), (3, 1))
     readings[1, 1] += 0.2
     joints = [",".join(f"{v:.6f}" for v in np.rad2deg(one)) for one in readings]
     lines = [f"  CONST jointtarget j{k}:=[[{one}],{NO_AXES}];" for k, one in enumerate(joints)]
     source = "\n".join(["MODULE M", *lines, "ENDMODULE", ""]).encode()
     program = parsed(source, Path("m.mod"))
-    done = filtered(program, corrector, Choices({}, {}))
+    done = filtered(program, corrector, FilterSettings({}, {}))
     after = parsed(done.source, Path("m.mod")).targets
     moved = [new.values[1] - old.values[1] for old, new in zip(program.targets, after, strict=True)]
     assert abs(moved[2] - moved[1]) == pytest.approx(abs(moved[1]) + abs(moved[2]), rel=1e-6)
@@ -235,7 +235,7 @@ def test_what_nothing_tells_follows_the_target_before():
     lines = [f"movel(p[{','.join(f'{v:.9f}' for v in one)}])" for one in poses[1:]]
     start = f"movej([{','.join(f'{v:.9f}' for v in way[0])}])"
     source = "\n".join(["set_tcp(p[0,0,0,0,0,0])", start, *lines, ""]).encode()
-    done = filtered(parsed(source, Path("p.script")), corrector, Choices({}, {}))
+    done = filtered(parsed(source, Path("p.script")), corrector, FilterSettings({}, {}))
     assert [row.outcome for row in done.rows] == ["moved"] * 5
     assert all("nearest to the target before" in row.note for row in done.rows[1:])
     plain = corrector.corrected(way, list("abcde"))
@@ -255,13 +255,13 @@ def test_what_cannot_be_reached_or_told_stays_and_is_named():
         f"  movej(get_inverse_kin(p[{told}], qnear=[{near}]))\n"
         "  movel(p[9.0,0.2,0.3,0,3.14,0])\nend\n"
     ).encode()
-    done = filtered(parsed(source, Path("p.script")), corrector, Choices({}, {}))
+    done = filtered(parsed(source, Path("p.script")), corrector, FilterSettings({}, {}))
     rows = {row.line: row for row in done.rows}
     assert (rows[3].outcome, rows[4].outcome, rows[5].outcome) == ("left alone", "moved", "not reached")
     assert "--start" in rows[3].note
     kept, other = source.splitlines(), done.source.splitlines()
     assert [k for k, (a, b) in enumerate(zip(kept, other, strict=True), 1) if a != b] == [4]
-    begun = filtered(parsed(source, Path("p.script")), corrector, Choices({}, {}, start=tuple(q[0])))
+    begun = filtered(parsed(source, Path("p.script")), corrector, FilterSettings({}, {}, start=tuple(q[0])))
     assert [row.outcome for row in begun.rows] == ["moved", "moved", "not reached"]
 
 
@@ -289,10 +289,10 @@ def test_a_joint_without_limits_has_the_turns_that_flags_count():
     corrector = calibrated(endless, ("geometry",), 0.3)
     readings = usual(corrector, 3)
     readings[1:, 5] = 4.0, -4.0  # cf6 = 2 and -3
-    done = filtered(parsed(rapid_program(corrector, readings), Path("weld.mod")), corrector, Choices({}, {}))
+    done = filtered(parsed(rapid_program(corrector, readings), Path("weld.mod")), corrector, FilterSettings({}, {}))
     assert [(row.outcome, row.note) for row in done.rows] == [("moved", "")] * 4
     pose = ",".join(f"{v:.9f}" for v in pose_values(corrector.flange(readings[1:2])[0], "vector", np.zeros(6)))
     near = ",".join(f"{v:.9f}" for v in readings[1])
     source = f"set_tcp(p[0,0,0,0,0,0])\nmovej(get_inverse_kin(p[{pose}], qnear=[{near}]))\n".encode()
-    (row,) = filtered(parsed(source, Path("p.script")), corrector, Choices({}, {})).rows
+    (row,) = filtered(parsed(source, Path("p.script")), corrector, FilterSettings({}, {})).rows
     assert row.outcome == "moved"

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.programs.configuration import FanucConfiguration, Flag, KrlConfiguration, Posture, RapidConfiguration
+from calflow.programs.configuration import ArmPosture, FanucConfiguration, Flag, KrlConfiguration, RapidConfiguration
 
 
 def posture(*degrees, front=True, elbow=True):
-    return Posture(tuple(np.deg2rad(degrees)), front, elbow)
+    return ArmPosture(tuple(np.deg2rad(degrees)), front, elbow)
 
 
 def flags(*texts):

@@ -11,7 +11,7 @@ import pytest
 from calflow.deployment.conventions import angle_between, inverse, pose_matrix, pose_values
 from calflow.programs.axes import Axes
 from calflow.programs.configuration import RapidConfiguration
-from calflow.programs.filtering import Choices, filtered
+from calflow.programs.filtering import FilterSettings, filtered
 from calflow.programs.formats import parsed
 from calflow.programs.target import External
 from calflow.robot.frames import modified_dh
@@ -59,7 +59,7 @@ def test_a_model_that_changes_nothing_leaves_a_program_on_a_rail(arms):
     """Fails if the rail's place is not the target's when its joint readings are looked for."""
     corrector = calibrated(on_rail())
     source = program(corrector, arms)
-    done = filtered(parsed(source, Path("weld.mod")), corrector, Choices({}, {}))
+    done = filtered(parsed(source, Path("weld.mod")), corrector, FilterSettings({}, {}))
     assert done.source == source
     assert [row.outcome for row in done.rows] == ["unchanged"] * 5
     assert not any("external" in note for note in done.notes)
@@ -69,7 +69,7 @@ def test_a_corrected_program_on_a_rail_lands_where_it_says(arms):
     """Fails if a correction moves the rail, or the errors of rail and arm are not those of the place along it."""
     corrector = calibrated(on_rail(), ("geometry",), 0.3)
     read = parsed(program(corrector, arms), Path("weld.mod"))
-    done = filtered(read, corrector, Choices({}, {}))
+    done = filtered(read, corrector, FilterSettings({}, {}))
     assert {row.outcome for row in done.rows} == {"moved"}
     again = parsed(done.source, Path("weld.mod"))
     assert [target.external for target in again.targets] == [target.external for target in read.targets]
@@ -91,7 +91,7 @@ def test_a_target_that_does_not_say_where_the_rail_is_is_left_alone(arms):
     """Fails if a rail of which the program says nothing counts as at 0."""
     corrector = calibrated(on_rail(), ("geometry",), 0.3)
     source = program(corrector, arms, "[9E9,9E9,9E9,9E9,9E9,9E9]")
-    done = filtered(parsed(source, Path("weld.mod")), corrector, Choices({}, {}))
+    done = filtered(parsed(source, Path("weld.mod")), corrector, FilterSettings({}, {}))
     assert done.source == source
     assert {(row.outcome, row.note) for row in done.rows} == {
         ("left alone", "gives no value of external axis 1, which the robot file has")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-import calflow as cf
+from applied import choose_check_poses, drift
 
 
 def test_chosen_poses_are_those_of_the_file_and_their_limits_are_told(finished):
@@ -24,11 +24,11 @@ def test_chosen_poses_are_those_of_the_file_and_their_limits_are_told(finished):
         of_file.loc[chosen["pose"].unique(), readings],
         atol=1e-3,
     )
-    found = cf.choose_check_poses(finished / "runs", finished / "measurements.csv", 6)
+    found = choose_check_poses(finished / "runs", finished / "measurements.csv", 6)
     assert found.foreseen.summary.status == "in place"
     again = measured[measured["pose"].astype(str).isin(chosen["pose"])].drop_duplicates(["pose", "marker"])
     finished.measure(again, "again.csv")
-    told = cf.drift(finished / "runs", finished / "again.csv", station="known")
+    told = drift(finished / "runs", finished / "again.csv", station="known")
     limits = [
         {one.movement: one.limits[0] for one in result.candidates if one.kind == "zero"}
         for result in (found.foreseen, told)

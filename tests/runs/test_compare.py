@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-import calflow as cf
+from applied import compare
 from calflow.files.problems import InputError
 
 
@@ -21,7 +21,7 @@ def test_another_robot_differs_and_the_same_one_does_not(finished):
     again(finished, "same")
     finished.edit("truth.toml", ("seed = 5", "seed = 3"))
     again(finished, "longer", ("a_mm = 0.5", "a_mm = 0.8"))
-    found = cf.compare(finished / "runs", finished / "same", finished / "longer")
+    found = compare(finished / "runs", finished / "same", finished / "longer")
     same, longer, _ = found.pairs
     assert same.p > 0.001
     assert longer.p < 1e-6
@@ -47,7 +47,7 @@ def test_runs_of_different_robots_do_not_agree(finished):
     answer = finished.calflow("compare", finished / "runs", finished / "other")
     assert answer.out.startswith("runs and other are of different robots, small and other. ")
     assert "agree" not in answer.out
-    assert [pair.robot for pair in cf.compare(finished / "runs", finished / "other").pairs] == ["another one"]
+    assert [pair.robot for pair in compare(finished / "runs", finished / "other").pairs] == ["another one"]
     finished.edit("robot.toml", ('name = "other"', 'name = "small"'), ("mass_kg = 60", "mass_kg = 61"))
     finished.edit("truth.toml", ("seed = 5", "seed = 3"))
     again(finished, "heavier")
@@ -59,13 +59,13 @@ def test_the_same_measurements_have_no_test_of_chance(finished):
     """Fails if runs of the very same data are compared as if their errors were independent, or a changed setting is not told."""
     finished.edit("study.toml", ('"geometry", "joint-compliance"', '"geometry"'))
     assert finished.calflow("run", "--stage", "identify", "--out", finished / "stiff").code == 0
-    found = cf.compare(finished / "runs", finished / "stiff")
+    found = compare(finished / "runs", finished / "stiff")
     assert found.pairs[0].p is None
     assert all(one.sd is None for one in found.parameters)
     assert found.data[0].same_data_as == ("stiff",)
     assert "effects" in [one.setting for one in found.settings]
     with pytest.raises(InputError, match="expected two runs"):
-        cf.compare(finished / "runs")
+        compare(finished / "runs")
 
 
 def test_what_describes_the_robot_is_no_measurement(finished):
@@ -77,7 +77,7 @@ def test_what_describes_the_robot_is_no_measurement(finished):
             f"/other/{run}/measurements.csv": ("2" if run == "same" else "3") * 64,
         }
         finished.vouch(lambda manifest, more=more: manifest["inputs"].update(more), run)
-    found = cf.compare(finished / "runs", finished / "same")
+    found = compare(finished / "runs", finished / "same")
     assert found.pairs[0].p is not None
     assert found.data[0].files == ("measurements.csv", "measurements.csv")
     assert "robot file's content" not in [one.setting for one in found.settings]
@@ -87,6 +87,6 @@ def test_another_robot_is_told(finished):
     """Fails if runs of different robot files are compared without a word."""
     finished.edit("robot.toml", ("a_mm = 700", "a_mm = 701"))
     again(finished, "other")
-    found = cf.compare(finished / "runs", finished / "other")
+    found = compare(finished / "runs", finished / "other")
     own = next(one for one in found.settings if one.setting == "robot file's content")
     assert len(set(own.of.values())) == 2

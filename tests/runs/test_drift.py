@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-import calflow as cf
+from applied import drift
 
 X = ["x_mm", "y_mm", "z_mm"]
 
@@ -29,13 +29,13 @@ def test_a_line_stops_on_a_shifted_joint_and_goes_on_without(finished):
     answer = finished.calflow("drift", finished / "runs", finished / "sign.csv", "--station", "known")
     assert answer.code in (3, 4)
     assert "off by more than any calibrated robot" in answer.err
-    found = cf.drift(finished / "runs", finished / "moved.csv")
+    found = drift(finished / "runs", finished / "moved.csv")
     own = next(one for one in found.candidates if one.movement == "joint2.zero")
     assert abs(own.shifts[0] - 0.05 * 3.14159 / 180) < 4 * own.sds[0]
     assert (
         "expected 0.001 to 0.5"
         in finished.refused("drift", finished / "runs", finished / "moved.csv", "--false-alarm", "0.0005")[0]
     )
-    rare = cf.drift(finished / "runs", finished / "moved.csv", false_alarm=0.001)
+    rare = drift(finished / "runs", finished / "moved.csv", false_alarm=0.001)
     assert rare.summary.status == "moved"  # what is asked for can be found
     assert found.summary.left_mm < 0.5 * found.summary.error_mm

@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from applied import filter_program
 from calflow.estimation.needed_conditions import NeededCondition
 from calflow.files.problems import InputError
 from calflow.files.tables import columns
-from calflow.programs.filtering import FilteredTarget
-from calflow.runs.filter import _check_conditions, filter_program
+from calflow.programs.filtering import FilteredTarget, _check_conditions
 
 PAGE = Path(__file__).parents[2] / "docs" / "programs.md"
 PROGRAM = """/PROG  POINTS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-import calflow as cf
+from applied import history
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def test_a_robot_that_stayed_is_in_place(finished, three):
     answer = finished.calflow("history", *three[:2])
     assert answer.code == 0
     assert answer.out.startswith("Nothing has moved")
-    assert not cf.history(*three[:2]).moved
+    assert not history(*three[:2]).moved
 
 
 def test_runs_that_tell_nothing_of_time_are_refused_together(finished, three):

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import calflow.runs.next_poses as loop
-from calflow.runs.measured_since import with_rows
+from calflow.runs.given_rows import with_rows
 from calflow.runs.next_poses import next_poses
 from calflow.study import load_study
 from conftest import in_process

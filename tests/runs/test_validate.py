@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-import calflow as cf
+from applied import predict, validate
 
 X = ["x_mm", "y_mm", "z_mm"]
 
@@ -34,9 +34,9 @@ def test_a_sound_robot_meets_its_tolerance_and_a_tight_one_is_not_met(measured):
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     assert (summary["poses"], summary["rows"], summary["station"]) == (12, 24, "known")
     assert min(summary["further_within"], summary["task_within"]) > 0.95
-    tight = cf.validate(measured / "runs", measured / "new.csv", tolerance=1e-6)
+    tight = validate(measured / "runs", measured / "new.csv", tolerance=1e-6)
     assert tight.summary.status == "not met"
-    between = cf.validate(measured / "runs", measured / "new.csv", tolerance=tight.judged.max_mm / 1e3)
+    between = validate(measured / "runs", measured / "new.csv", tolerance=tight.judged.max_mm / 1e3)
     assert between.summary.status == "cannot be told"
     told = measured.calflow(
         "validate", measured / "runs", measured / "new.csv", "--tolerance-mm", 0.001, "--out", measured / "v"
@@ -56,10 +56,10 @@ def test_the_calibration_s_own_file_is_no_proof(measured):
 
 def test_errors_are_the_barycentres_distances(measured):
     """Fails if AP is not that of the rows as `predict` has them, or RP not that of the rows as measured."""
-    found = cf.validate(measured / "runs", measured / "new.csv")
+    found = validate(measured / "runs", measured / "new.csv")
     rows = pd.read_csv(measured / "new.csv")
     measured.measure(rows.drop(columns=[*X, "sigma_mm"]), "asked.csv")
-    predicted = cf.predict(measured / "runs", measured / "asked.csv")
+    predicted = predict(measured / "runs", measured / "asked.csv")
     error = (rows[X] - predicted[X]).assign(pose=rows["pose"]).groupby("pose").mean()
     size = np.linalg.norm(error, axis=1)
     np.testing.assert_allclose([one.calibrated_mm for one in found.poses], size, atol=1e-6)
@@ -73,21 +73,21 @@ def test_errors_are_the_barycentres_distances(measured):
 def test_a_device_that_stood_elsewhere_is_put_back_and_that_is_said(measured):
     """Fails if a new station makes a sound robot bad, a small shift is taken for a new station, or what it cost is kept back."""
     rows = pd.read_csv(measured / "new.csv")
-    here = cf.validate(measured / "runs", measured / "new.csv")
+    here = validate(measured / "runs", measured / "new.csv")
     turn = Rotation.from_euler("XYZ", [20.0, -10.0, 130.0], degrees=True)
     elsewhere = rows.assign(**dict(zip(X, (turn.apply(rows[X]) + np.array([4000.0, 100.0, 30.0])).T, strict=True)))
     measured.measure(elsewhere, "elsewhere.csv")
-    found = cf.validate(measured / "runs", measured / "elsewhere.csv")
+    found = validate(measured / "runs", measured / "elsewhere.csv")
     assert (found.summary.station, found.summary.frames, found.summary.freedom_lost) == ("fitted", 1, 6)
     assert found.judged.mean_mm == pytest.approx(here.judged.mean_mm, rel=0.5)
     assert found.judged.further_mm > found.judged.mean_mm
     assert found.of("nominal").mean_mm > 0.1
     measured.measure(rows.assign(x_mm=rows["x_mm"] + 0.5), "bumped.csv")
-    bumped = cf.validate(measured / "runs", measured / "bumped.csv", tolerance=0.3e-3)
+    bumped = validate(measured / "runs", measured / "bumped.csv", tolerance=0.3e-3)
     assert (bumped.summary.station, bumped.summary.status) == ("known", "not met")
     assert bumped.summary.moved_p < 1e-6
     assert any("--station fitted" in note for note in bumped.summary.notes)
-    known = cf.validate(measured / "runs", measured / "elsewhere.csv", station="known")
+    known = validate(measured / "runs", measured / "elsewhere.csv", station="known")
     assert known.judged.mean_mm > 1000
 
 
@@ -95,12 +95,12 @@ def test_points_nearly_on_a_line_do_not_make_a_device_stand_elsewhere(measured):
     """Fails if the turn about a line, of which such points tell nothing, has a bad robot's errors fitted away."""
     rows = pd.DataFrame({"pose": np.arange(1, 9), "payload": "light", "marker": "tool", "q1_deg": np.linspace(0, 4, 8)})
     measured.measure(rows.assign(q2_deg=-30.0, q3_deg=60.0), "asked.csv")
-    seen = cf.predict(measured / "runs", measured / "asked.csv")
+    seen = predict(measured / "runs", measured / "asked.csv")
     error = 0.3 * np.random.default_rng(1).standard_normal((8, 3))
     measured.measure(
         rows.assign(q2_deg=-30.0, q3_deg=60.0, **dict(zip(X, (seen[X] + error).to_numpy().T, strict=True))), "arc.csv"
     )
-    found = cf.validate(measured / "runs", measured / "arc.csv")
+    found = validate(measured / "runs", measured / "arc.csv")
     assert found.summary.turned_mrad > 20  # about the line
     assert found.summary.station == "known"
     assert found.judged.mean_mm == pytest.approx(np.linalg.norm(error, axis=1).mean(), rel=1e-6)
@@ -114,7 +114,7 @@ def test_how_far_a_frame_moved_is_told_at_its_own_points(measured):
     there = turn.apply(rows.loc[second, X]) + np.array([9000.0, 0.0, 0.0])
     rows.loc[second, X] = there
     measured.measure(rows.assign(session=np.where(second, "b", "a")), "two.csv")
-    found = cf.validate(measured / "runs", measured / "two.csv", station="fitted")
+    found = validate(measured / "runs", measured / "two.csv", station="fitted")
     back = turn.inv().apply(there - np.array([9000.0, 0.0, 0.0]))
     points = pd.DataFrame(there).groupby(rows["pose"][second].to_numpy()).mean().to_numpy()
     were = pd.DataFrame(back).groupby(rows["pose"][second].to_numpy()).mean().to_numpy()
@@ -126,7 +126,7 @@ def test_commands_are_judged_by_their_targets(measured):
     rows = pd.read_csv(measured / "new.csv")
     targets = {f"target_{axis}_mm": rows[f"{axis}_mm"].round(0) for axis in "xyz"}
     measured.measure(rows.assign(**targets), "commanded.csv")
-    found = cf.validate(measured / "runs", measured / "commanded.csv", tolerance=2e-3)
+    found = validate(measured / "runs", measured / "commanded.csv", tolerance=2e-3)
     error = rows[X].groupby(rows["pose"]).mean() - rows[X].round(0).groupby(rows["pose"]).mean()
     assert found.summary.judged == "commanded"
     assert found.judged.mean_mm == pytest.approx(np.linalg.norm(error, axis=1).mean(), abs=1e-9)

@@ -5,10 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from calflow.runs.compensate import compensate
-from calflow.runs.export import export_run
-from calflow.runs.filter import filter_program
-from calflow.runs.predict import predict
+from applied import compensate, export_run, filter_program, predict
 from runs.test_filter import PROGRAM
 
 

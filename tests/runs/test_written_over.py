@@ -61,7 +61,7 @@ def test_an_interrupted_command_that_cannot_resume_does_not_say_so(finished, mon
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("calflow.runs.predict.predict", interrupted)
+    monkeypatch.setattr("calflow.runs.given_rows.rows_to_predict", interrupted)
     answer = in_process("predict", finished / "runs", finished / "measurements.csv")
     assert (answer.code, answer.err.strip()) == (130, "interrupted: the same command begins anew")
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from calflow.deployment.export import Format
+    from calflow.deployment.prediction import Missing
     from calflow.programs.filtering import Filtered, FilteredTarget
 
 
@@ -31,13 +32,17 @@ def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: boo
 
     Give the run's folder, or its study.
     """
+    from calflow.calibration import Calibration
+    from calflow.deployment.prediction import predict_rows
     from calflow.files.csv import csv_text
-    from calflow.runs.predict import predict
+    from calflow.runs.given_rows import rows_to_predict
 
     apart(out, "--out", rows)
-    table = predict(study_or_run, rows, "widen" if without_conditions else "refuse")
-    say_notes(table.attrs["notes"])
-    deliver(csv_text(table), out, force)
+    calibration = Calibration.load(study_or_run)
+    given = rows_to_predict(calibration, rows)
+    predicted = predict_rows(calibration, given.data, "widen" if without_conditions else "refuse")
+    say_notes((*calibration.warnings, *given.data.notes, *calibration.notes, *predicted.notes))
+    deliver(csv_text(given.beside(predicted.table)), out, force)
 
 
 @click.command("compensate")
@@ -66,14 +71,17 @@ def compensate_command(
 
     Give the run's folder, or its study.
     """
+    from calflow.calibration import Calibration
+    from calflow.deployment.compensation import command_table
     from calflow.files.csv import csv_text
-    from calflow.runs.compensate import compensate
+    from calflow.runs.given_rows import compensate_file
 
     apart(out, "--out", targets)
-    table = compensate(
-        study_or_run, targets, frames=frames, in_order=in_order, missing="widen" if without_conditions else "refuse"
-    )
-    say_notes(table.attrs["notes"])
+    calibration = Calibration.load(study_or_run)
+    missing: Missing = "widen" if without_conditions else "refuse"
+    given, found = compensate_file(calibration, targets, frames=frames, in_order=in_order, missing=missing)
+    say_notes((*calibration.warnings, *found.notes))
+    table = given.beside(command_table(found, in_order))
     if out is None:
         hand_over(csv_text(table))
         return
@@ -106,10 +114,11 @@ def export_command(study_or_run: Path, to: Format, out: Path | None, force: bool
 
     Give the run's folder, or its study.
     """
-    from calflow.runs.export import export_run
+    from calflow.calibration import Calibration
 
-    found = export_run(study_or_run, to)
-    say_notes(found.notes)
+    calibration = Calibration.load(study_or_run)
+    found = calibration.export(to)
+    say_notes((*calibration.warnings, *found.notes))
     deliver(found.text, out, force)
 
 
@@ -149,17 +158,18 @@ def filter_command(
 
     RAPID, KRL, FANUC LS and URScript are read; every byte but the targets' numbers stays. Give the run's folder, or its study.
     """
+    from calflow.calibration import Calibration
     from calflow.files.csv import csv_text
     from calflow.files.tables import to_frame
     from calflow.files.writing import write_whole
-    from calflow.programs.filtering import FilteredTarget
-    from calflow.runs.filter import filter_program
+    from calflow.programs.filtering import FilteredTarget, filter_program
 
     target = out or program.with_name(f"{program.stem}.corrected{program.suffix}")
     apart(target, "--out", program)
     apart(summary, "--summary", program, target)
+    calibration = Calibration.load(study_or_run)
     done = filter_program(
-        study_or_run, program, payload=payload, tools=tools, frames=frames, base=base, flange=flange,
+        calibration, program, payload=payload, tools=tools, frames=frames, base=base, flange=flange,
         start=_numbers("--start", start), any_configuration=any_configuration, in_order=in_order,
         conditions=dict(_condition(one) for one in conditions),
         missing="widen" if without_conditions else "refuse",
@@ -169,7 +179,7 @@ def filter_command(
     if summary is not None:
         check_free(summary, table, force, "another name")
     say(*summary_lines(program, done))
-    say_notes(done.notes)
+    say_notes((*calibration.warnings, *calibration.notes, *done.notes))
     write_whole(target, done.source)
     if summary is not None:
         write_whole(summary, table)

@@ -79,11 +79,14 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
 
     Give the run's folder, or its study. MEASURED.csv is the calibration's own file, or any of poses that were measured.
     """
+    from calflow.calibration import Calibration
+    from calflow.deployment.drift import choose_check_poses
     from calflow.files.csv import csv_text
     from calflow.reporting.drift_report import seen_from
-    from calflow.runs.check_poses import choose_check_poses
+    from calflow.runs.given_rows import rows_measured
 
-    chosen = choose_check_poses(study_or_run, rows, number)
+    calibration = Calibration.load(study_or_run)
+    chosen = choose_check_poses(calibration, rows_measured(calibration, rows), number)
     say(seen_from(chosen.foreseen), err=True)
     deliver(csv_text(chosen.table), out, force)
 
@@ -116,16 +119,21 @@ def validate_command(
     Give the run's folder, or its study. Ends with 0 where the tolerance is met (or none is asked for), 3 where it is not, and 4
     where these poses cannot tell.
     """
+    from calflow.calibration import Calibration
+    from calflow.deployment.validation import TABLES, validate
     from calflow.files.writing import inside
-    from calflow.reporting.validation_report import verdict_lines
+    from calflow.reporting.validation_report import validation_report, verdict_lines
     from calflow.run_folder import run_folder
-    from calflow.runs.validate import validate
+    from calflow.runs.given_rows import rows_measured
+    from calflow.runs.kept import keep
 
     folder = out or inside(run_folder(study_or_run), f"validate/{rows.stem}")
     tolerance = None if tolerance_mm is None else tolerance_mm / 1e3
-    found = validate(
-        study_or_run, rows, tolerance=tolerance, task=task, confidence=confidence, station=station, out=folder
-    )
+    calibration = Calibration.load(study_or_run)
+    data = rows_measured(calibration, rows)
+    found = validate(calibration, data, tolerance=tolerance, task=task, confidence=confidence, station=station)
+    title = calibration.title
+    keep(folder, found.results, TABLES, title, lambda: validation_report(found, title, rows.name))
     say(*verdict_lines(found))
     say_notes(found.summary.notes)
     say(f"report: {folder / 'report.pdf'}")
@@ -148,13 +156,20 @@ def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: S
     Give the run's folder, or its study. Ends with 0 where nothing has moved, 3 where something has, and 4 where the poses are off
     but cannot tell why.
     """
+    from calflow.calibration import Calibration
+    from calflow.deployment.drift import TABLES, drift
     from calflow.files.writing import inside
-    from calflow.reporting.drift_report import drift_lines
+    from calflow.reporting.drift_report import drift_lines, drift_report
     from calflow.run_folder import run_folder
-    from calflow.runs.drift import drift
+    from calflow.runs.given_rows import rows_measured
+    from calflow.runs.kept import keep
 
     folder = out or inside(run_folder(study_or_run), f"drift/{rows.stem}")
-    found = drift(study_or_run, rows, false_alarm=false_alarm, station=station, out=folder)
+    calibration = Calibration.load(study_or_run)
+    data = rows_measured(calibration, rows)
+    found = drift(calibration, data, false_alarm=false_alarm, station=station, seed=calibration.seed)
+    title = calibration.title
+    keep(folder, found.results, TABLES, title, lambda: drift_report(found, title, rows.name))
     say(*drift_lines(found))
     say_notes(found.summary.notes)
     say(f"report: {folder / 'report.pdf'}")

@@ -127,12 +127,17 @@ def _line(one: Deviation) -> str:
 @click.option("--out", type=FILE, help="Folder for tables and report; nothing is kept by default.")
 def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
     """Compare runs: settings, data, parameters with the significance of their difference, accuracy and causes."""
-    from calflow.reporting.comparison_report import comparison_lines
-    from calflow.runs.compare import compare
+    from calflow.calibration import Calibration
+    from calflow.deployment.comparison import TABLES
+    from calflow.reporting.comparison_report import comparison_lines, comparison_report
+    from calflow.runs.between_runs import compare_runs, run_names
+    from calflow.runs.kept import keep
 
-    found = compare(*runs, out=out)
+    loaded = [Calibration.load(one) for one in runs]
+    found = compare_runs(*loaded)
     say(*comparison_lines(found))
     if out is not None:
+        keep(out, found.results, TABLES, "Comparison of runs", lambda: comparison_report(run_names(loaded), found))
         say(f"report: {out / 'report.pdf'}")
 
 
@@ -148,12 +153,18 @@ def history_command(runs: tuple[Path, ...], false_alarm: float, out: Path | None
     Give runs of independent measurements in order of time. Ends with 0 where nothing has moved, 3 where something has, and 4 where
     something has but the runs do not tell what.
     """
-    from calflow.reporting.history_report import history_lines
-    from calflow.runs.history import history
+    from calflow.calibration import Calibration
+    from calflow.deployment.history import TABLES
+    from calflow.reporting.history_report import history_lines, history_report
+    from calflow.runs.between_runs import history_of_runs
+    from calflow.runs.kept import keep
 
-    found = history(*runs, false_alarm=false_alarm, out=out)
+    loaded = [Calibration.load(one) for one in runs]
+    found = history_of_runs(*loaded, false_alarm=false_alarm)
     say(*history_lines(found))
     say_notes(found.notes)
     if out is not None:
+        title = loaded[-1].request.title or loaded[-1].robot.name
+        keep(out, found.results, TABLES, title, lambda: history_report(found, title))
         say(f"report: {out / 'report.pdf'}")
     sys.exit(exit_code(found.status))

@@ -99,7 +99,7 @@ def next_command(
     from rich.console import Console
 
     from calflow.reporting.terminal import next_lines
-    from calflow.runs.measured_since import with_rows
+    from calflow.runs.given_rows import with_rows
     from calflow.runs.next_poses import next_poses
     from calflow.study import load_study
 

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from calflow.deployment.inverse_kinematics import Landing, Targets, best_of, landing, near, nominal_readings, room
-from calflow.deployment.prediction import Missing, StatedModel, as_stated, of_field
+from calflow.deployment.prediction import Missing, StatedModel, as_stated, of_field, rows_at
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import (
     expected_point,
@@ -23,7 +24,7 @@ from calflow.estimation.certainty import (
     rotation_variance,
     untold_turns,
 )
-from calflow.estimation.needed_conditions import NeededCondition
+from calflow.files.problems import refuse
 from calflow.files.tables import column, typed
 from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
@@ -179,20 +180,60 @@ class Compensation:
         return np.sqrt(self.remaining**2 + (self.sd**2).sum(axis=1))
 
 
-def compensated(
-    calibrated: CalibratedModel, needed: Sequence[NeededCondition], data: Measurements, targets: Targets, *,
-    start: np.ndarray | None = None, in_order: bool = False, missing: Missing = "refuse", seed: int = 1,
+def compensate(
+    calibrated: CalibratedModel, targets: ArrayLike, *, start: ArrayLike | None = None,
+    payload: str | Sequence[str] | None = None, marker: str | Sequence[str] | None = None, in_order: bool = False,
+    missing: Missing = "refuse", seed: int = 1, **conditions: ArrayLike,
+) -> Compensation:  # fmt: skip
+    """Return joint readings with which the marker lands on the targets (see `compensate_rows`).
+
+    They are those nearest to start: give the readings that the nominal robot would be sent to. Without start any nominal
+    solution within the joint limits is taken as such. Where the targets are positions, the tool keeps its orientation as
+    nearly as the start has it; without a start it is left open.
+
+    Args:
+        calibrated: the calibrated model.
+        targets: positions (n, 3), or (3,), or poses (n, 4, 4), or (4, 4), in the measuring frame [m]. A pose is where the
+            marker is, and how the frame of the last link is turned, with the robot's tool_rotation where it has one.
+        start: readings (n, n_joints), or (n_joints,) for all [rad, or m]; of a robot with external axes theirs must be there,
+            and the arm's may be nan.
+        payload: what is carried, for all or one a target.
+        marker: which marker, likewise.
+        in_order: the robot goes from target to target, so that the side from which each joint comes follows from the commands.
+        missing: as in `predict`.
+        seed: of the poses from which nominal solutions are looked for.
+        conditions: as in `predict`; approach is the side that each joint will come from.
+
+    Raises:
+        InputError: a condition is missing that an effect needs, or an array is at fault.
+    """
+    asked, robot = Targets.of(targets), calibrated.model.robot
+    n = robot.n_joints
+    given = np.full(n, np.nan) if start is None else np.asarray(start, dtype=float)
+    if given.shape not in ((n,), (len(asked), n)):
+        raise refuse(f"expected shape ({n},) or ({len(asked)}, {n}), found {given.shape}", key="start")
+    begun = np.broadcast_to(given, (len(asked), n))
+    if np.isnan(begun[:, robot.external]).any():
+        named = ", ".join(str(i + 1) for i in robot.external)
+        raise refuse(f"expected readings of the external axes (joints {named}): they stay where they are", key="start")
+    data = rows_at(calibrated, np.nan_to_num(begun), payload, marker, conditions)
+    whole = None if np.isnan(begun).any() else begun
+    return compensate_rows(calibrated, data, asked, start=whole, in_order=in_order, missing=missing, seed=seed)
+
+
+def compensate_rows(
+    calibrated: CalibratedModel, data: Measurements, targets: Targets, *, start: np.ndarray | None = None,
+    in_order: bool = False, missing: Missing = "refuse", seed: int = 1,
 ) -> Compensation:  # fmt: skip
     """Return joint readings with which the robot lands on targets, nearest to those that the nominal robot would be sent to.
 
     Args:
         calibrated: the calibrated model.
-        needed: the conditions that it needs.
         data: a row a target: payload, marker and conditions; its readings do not count.
         targets: where to land.
         start: readings of the nominal robot (n, n_joints) [rad, or m]; any that are within the limits where it is None.
         in_order: the commands follow each other, so that the side from which each joint comes, and how far, follow from them.
-        missing: as in `predict_positions`.
+        missing: as in `predict_rows`.
         seed: of the poses from which nominal readings are looked for.
 
     Raises:
@@ -201,7 +242,7 @@ def compensated(
     ways = in_order and "approach" not in data.given
     if ways:
         data = _on_the_way(data, data.joints if start is None else start)
-    stated = as_stated(calibrated, needed, data, missing)
+    stated = as_stated(calibrated, data, missing)
     ways = ways and bool({"approach", "travel"} & set(stated.data.given))
     rng, free = np.random.default_rng(seed), start is None
     if start is None:

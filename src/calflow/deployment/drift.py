@@ -29,6 +29,7 @@ from calflow.deployment.movements import (
     remaining_error_p,
     searched,
 )
+from calflow.deployment.prediction import on_conditions_of
 from calflow.deployment.validation import ELSEWHERE, Station, of_sessions, stands
 from calflow.design.candidates import candidates
 from calflow.design.exchange import exchange, greedy
@@ -36,8 +37,7 @@ from calflow.design.optimality import Parameters
 from calflow.design.t_optimality import TCriterion, propose
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import unexplained
-from calflow.estimation.needed_conditions import NeededCondition
-from calflow.files.problems import InputError
+from calflow.files.problems import InputError, refuse
 from calflow.files.results import Results, to_document
 from calflow.files.tables import column, to_frame
 from calflow.measurements.columns import POSITION
@@ -46,7 +46,7 @@ from calflow.robot.readings import READINGS, reading_columns, shown_readings
 
 
 def mistaken_poses(
-    calibrated: CalibratedModel, needed: list[NeededCondition], data: Measurements, check: CheckProblem,
+    calibrated: CalibratedModel, data: Measurements, check: CheckProblem,
     told: Sequence[SearchRound], station: Station, alarm: float,
 ) -> str | None:  # fmt: skip
     """Return what to look at before anything is told to have moved; None where movements may explain the error.
@@ -61,7 +61,7 @@ def mistaken_poses(
     for step in told:
         moved = moved.without(step.best.movement, step.best.since)
     for k in np.argsort(-check.size()):
-        rest = _rest(calibrated, needed, data, check, k, station)
+        rest = _rest(calibrated, data, check, k, station)
         if rest is None or not rest.square + 2 * WITHIN < moved.square:
             continue
         if remaining_error_p(rest, ()) >= alarm or rest.size().mean() <= ELSEWHERE < check.size()[k]:
@@ -86,7 +86,6 @@ def _alone(check: CheckProblem, k: int) -> str:
 
 def _rest(
     calibrated: CalibratedModel,
-    needed: list[NeededCondition],
     data: Measurements,
     check: CheckProblem,
     k: int,
@@ -99,7 +98,7 @@ def _rest(
     if not same.any() or (station == "fitted" and not can_align(check.points[same])):
         return None
     attained = Attained.of(calibrated, left)
-    return CheckProblem.of(calibrated, needed, left, attained.of_rows(left, stands(attained, station)[0]))
+    return CheckProblem.of(calibrated, left, attained.of_rows(left, stands(attained, station)[0]))
 
 
 CANDIDATES = 300  # poses to choose from
@@ -325,7 +324,6 @@ class Drift:
 
 def drift(
     calibrated: CalibratedModel,
-    needed: list[NeededCondition],
     data: Measurements,
     *,
     false_alarm: float = FALSE_ALARM,
@@ -335,28 +333,29 @@ def drift(
     """Tell whether anything has moved since a robot was calibrated.
 
     Args:
-        calibrated: the calibrated model.
-        needed: the conditions that it needs; those that the rows lack make the test as much less sharp as they matter.
+        calibrated: the calibrated model; needed conditions that the rows lack make the test as much less sharp as they matter.
         data: check poses, some five to ten, in one session or several.
         false_alarm: chance that anything is told where nothing moved.
         station: as in `validate`; where it is fitted nothing is told of the robot's foot.
         seed: of the draws that false alarms are counted in.
 
     Raises:
-        InputError: a frame cannot be fitted.
+        InputError: a frame cannot be fitted, or false_alarm is at fault.
     """
-    given = tuple(one.condition for one in needed if one.condition in data.given)
-    calibrated = _given(calibrated, given)
+    if not 1e-3 <= false_alarm <= 0.5:  # fewer alarms take more draws than are counted in
+        raise refuse(f"expected 0.001 to 0.5, found {false_alarm:g}", key="false_alarm")
+    given = tuple(one.condition for one in calibrated.needed if one.condition in data.given)
+    calibrated = replace(calibrated, model=replace(calibrated.model, given=given))
     attained = Attained.of(calibrated, data)
     own, _ = stands(attained, station)
     fitted = bool(own.all())  # where some frames are known, they tell of the robot's foot
     rows = attained.of_rows(data, own)
-    check = CheckProblem.of(calibrated, needed, data, rows)
+    check = CheckProblem.of(calibrated, data, rows)
     every = movements(calibrated, data, not fitted)
     rng = np.random.default_rng(seed)
     steps = searched(check, every, MOVEMENTS_SHARE * false_alarm, rng)
     told = [step for step in steps if step.family_p < MOVEMENTS_SHARE * false_alarm]
-    doubt = mistaken_poses(calibrated, needed, data, check, told, station, (1 - MOVEMENTS_SHARE) * false_alarm)
+    doubt = mistaken_poses(calibrated, data, check, told, station, (1 - MOVEMENTS_SHARE) * false_alarm)
     told = told if doubt is None else []
     rest = remaining_error_p(check, told)
     status: Status = "cannot be told" if doubt else _status(told, rest, (1 - MOVEMENTS_SHARE) * false_alarm)
@@ -368,7 +367,7 @@ def drift(
         sessions=check.sessions, station="fitted" if own.any() else "known", error_mm=1e3 * float(check.size().mean()),
         left_mm=1e3 * float(left.mean()), expected_mm=1e3 * float(np.sqrt(np.trace(_still(check, rows)) / len(check.points))),
         chance=settle.chance if settle and np.isfinite(settle.chance) else None,
-        notes=(*data.notes, *_notes(needed, data, attained, own), *([doubt] if doubt else [])),
+        notes=(*data.notes, *_notes(calibrated, data, attained, own), *([doubt] if doubt else [])),
     )  # fmt: skip
     return Drift(
         tuple(_moved(step, check) for step in told), tuple(row for one in best for row in _recalibrated(one)),
@@ -383,14 +382,6 @@ def rivals(step: SearchRound) -> list[Explained]:
         if one.movement.name != step.best.movement.name and step.best.evidence - one.evidence < WITHIN:
             found.setdefault(one.movement.name, one)
     return list(found.values())
-
-
-def _given(calibrated: CalibratedModel, given: tuple[str, ...]) -> CalibratedModel:
-    return (
-        calibrated
-        if calibrated.model.given == given
-        else replace(calibrated, model=replace(calibrated.model, given=given))
-    )
 
 
 def _status(told: list[SearchRound], rest: float, alarm: float) -> Status:
@@ -468,10 +459,10 @@ def _next(calibrated: CalibratedModel, settle: Settling | None) -> tuple[Settlin
     return tuple(SettlingPose(readings=one, payload=settle.payload, marker=settle.marker) for one in readings)
 
 
-def _notes(needed: list[NeededCondition], data: Measurements, attained: Attained, fitted: np.ndarray) -> list[str]:
+def _notes(calibrated: CalibratedModel, data: Measurements, attained: Attained, fitted: np.ndarray) -> list[str]:
     notes = [
         f"without {one.columns} nothing is known of {', '.join(one.effects)} here: the test is less sharp by {one.spread_mm:.3g} mm"
-        for one in needed if one.condition not in data.given
+        for one in calibrated.needed if one.condition not in data.given
     ]  # fmt: skip
     if fitted.any() and not fitted.all():
         notes.append(
@@ -484,6 +475,37 @@ def _notes(needed: list[NeededCondition], data: Measurements, attained: Attained
 
 
 FEWEST = 3  # poses, of fewer nothing can be told apart
+LABELS = ("pose", "payload", "marker")
+
+
+@dataclass(frozen=True)
+class ChosenPoses:
+    """Poses to check a robot by, as a table for `calflow drift`, and what that would say where nothing moved, without noise."""
+
+    table: pd.DataFrame
+    foreseen: Drift
+
+
+def choose_check_poses(calibrated: CalibratedModel, data: Measurements, number: int = 8) -> ChosenPoses:
+    """Choose poses to check a robot by, of those of measurements: the ones that tell best what has moved.
+
+    Args:
+        calibrated: the calibrated model.
+        data: measurements, those of the calibration or others, which say what can be reached and seen.
+        number: how many to choose.
+
+    Raises:
+        InputError: there are fewer poses.
+    """
+    there = data.table["pose"].nunique()
+    if not FEWEST <= number <= there:
+        raise refuse(f"expected {FEWEST} to {there}, the number of poses measured, found {number}", key="number")
+    calibrated = on_conditions_of(calibrated, data)
+    chosen = check_poses(calibrated, data, number)
+    readings = shown_readings(data.robot, chosen.joints)
+    columns = dict(zip(reading_columns(data.robot), readings.T.round(4), strict=True))
+    foreseen = drift(calibrated, unmoved(calibrated, chosen), station="known")
+    return ChosenPoses(chosen.table[[*LABELS]].assign(**columns), foreseen)
 
 
 def check_poses(calibrated: CalibratedModel, data: Measurements, number: int) -> Measurements:

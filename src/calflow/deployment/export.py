@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import nearest_vector
+from calflow.design.candidates import candidates
 from calflow.effects import Effect
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import expected_point
@@ -231,6 +232,7 @@ def _shown(step: Step) -> tuple[str, float]:
 
 
 Format = Literal["urdf", "xacro-properties", "dh", "json", "controller"]
+POSES = 500  # within the joint limits, where the measurements are not to be had
 ALL_BUT_ZEROS = "lengths and twists, where only joint zeros, base and tool can be typed in"
 
 
@@ -244,20 +246,25 @@ class Export:
 
 
 def export(
-    calibrated: CalibratedModel, rows: np.ndarray, to: Format, maker: Robot | None = None, drives: Mapping[str, Drive] | None = None
+    calibrated: CalibratedModel, to: Format, *, rows: np.ndarray | None = None, maker: Robot | None = None,
+    drives: Mapping[str, Drive] | None = None,
 ) -> Export:  # fmt: skip
-    """Return a calibrated model in a format.
+    """Return a calibrated model in a format; notes say what the format cannot hold, and what that costs in mm.
 
     Args:
         calibrated: the calibrated model.
-        rows: packed conditions (n_conditions, n) of the measured rows, over which costs are told.
         to: the format; dh is a robot file with the calibrated figures in the place of the maker's.
+        rows: packed conditions (n_conditions, n) of the measured rows, over which costs are told; those of random poses within the
+            joint limits where it is None.
         maker: the robot as its file has it, where the calibration placed base, tool or markers elsewhere before it began.
         drives: of a URDF, what moves each joint, by its name in the robot.
 
     Raises:
         InputError: the robot's frames cannot be stated in it.
     """
+    if rows is None:
+        calibrated = replace(calibrated, model=replace(calibrated.model, given=()))
+        rows = _anywhere(calibrated.model)
     found = exported(calibrated, rows)
     if to == "dh":
         notes, lost = _said(found.without), found.without
@@ -273,6 +280,14 @@ def export(
         notes = (*notes, *said_of_drives(chain, own))
         return Export(urdf_text(chain, _heading(notes), own), notes, found.without)
     return Export(_written(chain, calibrated, found, notes, to), notes, found.without)
+
+
+def _anywhere(model: Model) -> np.ndarray:
+    """Packed rows (n_conditions, n) at random poses under the heaviest payload."""
+    payloads = model.robot.payloads
+    heaviest = max(payloads, key=lambda name: payloads[name].mass or 0.0, default="")
+    _, rows = candidates(model, POSES, heaviest, next(iter(model.robot.markers)), None, np.random.default_rng(1))
+    return rows
 
 
 def _written(chain: RigidChain, calibrated: CalibratedModel, found: Exported, notes: Sequence[str], to: Format) -> str:

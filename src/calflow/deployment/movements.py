@@ -23,7 +23,6 @@ from calflow.effects.base import unmet
 from calflow.effects.warming import REFERENCE
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import unexplained
-from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.repeats import conditions
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
@@ -214,9 +213,7 @@ class CheckProblem:
     own: np.ndarray
 
     @staticmethod
-    def of(
-        calibrated: CalibratedModel, needed: list[NeededCondition], data: Measurements, fitted: np.ndarray
-    ) -> CheckProblem:
+    def of(calibrated: CalibratedModel, data: Measurements, fitted: np.ndarray) -> CheckProblem:
         """Set it up from rows; fitted (n_rows,) says of which the device's frame, one a session, is to be fitted to them.
 
         Repeats of a session are brought together. The covariance is that of the parameters, of the choice among models, of the
@@ -239,7 +236,7 @@ class CheckProblem:
         )
         noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
         own = (share**2) @ noise**2 + unexplained(calibrated) ** 2
-        own += sum((one.spread_mm / 1e3) ** 2 for one in needed if one.condition not in data.given)
+        own += sum((one.spread_mm / 1e3) ** 2 for one in calibrated.needed if one.condition not in data.given)
         covariance = slope @ calibrated.covariance @ slope.T + np.diag(np.repeat(own, 3))
         for other in calibrated.alternatives:
             apart = replace(other.model, given=model.given).point(other.estimate, rows) - model.point(

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
 
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import expected_point, field_correction, position_variance, readings
-from calflow.estimation.needed_conditions import HOW_TO_GO_ON, NeededCondition, check_stated
+from calflow.estimation.needed_conditions import HOW_TO_GO_ON, check_stated
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.measurements.measurements import Measurements
 
@@ -29,10 +31,52 @@ class Prediction:
     notes: tuple[str, ...] = ()
     not_physical: np.ndarray | None = None
 
+    @property
+    def table(self) -> pd.DataFrame:
+        """The same in mm: x_mm …, sd_x_mm …, and with a residual field not_physical_x_mm …."""
+        parts = {"": self.position, "sd_": self.sd, "not_physical_": self.not_physical}
+        return pd.DataFrame(
+            {
+                f"{stem}{axis}_mm": 1e3 * values[:, k]
+                for stem, values in parts.items() if values is not None for k, axis in enumerate("xyz")
+            }
+        )  # fmt: skip
 
-def predict_positions(
-    calibrated: CalibratedModel, needed: Sequence[NeededCondition], data: Measurements, missing: Missing = "refuse"
-) -> Prediction:
+
+def predict(
+    calibrated: CalibratedModel, q: ArrayLike, *, payload: str | Sequence[str] | None = None,
+    marker: str | Sequence[str] | None = None, missing: Missing = "refuse", **conditions: ArrayLike,
+) -> Prediction:  # fmt: skip
+    """Return where the marker will be in the measuring frame, and how surely (see `predict_rows`).
+
+    Args:
+        calibrated: the calibrated model.
+        q: joint readings, shape (n_rows, n_joints), or (n_joints,) of one row [rad, or m].
+        payload: what is carried; nothing where it is None.
+        marker: which marker; the first where it is None.
+        missing: "widen" to go on without conditions that are needed, with a wider standard deviation.
+        conditions: approach, travel, wrench, torque, time, temperature, as in `Measurements.from_arrays`.
+
+    Raises:
+        InputError: a condition is missing that an effect needs, or an array is at fault.
+    """
+    return predict_rows(calibrated, rows_at(calibrated, q, payload, marker, conditions), missing)
+
+
+def rows_at(
+    calibrated: CalibratedModel, q: ArrayLike, payload: str | Sequence[str] | None, marker: str | Sequence[str] | None,
+    conditions: Mapping[str, ArrayLike],
+) -> Measurements:  # fmt: skip
+    """Return rows at joint readings, for the arguments of `predict`."""
+    q = np.atleast_2d(np.asarray(q, dtype=float))
+    labels = {name: given for name, given in (("payload", payload), ("marker", marker)) if given is not None}
+    origin = {"time_origin": calibrated.time_origin} if "time" in conditions else {}
+    return Measurements.from_arrays(
+        calibrated.model.robot, q, None, pose=np.arange(len(q)), **labels, **origin, **conditions  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+def predict_rows(calibrated: CalibratedModel, data: Measurements, missing: Missing = "refuse") -> Prediction:
     """Return where the rows' markers will be.
 
     The standard deviations hold what is not known of the parameters and the model's own discrepancy, without the measuring
@@ -40,7 +84,6 @@ def predict_positions(
 
     Args:
         calibrated: the calibrated model; conditions that it does not need are left aside.
-        needed: the conditions that it needs.
         data: the rows.
         missing: whether rows that lack a needed condition are refused, or predicted without what depends on it, with a standard
             deviation that is wider by what that did to the rows fitted.
@@ -48,14 +91,13 @@ def predict_positions(
     Raises:
         InputError: a needed condition is missing.
     """
-    stated = as_stated(calibrated, needed, data, missing)
+    stated = as_stated(calibrated, data, missing)
     rows = stated.data.rows
     position = expected_point(stated.calibrated, rows)
     variance = position_variance(stated.calibrated, rows) + stated.widened
     notes = (*standing(calibrated), *stated.notes, *of_field(stated.calibrated, rows), *beyond_limits(data))
-    return Prediction(
-        position, np.sqrt(variance), notes, field_correction(calibrated, rows) if calibrated.field else None
-    )
+    field = field_correction(calibrated, rows) if calibrated.field else None
+    return Prediction(position, np.sqrt(variance), notes, field)
 
 
 def of_field(calibrated: CalibratedModel, rows: np.ndarray) -> list[str]:
@@ -93,18 +135,16 @@ class StatedModel:
     notes: tuple[str, ...]
 
 
-def as_stated(
-    calibrated: CalibratedModel, needed: Sequence[NeededCondition], data: Measurements, missing: Missing
-) -> StatedModel:
-    """Return the model for what rows state (see `predict_positions` for the arguments).
+def as_stated(calibrated: CalibratedModel, data: Measurements, missing: Missing) -> StatedModel:
+    """Return the model for what rows state (see `predict_rows` for the arguments).
 
     Raises:
         InputError: a needed condition is missing.
     """
     if missing == "refuse":
-        check_stated(needed, data.given, HOW_TO_GO_ON)
-    lacking = [one for one in needed if one.condition not in data.given]
-    given = tuple(one.condition for one in needed if one.condition in data.given)
+        check_stated(calibrated.needed, data.given, HOW_TO_GO_ON)
+    lacking = [one for one in calibrated.needed if one.condition not in data.given]
+    given = tuple(one.condition for one in calibrated.needed if one.condition in data.given)
     notes = tuple(
         f"without {one.columns} nothing is predicted of {', '.join(one.effects)}: the standard deviations are wider by "
         f"{one.spread_mm:.3g} mm, what that did to the rows that were fitted"
@@ -114,6 +154,11 @@ def as_stated(
     return StatedModel(
         replace(calibrated, model=replace(calibrated.model, given=given)), data.stating(given), widened, notes
     )
+
+
+def on_conditions_of(calibrated: CalibratedModel, data: Measurements) -> CalibratedModel:
+    """Return the model for rows that state the conditions which these state."""
+    return replace(calibrated, model=replace(calibrated.model, given=data.given))
 
 
 def beyond_limits(data: Measurements, so: str = "the prediction there is extrapolated") -> list[str]:

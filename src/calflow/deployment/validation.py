@@ -34,7 +34,8 @@ from calflow.deployment.attained import (
 )
 from calflow.deployment.prediction import beyond_limits, of_field
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.needed_conditions import NeededCondition, check_stated
+from calflow.estimation.needed_conditions import check_stated
+from calflow.files.problems import refuse
 from calflow.files.results import Results, to_document
 from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
@@ -239,7 +240,6 @@ class Validation:
 
 def validate(
     calibrated: CalibratedModel,
-    needed: list[NeededCondition],
     data: Measurements,
     *,
     tolerance: float | None = None,
@@ -254,7 +254,6 @@ def validate(
 
     Args:
         calibrated: the calibrated model.
-        needed: the conditions that it needs.
         data: the rows, positions or poses, in the frame of the calibration or any other.
         tolerance: what a pose may err by [m].
         task: how many poses must all be within; then that decides instead of a further pose.
@@ -263,10 +262,16 @@ def validate(
             sessions whose points are ELSEWHERE from there on average, which no robot's are.
 
     Raises:
-        InputError: a needed condition is missing, or there are too few poses to fit a frame.
+        InputError: a needed condition is missing, or there are too few poses to fit a frame, or a figure is at fault.
     """
-    check_stated(needed, data.given)
-    given = data.stating([one.condition for one in needed]).given
+    if tolerance is not None and not 0 < tolerance < 1:
+        raise refuse(f"expected more than 0 and less than 1000 mm, found {1e3 * tolerance:g}", key="tolerance")
+    if not 0.5 <= confidence < 1:
+        raise refuse(f"expected at least 0.5 and less than 1, found {confidence:g}", key="confidence")
+    if task is not None and task < 1:
+        raise refuse(f"expected at least one pose, found {task}", key="task")
+    check_stated(calibrated.needed, data.given)
+    given = data.stating([one.condition for one in calibrated.needed]).given
     stated = replace(calibrated, model=replace(calibrated.model, given=given))
     attained = Attained.of(stated, data)
     field_notes = of_field(stated, data.stating(given).on(stated.model.robot).rows)

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from calflow.programs.configuration import Posture
+from calflow.programs.configuration import ArmPosture
 from calflow.programs.target import Program, Target
 from calflow.robot.robot import Robot
 
@@ -98,7 +98,7 @@ class Axes:
 
 
 @dataclass(frozen=True)
-class Correction:
+class CorrectedReadings:
     """Joint readings (n, n_joints) [rad, or m] that land a tool where the nominal robot has it at others.
 
     remaining (n,) [m] and turned (n,) [rad] are how far from there it lands by the calibrated model; why (n,) says what is in the
@@ -135,11 +135,11 @@ class Corrector(Protocol):
         """
         ...
 
-    def posture(self, readings: np.ndarray) -> Posture:
+    def posture(self, readings: np.ndarray) -> ArmPosture:
         """Return how the arm stands at readings (n_joints,)."""
         ...
 
-    def corrected(self, readings: np.ndarray, names: Sequence[str]) -> Correction:
+    def corrected(self, readings: np.ndarray, names: Sequence[str]) -> CorrectedReadings:
         """Return readings that land the flange, and so a rigid tool on it, where the controller has it at given ones.
 
         names are what each is called in notes.

@@ -12,17 +12,16 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from calflow.deployment.compensation import compensated
+from calflow.deployment.compensation import compensate_rows
 from calflow.deployment.conventions import inverse
 from calflow.deployment.inverse_kinematics import Targets, base_placement, features, landing
 from calflow.deployment.prediction import Missing, as_stated
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.groups import members
-from calflow.estimation.needed_conditions import NeededCondition
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
-from calflow.programs.axes import Axes, Correction
-from calflow.programs.configuration import Posture
+from calflow.programs.axes import Axes, CorrectedReadings
+from calflow.programs.configuration import ArmPosture
 from calflow.robot.chain import Deflection, pose
 from calflow.robot.dimensions import nominal_dimensions
 from calflow.robot.loop import reachable
@@ -34,7 +33,7 @@ PARALLEL = 1e-6
 
 
 @dataclass(frozen=True)
-class Arm:
+class ArmGeometry:
     """The axes of a robot by joint angles, and where its wrist points when all readings are 0; None where it has no such arm."""
 
     robot: Robot
@@ -42,13 +41,13 @@ class Arm:
     forward: np.ndarray | None
 
     @staticmethod
-    def of(robot: Robot) -> Arm:
+    def of(robot: Robot) -> ArmGeometry:
         """Return a robot's arm; one of six revolute joints whose last three axes meet has a posture."""
         q = ca.SX.sym("q", robot.n_joints)
         at = pose(robot, nominal_dimensions(robot), q, Deflection.zero(robot.n_joints))
         floor = at.links[robot.ground - 1][:3, :3].T if robot.ground else ca.SX.eye(3)
         own = [floor @ at.joints[i][:3, 2:4] for i in robot.arm]
-        arm = Arm(robot, ca.Function("axes", [q], [ca.densify(ca.horzcat(*own))]), None)
+        arm = ArmGeometry(robot, ca.Function("axes", [q], [ca.densify(ca.horzcat(*own))]), None)
         if len(robot.arm) != 6 or any(robot.joints[i].kind != "revolute" for i in robot.arm):
             return arm
         directions, points = arm.at(np.zeros(robot.n_joints))
@@ -56,7 +55,7 @@ class Arm:
         if wrist is None:
             return arm
         out = wrist - points[0]
-        return Arm(robot, arm.axes, out - directions[0] * (directions[0] @ out))
+        return ArmGeometry(robot, arm.axes, out - directions[0] * (directions[0] @ out))
 
     def at(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the directions (n, 3) of the arm's axes and a point (n, 3) [m] on each, in axes that stand on the floor.
@@ -68,11 +67,11 @@ class Arm:
         found = np.array(self.axes(self.robot.reading_matrix @ own)).reshape(3, -1, 2)
         return found[:, :, 0].T, found[:, :, 1].T
 
-    def posture(self, readings: np.ndarray) -> Posture:
+    def posture(self, readings: np.ndarray) -> ArmPosture:
         """Return how the arm stands."""
         angles = tuple(float(one) for one in readings[self.robot.arm])
         if self.forward is None or np.linalg.norm(self.forward) < APART:
-            return Posture(angles, None, None)
+            return ArmPosture(angles, None, None)
         directions, points = self.at(readings)
         wrist = _meeting(directions[3:], points[3:])
         assert wrist is not None
@@ -83,7 +82,7 @@ class Arm:
         upper -= directions[1] * (directions[1] @ upper)
         front = bool((wrist - points[0]) @ forward > 0)
         elbow = bool(side @ np.cross(upper, wrist - points[2]) > 0)
-        return Posture(angles, front, elbow)
+        return ArmPosture(angles, front, elbow)
 
 
 def _meeting(directions: np.ndarray, points: np.ndarray) -> np.ndarray | None:
@@ -118,8 +117,7 @@ class CalibratedRobot:
     in_order: the targets follow each other, so that the side from which each joint comes follows from them.
     """
 
-    known: CalibratedModel
-    needed: Sequence[NeededCondition]
+    calibrated: CalibratedModel
     rows: Callable[[np.ndarray], Measurements]
     in_order: bool = False
     missing: Missing = "refuse"
@@ -128,7 +126,7 @@ class CalibratedRobot:
     @property
     def robot(self) -> Robot:
         """The robot, placed where the calibration has it."""
-        return self.known.model.robot
+        return self.calibrated.model.robot
 
     @property
     def n_joints(self) -> int:
@@ -199,23 +197,22 @@ class CalibratedRobot:
         landed = landing(self._rigid, np.zeros(0), rows, Targets(aims[:, :3, 3], aims[:, :3, :3]), begun)
         return landed.readings[landed.reached], of[landed.reached]
 
-    def posture(self, readings: np.ndarray) -> Posture:
+    def posture(self, readings: np.ndarray) -> ArmPosture:
         """Return how the arm stands at readings (n_joints,)."""
         return self._arm.posture(readings)
 
-    def corrected(self, readings: np.ndarray, names: Sequence[str]) -> Correction:
+    def corrected(self, readings: np.ndarray, names: Sequence[str]) -> CorrectedReadings:
         """Return readings that land the flange, and so a rigid tool, where the controller has it at given readings."""
         data = self.rows(readings)
         data = replace(data, table=data.table.assign(pose=list(names)))
-        stated = as_stated(
-            self.known, self.needed, data, "widen"
-        )  # of where base and tool are: the sides of approach come later
-        _, tool = _frames(stated.calibrated.model, self.known.estimate, stated.data.rows)
+        # of where base and tool are: the sides of approach come later
+        stated = as_stated(self.calibrated, data, "widen")
+        _, tool = _frames(stated.calibrated.model, self.calibrated.estimate, stated.data.rows)
         aims = base_placement(stated.calibrated, stated.data.rows) @ self.flange(readings) @ tool
         oriented = len(self.axes.arm) >= FREE
         asked = Targets(aims[:, :3, 3], aims[:, :3, :3] if oriented else None)
-        found = compensated(
-            self.known, self.needed, data, asked, start=readings, in_order=self.in_order, missing=self.missing
+        found = compensate_rows(
+            self.calibrated, data, asked, start=readings, in_order=self.in_order, missing=self.missing
         )
         change = np.abs(found.readings - readings).max(axis=1)
         why = [
@@ -227,11 +224,11 @@ class CalibratedRobot:
         lacking = (
             () if oriented else (f"{len(self.axes.arm)} joints cannot mend the orientation: the marker's place is",)
         )
-        return Correction(found.readings, found.remaining, found.turned, tuple(why), (*found.notes, *lacking))
+        return CorrectedReadings(found.readings, found.remaining, found.turned, tuple(why), (*found.notes, *lacking))
 
     @cached_property
-    def _arm(self) -> Arm:
-        return Arm.of(self.robot)
+    def _arm(self) -> ArmGeometry:
+        return ArmGeometry.of(self.robot)
 
     @cached_property
     def _rigid(self) -> Model:

@@ -11,7 +11,7 @@ NEAR = np.deg2rad(0.5)  # a joint as near as this to where a flag changes may ha
 
 
 @dataclass(frozen=True)
-class Posture:
+class ArmPosture:
     """Joint readings (n_joints,) [rad] and how the arm stands.
 
     front: the wrist is before the first axis and not behind it; elbow: it is on the side of the lower arm where it is when that
@@ -39,14 +39,14 @@ class Configuration(ABC):
     flags: tuple[Flag, ...]
 
     @abstractmethod
-    def agrees(self, posture: Posture, margin: float = NEAR, strictly: bool = True) -> bool:
+    def agrees(self, posture: ArmPosture, margin: float = NEAR, strictly: bool = True) -> bool:
         """Return whether the flags are a posture's, or those of one whose joints are as near to it as a margin [rad].
 
         Not strictly: leaving aside those that some robots of the maker do not use.
         """
 
     @abstractmethod
-    def changes(self, before: Posture, after: Posture) -> tuple[tuple[Flag, str], ...]:
+    def changes(self, before: ArmPosture, after: ArmPosture) -> tuple[tuple[Flag, str], ...]:
         """Return the flags that are others after a correction than before it, each with its new text."""
 
 
@@ -55,10 +55,10 @@ class Listed(Configuration):
     """Flags that each have a text of their own."""
 
     @abstractmethod
-    def of(self, posture: Posture) -> tuple[str | None, ...]:
+    def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
         """Return what the flags of a posture read; None where it cannot be told."""
 
-    def agrees(self, posture: Posture, margin: float = NEAR, strictly: bool = True) -> bool:
+    def agrees(self, posture: ArmPosture, margin: float = NEAR, strictly: bool = True) -> bool:
         """Return whether each flag is as it is at the posture, or a little to either side."""
         around = [self.of(replace(posture, readings=tuple(np.add(posture.readings, d)))) for d in (0, -margin, margin)]
         return all(
@@ -69,7 +69,7 @@ class Listed(Configuration):
         """Return the flags that must agree."""
         return self.flags
 
-    def changes(self, before: Posture, after: Posture) -> tuple[tuple[Flag, str], ...]:
+    def changes(self, before: ArmPosture, after: ArmPosture) -> tuple[tuple[Flag, str], ...]:
         """Return the flags that change between two postures."""
         pairs = zip(self.flags, self.of(before), self.of(after), strict=True)
         return tuple((flag, new) for flag, old, new in pairs if new not in (None, old, flag.text) and old is not None)
@@ -83,7 +83,7 @@ class RapidConfiguration(Listed):
     joint 5 is negative. Old programs have a 0 there whatever the posture.
     """
 
-    def of(self, posture: Posture) -> tuple[str | None, ...]:
+    def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
         """Return cf1, cf4, cf6 and cfx."""
         if len(posture.readings) != 6:
             return (None,) * 4
@@ -104,7 +104,7 @@ class FanucConfiguration(Listed):
     A wrist is not flipped where joint 5 is negative, as when the tool points down at J5 = -90 degrees.
     """
 
-    def of(self, posture: Posture) -> tuple[str | None, ...]:
+    def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
         """Return the three letters and the three numbers of turns."""
         if len(posture.readings) != 6:
             return (None,) * 6
@@ -124,7 +124,7 @@ class KrlConfiguration(Configuration):
 
     named: tuple[str, ...]
 
-    def agrees(self, posture: Posture, margin: float = NEAR, strictly: bool = True) -> bool:
+    def agrees(self, posture: ArmPosture, margin: float = NEAR, strictly: bool = True) -> bool:
         """Return whether each bit is the posture's, where its joint is not near zero."""
         if len(posture.readings) != 6:
             return True
@@ -133,7 +133,7 @@ class KrlConfiguration(Configuration):
         bits = _krl_bits(posture)
         return all((_krl_value(flag) ^ bits[name]) & known[name] == 0 for name, flag in self._pairs)
 
-    def changes(self, before: Posture, after: Posture) -> tuple[tuple[Flag, str], ...]:
+    def changes(self, before: ArmPosture, after: ArmPosture) -> tuple[tuple[Flag, str], ...]:
         """Return the flags of which bits change between two postures."""
         if len(before.readings) != 6:
             return ()
@@ -151,7 +151,7 @@ class KrlConfiguration(Configuration):
         return tuple(zip(self.named, self.flags, strict=True))
 
 
-def _krl_bits(posture: Posture) -> dict[str, int]:
+def _krl_bits(posture: ArmPosture) -> dict[str, int]:
     signs = sum(1 << i for i, angle in enumerate(posture.readings) if angle < 0)
     stance = 0 if posture.front is None or posture.elbow is None else (not posture.front) + 2 * posture.elbow
     return {"T": signs, "S": stance + 4 * (posture.readings[4] < 0)}

@@ -31,12 +31,12 @@ MOTION = re.compile(r"\s*\d*\s*:\s*[JLCAS]\s*PR?\[|\s*:\s*PR?\[")  # a circle go
 POINT = re.compile(r"\bP\[\s*(\d+)\s*(?::[^\]]*)?\]")
 
 
-def recognised(text: str) -> bool:
+def is_fanuc(text: str) -> bool:
     """Return whether a text begins as a program in LS does."""
     return re.match(rf"(?:{MARK})?\s*/PROG\b", text) is not None
 
 
-def read(source: bytes) -> Program:
+def read_fanuc(source: bytes) -> Program:
     """Read a program.
 
     Raises:

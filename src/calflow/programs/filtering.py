@@ -1,24 +1,32 @@
-"""Filtering: a program's targets corrected, with what moved how far, what could not be reached, and what was left alone.
+"""Filtering: a robot program's targets corrected, with what moved how far, what could not be reached, and what was left alone.
 
-Rewriting: a program's bytes with other numbers in the places of some, and nothing else changed.
-Stated frames: tools and frames that a user gives for a program, in the way of its maker.
+Tools and frames that the program does not hold are given in the way of its maker; nothing but the targets' numbers changes.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from calflow.deployment.conventions import Turn, angle_between, inverse, pose_matrix, pose_values
-from calflow.files.problems import InputError, Problem, refuse
+from calflow.deployment.prediction import Missing
+from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.needed_conditions import NeededCondition
+from calflow.files.problems import InputError, Problem, nearest, refuse
 from calflow.files.tables import column
+from calflow.files.units import split_unit, to_si
+from calflow.measurements.measurements import Measurements
 from calflow.programs.axes import Axes, Corrector
+from calflow.programs.calibrated_robot import CalibratedRobot
 from calflow.programs.configuration import NEAR, Flag
+from calflow.programs.formats import read_program
 from calflow.programs.target import Left, Maker, Number, Program, Target
+from calflow.robot.robot import Robot
 
 # What a number's last decimal may stand for at most: 1 µm of place, 1 µrad of orientation, of a joint what moves a tool that is
 # 3 m away by 1 µm.
@@ -136,7 +144,7 @@ class Filtered:
 
 
 @dataclass(frozen=True)
-class Choices:
+class FilterSettings:
     """What a user says that a program does not: tools and frames by name, those of targets of which it names none, and more.
 
     base is where the controller's base is in the robot file's, flange where its flange is in the robot file's (4, 4). start are
@@ -165,7 +173,7 @@ class _Aim:
     note: str = ""
 
 
-def filtered(program: Program, corrector: Corrector, choices: Choices) -> Filtered:
+def filtered(program: Program, corrector: Corrector, choices: FilterSettings) -> Filtered:
     """Return a program that lands where it says.
 
     A pose becomes the one whose nominal joint readings are those that the correction found; joint readings become the corrected
@@ -202,7 +210,7 @@ def _check_joints(program: Program, axes: Axes) -> None:
         raise InputError(problems)
 
 
-def _aims(program: Program, choices: Choices, axes: Axes) -> tuple[list[_Aim], list[Left]]:
+def _aims(program: Program, choices: FilterSettings, axes: Axes) -> tuple[list[_Aim], list[Left]]:
     """Targets with their tools and frames, and those of which more than one is named, or that do not say where all axes are."""
     tools, frames = {**program.tools, **choices.tools}, {**program.frames, **choices.frames}
     problems: dict[str, Problem] = {}
@@ -258,7 +266,7 @@ def _named(
     return first
 
 
-def _with_readings(aims: list[_Aim], corrector: Corrector, choices: Choices) -> list[_Aim]:
+def _with_readings(aims: list[_Aim], corrector: Corrector, choices: FilterSettings) -> list[_Aim]:
     """The readings that are meant at each pose; without them, and with a note, where that is not told."""
     flagged = [k for k, aim in enumerate(aims) if aim.readings is None and _is_told(aim.target)]
     found: dict[int, np.ndarray] = {}
@@ -275,7 +283,7 @@ def _with_readings(aims: list[_Aim], corrector: Corrector, choices: Choices) -> 
 
 
 def _in_turn(
-    aims: list[_Aim], found: Mapping[int, np.ndarray], corrector: Corrector, choices: Choices, alone: bool
+    aims: list[_Aim], found: Mapping[int, np.ndarray], corrector: Corrector, choices: FilterSettings, alone: bool
 ) -> list[_Aim]:
     """The readings meant, one target after the other, since what is not told follows from the target before.
 
@@ -455,3 +463,121 @@ def stated_frame(maker: Maker, text: str, key: str) -> np.ndarray:
     if turn == "quaternion" and abs(np.linalg.norm(values[3:]) - 1) > UNIT_LENGTH:
         raise refuse(f"expected a quaternion of length 1, found one of {np.linalg.norm(values[3:]):.4g}", key=key)
     return pose_matrix(values * np.array([length] * 3 + [angle] * (wanted - 3)), turn)
+
+
+CONDITIONS = ("time", "temperature")  # one value holds for a whole program
+
+
+def filter_program(
+    calibrated: CalibratedModel, program: str | Path, *, payload: str | None = None, tools: Sequence[str] = (),
+    frames: Sequence[str] = (), base: str | None = None, flange: str | None = None, start: Sequence[float] | None = None,
+    any_configuration: bool = False, in_order: bool = False, conditions: Mapping[str, float] | None = None,
+    missing: Missing = "refuse",
+) -> Filtered:  # fmt: skip
+    """Return a robot program that lands where it says, and what became of each of its targets (see `FilteredTarget`).
+
+    The program's file is left as it is: `source` holds the bytes to write.
+
+    Args:
+        calibrated: the calibrated model.
+        program: a file of RAPID, KRL, FANUC LS or URScript.
+        payload: what is carried, by the robot file's name.
+        tools: `NAME=numbers` of a tool that the program names and does not state, in its maker's way; `NAME` alone: the tool of
+            targets of which the program does not say it.
+        frames: the same of work objects, bases and user frames.
+        base: numbers, in the maker's way, of where the controller's base or world is in the robot file's base.
+        flange: the same of where the controller's flange is in the robot file's.
+        start: readings [deg, or mm] near the first target, as the controller shows them, where nothing else tells its posture.
+        any_configuration: where the flags of a target are those of no way to it, take the way nearest to the target before.
+        in_order: the targets are gone to one after the other, so that each joint's side of approach follows from them.
+        conditions: `temperature_degC`, `time_s` and the like, where the model needs them.
+        missing: whether a program is refused that lacks a condition which the model needs, or corrected without it.
+
+    Raises:
+        InputError: the program cannot be read, or something of it is not known.
+    """
+    path, robot = Path(program), calibrated.model.robot
+    read = read_program(path)
+    known_tools, tool = stated_frames(read.maker, tools, "--tool")
+    known_frames, frame = stated_frames(read.maker, frames, "--frame")
+    placed = {
+        name: stated_frame(read.maker, text, f"--{name}") for name, text in (("base", base), ("flange", flange)) if text
+    }
+    choices = FilterSettings(
+        known_tools, known_frames, tool, frame, start=_start(robot, start), loosely=any_configuration, **placed
+    )
+    stated = _conditions(conditions or {})
+    given = (*stated, *(("approach", "travel") if in_order else ()))
+    if missing == "refuse":
+        _check_conditions(calibrated.needed, given)
+    if payload is not None and payload not in robot.payloads:
+        there = f"expected one of {', '.join(robot.payloads)}" if robot.payloads else "the robot file has none"
+        raise refuse(f"unknown payload: {there}{nearest(payload, robot.payloads)}", key=f"--payload {payload}")
+    origin = {"time_origin": calibrated.time_origin} if "time" in stated else {}
+    carried = {} if payload is None else {"payload": payload}
+
+    def rows(readings: np.ndarray) -> Measurements:
+        return Measurements.from_arrays(
+            robot, readings, None, pose=np.arange(len(readings)), **carried, **origin, **stated  # type: ignore[arg-type]
+        )  # fmt: skip
+
+    corrector = CalibratedRobot(
+        replace(calibrated, model=replace(calibrated.model, given=given)), rows, in_order, missing
+    )
+    try:
+        done = filtered(read, corrector, choices)
+    except InputError as error:
+        problems = (replace(one, file=path) if one.line else one for one in error.problems)
+        raise InputError(problems) from None
+    return replace(done, notes=(*_empty_handed(robot, payload), *done.notes))
+
+
+def _empty_handed(robot: Robot, payload: str | None) -> tuple[str, ...]:
+    """Say that nothing is carried where a load would be known."""
+    if payload is not None or not robot.payloads:
+        return ()
+    return (f"no --payload: the robot counts as carrying none of {', '.join(robot.payloads)}",)
+
+
+def _check_conditions(needed: Iterable[NeededCondition], given: Collection[str]) -> None:
+    """Check that all is said on which it depends where the robot will be."""
+    told = {"approach": "--in-order has it from the order of the targets",
+            "travel": "--in-order has it from the order of the targets", "time": "--condition time_s=… says it",
+            "temperature": "--condition temperature_degC=… says it"}  # fmt: skip
+    problems = [
+        Problem(
+            f"where the robot will be depends on {one.condition} ({', '.join(one.effects)}): "
+            f"{told.get(one.condition, 'a program cannot say it')}; --without-conditions goes on without it"
+        )
+        for one in needed if one.condition not in given
+    ]  # fmt: skip
+    if problems:
+        raise InputError(problems)
+
+
+def _start(robot: Robot, start: Sequence[float] | None) -> tuple[float, ...] | None:
+    """Readings in SI; external axes, which a target gives, at 0."""
+    if start is None:
+        return None
+    if len(start) != len(robot.arm):
+        raise refuse(f"expected {len(robot.arm)} readings of the arm, found {len(start)}", key="--start")
+    if not np.isfinite(start).all():
+        raise refuse(f"expected finite readings, found {', '.join(f'{one:g}' for one in start)}", key="--start")
+    found = np.zeros(robot.n_joints)
+    found[robot.arm] = [value / robot.joints[i].shown[1] for value, i in zip(start, robot.arm, strict=True)]
+    return tuple(map(float, found))
+
+
+def _conditions(stated: Mapping[str, float]) -> dict[str, float]:
+    """Conditions in SI by name, from names with units."""
+    found = {}
+    for name, value in stated.items():
+        split = split_unit(name)
+        if split is None or split[0] not in CONDITIONS or split_unit(name, split[0]) is None:
+            known = ("temperature_degC", "temperature_K", "time_s", "time_min", "time_h")
+            raise refuse(f"expected one of {', '.join(known)}{nearest(name, known)}", key=f"--condition {name}")
+        if not np.isfinite(value):
+            raise refuse(f"expected a finite number, found {value:g}", key=f"--condition {name}")
+        factor, offset = to_si(split[1])
+        found[split[0]] = factor * value + offset
+    return found

@@ -23,10 +23,10 @@ class Format:
 
 
 FORMATS: Mapping[Maker, Format] = {
-    "rapid": Format("ABB RAPID", rapid.SUFFIXES, rapid.recognised, rapid.read),
-    "krl": Format("KUKA KRL", krl.SUFFIXES, krl.recognised, krl.read),
-    "fanuc": Format("FANUC LS", fanuc_ls.SUFFIXES, fanuc_ls.recognised, fanuc_ls.read),
-    "urscript": Format("URScript", urscript.SUFFIXES, urscript.recognised, urscript.read),
+    "rapid": Format("ABB RAPID", rapid.SUFFIXES, rapid.is_rapid, rapid.read_rapid),
+    "krl": Format("KUKA KRL", krl.SUFFIXES, krl.is_krl, krl.read_krl),
+    "fanuc": Format("FANUC LS", fanuc_ls.SUFFIXES, fanuc_ls.is_fanuc, fanuc_ls.read_fanuc),
+    "urscript": Format("URScript", urscript.SUFFIXES, urscript.is_urscript, urscript.read_urscript),
 }
 
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
 from calflow.programs.configuration import Flag, KrlConfiguration
-from calflow.programs.expression import Expressions, Node
-from calflow.programs.scanner import Reader, refusal, scan
+from calflow.programs.scanner import Expressions, Node, Reader, refusal, scan
 from calflow.programs.target import External, Left, Number, Program, Target
 
 POSES, AXES = ("POS", "E3POS", "E6POS", "FRAME"), ("AXIS", "E3AXIS", "E6AXIS")
@@ -102,7 +101,7 @@ class KrlValues(Expressions):
         return Node("list", kind, first.start, self.reader.expect("}").end, first.line, tuple(items))
 
 
-def stated_target(name: str, kind: str, value: Node) -> Target | Left:
+def krl_target(name: str, kind: str, value: Node) -> Target | Left:
     """Return the target that an aggregate of a type states, or why it is left alone.
 
     Raises:
@@ -150,7 +149,7 @@ def frame(value: Node) -> np.ndarray | None:
     return pose_matrix([_number(given[one], 1e-3 if one in "XYZ" else np.pi / 180).value for one in PLACE], "zyx")
 
 
-def numbered(name: str) -> str:
+def krl_number(name: str) -> str:
     """TOOL_DATA[1] and BASE_DATA[1] as 1; others by their own name."""
     found = re.fullmatch(r"(?:TOOL|BASE)_DATA\[(\d+)\]", name)
     return found.group(1) if found else name
@@ -183,13 +182,13 @@ NULL_FRAME, WORLD = "$NULLFRAME", "$WORLD"
 STANDING = "standing"  # a tool beside the robot, which has the work piece
 
 
-def recognised(text: str) -> bool:
+def is_krl(text: str) -> bool:
     """Return whether a text begins as a KRL module or data list does."""
     begins = r"(?:\xef\xbb\xbf)?(?:\s|;[^\r\n]*|&[^\r\n]*)*(?:GLOBAL\s+)?(?:DEF|DEFFCT|DEFDAT)\s"
     return re.match(begins, text, re.IGNORECASE) is not None
 
 
-def read(source: bytes) -> Program:
+def read_krl(source: bytes) -> Program:
     """Read a module or a data list.
 
     Raises:
@@ -434,7 +433,7 @@ class _File:
         if value.kind == "name" and value.text.upper() in (NULL_FRAME, WORLD):
             known: str | None = "0"
         elif value.kind == "name":
-            known = numbered(value.text.upper())
+            known = krl_number(value.text.upper())
         elif (matrix := frame(value)) is not None:
             known = f"{name} of line {value.line}"
             (self.tools if name == "$TOOL" else self.frames)[known] = matrix
@@ -472,7 +471,7 @@ class _File:
 
     def point(self, name: str, kind: str, value: Node) -> None:
         """Take a target, or why it is left alone."""
-        found = stated_target(name, kind, value)
+        found = krl_target(name, kind, value)
         self.targets.append((kind, found)) if isinstance(found, Target) else self.left.append(found)
 
     def of_move_data(self, name: str) -> _Use | None:
@@ -517,7 +516,7 @@ class _File:
             if not any(item.items[0].start in places for item in one.items) and one.line not in lines
         ]
         known = (
-            {numbered(name): matrix for name, matrix in own.items() if matrix is not None}
+            {krl_number(name): matrix for name, matrix in own.items() if matrix is not None}
             for own in (self.tools, self.frames)
         )
         tools_known, frames_known = known

@@ -13,8 +13,7 @@ import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
 from calflow.programs.configuration import Flag, RapidConfiguration
-from calflow.programs.expression import Expressions, Node
-from calflow.programs.scanner import Reader, refusal, scan
+from calflow.programs.scanner import Expressions, Node, Reader, refusal, scan
 from calflow.programs.target import External, Left, Number, Program, Target
 
 UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as the maker allows
@@ -84,7 +83,7 @@ class RapidValues(Expressions):
         return found
 
 
-def stated_target(name: str, kind: str, value: Node) -> Target | Left:
+def rapid_target(name: str, kind: str, value: Node) -> Target | Left:
     """Return the robtarget or jointtarget that a value states, or why it is left alone.
 
     Raises:
@@ -191,12 +190,12 @@ MOVING = ("MOVE", "TRIGG", "SEARCH", "ARC", "SPOT", "DISP", "PAINT", "CALIB")
 DISPLACING = ("PDISPON", "PDISPSET", "EOFFSON", "EOFFSSET")
 
 
-def recognised(text: str) -> bool:
+def is_rapid(text: str) -> bool:
     """Return whether a text begins as a module does."""
     return re.match(r"(?:\xef\xbb\xbf)?(?:\s|![^\r\n]*|%%%[^%]*%%%)*MODULE\s", text, re.IGNORECASE) is not None
 
 
-def read(source: bytes) -> Program:
+def read_rapid(source: bytes) -> Program:
     """Read a file of modules.
 
     Raises:
@@ -312,7 +311,7 @@ class _Modules:
 
     def point(self, name: str, kind: str, value: Node) -> None:
         """Take a target, or why it is left alone."""
-        found = stated_target(name, kind, value)
+        found = rapid_target(name, kind, value)
         self.targets.append(found) if isinstance(found, Target) else self.left.append(found)
 
     def definition(self) -> None:

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
-from calflow.programs.expression import Expressions, Node
-from calflow.programs.scanner import Reader, Token, refusal, scan
+from calflow.programs.scanner import Expressions, Node, Reader, Token, refusal, scan
 from calflow.programs.target import Left, Number, Program, Target
 
 SUFFIXES = (".script", ".urscript", ".ur")
@@ -26,14 +25,14 @@ MANUAL_MOVES = ("servoj", "servoc", "speedj", "speedl", "servoi")
 BASE = "base"
 
 
-def recognised(text: str) -> bool:
+def is_urscript(text: str) -> bool:
     """Return whether a text begins as a script does: with a definition, or a call of a move or of a setting."""
     blank = r"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*)*"
     first = r"(?:(?:def|sec|thread)\s+\w+\s*\(|(?:global\s+|local\s+)?\w+\s*=(?!=)|(?:move[jlpc]|set_\w+)\s*\()"
     return re.match(blank + first, text) is not None
 
 
-def read(source: bytes) -> Program:
+def read_urscript(source: bytes) -> Program:
     """Read a script.
 
     Raises:

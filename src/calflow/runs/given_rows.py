@@ -1,23 +1,192 @@
-"""Given rows: a user's CSV as it stands, to be answered column beside column."""
+"""Rows that a user gives beside a calibration: to predict, to reach, or measured since, written as its own measurements are."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
-from calflow.measurements.columns import FRAME, LABELS
+from calflow.calibration import Calibration
+from calflow.deployment.attained import TARGET
+from calflow.deployment.compensation import Compensation, compensate_rows
+from calflow.deployment.inverse_kinematics import Targets, in_measuring_frame, read_frames
+from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
+from calflow.estimation.plausibility import plausible
+from calflow.files.problems import InputError, Problem, refuse
+from calflow.measurements.cells import read_cells
+from calflow.measurements.columns import FRAME, LABELS, numbered
+from calflow.measurements.layout import Layout
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.reading import sha256
 from calflow.measurements.source import MeasurementSource
+from calflow.robot.readings import reading_columns
+from calflow.run_folder import is_measured
+from calflow.study import Study
+
+SEEN_FROM_OUTSIDE = ("position", "pose")
+DISPENSABLE = ("split", "session", "repeat")  # what a mapped column of the study's file may say that a new one need not
 
 
-def given_rows(path: Path, data: Measurements, source: MeasurementSource) -> pd.DataFrame:
-    """Return the rows of a CSV that were read as data: the file's own columns and order, numbers as numbers, no empty lines."""
-    given = pd.read_csv(
-        path, sep=source.separator, dtype=str, keep_default_na=False, skip_blank_lines=False, encoding="utf-8-sig"
-    ).fillna("")
-    given = given.iloc[data.table["line"] - 2].reset_index(drop=True)
-    for name in given:
-        labels = name in (*LABELS, FRAME)
-        given[name] = data.table[name] if labels else pd.to_numeric(given[name].str.replace(source.decimal, "."))
-    return given
+@dataclass(frozen=True)
+class GivenRows:
+    """Rows of a user's CSV: as they stand in the file, numbers as numbers and no empty lines, and what was read of them."""
+
+    table: pd.DataFrame
+    data: Measurements
+
+    @staticmethod
+    def of(path: Path, data: Measurements, source: MeasurementSource) -> GivenRows:
+        """Return the rows of a CSV that were read as data: the file's own columns and order."""
+        given = pd.read_csv(
+            path, sep=source.separator, dtype=str, keep_default_na=False, skip_blank_lines=False, encoding="utf-8-sig"
+        ).fillna("")
+        given = given.iloc[data.table["line"] - 2].reset_index(drop=True)
+        for name in given:
+            labels = name in (*LABELS, FRAME)
+            given[name] = data.table[name] if labels else pd.to_numeric(given[name].str.replace(source.decimal, "."))
+        return GivenRows(given, data)
+
+    def beside(self, answer: pd.DataFrame) -> pd.DataFrame:
+        """Return the rows with what is answered, column beside column."""
+        return pd.concat([self.table, answer], axis=1)
+
+
+def rows_to_predict(calibration: Calibration, rows: str | Path) -> GivenRows:
+    """Read rows whose markers' places are asked for.
+
+    They have a measurement file's columns without x, y and z, with the separator and decimal sign of the calibration's.
+
+    Raises:
+        InputError: the rows are at fault.
+    """
+    path, source = Path(rows), calibration.source
+    if path.suffix.lower() == ".mat":
+        raise refuse("expected a CSV", path)
+    how = {"separator": source.separator, "decimal": source.decimal}
+    data = Measurements.to_predict(path, calibration.robot, time_origin=calibration.time_origin, **how)
+    return GivenRows.of(path, plausible(data, path), source)
+
+
+def compensate_file(
+    calibration: Calibration, targets: str | Path, *, frames: str | Path | None = None, in_order: bool = False,
+    missing: Missing = "refuse", seed: int = 1,
+) -> tuple[GivenRows, Compensation]:  # fmt: skip
+    """Return the targets of a CSV without joint readings, and the commands that land on them.
+
+    The file has x, y and z, orientations where they count, joint readings where the nominal robot's are known, and a measurement
+    file's payload, marker and conditions, with the separator and decimal sign of the calibration's measurements.
+
+    Args:
+        calibration: the calibration.
+        targets: the CSV.
+        frames: a TOML file of frames that its column `frame` names, besides measuring and base.
+        in_order: the robot goes from row to row, so that each joint's side of approach follows from the commands.
+        missing: whether rows that lack a needed condition are refused, or done without it.
+        seed: of the poses from which nominal readings are looked for.
+
+    Raises:
+        InputError: targets or frames are at fault.
+    """
+    path, source = Path(targets), calibration.source
+    stated = {} if frames is None else read_frames(Path(frames))
+    how = {"separator": source.separator, "decimal": source.decimal}
+    data = Measurements.to_reach(path, calibration.robot, calibration.time_origin, **how)
+    started = not np.isnan(data.joints).any()
+    if not started:
+        check_external(data, path)
+    elif FRAME not in data.table:
+        data = plausible(data, path)
+    names = data.table[FRAME].astype(str) if FRAME in data.table else [""] * len(data)
+    aims = Targets(data.position, data.rotation)
+    asked = in_measuring_frame(aims, list(names), stated, on_conditions_of(calibration, data), data.rows)
+    found = compensate_rows(
+        calibration, data, asked, start=data.joints if started else None, in_order=in_order, missing=missing, seed=seed
+    )
+    table = GivenRows.of(path, data, source).table
+    readings = numbered("q", data.robot.n_joints)
+    table = table.drop(columns=[name for name in table if str(name).split("_")[0] in readings])
+    notes = (*_start_notes(data, started), *standing(calibration), *calibration.notes, *found.notes)
+    return GivenRows(table, data), replace(found, notes=notes)
+
+
+def check_external(data: Measurements, path: Path) -> None:
+    """Check that it is said where the external axes are: no correction moves them.
+
+    Raises:
+        InputError: of some target it is not.
+    """
+    problems = [
+        Problem(f"expected {reading_columns(data.robot)[data.robot.driven.index(i)]} of every target: joint {i + 1} is an external "
+                "axis, which stays where it is commanded", path)
+        for i in data.robot.external if np.isnan(data.joints[:, i]).any()
+    ]  # fmt: skip
+    if problems:
+        raise InputError(problems)
+
+
+def _start_notes(data: Measurements, started: bool) -> list[str]:
+    """Say what was assumed of the rows, and of the readings that the nominal robot would be sent to."""
+    if started:
+        return [
+            *data.notes,
+            *beyond_limits(data, "the way to the target begins at the limit, and may not get there from it"),
+        ]
+    asked = "of the arm's joints" if data.robot.external else "q1 …"
+    return [
+        *data.notes,
+        f"no columns {asked}: of the nominal robot's poses at each target the one furthest from its joint limits is taken; to keep "
+        "a configuration, give the readings that the nominal robot would be sent to",
+    ]
+
+
+def rows_measured(calibration: Calibration, rows: str | Path) -> Measurements:
+    """Return measured rows of a file, with what was assumed of them in notes; all of them are to be judged, whatever their split.
+
+    It is written as the calibration's (first) measurements are, mapping of foreign columns included, or has calflow's own columns.
+
+    Raises:
+        InputError: with everything that is wrong in the file, or the calibration's device does not see the robot from outside.
+    """
+    path, source = Path(rows), calibration.source
+    kind = calibration.model.observations[0].id
+    if kind not in SEEN_FROM_OUTSIDE:
+        raise refuse(
+            f"was calibrated by '{kind}': expected a run whose first measurements are positions or poses",
+            calibration.folder.folder if calibration.folder else None,
+        )
+    layout = source.layout
+    plain = Layout(separator=source.separator, decimal=source.decimal, in_order=source.in_order, tracker=source.tracker,
+                   missing=source.missing)  # fmt: skip
+    if layout.named:
+        there = set(map(str, read_cells(path, plain)))
+        columns = {
+            name: column for name, column in layout.columns.items() if column in there or name not in DISPENSABLE
+        }
+        layout = replace(layout, columns=columns) if there & set(layout.named) else plain
+    measured = plausible(Measurements.from_csv(path, calibration.robot, **vars(layout)), path)
+    targets = [name for name in TARGET if name in measured.table]
+    if targets and len(targets) < len(TARGET):
+        lacking = ", ".join(name for name in TARGET if name not in targets)
+        raise refuse(f"missing column: expected {lacking} beside {', '.join(targets)}", path, 1)
+    notes = (*measured.notes, *_seen(calibration, path), *calibration.notes)
+    return replace(measured, table=measured.table.assign(split="train"), notes=notes)
+
+
+def _seen(calibration: Calibration, path: Path) -> tuple[str, ...]:
+    """Say that a file is one that the calibration was made of; a part of it, or a copy written otherwise, is not recognised."""
+    inputs = calibration.folder.manifest.inputs if calibration.folder else {}
+    if sha256(path) not in {digest for name, digest in inputs.items() if is_measured(name)}:
+        return ()
+    return (f"{path.name} is the very file that the calibration was made of: at poses that it was fitted to errors are smaller "
+            "than at others; measure new ones",)  # fmt: skip
+
+
+def with_rows(study: Study, files: Sequence[Path]) -> Study:
+    """Return a study with rows measured since; without measurements of its own these are its measurements."""
+    if study.file.sources or not files:
+        return replace(study, further=tuple(files))
+    file = study.file.model_copy(update={"measurements": MeasurementSource(file=str(files[0].resolve()))})
+    return replace(study, file=file, further=tuple(files[1:]))

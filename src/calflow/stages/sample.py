@@ -12,7 +12,6 @@ from calflow.deployment.compensation import not_known
 from calflow.deployment.prediction import as_stated, beyond_limits
 from calflow.estimation.calibrated_model import CalibratedModel, calibrated, with_maps_held
 from calflow.estimation.fit_summary import IdentifySummary
-from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.repeats import conditions
 from calflow.faults import corrected
 from calflow.files.problems import Problem, refuse
@@ -86,9 +85,7 @@ def _task(
     measured = posterior.data.only(posterior.data.train)
     time_origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
     task = settings.points(context.study, known.model, measured, time_origin, context.rng("task")).on(known.model.robot)
-    stage = "diagnose" if "diagnose/effects.csv" in results else "identify"
-    needed = results.rows(f"{stage}/needed_conditions.csv", NeededCondition)
-    stated = as_stated(known, needed, task, "widen")
+    stated = as_stated(known, task, "widen")
     errors = point_errors(posterior, stated.calibrated, stated.data.rows, context.rng("task errors"), stated.widened)
     table = task_table(stated.calibrated, stated.data, measured, errors, asked)
     notes = (*stated.notes, *not_known(stated.calibrated, stated.data.rows), *beyond_limits(task))

@@ -1,0 +1,247 @@
+"""Between runs: calibrations side by side, and one robot's over time, with what differs by more than chance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations, pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy.stats import norm
+
+from calflow.calibration import Calibration
+from calflow.deployment.comparison import (
+    Comparison,
+    ParameterDifference,
+    RunAccuracy,
+    RunCause,
+    RunData,
+    RunPair,
+    Setting,
+)
+from calflow.deployment.history import FALSE_ALARM, History, history
+from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.difference import Difference
+from calflow.files.problems import InputError, Problem, refuse
+from calflow.run_folder import CalibratedFolder, is_measured, robot_digest
+
+DIFFERENT = 0.01  # chance below which a difference is told
+
+
+def compare_runs(*runs: Calibration) -> Comparison:
+    """Compare two calibrations or more that were loaded from run folders.
+
+    Differences of parameters count as chance where both covariances allow them. Runs of the same measurements share their
+    errors, so that no such test holds: then the differences stand without one.
+
+    Raises:
+        InputError: there are fewer than two.
+    """
+    if len(runs) < 2:
+        raise refuse("expected two runs or more to compare", key="runs")
+    names = run_names(runs)
+    measured = [measured_files(run) for run in runs]
+    same = {(a, b) for a, b in combinations(range(len(runs)), 2) if measured[a].keys() & measured[b].keys()}
+    parameters, pairs = [], []
+    for a, b in combinations(range(len(runs)), 2):
+        rows, pair = _compared(runs[a], runs[b], (names[a], names[b]), (a, b) in same)
+        parameters += rows
+        pairs.append(pair)
+    return Comparison(
+        _settings(runs, names), tuple(_data(run, k, names, measured, same) for k, run in enumerate(runs)),
+        tuple(row for run, name in zip(runs, names, strict=True) for row in _accuracy(run, name)),
+        tuple(parameters), tuple(pairs), _causes(runs, names),
+    )  # fmt: skip
+
+
+def run_of(calibration: Calibration) -> CalibratedFolder:
+    """Return the run that a calibration was loaded from.
+
+    Raises:
+        InputError: it was not loaded.
+    """
+    if calibration.folder is None:
+        raise refuse("expected calibrations that were loaded from run folders", key="runs")
+    return calibration.folder
+
+
+def run_names(runs: Sequence[Calibration]) -> list[str]:
+    """Return the runs' folders, or with as many folders above as tell them apart."""
+    parts = [run_of(run).folder.resolve().parts for run in runs]
+    for depth in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(one[-depth:]) for one in parts]
+        if len(set(names)) == len(names):
+            return names
+    raise refuse("the same run is named twice", run_of(runs[0]).folder)
+
+
+def measured_files(run: Calibration) -> dict[str, str]:
+    """Return the name of each measurement file, by its SHA-256."""
+    return {digest: Path(path).name for path, digest in run_of(run).manifest.inputs.items() if is_measured(path)}
+
+
+def _compared(
+    first: Calibration, second: Calibration, names: tuple[str, str], same: bool
+) -> tuple[list[ParameterDifference], RunPair]:
+    found = Difference.of(first, second)
+    z = np.divide(np.abs(found.value), found.sd, out=np.zeros(len(found.value)), where=found.sd > 0)
+    p = 2 * norm.sf(z)
+    beyond = _holm(p)
+    rows = []
+    for k, (i, j) in enumerate(zip(found.first, found.second, strict=True)):
+        parameter = first.model.parameters[i]
+        rows.append(ParameterDifference(
+            first=names[0], second=names[1], parameter=parameter.name, unit=parameter.unit,
+            first_value=parameter.figure + float(first.estimate[i]), second_value=parameter.figure + float(second.estimate[j]),
+            difference=float(found.value[k]), sd=None if same else float(found.sd[k]), p=None if same else float(p[k]),
+            significant=None if same else bool(beyond[k]), meaning=parameter.meaning,
+        ))  # fmt: skip
+    squared, freedom, chance = found.joint
+    told: dict[str, Any] = (
+        {"chi2": None, "freedom": None, "p": None} if same else {"chi2": squared, "freedom": freedom, "p": chance}
+    )
+    robots = (first.robot.name, second.robot.name)
+    pair = RunPair(
+        first=names[0], second=names[1], robots=robots, robot=same_robot(first, second), shared=len(rows), **told
+    )
+    return rows, pair
+
+
+def same_robot(first: Calibration, second: Calibration) -> Literal["the same", "another file", "another one"]:
+    """Return whether two runs are of one robot, as far as their robot files say."""
+    if robot_digest(first.robot) == robot_digest(second.robot):
+        return "the same"
+    kinds = [(run.robot.name, [joint.kind for joint in run.robot.joints]) for run in (first, second)]
+    return "another file" if kinds[0] == kinds[1] else "another one"
+
+
+def _holm(p: np.ndarray) -> np.ndarray:
+    """Which p-values are beyond chance, as many as there are counted (Holm 1979)."""
+    order = np.argsort(p)
+    passed = (
+        np.cumprod(p[order] <= DIFFERENT / (len(p) - np.arange(len(p)))).astype(bool)
+        if len(p)
+        else np.zeros(0, dtype=bool)
+    )
+    found = np.zeros(len(p), dtype=bool)
+    found[order] = passed
+    return found
+
+
+def _settings(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[Setting, ...]:
+    """Keys in which the studies, their robots, their stages' settings or the versions differ."""
+    flat = []
+    for run in runs:
+        own = dict(_flat("", run.request.model_dump(mode="json", exclude_defaults=True)))
+        own |= {
+            "robot file's content": f"{run.robot.name} ({robot_digest(run.robot)})",
+            "workflow": run_of(run).manifest.workflow,
+            "calflow": run_of(run).manifest.calflow,
+        }
+        own |= {f"version of {name}": version for name, version in run_of(run).manifest.versions.items()}
+        flat.append(own)
+    keys = dict.fromkeys(key for own in flat for key in own)
+    every = {key: [own.get(key, "") for own in flat] for key in keys}
+    return tuple(
+        Setting(setting=key, of=dict(zip(names, values, strict=True)))
+        for key, values in every.items()
+        if len(set(values)) > 1
+    )
+
+
+def _flat(key: str, value: Any) -> list[tuple[str, str]]:
+    """Nested settings by their dotted keys."""
+    if isinstance(value, dict):
+        return [pair for name, inner in value.items() for pair in _flat(f"{key}.{name}" if key else str(name), inner)]
+    return [(key, ", ".join(map(str, value)) if isinstance(value, list) else str(value))]
+
+
+def _data(
+    run: Calibration, k: int, names: Sequence[str], measured: Sequence[dict[str, str]], same: set[tuple[int, int]]
+) -> RunData:
+    summary = run.summary
+    others = tuple(names[a + b - k] for a, b in sorted(same) if k in (a, b))
+    return RunData(
+        run=names[k], files=tuple(measured[k].values()), poses=summary.training_poses, held_out=summary.heldout_poses,
+        noise_mm=np.nan if summary.sigma_mm is None else summary.sigma_mm, noise_from=summary.noise_sources,
+        discrepancy_mm=summary.discrepancy_mm, same_data_as=others,
+    )  # fmt: skip
+
+
+def _accuracy(run: Calibration, name: str) -> list[RunAccuracy]:
+    return [RunAccuracy(**vars(row), run=name) for row in run.accuracy]
+
+
+def _causes(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[RunCause, ...]:
+    every = [list(run.findings) for run in runs]
+    places = [{(one.cause, one.joint) for one in own} for own in every]
+    return tuple(
+        RunCause(run=names[k], status=one.status, cause=one.cause, joint=one.joint, estimate=one.estimate, sd=one.sd, unit=one.unit,
+                 probability=one.probability,
+                 also_in=tuple(n for m, n in enumerate(names) if m != k and (one.cause, one.joint) in places[m]))
+        for k, own in enumerate(every) for one in own
+    )  # fmt: skip
+
+
+def history_of_runs(*runs: Calibration, false_alarm: float = FALSE_ALARM) -> History:
+    """Tell which parameters of one robot moved between its calibrations, loaded from run folders (see `deployment.history`).
+
+    Args:
+        runs: the calibrations in the order in which they were measured.
+        false_alarm: chance that anything is told where nothing moved.
+
+    Raises:
+        InputError: there are fewer than two, two are of the same measurements or of different robots, or the dates that their
+            studies state are not in order.
+    """
+    if len(runs) < 2:
+        raise refuse("expected two runs or more, in order of time", key="runs")
+    if not 1e-3 <= false_alarm <= 0.5:  # fewer alarms take more draws than are counted in
+        raise refuse(f"expected 0.001 to 0.5, found {false_alarm:g}", key="false_alarm")
+    names = run_names(runs)
+    dates = [run.request.acceptance.date if run.request.acceptance else None for run in runs]
+    problems = [
+        Problem(f"is of the same measurements as {names[a]}: its errors are the same, and tell nothing of time",
+                run_of(runs[b]).folder)
+        for a, b in combinations(range(len(runs)), 2) if measured_files(runs[a]).keys() & measured_files(runs[b]).keys()
+    ] + [
+        Problem(f"is of another robot than {names[0]}", run_of(run).folder)
+        for run in runs[1:] if same_robot(runs[0], run) == "another one"
+    ]  # fmt: skip
+    stated = [(date, run) for date, run in zip(dates, runs, strict=True) if date is not None]
+    problems += [
+        Problem(
+            f"was measured on {later[0]}, before the run that is named before it ({earlier[0]})",
+            run_of(later[1]).folder,
+        )
+        for earlier, later in pairwise(stated)
+        if later[0] < earlier[0]
+    ]
+    if problems:
+        raise InputError(problems)
+    rng = np.random.default_rng(runs[0].seed)
+    found = history(names, dates, [_with_what_is_left(run) for run in runs], false_alarm, rng)
+    return replace(found, notes=(*found.notes, *_doubts(runs, names)))
+
+
+def _with_what_is_left(run: Calibration) -> CalibratedModel:
+    """A run's model, its covariance as wide as its table says: after diagnose with what may be left in errors that rows share."""
+    stated = {one.parameter: one.sd for one in run.parameters.rows}
+    sd = np.array([stated.get(one.name, np.nan) for one in run.model.parameters])
+    own = np.sqrt(np.diag(run.covariance))
+    wider = np.where(sd > own, sd / np.where(own > 0, own, 1.0), 1.0)
+    return replace(run, covariance=run.covariance * np.outer(wider, wider))
+
+
+def _doubts(runs: Sequence[Calibration], names: Sequence[str]) -> Iterator[str]:
+    """Say where what a model lacks may pass for a movement."""
+    doubtful = [
+        name for name, run in zip(names, runs, strict=True) if not run.diagnosed or run.summary.discrepancy_mm > 0
+    ]
+    if doubtful:
+        yield (
+            f"the model of {', '.join(doubtful)} leaves errors beyond the noise, or was not diagnosed: where runs were measured at "
+            "different poses such errors pass for movements; measure the same poses, and run diagnose"
+        )
