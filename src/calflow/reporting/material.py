@@ -24,6 +24,7 @@ from calflow.estimation.registration import in_measuring_frame
 from calflow.faults import corrected
 from calflow.files.results import Results
 from calflow.files.tables import Tables
+from calflow.files.units import METRE
 from calflow.files.words import effect_words
 from calflow.measurements.measurements import Measurements
 from calflow.study import Study
@@ -182,7 +183,7 @@ class Material:
         """Mean error that noise alone would give in the judged rows [mm]; None where only the fit tells the noise."""
         if not self.known.noise_known:
             return None
-        units = [one.units.count("m") for one in self.known.model.observations]
+        units = [one.units.count(METRE) for one in self.known.model.observations]
         mean = MEAN_OF_NOISE[np.array(units)[self.data.series_number]] * self.sigma
         return float(mean[self.judged].mean())
 
