@@ -33,6 +33,7 @@ from calflow.diagnosis.findings.extended_model import (
     extended_noise,
 )
 from calflow.diagnosis.findings.finding import Finding
+from calflow.diagnosis.findings.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint
 from calflow.diagnosis.findings.replication import confirm as confirmed
 from calflow.diagnosis.findings.rivals import alternatives_table
 from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, candidates_table
@@ -44,39 +45,63 @@ from calflow.effects.base import unmet
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import (
     CalibratedModel,
+    DeviceNoise,
+    ModelEffect,
+    ModelObservation,
+    Placed,
     calibrated,
     effect_table,
     noise_table,
     observation_table,
     placement_table,
+    read_error_model,
 )
 from calflow.estimation.field_gain import field_results, gainful_field
 from calflow.estimation.fit_summary import FitSummary, IdentifySummary
-from calflow.estimation.identifiability import Correlation, Statement, best_subset, correlations, redundant
+from calflow.estimation.identifiability import (
+    Correlation,
+    Counted,
+    Redundant,
+    Statement,
+    best_subset,
+    correlations,
+    redundant,
+)
 from calflow.estimation.identification import FittedEffects, NoiseSource, fit_effects
 from calflow.estimation.judgement import JudgedResidual, Studentised, judged, judged_table
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
-from calflow.estimation.parameters import Parameters, covariance_table, mistaken
+from calflow.estimation.parameters import Covariances, FittedParameter, Parameters, covariance_table, mistaken
 from calflow.estimation.progress import Advance, Draws, Say, draws, nobody
-from calflow.estimation.rival_models import in_reach_table
+from calflow.estimation.residual_field import POSES, FieldAccuracy, FieldPose, read_field
+from calflow.estimation.rival_models import AlternativeParameter, CauseInReach, in_reach_table
 from calflow.faults import Fault, FaultyRow, as_table, corrected, examined
 from calflow.faults.outlier import odd_rows
 from calflow.files.problems import InputError, Problem, refuse
-from calflow.files.results import Results, to_document
-from calflow.files.tables import TypedTable, lacking, to_frame
+from calflow.files.results import Results, to_document, write_results
+from calflow.files.tables import TypedTable, as_declared, lacking, to_frame
+from calflow.files.toml import write_toml
+from calflow.files.writing import inside
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.saved import BESIDE, ROWS, load_measurements, save_measurements
 from calflow.measurements.source import MeasurementSource
 from calflow.model import build
 from calflow.programs import filtering
 from calflow.robot.formats.robot_file import drives
 from calflow.robot.robot import Robot
-from calflow.run_folder import INPUTS, CalibratedFolder, load_again, read_calibrated
+from calflow.run_folder import (
+    INPUTS,
+    CalibratedFolder,
+    check_free,
+    load_again,
+    read_calibrated,
+    record_saved,
+)
 from calflow.sampling.chain import ChainLength
 from calflow.sampling.posterior import Posterior
 from calflow.sampling.sample import sample
 from calflow.study import Study
-from calflow.study_file import StudyFile, known_effects
+from calflow.study_file import StudyFile, WorkflowFile, known_effects
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,6 +112,44 @@ OPEN_SHOWN = 6  # statements of what the data leave open, beyond which the rest 
 IN_PYTHON = "python"  # the name of what no study asked for
 AGAIN = "run the study again"
 INSTEAD = "costs are over random poses within the joint limits instead"
+# The rows of every table of a calibration, by its path in a run folder.
+TABLES: Mapping[str, type] = {
+    "identify/parameters.csv": FittedParameter,
+    "identify/accuracy.csv": Accuracy,
+    "identify/residuals.csv": JudgedResidual,
+    "identify/faults.csv": FaultyRow,
+    "identify/identifiability.csv": Statement,
+    "identify/correlations.csv": Correlation,
+    "identify/covariance.csv": Covariances,
+    "identify/effects.csv": ModelEffect,
+    "identify/observations.csv": ModelObservation,
+    "identify/noise.csv": DeviceNoise,
+    "identify/placement.csv": Placed,
+    "identify/needed_conditions.csv": NeededCondition,
+    "identify/count.csv": Counted,
+    "identify/redundant.csv": Redundant,
+    "diagnose/findings.csv": Finding,
+    "diagnose/candidates.csv": CandidateRow,
+    "diagnose/accuracy.csv": Accuracy,
+    "diagnose/next_poses.csv": NextPose,
+    "diagnose/separations.csv": SeparationRow,
+    "diagnose/parameters.csv": FittedParameter,
+    "diagnose/covariance.csv": Covariances,
+    "diagnose/effects.csv": ModelEffect,
+    "diagnose/alternatives.csv": AlternativeParameter,
+    "diagnose/models_in_reach.csv": CauseInReach,
+    "diagnose/noise.csv": DeviceNoise,
+    "diagnose/faults.csv": FaultyRow,
+    "diagnose/residuals.csv": JudgedResidual,
+    "diagnose/curves.csv": CurvePoint,
+    "diagnose/needed_conditions.csv": NeededCondition,
+    "diagnose/confirmation.csv": ConfirmedCause,
+    "diagnose/confirmation_curves.csv": ConfirmedPoint,
+    "diagnose/confirmation_accuracy.csv": CarriedAccuracy,
+    "diagnose/confirmation_faults.csv": FaultyRow,
+    POSES: FieldPose,
+    "residual_field/accuracy.csv": FieldAccuracy,
+}
 
 
 @dataclass(frozen=True)
@@ -163,10 +226,34 @@ class Calibration(CalibratedModel):
         read = read_calibrated(study_or_run)
 
         def measured() -> Measurements:
+            if (read.folder / INPUTS / BESIDE).is_file():
+                return load_measurements(read.folder / INPUTS, read.robot)
             with TemporaryDirectory() as made:
                 return load_again(read.manifest, read.folder, Path(made)).measurements()
 
-        return replace(cls.of(read.robot, read.file, read.results, measured), folder=read)
+        tables = {name: as_declared(table, TABLES[name]) for name, table in read.results.tables.items()}
+        results = Results(tables, read.results.documents)
+        return replace(cls.of(read.robot, read.file, results, measured), folder=read)
+
+    def save(self, folder: str | Path) -> Path:
+        """Save it in a folder, as a run that every command takes, and return the folder; `load` reads it back without loss.
+
+        Raises:
+            InputError: the folder holds the run of a study, which would be written over, or the measurements are gone.
+        """
+        folder = Path(folder)
+        check_free(folder)
+        data, inputs = self.measured(), folder / INPUTS
+        inputs.mkdir(parents=True, exist_ok=True)
+        asked = {"robot": "robot.toml", "workflow": "workflow.toml", "confirm": ""}
+        stages = tuple(dict.fromkeys(name.partition("/")[0] for name in self.results.tables))
+        self.robot.to_toml(inputs / "robot.toml")
+        write_toml(inside(inputs, "study.toml"), self.request.model_copy(update=asked))
+        write_toml(inside(inputs, "workflow.toml"), WorkflowFile(name=self.request.name, stages=stages))
+        save_measurements(data, inputs)
+        write_results(folder, self.results)
+        record_saved(folder, self.robot, self.request, {stage: self.results.of({stage}) for stage in stages}, TABLES)
+        return folder
 
     @cached_property
     def data(self) -> Measurements:
@@ -343,7 +430,8 @@ class Calibration(CalibratedModel):
         if confirm and found.causes:
             tables |= _confirmed_tables(found.extended.fitted, confirm, say)
         return Calibration(
-            **_core(extended), robot=self.robot, measured=self.measured, folder=self.folder, before=before,
+            **_core(extended) | read_error_model("diagnose", tables, extended.model.observations),
+            robot=self.robot, measured=self.measured, folder=self.folder, before=before,
             request=self.request.model_copy(update={"stages": self.request.stages | asked}),
             results=before.results | tables,
         )  # fmt: skip
@@ -382,6 +470,7 @@ class Calibration(CalibratedModel):
         field, gain = gainful_field(bare, self.data, draws(self.seed if seed is None else seed))
         say(gain.statement)
         results = self.results | field_results(bare, field, gain, self.data)
+        field = read_field(results, bare.model.robot)  # to the last bit as it is read back
         request = self.request.model_copy(update={"residual_field": True})
         return replace(bare, field=field, results=results, request=request)
 
@@ -443,7 +532,6 @@ class Calibration(CalibratedModel):
         """Return what its figures and its report are made from."""
         from calflow.reporting.material import Calibration as Calibrated
         from calflow.reporting.material import Material
-        from calflow.study_file import WorkflowFile
 
         workflow = WorkflowFile(name=self.request.name, stages=tuple(self.request.stages))
         request = self.request.model_copy(update={"title": self.title})
@@ -542,7 +630,10 @@ def identify(
     robot = robot if parameters is None else parameters.on(robot, data, given)
     settings = {"identify": {"starts": starts, "loss": loss, "noise": noise}}
     named = effect_ids(given)
-    request = StudyFile(name=IN_PYTHON, title=title, robot="robot.toml", seed=seed, effects=named, stages=settings)
+    request = StudyFile(
+        name=IN_PYTHON, title=title, robot="robot.toml", workflow="workflow.toml", seed=seed, effects=named, stages=settings,
+        measurements=MeasurementSource(file=ROWS, kind=data.series[0].kind),
+    )  # fmt: skip
     rows, faults = examined(data.on(robot), paths)
     for fault in faults:
         say(fault.said)
@@ -554,7 +645,11 @@ def identify(
     if count:
         results |= Results({"identify/count.csv": best_subset(found.fit, count)})
     return Calibration(
-        **_core(found.known), robot=robot, request=request, results=results, measured=lambda: data.on(robot)
+        **_core(found.known) | read_error_model("identify", results, found.model.observations),
+        robot=robot,
+        request=request,
+        results=results,
+        measured=lambda: data.on(robot),
     )
 
 

@@ -5,17 +5,22 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import platform
 import posixpath
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib import metadata
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from calflow.files.csv import read_csv
+from calflow.files.data_package import DATA_PACKAGE, data_package
+from calflow.files.plugins import packages
 from calflow.files.problems import InputError, Problem, refuse
-from calflow.files.results import SUM, Results, is_whole, sealed
+from calflow.files.results import SUM, Results, is_whole, sealed, write_results
 from calflow.files.toml import read_toml
 from calflow.files.writing import contained, write_text, write_whole
 from calflow.measurements.reading import sha256
@@ -29,6 +34,8 @@ INPUTS = "inputs"  # of a run folder: the files that were asked
 LAID_OUT = f"{INPUTS}/files"  # in it, of a packed run: all files of the study
 ABOVE = "above"  # stands for a folder above the study's, where files are laid out again
 Text = Annotated[str, Field(pattern=r"^[^\x00]*$")]  # a zero ends a file's name, for the system
+NUMERICAL = ("arviz-stats", "casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "scipy", "typst")
+SAVED = "saved from Python"  # why a stage has results that no run of a study made
 DESCRIBING = (".toml", ".urdf")  # endings of inputs that hold no measurements
 
 
@@ -188,7 +195,7 @@ def read_results(manifest: Manifest, folder: Path, stage: str) -> Results:
     """Return a stage's tables and documents by their path in the run folder."""
     outputs = manifest.outputs(stage)
     tables = {name: read_csv(folder / name) for name in outputs if name.endswith(".csv")}
-    names = [name for name in outputs if name.endswith(".json") and not name.endswith(".schema.json")]
+    names = [name for name in outputs if name.endswith(".json")]
     return Results(tables, {name: json.loads((folder / name).read_text(encoding="utf-8")) for name in names})
 
 
@@ -395,3 +402,65 @@ def read_calibrated(study_or_run: str | Path) -> CalibratedFolder:
         *([f"the residual field that the study asks for: {lacking}"] if lacking else []),
     )
     return CalibratedFolder(folder, manifest, robot, file, results, without)
+
+
+@lru_cache
+def code_digest() -> str:
+    """Return a hash of all that calflow is made of: its code, and what it writes reports with."""
+    root = Path(__file__).parent
+    found = hashlib.sha256()
+    for path in sorted(path for path in root.rglob("*") if path.is_file() and "__pycache__" not in path.parts):
+        found.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+@lru_cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    return (("python", platform.python_version()), *((name, metadata.version(name)) for name in NUMERICAL))
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that results depend on."""
+    return dict(_versions())
+
+
+def check_free(folder: Path) -> None:
+    """Check that a calibration can be saved in a folder: it is empty, or one was saved there before.
+
+    Raises:
+        InputError: it holds the run of a study, or something else.
+    """
+    manifest = read_manifest(folder) if folder.is_dir() else None
+    if manifest is not None and any(entry.reason != SAVED for entry in manifest.stages.values()):
+        raise refuse("holds what 'calflow run' made, which would be written over; save in another folder", folder)
+    if manifest is None and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise refuse("is not empty: expected a folder of its own", folder)
+
+
+def record_saved(
+    folder: Path, robot: Robot, request: StudyFile, made: Mapping[str, Results], tables: Mapping[str, type]
+) -> None:
+    """Write the manifest and the data package of a folder in which a calibration was saved.
+
+    made has the results of each stage, in their order, and tables the row types of their tables.
+    """
+    inputs = {path.name: path for path in sorted((folder / INPUTS).iterdir())}
+    hashes = {str(path.resolve()): sha256(path) for path in inputs.values()}
+    entries: dict[str, StageEntry] = {}
+    for stage, results in made.items():
+        outputs = {name: sha256(folder / name) for name in (*results.tables, *results.documents)}
+        key = {"robot": robot_digest(robot)} | after({name: entry.key for name, entry in entries.items()})
+        entries[stage] = StageEntry(status="done", reason=SAVED, key=key, seconds=0.0, outputs=outputs)
+    digests = {name: digest for entry in entries.values() for name, digest in (entry.outputs or {}).items()}
+    package = data_package(request.name, {name: (folder / name, own) for name, own in digests.items()}, tables)
+    write_results(folder, Results(documents={DATA_PACKAGE: package}))
+    manifest = Manifest(
+        calflow=metadata.version("calflow"), versions=versions(), packages=packages(), code=code_digest(), study=request.name,
+        study_file=str(inputs["study.toml"].resolve()), folder=str(folder.resolve()), workflow=request.name, seed=request.seed,
+        inputs=hashes, stages=entries,
+        files={
+            name: KeptFile(sha256=hashes[str(path.resolve())], path=str(path.resolve()), measured=is_measured(name))
+            for name, path in inputs.items()
+        },
+    )  # fmt: skip
+    write_manifest(folder, manifest)

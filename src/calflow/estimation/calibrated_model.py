@@ -89,6 +89,9 @@ class Placed:
     rz_deg: float = column("the same about z", "deg")
     kind: str = column("base, marker, tool or observation")
     source: str = column("who says so: the robot file, or registered by the training data")
+    rx_rad: float = column("rx_deg to the last bit", "rad")
+    ry_rad: float = column("ry_deg to the last bit", "rad")
+    rz_rad: float = column("rz_deg to the last bit", "rad")
 
 
 @dataclass(frozen=True)
@@ -333,7 +336,10 @@ def placement_table(robot: Robot, observed: Sequence[Observation]) -> pd.DataFra
     rows = []
     for what, (x, y, z), turn, kind, said in placed:
         rx, ry, rz = (float(angle) for angle in np.rad2deg(turn))
-        rows.append(Placed(what=what, x_m=x, y_m=y, z_m=z, rx_deg=rx, ry_deg=ry, rz_deg=rz, kind=kind, source=said))
+        exact = dict(zip(("rx_rad", "ry_rad", "rz_rad"), turn, strict=True))
+        rows.append(
+            Placed(what=what, x_m=x, y_m=y, z_m=z, rx_deg=rx, ry_deg=ry, rz_deg=rz, kind=kind, source=said, **exact)
+        )
     return to_frame(rows, Placed)
 
 
@@ -346,7 +352,7 @@ def placed(robot: Robot, results: Results) -> Robot:
     if all(row.source == ROBOT_FILE for row in rows):
         return robot
     at = {(row.kind, row.what): vector((row.x_m, row.y_m, row.z_m)) for row in rows}  # a marker may be called 'tool'
-    turn = {row.kind: vector(np.deg2rad((row.rx_deg, row.ry_deg, row.rz_deg))) for row in rows}
+    turn = {row.kind: vector((row.rx_rad, row.ry_rad, row.rz_rad)) for row in rows}
     base = robot.base if robot.base.known else Base(origin=at["base", "base"], rotation=turn["base"], known=False)
     markers = {name: replace(marker, point=at["marker", name]) for name, marker in robot.markers.items()}
     tool = robot.tool_rotation and turn["tool"]
@@ -360,7 +366,6 @@ def _read(stage: str, model: Model, results: Results) -> CalibratedModel:
     for name, told in (("parameters", [one.parameter for one in parameters]), ("covariance", list(covariance)[1:])):
         if names != told:
             raise refuse(f"{stage}/{name}.csv does not fit the study's robot and effects; run {stage} again")
-    summary = results.document(f"{stage}/summary.json", FitSummary)
     needed = results.rows(f"{stage}/needed_conditions.csv", NeededCondition)
     time_origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
     return CalibratedModel(
@@ -368,14 +373,25 @@ def _read(stage: str, model: Model, results: Results) -> CalibratedModel:
         np.array([one.estimate for one in parameters]),
         covariance.iloc[:, 1:].to_numpy(dtype=float),
         np.array([one.at_bound for one in parameters], dtype=bool),
-        _read_noise(results.rows(f"{stage}/noise.csv", DeviceNoise), model.observations),
-        summary.discrepancy_of(model.observations),
-        summary.loss,
-        summary.elsewhere_mm / 1e3,
-        intraclass=summary.intraclass,
+        **read_error_model(stage, results, model.observations),
         needed=tuple(needed),
         time_origin=time_origin,
     )
+
+
+def read_error_model(stage: str, results: Results, observed: Sequence[Observation]) -> dict[str, Any]:
+    """Return the sizes of the errors as a stage's tables state them, by the fields of `CalibratedModel`.
+
+    Of a figure in mm only so many bits come back as are the same in m: whoever keeps a model in tables goes on with these.
+    """
+    summary = results.document(f"{stage}/summary.json", FitSummary)
+    return {
+        "device": _read_noise(results.rows(f"{stage}/noise.csv", DeviceNoise), observed),
+        "discrepancy": summary.discrepancy_of(observed),
+        "loss": summary.loss,
+        "elsewhere": summary.elsewhere_mm / 1e3,
+        "intraclass": summary.intraclass,
+    }
 
 
 def _kind(effect: str) -> type[Effect]:

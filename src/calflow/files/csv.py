@@ -26,14 +26,15 @@ NUMBER = r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"
 _NUMBERS = re.compile(rf"'*{NUMBER}(\s*;\s*{NUMBER})*")
 
 
-def csv_text(table: pd.DataFrame) -> str:
-    """Return a table as every CSV of calflow is written."""
-    return str(_changed(table, _quoted).to_csv(index=False, float_format=FLOATS, lineterminator="\n"))
+def csv_text(table: pd.DataFrame, exact: bool = False) -> str:
+    """Return a table as every CSV of calflow is written; exact: with all digits that its numbers need to be read back."""
+    floats = None if exact else FLOATS
+    return str(_changed(table, _quoted).to_csv(index=False, float_format=floats, lineterminator="\n"))
 
 
-def write_csv(path: Path, table: pd.DataFrame) -> None:
-    """Write a table whole or not at all."""
-    write_text(path, csv_text(table))
+def write_csv(path: Path, table: pd.DataFrame, exact: bool = False) -> None:
+    """Write a table whole or not at all; exact: so that it is read back to the last bit."""
+    write_text(path, csv_text(table, exact))
 
 
 def read_csv(path: Path) -> pd.DataFrame:

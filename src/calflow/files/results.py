@@ -26,8 +26,8 @@ from calflow.files.writing import inside, write_text
 Document = Mapping[str, Any]
 Documents = Mapping[str, Document]
 
+EXACT = ("identify", "diagnose", "residual_field")  # the stages whose results are a calibration
 SUM = "sha256"  # the key of the sum of all the others, by which a turned bit is noticed
-DIGITS = 15  # of a number: those that a clock's seconds since 1970 need, without the last, which rounding disturbs
 
 
 def to_document(value: Any) -> Document:
@@ -76,7 +76,7 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "item"):  # of NumPy
         value = value.item()
     if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+        return value if math.isfinite(value) else None
     return value
 
 
@@ -124,13 +124,13 @@ class Results:
 
 
 def write_results(folder: Path, results: Results) -> None:
-    """Write tables and documents.
+    """Write tables and documents; what a calibration is read back from is read back to the last bit.
 
     Raises:
         InputError: a link leads out of the folder.
     """
     for name, table in results.tables.items():
-        write_csv(inside(folder, name), table)
+        write_csv(inside(folder, name), table, exact=name.partition("/")[0] in EXACT)
     for name, document in results.documents.items():
         write_text(inside(folder, name), document_text(document))
 

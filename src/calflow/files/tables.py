@@ -220,6 +220,19 @@ class TypedTable(Sequence[Row]):
         return str(self.table.to_html(index=False))
 
 
+def as_declared(frame: pd.DataFrame, row_type: type) -> pd.DataFrame:
+    """Return a table that was read as it was when it was written: a text that was empty is empty, and no number."""
+    texts = [name for name, one in declared_among(map(str, frame), row_type).items() if one.many or one.kind is str]
+    return frame.assign(
+        **{
+            name: frame[name].map(
+                lambda cell: "" if pd.isna(cell) else _text(cell) if isinstance(cell, float) else cell
+            )
+            for name in texts
+        }
+    )
+
+
 def lacking(frame: pd.DataFrame, row_type: type) -> list[str]:
     """Return the declared columns that a table does not have."""
     return _missing(declared_among(frame.columns, row_type), row_type)

@@ -13,12 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
+import tomli_w
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from calflow.files.problems import CONTROL, InputError, Problem, counted, nearest, refuse, shortened
 from calflow.files.regular import regular_file
 from calflow.files.units import LARGEST, MEASURED, SUFFIXES, split_unit, to_si
+from calflow.files.writing import write_text
 
 LONGEST_KEY, LONGEST_TEXT = 200, 10_000  # characters
 LARGEST_WHOLE = 2**63 - 1  # of TOML
@@ -407,3 +409,25 @@ def _dotted(location: tuple[Any, ...]) -> str:
     for part in location:
         text += f"[{part + 1}]" if isinstance(part, int) else (f".{shortened(part)}" if text else shortened(str(part)))
     return text
+
+
+def write_toml(path: Path, file: FileModel) -> None:
+    """Write a file that `read_toml` reads back equal: all that is not as it is by default, in SI units."""
+    write_text(path, tomli_w.dumps(_stated(file)))
+
+
+def _stated(file: FileModel) -> dict[str, Any]:
+    dimensions = type(file).dimensions()
+    stated = {name: value for name, value in file if value is not None and value != file.model_fields[name].default}
+    return {
+        f"{name}_{SUFFIXES[dimension][0]}" if (dimension := dimensions[name]) else name: _toml_value(value)
+        for name, value in stated.items()
+    }
+
+
+def _toml_value(value: Any) -> Any:
+    if isinstance(value, FileModel):
+        return _stated(value)
+    if isinstance(value, Mapping):
+        return {name: _toml_value(member) for name, member in value.items() if member is not None}
+    return [_toml_value(member) for member in value] if isinstance(value, list | tuple) else value

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from calflow.fleet.fleet import Fleet, FleetRobot
 from calflow.fleet.fleet_folder import FleetFolder
-from calflow.runs.cache_key import code_digest, versions
+from calflow.run_folder import code_digest, versions
 
 MOST = 100  # robots in a job: with more, the time that Python takes to start would not be felt less
 

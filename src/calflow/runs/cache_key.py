@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import platform
 from collections.abc import Mapping
-from functools import lru_cache
-from importlib import metadata
 from pathlib import Path
 
 from calflow.files.plugins import packages
 from calflow.measurements.reading import sha256
-from calflow.run_folder import after, digest, robot_digest
+from calflow.run_folder import after, code_digest, digest, robot_digest, versions
 from calflow.stages.stage import Stage
 from calflow.study import Study
 from calflow.study_file import StudyFile
 
-NUMERICAL = ("arviz-stats", "casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "scipy", "typst")
 SAID = ("title", "acceptance")  # of a study: what the report alone says
 ELSEWHERE = {
     "stages",
@@ -85,23 +80,3 @@ def _measurement_hashes(study: Study) -> dict[str, str]:
 def _asked(study: Study, without: set[str]) -> dict[str, str]:
     file = study.file.model_dump(mode="json", exclude=without)
     return {name: json.dumps(value, ensure_ascii=False) for name, value in file.items()}
-
-
-@lru_cache
-def code_digest() -> str:
-    """Return a hash of all that calflow is made of: its code, and what it writes reports with."""
-    root = Path(__file__).parents[1]
-    found = hashlib.sha256()
-    for path in sorted(path for path in root.rglob("*") if path.is_file() and "__pycache__" not in path.parts):
-        found.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
-    return found.hexdigest()[:16]
-
-
-@lru_cache
-def _versions() -> tuple[tuple[str, str], ...]:
-    return (("python", platform.python_version()), *((name, metadata.version(name)) for name in NUMERICAL))
-
-
-def versions() -> dict[str, str]:
-    """Return the versions that results depend on."""
-    return dict(_versions())

@@ -20,7 +20,7 @@ from calflow.compiled import NotCompiled, cache_folder, hindrance
 from calflow.files.plugins import packages
 from calflow.files.problems import InputError
 from calflow.measurements.reading import data_folder
-from calflow.runs.cache_key import code_digest
+from calflow.run_folder import code_digest
 from calflow.runs.environment import machine, requirements
 
 State = Literal["ok", "slow", "without", "trouble"]

@@ -17,8 +17,16 @@ from calflow.files.plugins import packages
 from calflow.files.results import Results, write_results
 from calflow.files.writing import PART, inside, write_whole
 from calflow.measurements.reading import sha256
-from calflow.run_folder import Manifest, StageEntry, is_measured, read_manifest, write_manifest
-from calflow.runs.cache_key import code_digest, file_hashes, versions
+from calflow.run_folder import (
+    Manifest,
+    StageEntry,
+    code_digest,
+    is_measured,
+    read_manifest,
+    versions,
+    write_manifest,
+)
+from calflow.runs.cache_key import file_hashes
 from calflow.runs.environment import environment, machine
 from calflow.runs.kept import run_package
 from calflow.runs.listener import Listener, onward

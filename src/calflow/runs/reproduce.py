@@ -14,8 +14,8 @@ from calflow.files.csv import read_texts, write_csv
 from calflow.files.deviations import Deviation, agreeing_digits, document_deviations, table_deviations
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import to_frame
-from calflow.run_folder import Manifest, damage, load_again, read_manifest
-from calflow.runs.cache_key import code_digest, common_key, stage_key, versions
+from calflow.run_folder import Manifest, code_digest, damage, load_again, read_manifest, versions
+from calflow.runs.cache_key import common_key, stage_key
 from calflow.runs.environment import changes, environment, machine
 from calflow.runs.listener import Listener, Silent
 from calflow.runs.reasons import difference

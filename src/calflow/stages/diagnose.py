@@ -4,26 +4,14 @@ from __future__ import annotations
 
 from pydantic import Field, field_validator
 
-from calflow.calibration import Calibration
-from calflow.design.discrimination import NextPose, SeparationRow
-from calflow.diagnosis.findings.curves import CurvePoint
+from calflow.calibration import TABLES, Calibration
 from calflow.diagnosis.findings.extended_model import (
     DiagnosisSummary,
 )
-from calflow.diagnosis.findings.finding import Finding
-from calflow.diagnosis.findings.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint
-from calflow.diagnosis.findings.tables import CandidateRow
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.screening.regressors import HELD
 from calflow.diagnosis.search.background import MODES
 from calflow.diagnosis.search.trial import FALSE_ALARM
-from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import DeviceNoise, ModelEffect
-from calflow.estimation.judgement import JudgedResidual
-from calflow.estimation.needed_conditions import NeededCondition
-from calflow.estimation.parameters import Covariances, FittedParameter
-from calflow.estimation.rival_models import AlternativeParameter, CauseInReach
-from calflow.faults import FaultyRow
 from calflow.files.results import Results
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
@@ -89,26 +77,6 @@ STAGE = Stage(
     _run,
     demand=demand,
     needs=("identify",),
-    tables={
-        "diagnose/findings.csv": Finding,
-        "diagnose/candidates.csv": CandidateRow,
-        "diagnose/accuracy.csv": Accuracy,
-        "diagnose/next_poses.csv": NextPose,
-        "diagnose/separations.csv": SeparationRow,
-        "diagnose/parameters.csv": FittedParameter,
-        "diagnose/covariance.csv": Covariances,
-        "diagnose/effects.csv": ModelEffect,
-        "diagnose/alternatives.csv": AlternativeParameter,
-        "diagnose/models_in_reach.csv": CauseInReach,
-        "diagnose/noise.csv": DeviceNoise,
-        "diagnose/faults.csv": FaultyRow,
-        "diagnose/residuals.csv": JudgedResidual,
-        "diagnose/curves.csv": CurvePoint,
-        "diagnose/needed_conditions.csv": NeededCondition,
-        "diagnose/confirmation.csv": ConfirmedCause,
-        "diagnose/confirmation_curves.csv": ConfirmedPoint,
-        "diagnose/confirmation_accuracy.csv": CarriedAccuracy,
-        "diagnose/confirmation_faults.csv": FaultyRow,
-    },
+    tables={name: row_type for name, row_type in TABLES.items() if name.startswith("diagnose/")},
     documents={"diagnose/summary.json": DiagnosisSummary},
 )

@@ -4,28 +4,11 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from calflow.calibration import identify
-from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import (
-    DeviceNoise,
-    ModelEffect,
-    ModelObservation,
-    Placed,
-)
+from calflow.calibration import TABLES, identify
 from calflow.estimation.fit_summary import IdentifySummary
-from calflow.estimation.identifiability import (
-    Correlation,
-    Counted,
-    Redundant,
-    Statement,
-)
 from calflow.estimation.identification import NoiseSource, too_few_equations
-from calflow.estimation.judgement import JudgedResidual
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.needed_conditions import NeededCondition
-from calflow.estimation.parameters import Covariances, FittedParameter
 from calflow.estimation.repeats import measured_noise
-from calflow.faults import FaultyRow
 from calflow.files.problems import InputError, Problem, nearest
 from calflow.files.results import Results
 from calflow.files.toml import FileModel
@@ -110,22 +93,7 @@ STAGE = Stage(
     IdentifySettings,
     _run,
     demand=demand,
-    tables={
-        "identify/parameters.csv": FittedParameter,
-        "identify/accuracy.csv": Accuracy,
-        "identify/residuals.csv": JudgedResidual,
-        "identify/faults.csv": FaultyRow,
-        "identify/identifiability.csv": Statement,
-        "identify/correlations.csv": Correlation,
-        "identify/covariance.csv": Covariances,
-        "identify/effects.csv": ModelEffect,
-        "identify/observations.csv": ModelObservation,
-        "identify/noise.csv": DeviceNoise,
-        "identify/placement.csv": Placed,
-        "identify/needed_conditions.csv": NeededCondition,
-        "identify/count.csv": Counted,
-        "identify/redundant.csv": Redundant,
-    },
+    tables={name: row_type for name, row_type in TABLES.items() if name.startswith("identify/")},
     documents={"identify/summary.json": IdentifySummary},
     problems=problems,
 )

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from calflow.calibration import Calibration
+from calflow.calibration import TABLES, Calibration
 from calflow.estimation.residual_field import (
-    POSES,
     SUMMARY,
-    FieldAccuracy,
-    FieldPose,
     FieldSummary,
 )
 from calflow.files.results import Results
@@ -33,6 +30,6 @@ STAGE = Stage(
     _run,
     needs=("identify",),
     uses=("diagnose",),
-    tables={POSES: FieldPose, "residual_field/accuracy.csv": FieldAccuracy},
+    tables={name: row_type for name, row_type in TABLES.items() if name.startswith("residual_field/")},
     documents={SUMMARY: FieldSummary},
 )

@@ -1,0 +1,55 @@
+"""Measurements as a calibration keeps them: a CSV in SI units, and beside it what a CSV cannot say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+from pydantic import TypeAdapter
+
+from calflow.files.csv import read_csv, read_texts, write_csv
+from calflow.files.units import SUFFIXES
+from calflow.files.writing import inside, write_text
+from calflow.measurements.columns import column_names
+from calflow.measurements.measurements import Measurements
+from calflow.measurements.series import Series
+from calflow.robot.robot import Robot
+
+ROWS, BESIDE = "measurements.csv", "measurements.json"
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What a table of measurements is read back with: see `Measurements`; types are those of its columns."""
+
+    notes: tuple[str, ...]
+    series: tuple[Series, ...]
+    time_origin: float | None
+    units: tuple[str, ...]
+    types: dict[str, str]
+
+
+def save_measurements(data: Measurements, folder: Path) -> None:
+    """Write measurements into a folder, to be read back to the last bit."""
+    table = data.table.rename(columns=_spelled(data.robot))
+    types = {str(name): str(kind) for name, kind in zip(table, table.dtypes, strict=True)}
+    write_csv(inside(folder, ROWS), table, exact=True)
+    beside = Beside(data.notes, data.series, data.time_origin, data.units, types)
+    write_text(inside(folder, BESIDE), TypeAdapter(Beside).dump_json(beside, indent=2).decode() + "\n")
+
+
+def load_measurements(folder: Path, robot: Robot) -> Measurements:
+    """Read what `save_measurements` wrote."""
+    beside = TypeAdapter(Beside).validate_json((folder / BESIDE).read_bytes())
+    names = {spelled: name for name, spelled in _spelled(robot).items()}
+    figures, texts = read_csv(folder / ROWS), read_texts(folder / ROWS)
+    plain = {name for name, kind in beside.types.items() if kind.startswith(("int", "float", "bool"))}
+    cells = {name: figures[name] if name in plain else texts[name] for name in beside.types}
+    table = pd.DataFrame({names.get(name, name): own for name, own in cells.items()})
+    return Measurements(robot, table, beside.notes, beside.series, beside.time_origin, beside.units)
+
+
+def _spelled(robot: Robot) -> dict[str, str]:
+    """The columns that have a unit, with it."""
+    return {name: f"{name}_{SUFFIXES[kind][0]}" for name, kind in column_names(robot).items() if kind}
