@@ -418,7 +418,9 @@ def write_toml(path: Path, file: FileModel) -> None:
 
 def _stated(file: FileModel) -> dict[str, Any]:
     dimensions = type(file).dimensions()
-    stated = {name: value for name, value in file if value is not None and value != file.model_fields[name].default}
+    stated = {
+        name: value for name, value in file if value is not None and value != type(file).model_fields[name].default
+    }
     return {
         f"{name}_{SUFFIXES[dimension][0]}" if (dimension := dimensions[name]) else name: _toml_value(value)
         for name, value in stated.items()
