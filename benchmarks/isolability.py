@@ -33,7 +33,7 @@ from blind_cases import UNITS, Unit
 
 import calflow as cf
 from calflow.design.planned import Planned
-from calflow.design.selection import select
+from calflow.design.selection import SelectionRequest, select
 from calflow.design.separability import DRAWS, RECORDS, ROOM, Place, Visits, chances, screened
 from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.screening.screening import Family, Screening
@@ -82,10 +82,9 @@ class Plan:
             file = Path(folder, "robot.toml")
             file.write_text(toml(robot_file(tables, True)), encoding="utf-8")
             robot = cf.Robot.from_toml(file)
-        chosen = select(
-            build(robot, EFFECTS, (), (PLANNED.observation,)), number, payload="full", planned=PLANNED,
-            stated=draw_poses(nominal, case, rng), rng=draws(seed),
-        )  # fmt: skip
+        stated = draw_poses(nominal, case, rng)
+        asked = SelectionRequest(number=number, payload="full", planned=PLANNED, stated=stated)
+        chosen = select(build(robot, EFFECTS, (), (PLANNED.observation,)), asked, rng=draws(seed))
         payloads = tuple(np.resize(np.array(loads), number).tolist())
         visits = Visits(robot, chosen.readings, payloads, (next(iter(robot.markers)),), frozenset(records))
         return Plan(seed, visits, worn(nominal, rng))

@@ -22,7 +22,7 @@ from calflow.design.exchange import information
 from calflow.design.optimality import Parameters, ToolError, indices
 from calflow.design.planned import Planned, Task
 from calflow.design.search import search_poses, search_worst
-from calflow.design.selection import select
+from calflow.design.selection import SelectionRequest, select
 from calflow.estimation.progress import draws
 from calflow.measurements.series import Series
 from calflow.model import Model, build
@@ -168,9 +168,8 @@ def constraints() -> None:
         model, outside = build(arm, ("geometry",)), Outside(arm, cell)
         rooms = []
         for plan in range(PLANS):
-            poses = select(
-                model, 100, payload=load, marker="E", cell=cell, of=500, refine=True, rng=draws(plan), say=said.append
-            ).poses
+            asked = SelectionRequest(payload=load, marker="E", cell=cell, candidates=500, refine=True)
+            poses = select(model, asked, rng=draws(plan), say=said.append).poses
             readings = poses[reading_columns(arm)].to_numpy() / shown_readings(arm, np.ones((1, arm.n_joints)))
             rooms += [outside.room(q) for q in readings]
         least = {rule: min(room[rule] for room in rooms) for rule in rooms[0]}

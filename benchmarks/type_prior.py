@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import calflow as cf
 from calflow.design.planned import Task
-from calflow.design.selection import select
+from calflow.design.selection import SelectionRequest, select
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.model import build
 from calflow.population.told import Calibration, Told, shared_parameters
@@ -106,7 +106,8 @@ class Plant:
         """Few readings (FEW, 6) [rad] that tell most of the tool of a robot that something is expected of."""
         model = build(expecting, EFFECTS)
         task = Task.of(model, self.drawn_poses(100, rng), PAYLOADS, next(iter(expecting.markers)))
-        return select(model, FEW, aim="tool", task=task, payload=PAYLOADS[-1], of=5000, refine=True).readings
+        asked = SelectionRequest(number=FEW, aim="tool", task=task, payload=PAYLOADS[-1], candidates=5000, refine=True)
+        return select(model, asked).readings
 
 
 def known(robot: cf.Robot, data: cf.Measurements) -> tuple[CalibratedModel, float]:

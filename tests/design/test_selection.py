@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calflow.design.selection import select
+from calflow.design.selection import SelectionRequest, select
 from calflow.model import build
 from calflow.robot.parts import Coupling
 from calflow.robot.readings import reading_columns, shown_readings
@@ -21,7 +21,7 @@ def test_chosen_poses_are_inside_the_joints_own_limits():
     joints = [replace(joint, limits=tuple(own)) for joint, own in zip(nominal.joints, LIMITS, strict=True)]
     joints[1] = replace(joints[1], sign=-1)
     robot = replace(nominal, joints=tuple(joints), couplings=(Coupling(3, 2, 1.0),))
-    poses = select(build(robot, ("geometry",)), 40, of=150).poses
+    poses = select(build(robot, ("geometry",)), SelectionRequest(number=40, candidates=150)).poses
     readings = poses[reading_columns(robot)].to_numpy() / shown_readings(robot, np.ones((1, robot.n_joints)))
     angles = readings.copy()
     angles[:, 1] = -readings[:, 1]

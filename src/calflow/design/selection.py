@@ -6,7 +6,7 @@ Observability: what every number of poses is worth, the most telling first.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -149,33 +149,11 @@ class Selection:
     drift: tuple[DriftPull, ...]
 
 
-def select(
-    model: Model,
-    number: int = 100,
-    *,
-    aim: Aim = "parameters",
-    task: Task | None = None,
-    payload: str = "",
-    marker: str = "",
-    region: np.ndarray | None = None,
-    cell: Cell | None = None,
-    planned: Planned | None = None,
-    of: int = 2000,
-    stated: np.ndarray | None = None,
-    there: np.ndarray | None = None,
-    tolerance: float | None = None,
-    refine: bool = False,
-    order: Order = "short",
-    drift: float = USUAL_DRIFT,
-    both_sides: bool = False,
-    rng: Draws = SAME,
-    say: Say = nobody,
-    advance: Advance = nobody,
-) -> Selection:
-    """Choose poses by relaxation, rounding and exchange, tell what every number of them is worth, and bound what others could be.
+@dataclass(frozen=True, kw_only=True)
+class SelectionRequest:
+    """What is asked of a selection of poses.
 
-    Args:
-        model: whose parameters the poses are to tell; it observes what is planned.
+    Attributes:
         number: of poses.
         aim: what is to be known best: all parameters (D-optimality, O1), the tool over the task (I-optimality), or where in the
             task it is known worst.
@@ -185,7 +163,7 @@ def select(
         region: a box (2, 3) [m] in the measuring frame that the marker must be in.
         cell: what they must keep to: lines of sight, what stands around, a configuration.
         planned: how they will be measured; as positions, 50 µm per axis, where nothing is said.
-        of: number of candidates that are drawn.
+        candidates: number of candidates that are drawn.
         stated: joint readings (n, n_joints) to choose of, in the place of drawn ones.
         there: packed conditions (n_conditions, n) of what has been measured already, and counts.
         tolerance: standard deviation [m] of the tool over the task, for which the number of poses is looked for.
@@ -193,6 +171,42 @@ def select(
         order: in which they are measured: on short ways, or in blocks drawn at random.
         drift: steady one [m] from the first pose to the last, of which is told what it would pull.
         both_sides: whether each joint is to come from both sides equally often, from vias.
+    """
+
+    number: int = 100
+    aim: Aim = "parameters"
+    task: Task | None = None
+    payload: str = ""
+    marker: str = ""
+    region: np.ndarray | None = None
+    cell: Cell | None = None
+    planned: Planned = field(default_factory=lambda: Planned(Position.planned(Series()), USUAL_SIGMA))
+    candidates: int = 2000
+    stated: np.ndarray | None = None
+    there: np.ndarray | None = None
+    tolerance: float | None = None
+    refine: bool = False
+    order: Order = "short"
+    drift: float = USUAL_DRIFT
+    both_sides: bool = False
+
+    def rows(self, model: Model, readings: np.ndarray) -> np.ndarray:
+        """Return packed conditions (n_conditions, n) of poses, of a request that names a marker."""
+        return packed_conditions(model, readings, self.payload, self.marker)
+
+    def whitened(self, model: Model, rows: np.ndarray) -> np.ndarray:
+        """Return what rows tell of the parameters in units of their priors (n_rows, n_axes, n_parameters)."""
+        return self.planned.whitened(model, model.nominal, rows) * model.prior_sd
+
+
+def select(
+    model: Model, request: SelectionRequest, *, rng: Draws = SAME, say: Say = nobody, advance: Advance = nobody
+) -> Selection:
+    """Choose poses by relaxation, rounding and exchange, tell what every number of them is worth, and bound what others could be.
+
+    Args:
+        model: whose parameters the poses are to tell; it observes what is planned.
+        request: what is asked.
         rng: draws the candidates.
         say: is told how good the choice is.
         advance: is told the share of work done.
@@ -200,73 +214,95 @@ def select(
     Raises:
         InputError: hardly any pose reaches the region, or too few of the stated ones may be taken.
     """
-    marker = marker or next(iter(model.robot.markers))
-    planned = planned or Planned(Position.planned(Series()), USUAL_SIGMA)
+    request = replace(request, marker=request.marker or next(iter(model.robot.markers)))
     if not model.observations:
-        model = replace(model, observations=(planned.observation,))
-    if stated is None:
-        readings, rows = candidates(
-            model, of, payload, marker, region, rng("candidates"), planned.observation, cell, say
-        )
-    else:
-        readings = stated[allowed(model, stated, payload, marker, region, cell, say)]
-        rows = packed_conditions(model, readings, payload, marker)
-        if len(readings) < number:
-            raise refuse(
-                f"of {len(stated)} stated poses {len(readings)} are within joint limits{' and' if cell is None else ','} region"
-                f"{' and cell' if cell else ''}, {number} are to be chosen"
-            )
+        model = replace(model, observations=(request.planned.observation,))
+    readings, rows = _candidates(model, request, rng, say)
     advance(0.3)
-    whitened = planned.whitened(model, model.nominal, rows)
-    whitened *= model.prior_sd
-    prior = np.eye(len(model.parameters))
-    if there is not None:
-        prior = information(planned.whitened(model, model.nominal, there) * model.prior_sd, prior)
-    tool = (task or Task(rows[:, :TASK_POSES])).criterion(model)
-    criterion: Criterion = Parameters(len(prior)) if aim == "parameters" else tool
+    whitened, prior = request.whitened(model, rows), np.eye(len(model.parameters))
+    if request.there is not None:
+        prior = information(request.whitened(model, request.there), prior)
+    tool = (request.task or Task(rows[:, :TASK_POSES])).criterion(model)
+    criterion: Criterion = Parameters(len(prior)) if request.aim == "parameters" else tool
     say(f"{len(readings)} candidates, {len(prior)} parameters")
-
     advance(0.5)
-    if aim == "worst":
-        found = search_worst(whitened, prior, number, tool, rng("search"))
+    if request.aim == "worst":
+        found = search_worst(whitened, prior, request.number, tool, rng("search"))
     else:
-        found = search_poses(whitened, prior, number, criterion, rng("search"))
-    certificate = _certificate(found, aim, whitened)
+        found = search_poses(whitened, prior, request.number, criterion, rng("search"))
+    certificate = _certificate(found, request.aim, whitened)
     say(
-        f"no other {number} of these candidates are better by more than {certificate.could_gain_percent:.2g} % "
-        f"({'standard deviations' if aim == 'parameters' else 'tool error'})"
+        f"no other {request.number} of these candidates are better by more than {certificate.could_gain_percent:.2g} % "
+        f"({'standard deviations' if request.aim == 'parameters' else 'tool error'})"
     )
     advance(0.9)
-
     poses, own = readings[found.chosen], whitened[found.chosen]
-    if refine:
-        poses = refined_poses(model, planned, poses, payload, marker, region, prior, criterion, cell)
-        own = planned.whitened(model, model.nominal, packed_conditions(model, poses, payload, marker)) * model.prior_sd
+    if request.refine:
+        poses = refined_poses(
+            model,
+            request.planned,
+            poses,
+            request.payload,
+            request.marker,
+            request.region,
+            prior,
+            criterion,
+            request.cell,
+        )
+        own = request.whitened(model, request.rows(model, poses))
         gained = 100 * (1 - criterion.loss(np.linalg.inv(information(own, prior))) / found.loss)
         certificate = replace(certificate, refined_percent=gained)
         say(f"moved between the candidates they are better by {gained:.2g} %")
+    further = whitened[next_best(whitened, information(own, prior), found.chosen, tool)]
+    curve = observability(own[greedy(own, prior, request.number, criterion)], prior, tool, request.there is not None)
+    how_many = _how_many(request, whitened, prior, own, further, tool, curve, rng)
+    plan = PlanInformation(model, request.planned, poses, request.payload, request.marker, prior, tool, further)
+    every = orders(plan, rng("order"))
+    ordered, reached_from = poses[every[request.order]], None
+    if request.both_sides:
+        reached_from = vias(model, ordered, request.payload, request.marker, request.cell, rng("vias"))
+    return Selection(
+        planned_poses(model, ordered, request.payload, request.marker, reached_from), curve, certificate, how_many, ordered,
+        reached_from, plan.worth, tuple(drift_pulls(plan, every, request.order, request.drift)),
+    )  # fmt: skip
+
+
+def _candidates(model: Model, request: SelectionRequest, rng: Draws, say: Say) -> tuple[np.ndarray, np.ndarray]:
+    """Joint readings (n, n_joints) to choose of, drawn or stated, and their packed conditions (n_conditions, n)."""
+    payload, marker, region, cell = request.payload, request.marker, request.region, request.cell
+    if request.stated is None:
+        draw = rng("candidates")
+        return candidates(
+            model, request.candidates, payload, marker, region, draw, request.planned.observation, cell, say
+        )
+    readings = request.stated[allowed(model, request.stated, payload, marker, region, cell, say)]
+    if len(readings) < request.number:
+        raise refuse(
+            f"of {len(request.stated)} stated poses {len(readings)} are within joint limits{' and' if cell is None else ','} region"
+            f"{' and cell' if cell else ''}, {request.number} are to be chosen"
+        )
+    return readings, request.rows(model, readings)
+
+
+def _how_many(
+    request: SelectionRequest, whitened: np.ndarray, prior: np.ndarray, own: np.ndarray, further: np.ndarray, tool: ToolError,
+    curve: pd.DataFrame, rng: Draws,
+) -> HowMany:  # fmt: skip
+    """What the number of poses is worth: what ten more would gain, where the curve bends, and how many a tolerance needs."""
+    met, needed = (None, None)
+    if request.tolerance is not None:
+        met, needed = enough(whitened, prior, tool, request.tolerance, rng("number"))
     known = information(own, prior)
-    further = whitened[next_best(whitened, known, found.chosen, tool)]
-    plan = PlanInformation(model, planned, poses, payload, marker, prior, tool, further)
-    curve = observability(own[greedy(own, prior, number, criterion)], prior, tool, there is not None)
-    met, needed = (None, None) if tolerance is None else enough(whitened, prior, tool, tolerance, rng("number"))
     expected = tool.loss(np.linalg.inv(known))
-    how_many = HowMany(
-        n_poses=number,
+    return HowMany(
+        n_poses=request.number,
         expected_sd_mm=1e3 * expected,
         next_ten_mm=1e3 * (expected - tool.loss(np.linalg.inv(information(further, known)))),
         knee_poses=knee(curve["n_poses"].to_numpy(), curve["expected_sd_mm"].to_numpy()),
-        tolerance_mm=None if tolerance is None else 1e3 * tolerance,
+        tolerance_mm=None if request.tolerance is None else 1e3 * request.tolerance,
         enough_poses=met,
         needed_poses=needed,
     )
-    every = orders(plan, rng("order"))
-    ordered = poses[every[order]]
-    reached_from = vias(model, ordered, payload, marker, cell, rng("vias")) if both_sides else None
-    return Selection(
-        planned_poses(model, ordered, payload, marker, reached_from), curve, certificate, how_many, ordered, reached_from,
-        plan.worth, tuple(drift_pulls(plan, every, order, drift)),
-    )  # fmt: skip
 
 
 def _certificate(found: SearchResult, aim: Aim, whitened: np.ndarray) -> Certificate:

@@ -43,7 +43,7 @@ from calflow.runs.kept import keep_results
 from calflow.stages.diagnose import DiagnoseSettings
 from calflow.stages.identify import IdentifySettings
 from calflow.stages.select_settings import SelectSettings
-from calflow.stages.select_study import by_sides, measured_rows, planned_of, problems, task_of
+from calflow.stages.select_study import by_sides, measured_rows, planned_of, problems, request_of, task_of
 from calflow.study import Study
 
 LIKELY = 0.02  # probability from which something suspected is told
@@ -147,13 +147,11 @@ class _Asked:
         planned = planned_of(study, settings)
         one_sided = by_sides(effects)
         model = build(study.robot, [one for one in effects if one not in one_sided], (), (planned.observation,))
-        chosen = select(
-            model, self.number, aim=settings.aim, task=task_of(study, settings, model, self.rng("task")),
-            there=None if data is None else measured_rows(data), payload=settings.payload, marker=settings.marker,
-            stated=self._stated(model), region=settings.region,
-            cell=settings.cell.of(study.robot) if settings.cell else None, planned=planned, of=settings.candidates,
-            rng=self.rng,
+        request = replace(
+            request_of(study, settings, model, planned, self.rng("task")), number=self.number,
+            there=None if data is None else measured_rows(data),
         )  # fmt: skip
+        chosen = select(model, request, rng=self.rng)
         reason = "surer parameters" if settings.aim == "parameters" else SURER
         status: Status = "nothing measured" if data is None else "too few"
         verdict = MeasuringVerdict(

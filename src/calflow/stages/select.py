@@ -8,7 +8,7 @@ import pandas as pd
 
 from calflow.design.candidates import candidates
 from calflow.design.measuring_order import DriftPull, drift_words, sides_words
-from calflow.design.planned import Planned, stated_poses
+from calflow.design.planned import Planned
 from calflow.design.selection import Certificate, Observability, PlannedPose, Selection, select
 from calflow.design.separability import (
     Isolability,
@@ -35,7 +35,7 @@ from calflow.stages.select_study import (
     named_files,
     planned_of,
     problems,
-    task_of,
+    request_of,
 )
 from calflow.stages.stage import Context, Stage
 
@@ -52,17 +52,12 @@ def run(context: Context) -> Results:
     effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))
     one_sided = by_sides(effects)
     model = build(robot, [effect for effect in effects if effect not in one_sided], (), (planned.observation,))
-    task = task_of(study, settings, model, context.rng("task"))
-    there = measured_rows(study.measurements()) if settings.add_to_measured else None
-    stated = stated_poses(study.path.parent / settings.candidates_file, model) if settings.candidates_file else None
-    chosen = select(
-        model, settings.poses, aim=settings.aim, task=task, there=there, stated=stated,
-        tolerance=settings.tolerance, refine=settings.refine,
-        order=settings.order, drift=settings.drift, both_sides=bool(one_sided),
-        payload=settings.payload, marker=settings.marker, region=settings.region, planned=planned,
-        cell=settings.cell.of(robot) if settings.cell else None,
-        of=settings.candidates, rng=context.rng, say=context.say, advance=context.advance,
+    request = replace(
+        request_of(study, settings, model, planned, context.rng("task")),
+        there=measured_rows(study.measurements()) if settings.add_to_measured else None, tolerance=settings.tolerance,
+        refine=settings.refine, order=settings.order, drift=settings.drift, both_sides=bool(one_sided),
     )  # fmt: skip
+    chosen = select(model, request, rng=context.rng, say=context.say, advance=context.advance)
     for line in (*worth_words(chosen.worth), *drift_words(chosen.drift), *sides_words(chosen.poses, one_sided)):
         context.say(line)
     tables = {

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calflow.design.planned import Planned, Task, stated_poses
+from calflow.design.selection import SelectionRequest
 from calflow.design.separability import Record
 from calflow.effects import catalogue
 from calflow.effects.base import unmet
@@ -75,6 +76,19 @@ def task_of(study: Study, settings: SelectSettings, model: Model, rng: np.random
         return Task.of(model, stated_poses(study.path.parent / task.poses, model), payloads, marker)
     region = settings.region if task.region is None else task.region
     return Task.within(model, payloads, marker, region, task.number, rng)
+
+
+def request_of(
+    study: Study, settings: SelectSettings, model: Model, planned: Planned, rng: np.random.Generator
+) -> SelectionRequest:
+    """Return what a study asks of a selection, where nothing was measured yet: poses, task and what they must keep to."""
+    file = settings.candidates_file
+    return SelectionRequest(
+        number=settings.poses, aim=settings.aim, task=task_of(study, settings, model, rng), payload=settings.payload,
+        marker=settings.marker, region=settings.region, cell=settings.cell.of(model.robot) if settings.cell else None,
+        planned=planned, candidates=settings.candidates,
+        stated=stated_poses(study.path.parent / file, model) if file else None,
+    )  # fmt: skip
 
 
 def measured_rows(data: Measurements) -> np.ndarray:
