@@ -18,6 +18,7 @@ from calflow.measurements.columns import condition_columns, numbered
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.series import Series, Station
 from effects.bench import ROBOTS, Bench, made, waves
+from effects.twins import SHARED
 
 VARIANTS = {  # how many forms there are to try, where not one
     "base-compliance": 2,
@@ -51,7 +52,7 @@ def test_variants_are_distinct_and_told_apart(full: Measurements, name: str) -> 
     """Breaks if one form is tried twice, two forms are called alike, or one of several has no words of its own."""
     variants = catalogue()[name].variants(full.robot, full)
     assert all(type(effect) is catalogue()[name] and effect.robot == full.robot for effect in variants)
-    if name not in ("periodic-joint-error", "frame-step"):
+    if name in SHARED - {"periodic-joint-error", "frame-step"}:
         assert len(variants) == VARIANTS.get(name, 1)
     assert len({figures(effect) for effect in variants}) == len(variants)
     details = {effect.detail for effect in variants}
@@ -278,7 +279,7 @@ def test_what_is_lacking_is_told_in_words(
         assert catalogue()[name].lacking(full.robot, full) == ""
 
 
-@pytest.mark.parametrize("name", [name for name in catalogue() if name not in {row[0] for row in LACKING}])
+@pytest.mark.parametrize("name", sorted(SHARED - {row[0] for row in LACKING}))
 def test_the_others_need_nothing(full: Measurements, name: str) -> None:
     """Breaks if an effect asks for a column that its equation does not have."""
     poor = gearless(changed(bare(without(full, *full.given)), payloads={}))

@@ -16,6 +16,7 @@ from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
 from calflow.robot.statics import state
 from effects.bench import ROBOTS, Bench, made
+from effects.twins import SHARED
 
 ANGLE = lambda bench, joint: np.rad2deg(bench.rows.q[:, joint - 1])  # noqa: E731
 TORQUE = lambda bench, joint: bench.still.torque[:, joint - 1]  # noqa: E731
@@ -60,7 +61,7 @@ AGAINST: dict[str, tuple[str, Callable[[Bench, int], np.ndarray]]] = {
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-@pytest.mark.parametrize("effect", catalogue())
+@pytest.mark.parametrize("effect", [name for name in catalogue() if name in SHARED])
 def test_effects_are_drawn_against_what_explains_them(benches: dict[str, Bench], name: str, effect: str) -> None:
     """Breaks if a curve's variable is that of another joint, in another unit, or called so."""
     bench = benches[name]

@@ -346,3 +346,5 @@ APART = {
     "joint-error-map",
     "range-noise",
 }  # compared in tests of their own
+# Effects that the common tests here compare one by one; another one has a test file of its own, called as it is.
+SHARED = {name.split(",")[0] for name in TWINS} | APART
