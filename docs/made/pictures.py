@@ -106,7 +106,7 @@ def _variable(bench: Bench, effect: Effect, joint: int) -> Variable:
     if effect.grows_with:
         return Variable(effect.grows_with, "m", lambda state, row: getattr(row, effect.grows_with))
     if joint and type(effect).variable is Effect.variable:
-        return joint_variable(bench.robot, joint)
+        return joint_variable(effect, joint)
     return effect.variable(joint)
 
 

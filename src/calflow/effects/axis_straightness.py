@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Variable, Words, joint_variable
+from calflow.effects.base import Effect, Words, joint_variable
 from calflow.effects.smooth_curve import RMS, Wave, waves
+from calflow.measurements.measurements import Measurements
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 SHIFT_SD, TURN_SD = 1e-4, 5e-5  # m and rad rms, of each axis
 BOUND = 0.02  # m and rad
@@ -121,9 +119,7 @@ class AxisStraightness(Effect):
         carriage = ca.vertcat(0, 0, state.q[joint] + slide.value)
         return ca.vertcat(off[:3] - ca.cross(off[3:], carriage), off[3:])
 
-    def variable(self, joint: int) -> Variable:
-        """Return the rail's position."""
-        return joint_variable(self.robot, joint)
+    variable = joint_variable
 
 
 def _dense(robot: Robot, data: Measurements, length: float) -> np.ndarray:

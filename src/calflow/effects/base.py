@@ -9,20 +9,18 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import casadi as ca
 import numpy as np
 
+from calflow.measurements.measurements import Measurements
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions, Loads
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 
 @dataclass(frozen=True)
@@ -107,23 +105,23 @@ class Variable:
     factor: float = 1.0
 
 
-def joint_variable(robot: Robot, joint: int) -> Variable:
+def joint_variable(effect: Effect, joint: int) -> Variable:
     """Return a joint's (from 1) own angle, or a slide's position, as what an error is drawn against."""
-    of = robot.joints[joint - 1]
+    of = effect.robot.joints[joint - 1]
     unit, factor = of.shown
     return Variable(f"{of.noun} of joint {joint}", unit, lambda state, row: state.q[joint - 1], factor)
 
 
-def torque_variable(robot: Robot, joint: int) -> Variable:
+def torque_variable(effect: Effect, joint: int) -> Variable:
     """Return the torque on a joint (from 1), or the force on a slide, as what an error is drawn against."""
-    unit = robot.joints[joint - 1].load_unit
+    unit = effect.robot.joints[joint - 1].load_unit
     noun = "torque" if unit == "Nm" else "force"
     return Variable(f"{noun} of joint {joint}", unit, lambda state, row: state.torque[joint - 1])
 
 
-def payload_variable(robot: Robot) -> Variable:
+def payload_variable(effect: Effect, joint: int) -> Variable:
     """Return the mass of a row's payload as what an error is drawn against; one that nobody knows counts as none."""
-    masses = ca.DM([load.mass or 0.0 for load in robot.payloads.values()])
+    masses = ca.DM([load.mass or 0.0 for load in effect.robot.payloads.values()])
     return Variable("payload", "kg", lambda state, row: ca.dot(masses, row.payload))
 
 

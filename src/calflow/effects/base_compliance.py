@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
 
 from calflow.effects.base import Effect, Variable, Words
+from calflow.measurements.measurements import Measurements
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 TILT_SD, TILT_BOUND = 0.5e-3, 10e-3  # rad at the largest rated torque of all joints
 
@@ -50,10 +48,9 @@ class BaseCompliance(Effect):
         largest = float(rated_torques(self.robot).max())
         sd, bound = TILT_SD / largest, TILT_BOUND / largest
         lowest = {"c": 0.0} if self.directions == 1 else {"cx": 0.0, "cy": 0.0, "cxy": -bound}
+        words = "tilt of the base per overturning moment"
         return tuple(
-            Parameter(
-                self.id, "base", symbol, "rad/Nm", sd, low, bound, meaning="tilt of the base per overturning moment"
-            )
+            Parameter(self.id, "base", symbol, "rad/Nm", sd, low, bound, meaning=words)
             for symbol, low in lowest.items()
         )
 

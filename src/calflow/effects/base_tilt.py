@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
-from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple, Self
+from typing import ClassVar, Literal, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Effect, Variable, Words
+from calflow.measurements.measurements import Measurements
 from calflow.robot.chain import Deflection, Posture, pose
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
@@ -18,9 +19,6 @@ from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State
 from calflow.robot.transforms import apply
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 TILT_SD, TILT_BOUND = 1e-4, 5e-3  # rad under the arm's own largest moment
 LIGHTER = 0.5  # a link's mass over that of the link before, where nobody knows it

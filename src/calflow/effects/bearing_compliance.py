@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
 
 from calflow.effects.base import Effect, Variable, Words
+from calflow.measurements.measurements import Measurements
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 ASIDE = 0.3  # m: usual distance of a bearing from the frame of its joint
 TILT_SD, TILT_BOUND = 2e-3, 20e-3  # rad at the largest rated torque of all joints

@@ -2,26 +2,63 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Effect
+from calflow.measurements.measurements import Measurements
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions, Loads
 from calflow.robot.parameter import Parameter
 from calflow.robot.statics import State
 
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
+
+@dataclass(frozen=True)
+class ActingEffect(Effect):
+    """An effect that acts as another one does, with a column of that one's parameters."""
+
+    @abstractmethod
+    def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
+        """Return what acts, and its parameters, for the column of this effect's."""
+
+    def completing(self, data: Measurements) -> tuple[Effect, ...]:
+        """Return what the one that acts does."""
+        return self.acting(ca.SX(len(self.declared), 1))[0].completing(data)
+
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Act as the other does."""
+        effect, values = self.acting(p)
+        return effect.dimensions(values, dims, row)
+
+    def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
+        """Act as the other does."""
+        effect, values = self.acting(p)
+        return effect.loads(values, loads, row)
+
+    def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
+        """Act as the other does."""
+        effect, values = self.acting(p)
+        return effect.torque(values, state, row)
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Act as the other does."""
+        effect, values = self.acting(p)
+        return effect.deflection(values, state, row, still)
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Act as the other does."""
+        effect, values = self.acting(p)
+        return effect.device(values, point, row)
 
 
 @dataclass(frozen=True)
-class Cause(Effect):
+class Cause(ActingEffect):
     """One effect at one place: of its parameters only those of one part, the others at zero."""
 
     effect: Effect
@@ -83,10 +120,6 @@ class Cause(Effect):
         """Whether another is this cause, in this variant or one that cannot act beside it."""
         return self.place == other.place and self.effect.same_as(other.effect)
 
-    def completing(self, data: Measurements) -> tuple[Effect, ...]:
-        """Return what the effect does."""
-        return self.effect.completing(data)
-
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the part's parameters."""
         return self.declared
@@ -104,48 +137,25 @@ class Cause(Effect):
     def _size(self) -> int:
         return len(self.effect.declared)
 
-    def _whole(self, p: ca.SX) -> ca.SX:
+    def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
+        """Return the effect with all its parameters, those of other parts at zero."""
         whole = ca.SX(self._size, 1)
         whole[self._at] = p
-        return whole
-
-    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Act as the effect does."""
-        return self.effect.dimensions(self._whole(p), dims, row)
-
-    def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
-        """Act as the effect does."""
-        return self.effect.loads(self._whole(p), loads, row)
-
-    def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
-        """Act as the effect does."""
-        return self.effect.torque(self._whole(p), state, row)
-
-    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Act as the effect does."""
-        return self.effect.deflection(self._whole(p), state, row, still)
-
-    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Act as the effect does."""
-        return self.effect.device(self._whole(p), point, row)
+        return self.effect, whole
 
     def scatter(self, p: ca.SX, row: Row) -> ca.SX | float:
         """Act as the effect does."""
-        return self.effect.scatter(self._whole(p), row)
+        return self.effect.scatter(self.acting(p)[1], row)
 
 
 @dataclass(frozen=True)
-class Carried(Effect):
+class Carried(ActingEffect):
     """A cause with values that were found before, and nothing left to fit."""
 
     cause: Cause
     values: tuple[float, ...]
 
     title: ClassVar[str] = "known beforehand"
-
-    def completing(self, data: Measurements) -> tuple[Effect, ...]:
-        """Return what the cause does."""
-        return self.cause.completing(data)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return none."""
@@ -156,29 +166,9 @@ class Carried(Effect):
         """None."""
         return ()
 
-    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Act as the cause does."""
-        return self.cause.deflection(self._p, state, row, still)
-
-    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Act as the cause does."""
-        return self.cause.dimensions(self._p, dims, row)
-
-    def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
-        """Act as the cause does."""
-        return self.cause.loads(self._p, loads, row)
-
-    def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
-        """Act as the cause does."""
-        return self.cause.torque(self._p, state, row)
-
-    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Act as the cause does."""
-        return self.cause.device(self._p, point, row)
-
-    @property
-    def _p(self) -> ca.SX:
-        return ca.SX(ca.DM(self.values))
+    def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
+        """Return the cause with its values."""
+        return self.cause, ca.SX(ca.DM(self.values))
 
 
 def parts(effect: Effect) -> dict[str, np.ndarray]:

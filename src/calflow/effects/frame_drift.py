@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
 
 from calflow.effects.base import Effect, Variable, Words, displaced
 from calflow.effects.smooth_curve import RMS, waves
+from calflow.measurements.measurements import Measurements
 from calflow.measurements.sessions import sessions_of
 from calflow.robot.conditions import Row, session_number
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 OF_THE_FRAME = (
     "drift of the device's frame"  # the family of what moves the device's frame in time: at once, steadily or not

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Effect, Words, displaced
 from calflow.effects.frame_drift import OF_THE_FRAME
+from calflow.measurements.measurements import Measurements
 from calflow.measurements.sessions import borders
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 MOMENTS, TURNING_MOMENTS = 120, 40  # at most, that are looked at: without turning, and with
 SHIFT_SD, TURN_SD, BOUND = 3e-4, 1e-4, 300.0  # m, rad, and standard deviations

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import ClassVar
 
 import casadi as ca
-import numpy as np
 
 from calflow.effects.base import Variable, Words, torque_variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.conditions import Row
-from calflow.robot.statics import State, rated_torques
+from calflow.robot.statics import State
 
 
 @dataclass(frozen=True)
@@ -33,21 +31,12 @@ class FrictionWindUp(JointError):
     needs: ClassVar[tuple[str, ...]] = ("approach", "torques")
     told_by: ClassVar[str] = "approach some poses from both sides, with and without a load"
 
-    @cached_property
-    def rated(self) -> np.ndarray:
-        """Rated torques [Nm, a slide's N], shape (n_joints,)."""
-        return rated_torques(self.robot)
-
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the wind-up on the side the joint came from."""
-        share = ca.fabs(state.torque[joint]) / self.rated[joint]
-        return [Term("h", self.unit(joint), 2e-4, 10e-3, row.approach[joint] * share)]
+        return [Term("h", self.unit(joint), 2e-4, 10e-3, row.approach[joint] * ca.fabs(self.load(joint, state)))]
 
     def variable(self, joint: int) -> Variable:
         """Return the size of the joint's torque, by the direction of approach."""
-        torque = torque_variable(self.robot, joint)
-        return Variable(
-            f"{torque.label} by approach",
-            torque.unit,
-            lambda state, row: row.approach[joint - 1] * ca.fabs(torque.value(state, row)),
-        )
+        torque = torque_variable(self, joint)
+        by_approach = lambda state, row: row.approach[joint - 1] * ca.fabs(torque.value(state, row))  # noqa: E731
+        return Variable(f"{torque.label} by approach", torque.unit, by_approach)

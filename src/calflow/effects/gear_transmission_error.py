@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 from calflow.effects.base import Words
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
+from calflow.measurements.measurements import Measurements
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 
 @dataclass(frozen=True)

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Effect, Variable, Words, around, joint_variable
 from calflow.effects.warming import REFERENCE, SPREAD
+from calflow.measurements.measurements import Measurements
 from calflow.robot.chain import Deflection, pose
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 SD, BOUND = 0.3, 2.0  # times joint 2's rated torque
 RATIO = 0.3  # lever on the arm over the hinge's distance, of a short cylinder
@@ -132,4 +130,4 @@ class GravityCompensator(Effect):
 
     def variable(self, joint: int) -> Variable:
         """Return joint 2's angle."""
-        return joint_variable(self.robot, self._carried + 1)
+        return joint_variable(self, self._carried + 1)

@@ -9,7 +9,7 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Variable, Words, joint_variable
+from calflow.effects.base import Effect, Words, joint_variable
 from calflow.effects.joint_compliance import WINDUP_BOUND, WINDUP_SD
 from calflow.robot.chain import Deflection, Posture, pose
 from calflow.robot.conditions import Row
@@ -124,6 +124,4 @@ class GravityDeflection(Effect):
         down = np.array(ca.DM(ca.evalf(at.down(robot)))).ravel()
         return tuple(bool(np.linalg.norm(np.cross(axis, down)) < 1e-6) for axis in axes)
 
-    def variable(self, joint: int) -> Variable:
-        """Return the joint's angle."""
-        return joint_variable(self.robot, joint)
+    variable = joint_variable

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable, Words, torque_variable
+from calflow.effects.base import Effect, Words, torque_variable
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
@@ -38,24 +38,13 @@ class JointCompliance(Effect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Return one compliance a joint."""
         return tuple(
-            Parameter(
-                self.id,
-                f"joint{i + 1}",
-                "s",
-                f"{joint.unit}/{joint.load_unit}",
-                WINDUP_SD / rated,
-                0.0,
-                WINDUP_BOUND / rated,
-                meaning=f"compliance of joint {i + 1}",
-                joint=i + 1,
-            )
-            for i, (joint, rated) in enumerate(zip(self.robot.joints, rated_torques(self.robot), strict=True))
-        )
+            Parameter(self.id, f"joint{i}", "s", f"{joint.unit}/{joint.load_unit}", WINDUP_SD / rated, 0.0,
+                      WINDUP_BOUND / rated, meaning=f"compliance of joint {i}", joint=i)
+            for i, (joint, rated) in enumerate(zip(self.robot.joints, rated_torques(self.robot), strict=True), start=1)
+        )  # fmt: skip
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Turn each driven joint by its spring."""
         return replace(still, joint=p * state.torque)
 
-    def variable(self, joint: int) -> Variable:
-        """Return the joint's torque."""
-        return torque_variable(self.robot, joint)
+    variable = torque_variable

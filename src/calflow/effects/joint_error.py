@@ -5,16 +5,17 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import casadi as ca
+import numpy as np
 
-from calflow.effects.base import Effect, Variable, joint_variable
+from calflow.effects.base import Effect, joint_variable
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
+from calflow.robot.statics import State, rated_torques
 
 TRANSMISSION = "angular transmission error"
 REVERSALS = "vary the travel since the last reversal, from tenths of a degree (a slide: of a millimetre) to many"
@@ -52,6 +53,15 @@ class JointError(Effect):
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the terms of one joint (index from 0); none where it does not apply."""
 
+    @cached_property
+    def rated(self) -> np.ndarray:
+        """Rated torques [Nm, a slide's N], shape (n_joints,)."""
+        return rated_torques(self.robot)
+
+    def load(self, joint: int, state: State) -> ca.SX:
+        """Return a joint's torque (index from 0) over its rated one."""
+        return state.torque[joint] / self.rated[joint]
+
     def unit(self, joint: int) -> str:
         """Return the unit of a joint's error (index from 0): m for a slide."""
         return self.robot.joints[joint].unit
@@ -75,6 +85,4 @@ class JointError(Effect):
             turned.append(ca.dot(own, ca.vertcat(*values)) if values else ca.SX(0))
         return replace(still, joint=ca.vertcat(*turned))
 
-    def variable(self, joint: int) -> Variable:
-        """Return the joint's angle, or a slide's position."""
-        return joint_variable(self.robot, joint)
+    variable = joint_variable

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
@@ -12,12 +12,10 @@ import numpy as np
 from calflow.effects.base import Words
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term
 from calflow.effects.smooth_curve import RMS, waves
+from calflow.measurements.measurements import Measurements
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 AMPLITUDE = 2e-4  # rad rms, before any data
 LENGTHS = (0.06, 0.15, 0.5)  # rad: how far along the travel neighbouring errors are alike

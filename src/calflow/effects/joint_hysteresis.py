@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Variable, Words
 from calflow.effects.joint_error import REVERSALS, JointError, Term
+from calflow.measurements.measurements import Measurements
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 LENGTHS = np.deg2rad([1.0, 2.0, 4.0, 8.0, 16.0])  # rad (a slide: m) of travel to look for, over which friction develops
 

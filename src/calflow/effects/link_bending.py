@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
 
 from calflow.effects.base import Effect, Variable, Words
+from calflow.measurements.measurements import Measurements
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions
@@ -15,9 +16,6 @@ from calflow.robot.links import span
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 SOFT_SD, SOFT_BOUND = 2e-3, 40e-3  # rad of slope per metre at the largest rated torque
 SHORTEST = 0.2  # m: stubs do not bend

@@ -38,4 +38,4 @@ class LinkMass(Effect):
 
     def variable(self, joint: int) -> Variable:
         """Return joint 2's torque, to which every link adds."""
-        return torque_variable(self.robot, 2)
+        return torque_variable(self, 2)

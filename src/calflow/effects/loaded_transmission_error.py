@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
-import numpy as np
 
 from calflow.effects.base import Words, unmet
 from calflow.effects.joint_error import TRANSMISSION, JointError, Term, phases
 from calflow.effects.warming import REFERENCE, temperature_measured
+from calflow.measurements.measurements import Measurements
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State, rated_torques
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
+from calflow.robot.statics import State
 
 ORDERS = (1, 2)  # a turn of the joint, to look for
 MULTIPLES = 2  # of a turn of the motor, at most
@@ -81,11 +77,6 @@ class LoadedTransmissionError(JointError):
         order = f"{self.order} a motor turn" if self.geared else f"order {self.order}"
         return f"{order}, by {'temperature' if self.warm else 'torque'}"
 
-    @cached_property
-    def rated(self) -> np.ndarray:
-        """Rated torques [Nm, a slide's N], shape (n_joints,)."""
-        return rated_torques(self.robot)
-
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the two phases, each times the load."""
         ratio, of = 1.0, self.robot.joints[joint]
@@ -102,4 +93,4 @@ class LoadedTransmissionError(JointError):
     def _load(self, joint: int, state: State, row: Row) -> ca.SX:
         if self.warm:
             return (row.temperature - REFERENCE) / WARMER if row.temperature.nnz() else ca.SX(0)
-        return state.torque[joint] / self.rated[joint]
+        return self.load(joint, state)

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
-import numpy as np
 
-from calflow.effects.base import Variable, Words, around, torque_variable
+from calflow.effects.base import Words, around, torque_variable
 from calflow.effects.joint_error import JointError, Term
+from calflow.measurements.measurements import Measurements
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State, rated_torques
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
+from calflow.robot.statics import State
 
 BREAKS = (0.05, 0.2, 0.35, 0.5, 0.65)  # shares of the rated torque at which a stiffer branch may begin
 REACH = 0.15  # about a break, to its neighbours
@@ -56,27 +52,12 @@ class NonlinearJointStiffness(JointError):
         """Say the law."""
         return f"stiffer beyond {self.knee:.0%} of the rated torque" if self.knee else "cubic"
 
-    @cached_property
-    def rated(self) -> np.ndarray:
-        """Rated torques [Nm, a slide's N], shape (n_joints,)."""
-        return rated_torques(self.robot)
-
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the cube of the torque, or what of it is beyond the break."""
-        share = state.torque[joint] / self.rated[joint]
+        share = self.load(joint, state)
         if not self.knee:
             return [Term("c3", self.unit(joint), 1e-3, 20e-3, share**3)]
-        return [
-            Term(
-                "c",
-                self.unit(joint),
-                2e-3,
-                40e-3,
-                -ca.sign(share) * ca.fmax(ca.fabs(share) - self.knee, 0),
-                one_sided=True,
-            )
-        ]
+        beyond = ca.fmax(ca.fabs(share) - self.knee, 0)
+        return [Term("c", self.unit(joint), 2e-3, 40e-3, -ca.sign(share) * beyond, one_sided=True)]
 
-    def variable(self, joint: int) -> Variable:
-        """Return the joint's torque."""
-        return torque_variable(self.robot, joint)
+    variable = torque_variable

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable, Words, payload_variable
+from calflow.effects.base import Effect, Words, payload_variable
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Loads
 from calflow.robot.parameter import Parameter
@@ -37,6 +37,4 @@ class PayloadCom(Effect):
         """Shift the payloads' centres."""
         return replace(loads, payload_com=loads.payload_com + ca.repmat(p, 1, len(self.robot.payloads)))
 
-    def variable(self, joint: int) -> Variable:
-        """Return the payload's mass."""
-        return payload_variable(self.robot)
+    variable = payload_variable

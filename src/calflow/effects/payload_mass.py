@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable, Words, payload_variable
+from calflow.effects.base import Effect, Words, payload_variable
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Loads
 from calflow.robot.parameter import Parameter
@@ -43,6 +43,4 @@ class PayloadMass(Effect):
         heavy = [name for name, load in self.robot.payloads.items() if load.mass]
         return heavy if len(heavy) > 1 else []
 
-    def variable(self, joint: int) -> Variable:
-        """Return the payload's mass."""
-        return payload_variable(self.robot)
+    variable = payload_variable

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
 
 from calflow.effects.base import Effect, Words, displaced
+from calflow.measurements.measurements import Measurements
 from calflow.measurements.sessions import borders, sessions_of
 from calflow.robot.conditions import Row, session_number
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 SHIFT_SD, TURN_SD = 2e-3, 1e-3  # m and rad: what setting up anew by the old marks leaves
 BOUND = 100.0  # standard deviations

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
 
 from calflow.effects.base import Readable, Words
 from calflow.effects.link_bending import spans
 from calflow.effects.warming import Warming
+from calflow.measurements.measurements import Measurements
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 EXPANSION_SD, GROWTH_SD = 2e-5, 2e-4  # 1/K, and share of the length when warm
 BOUNDS = 10.0, 25.0  # standard deviations of either

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Readable, Variable, Words, payload_variable
+from calflow.effects.base import Effect, Readable, Words, payload_variable
 from calflow.effects.cause import parts
+from calflow.measurements.measurements import Measurements
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 GIVES_SD, GIVES_BOUND = 3e-7, 1e-5  # m/N
 TURNS_SD, TURNS_BOUND = 1e-6, 4e-5  # rad/N
@@ -107,6 +105,4 @@ class ToolDeflection(Effect):
             return ca.vertcat(p[0] * x, p[0] * y, 0, -p[1] * y, p[1] * x, 0)
         return ca.vertcat(ca.reshape(p[:9], 3, 3) @ weight, ca.reshape(p[9:], 3, 3) @ weight)
 
-    def variable(self, joint: int) -> Variable:
-        """Return the payload's mass."""
-        return payload_variable(self.robot)
+    variable = payload_variable

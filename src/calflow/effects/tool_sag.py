@@ -5,21 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Effect, Variable, Words
 from calflow.effects.cause import parts
+from calflow.measurements.measurements import Measurements
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 SAG_SD, SAG_BOUND = 1e-4, 5e-3  # m
 TURN_SD, TURN_BOUND = 3e-4, 20e-3  # rad

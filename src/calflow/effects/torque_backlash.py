@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Variable, Words, torque_variable
+from calflow.effects.base import Words, torque_variable
 from calflow.effects.joint_error import JointError, Term
+from calflow.measurements.measurements import Measurements
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State, rated_torques
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
+from calflow.robot.statics import State
 
 CROSSING = 0.01  # share of the rated torque within which a gear crosses its play
 CROSSINGS = (0.002, 0.02)  # to look for
@@ -53,23 +50,9 @@ class TorqueBacklash(JointError):
         """Say how sharp the change of sides is."""
         return f"crossed within {100 * self.crossing:.2g} % of the rated torque"
 
-    @cached_property
-    def rated(self) -> np.ndarray:
-        """Rated torques [Nm, a slide's N], shape (n_joints,)."""
-        return rated_torques(self.robot)
-
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the half of the play, on the side the load presses."""
-        return [
-            Term(
-                "b",
-                self.unit(joint),
-                3e-4,
-                10e-3,
-                ca.tanh(state.torque[joint] / (self.crossing * self.rated[joint])) / 2,
-            )
-        ]
+        side = ca.tanh(state.torque[joint] / (self.crossing * self.rated[joint]))
+        return [Term("b", self.unit(joint), 3e-4, 10e-3, side / 2)]
 
-    def variable(self, joint: int) -> Variable:
-        """Return the joint's torque."""
-        return torque_variable(self.robot, joint)
+    variable = torque_variable

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Effect, Variable, around
+from calflow.measurements.measurements import Measurements
 from calflow.robot.conditions import Row
 from calflow.robot.robot import Robot
-
-if TYPE_CHECKING:
-    from calflow.measurements.measurements import Measurements
 
 REFERENCE = 293.15  # K, at which drawings hold (ISO 1)
 WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s, time constants to look for

@@ -34,4 +34,4 @@ class WristCoupling(JointError):
 
     def variable(self, joint: int) -> Variable:
         """Return the angle of the joint before."""
-        return joint_variable(self.robot, joint - 1)
+        return joint_variable(self, joint - 1)
