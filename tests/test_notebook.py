@@ -40,9 +40,13 @@ def test_every_cell_runs(names, capsys):
     results = [shown("".join(cell["source"]), names) for cell in code_cells()]
     assert sum(bool(repr(result)) for result in results if result is not None) >= 9
     assert "effect 'joint-backlash' needs columns approach1" in capsys.readouterr().out
-    first = names["found"].findings[0]
+    first = names["better"].findings[0]
     assert (first.cause, first.joint) == ("joint-backlash", 1)
     assert names["commands"].reached.all()
+    assert names["proof"].summary.status == "met"
+    same, cause = next(result for result in results if isinstance(result, tuple) and isinstance(result[0], bool))
+    assert (same, cause) == (True, "joint-backlash")
+    assert Path("report.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_it_is_kept_without_outputs():
