@@ -11,8 +11,9 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from calflow.design.candidates import packed_conditions
+from calflow.files.toml import Origin
 from calflow.model import Model
-from calflow.robot.formats.robot_toml import RobotFile
+from calflow.robot.formats.robot_file import parts_of
 from calflow.robot.parts import Base
 from calflow.robot.robot import Robot
 
@@ -41,7 +42,7 @@ def robot(convention: str, joints: list[dict[str, Any]], **rest: Any) -> Robot:
     """A robot from what its file would say."""
     rest = {"markers": {"E": {"point_m": [0.05, -0.03, 0.12]}}} | rest
     file = {"name": "test", "convention": convention, "joints": joints} | rest
-    return Robot(**RobotFile.model_validate(file).fields())
+    return Robot(**parts_of(file, Origin(Path(), (), {})))
 
 
 def ur10(**rest: Any) -> Robot:

@@ -66,7 +66,7 @@ def benches() -> tuple[Bench, ...]:
     joints = tuple(replace(joint, gear_ratio=120.0) for joint in plain.joints)
     second = Marker((-0.15, 0.1, 0.2), relative_sd=2e-5)
     arm = replace(plain, joints=joints, base=STANDS, markers={**plain.markers, "second": second})
-    rail = Joint(modified_dh(alpha=-np.pi / 2), "prismatic", (0.0, TRAVEL), mass=800.0)
+    rail = Joint(modified_dh(alpha=-np.pi / 2), kind="prismatic", limits=(0.0, TRAVEL), mass=800.0)
     railed = replace(arm, joints=(rail, replace(joints[0], frame=modified_dh(alpha=np.pi / 2, d=0.67)), *joints[1:]))
     light = replace(arm, joints=tuple(replace(joint, mass=None) for joint in joints))
     return tuple(Bench(robot, _measured(robot)) for robot in (arm, railed, light))

@@ -19,10 +19,11 @@ from calflow.design.candidates import packed_conditions
 from calflow.effects import catalogue
 from calflow.effects.joint_error_map import AMPLITUDE, LENGTHS
 from calflow.faults import checks, plain_checks
+from calflow.files.toml import Origin
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.robot.conditions import Row
-from calflow.robot.formats.robot_toml import RobotFile
+from calflow.robot.formats.robot_file import parts_of
 from calflow.robot.frames import modified_dh
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State
@@ -188,7 +189,7 @@ def test_gravity_deflection_stands_for_springs(benches: dict[str, Bench], name: 
 def without_masses(name: str) -> Robot:
     """The robot whose links' masses nobody knows."""
     file = robot_file(stated_tables(Case(robot=name, base=BASE)), masses=False)
-    return Robot(**RobotFile.model_validate(file).fields())
+    return Robot(**parts_of(file, Origin(Path(), (), {})))
 
 
 @pytest.mark.parametrize("length", LENGTHS)

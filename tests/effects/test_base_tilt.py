@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calflow.effects.base_tilt import BaseTilt
+from calflow.files.toml import Origin
 from calflow.model import Model
-from calflow.robot.formats.robot_toml import RobotFile
+from calflow.robot.formats.robot_file import parts_of
 from calflow.robot.robot import Robot
 from hidden.case import Case, draw, robot_file, stated_tables
 from hidden.causes import PAYLOADS, Hidden, measured_points
@@ -21,7 +23,7 @@ SOFTER = Hidden("base-compliance", 0, 2e-8, 0.3)
 @pytest.fixture(scope="module")
 def serial() -> Robot:
     """The robot whose links' masses nobody knows."""
-    return Robot(**RobotFile.model_validate(robot_file(stated_tables(Case()), masses=False)).fields())
+    return Robot(**parts_of(robot_file(stated_tables(Case()), masses=False), Origin(Path(), (), {})))
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +65,7 @@ def test_a_rule_of_masses_follows_a_real_arms_moment(serial, moved):
 
 def test_known_masses_make_it_needless(serial):
     """Fails if a foundation is looked for twice."""
-    known = Robot(**RobotFile.model_validate(robot_file(stated_tables(Case()), masses=True)).fields())
+    known = Robot(**parts_of(robot_file(stated_tables(Case()), masses=True), Origin(Path(), (), {})))
     assert BaseTilt.superseded(known)
     assert BaseTilt.superseded(serial) == ""
     unloaded = replace(serial, payloads={})

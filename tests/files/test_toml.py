@@ -90,7 +90,7 @@ MISTAKES = {
         ("limits_deg = [-100, 40]", "limits_mm = [-1, 1]", "11: joints[2]: a revolute joint has limits_deg, not limits_mm"),
         ("a_mm = 100", 'kind = "prismatic"', "11: joints[2]: a prismatic joint needs limits_mm"),
         ("[markers.tool]", "[[couplings]]\njoint = 1\nsource = 4\nfactor = 1\n[markers.tool]",
-         "32: couplings: there is no joint 4: this robot has joints 1 to 3"),
+         "34: couplings[1].source: there is no joint 4: this robot has joints 1 to 3"),
         ("[markers.tool]\npoint_mm", "[payloads.tool]\nmass_kg = 1\ncom_mm", " markers: expected at least one marker"),
         ("[markers.tool]", "[markers.base]", "32: markers: a marker cannot be called 'base'"),
     ],

@@ -181,7 +181,9 @@ def test_frames_of_no_convention_read_back_equal(tmp_path):
     turn = Step("rz", "theta", 0.3, ("middle", "last"))
     own = Joint(Frame(turn, mount=(Step("tx", "x", 0.1, ("last",)), Step("ty", "y", -0.2)), listed=("theta", "x")))
     marker = {"tool": Marker((0, 0, 0.1))}
-    slide = Joint(Frame(Step("rz", "r"), body=(Step("tz", "s"), Step("rx", "u", 1 / 3))), "prismatic", limits=(0, 1))
+    slide = Joint(
+        Frame(Step("rz", "r"), body=(Step("tz", "s"), Step("rx", "u", 1 / 3))), kind="prismatic", limits=(0, 1)
+    )
     for joints in ([Joint(dh(alpha=0.4)), own], [Joint(dh()), Joint(modified_dh())], [slide, own]):
         robot = Robot(joints, name="odd", markers=marker)
         robot.to_toml(tmp_path / "robot.toml")
@@ -204,7 +206,7 @@ def test_frames_of_no_convention_read_back_equal(tmp_path):
 def test_limits_in_two_units_are_refused(tmp_path):
     """Fails if one of two statements of the same limits wins in silence."""
     (tmp_path / "robot.toml").write_text(FILE.replace("limits_mm", "limits_m = [0, 1]\nlimits_mm"))
-    with pytest.raises(InputError, match=r"joints\[2\]: 'limits' is given twice"):
+    with pytest.raises(InputError, match=r"joints\[2\]\.limits_mm: 'limits' is given twice"):
         Robot.from_toml(tmp_path / "robot.toml")
 
 
@@ -275,8 +277,9 @@ def test_all_impossible_values_are_told_at_once():
         Joint(modified_dh(a=np.nan), limits=(1, -1), mass=-30, sign=2),
         Joint(dh(), kind="prismatic"),
         Joint(dh(), kind="sliding", com=(1, 2), gear_ratio=0),
-        Joint(turn_about_x, kind="prismatic", limits=(0, 1)),
+        Joint(turn_about_x),
         "joint",
+        Joint(Frame(turn=Step("rz", "theta")), kind="prismatic", limits=(0, 1)),
     ]
     with pytest.raises(InputError) as refused:
         Robot(
@@ -291,28 +294,28 @@ def test_all_impossible_values_are_told_at_once():
         )
     told = [str(problem).removeprefix("robot 'odd': ") for problem in refused.value.problems]
     assert told == [
-        "joints[1].sign: expected 1 or -1, found 2",
         "joints[1].frame.a: expected a finite number, found nan",
         "joints[1].limits: expected lower < upper, found 1 and -1",
+        "joints[1].sign: expected 1 or -1, found 2",
         "joints[1].mass: expected a number greater than or equal to 0, found -30",
         "joints[2]: a prismatic joint needs limits [m]",
-        "joints[3].kind: expected 'revolute' or 'prismatic', found 'sliding'",
         "joints[3].gear_ratio: expected a number greater than 0, found 0",
-        "joints[3].com: expected 3 finite numbers, found (1, 2)",
+        "joints[3].com: value 3 is missing",
+        "joints[3].kind: expected 'revolute' or 'prismatic', found 'sliding'",
         "joints[4].frame.turn: expected a turn about z, found rx",
-        "joints[4].frame: expected a shift along z in its body, along which a prismatic joint moves",
         "joints[5]: expected a Joint, found 'joint'",
-        "gravity: expected 3 finite numbers, found (0, 0, inf)",
-        "base.origin: expected 3 finite numbers, found 'here'",
-        "couplings[1].source: there is no joint 9: this robot has joints 1 to 5",
-        "loop.joint: expected a whole number from 2, found 1",
-        "loop.crank.length: expected a number greater than 0, found 0",
-        "loop.rod.mass: expected a finite number, found 'heavy'",
-        "loop.rocker: expected a number greater than 0, found -1",
-        "loop.assembly: expected 'open' or 'crossed', found 'shut'",
+        "joints[6].frame: expected a shift along z in its body, along which a prismatic joint moves",
+        "gravity[3]: expected a finite number, found inf",
+        "base.origin: expected several numbers, found 'here'",
+        "couplings[1].source: there is no joint 9: this robot has joints 1 to 6",
         "payloads.load.mass: expected a number greater than or equal to 0, found -1",
         "markers: a marker cannot be called 'base': parameters are named by their part",
         "markers: the first marker has no relative_sd: the others' places are relative to it",
+        "loop.joint: expected a number greater than or equal to 2, found 1",
+        "loop.crank.length: expected a number greater than 0, found 0",
+        "loop.rod.mass: expected a number, found 'heavy'",
+        "loop.rocker: expected a number greater than 0, found -1.0",
+        "loop.assembly: expected 'open' or 'crossed', found 'shut'",
     ]
     for nothing in ([], None, "joints"):
         with pytest.raises(InputError, match="joints: expected at least one Joint"):

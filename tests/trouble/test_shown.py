@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-from calflow.files.toml import beyond
+from calflow.files.toml import beyond_toml
 from conftest import Folder, in_process
 from trouble.campaign import unreadable
 
@@ -33,7 +33,7 @@ def test_a_control_character_in_a_file_is_refused(small, sign, file, key):
 def test_a_control_character_in_a_key_or_a_list_is_found():
     """Fails if keys, or members of lists, are not looked at, or the ends of lines of a text are refused."""
     raw = {"notes": "two\n\tlines", "payloads": {"li\x1bght": {"mass": 1}}, "effects": ["geometry", "joint\x00"]}
-    assert [where for where, _ in beyond(raw)] == [("payloads", "li\x1bght"), ("effects", 1)]
+    assert [where for where, _ in beyond_toml(raw)] == [("payloads", "li\x1bght"), ("effects", 1)]
 
 
 def test_what_a_terminal_obeys_is_spelled_out(finished, tmp_path):

@@ -18,8 +18,7 @@ from calflow.files.toml import FileModel
 from calflow.fleet.fleet_file import FleetFile
 from calflow.measurements.source import MeasurementSource
 from calflow.observations import catalogue as observation_kinds
-from calflow.robot.formats.robot_file import UrdfRobotFile
-from calflow.robot.formats.robot_toml import RobotFile
+from calflow.robot.formats.robot_file import RobotFile, UrdfRobotFile
 from calflow.simulation import Truth
 from calflow.stages import STAGES
 from calflow.study_file import StudyFile, WorkflowFile

@@ -9,8 +9,8 @@ from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core import core_schema
 
-from calflow.files.toml import FileModel
-from calflow.files.units import SUFFIXES, to_si
+from calflow.files.toml import FileModel, Record, dimensions
+from calflow.files.units import KEY_SUFFIXES, to_si
 
 Schema = dict[str, Any]
 BOUNDS = ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum")
@@ -23,28 +23,11 @@ class FileSchema(GenerateJsonSchema):
 
     def model_schema(self, schema: core_schema.ModelSchema) -> Schema:
         """Return a model's schema with the keys that a file has."""
-        made, kind = super().model_schema(schema), schema["cls"]
-        if not issubclass(kind, FileModel) or "properties" not in made:
-            return made
-        dimensions, properties, required = kind.dimensions(), made["properties"], made.pop("required", [])
-        found: Schema = {}
-        needed: list[Schema] = []
-        for name, own in properties.items():
-            dimension = dimensions.get(name)
-            keys = [f"{name}_{unit}" for unit in SUFFIXES[dimension]] if dimension else [name]
-            found |= {
-                key: _in_unit(own, unit)
-                for key, unit in zip(keys, SUFFIXES[dimension] if dimension else ("",), strict=True)
-            }
-            if name in required and dimension:
-                needed.append({"oneOf": [{"required": [key]} for key in keys]})
-        always = [name for name in required if not dimensions.get(name)]
-        return (
-            made
-            | {"properties": found}
-            | ({"required": always} if always else {})
-            | ({"allOf": needed} if needed else {})
-        )
+        return _with_units(super().model_schema(schema), schema["cls"])
+
+    def dataclass_schema(self, schema: core_schema.DataclassSchema) -> Schema:
+        """Return a record's schema with the keys that a file has."""
+        return _with_units(super().dataclass_schema(schema), schema["cls"])
 
     def nullable_schema(self, schema: core_schema.NullableSchema) -> Schema:
         """Return the schema of what there may be."""
@@ -53,6 +36,30 @@ class FileSchema(GenerateJsonSchema):
     def none_schema(self, schema: core_schema.NoneSchema) -> Schema:
         """Return the schema of what no file can hold."""
         return {"not": {}}
+
+
+def _with_units(made: Schema, kind: type[Any]) -> Schema:
+    if not issubclass(kind, FileModel | Record) or "properties" not in made:
+        return made
+    units, required = dimensions(kind), made.pop("required", [])
+    properties: Schema = {}
+    needed: list[Schema] = []
+    for name, quantity in made["properties"].items():
+        dimension = units.get(name)
+        keys = [f"{name}_{unit}" for unit in KEY_SUFFIXES[dimension]] if dimension else [name]
+        properties |= {
+            key: _in_unit(quantity, unit)
+            for key, unit in zip(keys, KEY_SUFFIXES[dimension] if dimension else ("",), strict=True)
+        }
+        if name in required and dimension:
+            needed.append({"oneOf": [{"required": [key]} for key in keys]})
+    always = [name for name in required if not units.get(name)]
+    return (
+        made
+        | {"properties": properties}
+        | ({"required": always} if always else {})
+        | ({"allOf": needed} if needed else {})
+    )
 
 
 def json_schema(kind: Any, title: str) -> Schema:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -66,11 +67,21 @@ def together(*checks: Callable[[], Any]) -> list[Any]:
     return results
 
 
-def counted(items: Sequence[Item], tell: Callable[[Item], Problem]) -> list[Problem]:
-    """Return a problem an item for the first of a kind, and one that counts the others."""
-    told = [tell(item) for item in items[:MOST_TOLD]]
-    more = len(items) - len(told)
-    return [*told, replace(told[-1], message=f"and {more} more problems like this one", key=None)] if more else told
+def counted(
+    items: Sequence[Item], tell: Callable[[Item], Problem], kind_of: Callable[[Item], str] = lambda _: ""
+) -> list[Problem]:
+    """Return a problem an item for the first of each kind, in order, and one that counts the others."""
+    problems: list[Problem] = []
+    totals, counts = Counter(map(kind_of, items)), Counter[str]()
+    for item in items:
+        kind = kind_of(item)
+        counts[kind] += 1
+        if counts[kind] <= MOST_TOLD:
+            problems.append(tell(item))
+        elif counts[kind] == MOST_TOLD + 1:
+            more = f"and {totals[kind] - MOST_TOLD} more problems like this one"
+            problems.append(replace(tell(item), message=more, key=None))
+    return problems
 
 
 def shortened(text: str, most: int = LONGEST_WORD) -> str:

@@ -1,25 +1,33 @@
-"""TOML files as frozen objects: keys carry units, and every problem is told with its file, line and key.
-
-Limits: what keys, texts and whole numbers of any TOML file may be, whatever they stand for.
-"""
+"""TOML files as frozen objects, read and written: keys carry units, and every problem has its file, line and key."""
 
 from __future__ import annotations
 
 import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, replace
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    GetCoreSchemaHandler,
+    ModelWrapValidatorHandler,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from calflow.files.problems import CONTROL, InputError, Problem, counted, nearest, refuse, shortened
 from calflow.files.regular import regular_file
-from calflow.files.units import LARGEST, MEASURED, SUFFIXES, split_unit, to_si
+from calflow.files.units import KEY_SUFFIXES, LARGEST, MEASURED, in_si, split_unit, to_si
 from calflow.files.writing import write_text
 
 LONGEST_KEY, LONGEST_TEXT = 200, 10_000  # characters
@@ -27,11 +35,13 @@ LARGEST_WHOLE = 2**63 - 1  # of TOML
 DEEPEST = 20  # tables and lists within each other
 TOO_LONG = f"is too long: expected at most {LONGEST_KEY} characters in a name, {LONGEST_TEXT} in a text"
 
-Found = Iterator[tuple[tuple[Any, ...], str]]
+UNKNOWN = "unknown"  # in the place of a quantity that must be stated, and that nobody knows
+
+Message = tuple[tuple[Any, ...], str]  # with its place
 
 
-def beyond(raw: Any, where: tuple[Any, ...] = ()) -> Found:
-    """Yield the places of what a parsed file holds beyond these limits, each with what to say."""
+def beyond_toml(raw: Any, where: tuple[Any, ...] = ()) -> Iterator[Message]:
+    """Yield what a parsed file holds that no TOML file should, whatever it stands for."""
     if len(where) > DEEPEST:
         yield where[:DEEPEST], f"expected at most {DEEPEST} tables and lists within each other"
         return
@@ -42,10 +52,10 @@ def beyond(raw: Any, where: tuple[Any, ...] = ()) -> Found:
     members = raw.items() if isinstance(raw, dict) else enumerate(raw) if isinstance(raw, list) else ()
     for key, value in members:
         unfit = list(_text(key, LONGEST_KEY, (*where, key))) if isinstance(key, str) else []
-        yield from unfit or beyond(value, (*where, key))
+        yield from unfit or beyond_toml(value, (*where, key))
 
 
-def _text(text: str, longest: int, where: tuple[Any, ...]) -> Found:
+def _text(text: str, longest: int, where: tuple[Any, ...]) -> Iterator[Message]:
     if len(text) > longest:
         yield where, TOO_LONG
     elif control := CONTROL.search(text):
@@ -55,6 +65,7 @@ def _text(text: str, longest: int, where: tuple[Any, ...]) -> Found:
 # What pydantic's types are called in the words of a TOML file.
 _EXPECTED = {
     "bool_type": "expected true or false",
+    "dataclass_type": "expected a table",
     "date_type": "expected a date without quotes, such as 2025-11-22",
     "dict_type": "expected a table",
     "finite_number": "expected a finite number",
@@ -65,6 +76,11 @@ _EXPECTED = {
     "too_short": "expected at least {min_length} of them",
     "too_long": "expected at most {max_length} of them",
     "tuple_type": "expected a list [ … ]",
+}
+_IN_PYTHON = {
+    "dataclass_type": "expected a {class_name}",
+    "is_instance_of": "expected a {class}",
+    "tuple_type": "expected several numbers",
 }
 _KEY = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
 
@@ -83,7 +99,7 @@ Angles3 = Annotated[tuple[float, float, float], Unit("angle")]
 
 ONE, SEVERAL, NONE = "<table>", "<tables>", "<nothing>"  # forms of what may be given once or several times
 
-File = TypeVar("File", bound="FileModel")
+File = TypeVar("File", bound="FileModel | Record")
 
 
 @dataclass(frozen=True)
@@ -129,52 +145,185 @@ class FileModel(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
-    @classmethod
-    def dimensions(cls) -> dict[str, str | None]:
-        """Return the dimension of each field; None of one whose key carries no unit."""
-        return {name: _dimension(field) for name, field in cls.model_fields.items()}
-
     @model_validator(mode="before")
     @classmethod
     def _units(cls, raw: Any) -> Any:
-        """Replace `a_mm = 5` by `a = 0.005` for the fields that have a dimension."""
-        if not isinstance(raw, dict):
-            return raw
-        dimensions = cls.dimensions()
-        converted: dict[str, Any] = {}
-        for key, value in raw.items():
-            name, unit = (key, "") if key in dimensions else split_unit(key) or (key, "")
-            dimension = dimensions.get(name)
-            if dimension is None:
-                converted[key] = _frozen(value)
-            elif name in converted:
-                converted[name] = _Wrong(f"'{name}' is given twice, in different units", key)
-            elif not unit:
-                converted[name] = _Wrong(f"needs its unit in the key: {_spellings(name, dimension)}", key)
-            elif unit not in SUFFIXES[dimension]:
-                converted[name] = _Wrong(f"expected a unit of {dimension}: {_spellings(name, dimension)}", key)
-            else:
-                converted[name] = _convert(value, unit)
-                if dimension == MEASURED:
-                    converted[f"{name}_unit"] = unit
-        return converted
+        return _in_si(cls, raw)
 
     @field_validator("*")
     @classmethod
     def _within_what_robots_have(cls, value: Any, info: ValidationInfo) -> Any:
-        """Refuse figures that no robot has, and whose squares may be beyond what a computer can hold."""
-        name = info.field_name or ""
-        dimension = _dimension(cls.model_fields[name])
-        if dimension is None and (split := split_unit(name)):  # a field that keeps the unit of its key
-            unit = split[1]
-            dimension = next(known for known, units in SUFFIXES.items() if unit in units)
+        return _within_what_robots_have(cls, value, info)
+
+
+@dataclass(frozen=True)
+class Record:
+    """Base of the frozen dataclasses that are built in Python, in SI, or read from a table, whose keys carry units.
+
+    What is built is checked where it belongs to something whole (see `checked`), so that all that is wrong is told at once.
+    Sequences and NumPy's numbers become tuples and Python's own, so that records can be compared.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, revalidate_instances="always")
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            object.__setattr__(self, field.name, _plain(getattr(self, field.name)))
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        made = handler(source)
+        inner: Any = made
+        while inner["type"] != "dataclass":
+            inner = inner["schema"]
+        inner["strict"] = False  # its fields are: but a table may state it
+        return made
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _units(cls, raw: Any, handler: ModelWrapValidatorHandler[Any]) -> Any:
+        return handler(_in_si(cls, raw))
+
+    @field_validator("*")
+    @classmethod
+    def _within_what_robots_have(cls, value: Any, info: ValidationInfo) -> Any:
+        return _within_what_robots_have(cls, value, info)
+
+
+def dimensions(kind: type[FileModel | Record]) -> dict[str, str | None]:
+    """Return the dimension of each field; None of one whose key carries no unit."""
+    return _dimensions_of(kind)
+
+
+def _annotations(kind: type[BaseModel | Record]) -> dict[str, Any]:
+    if issubclass(kind, BaseModel):
+        return {
+            name: Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
+            for name, field in kind.model_fields.items()
+        }
+    hints = get_type_hints(kind, include_extras=True)
+    return {field.name: hints[field.name] for field in fields(kind)}
+
+
+_dimensions_of: Callable[[Any], dict[str, str | None]] = cache(
+    lambda kind: {name: _dimension(annotation) for name, annotation in _annotations(kind).items()}
+)
+
+
+def _in_si(kind: type[FileModel | Record], raw: Any) -> Any:
+    """A table with `a = 0.005` in the place of `a_mm = 5` for the fields that have a dimension."""
+    if not isinstance(raw, dict):
+        return raw
+    converted: dict[str, Any] = {}
+    for key, value in raw.items():
+        name, unit = (key, "") if key in dimensions(kind) else split_unit(key) or (key, "")
+        dimension = dimensions(kind).get(name)
+        if dimension is None:
+            converted[key] = _frozen(value)
+        elif name in converted:
+            converted[name] = _Wrong(f"'{name}' is given twice, in different units", key)
+        elif not unit:
+            converted[name] = _Wrong(f"needs its unit in the key: {_spellings(name, dimension)}", key)
+        elif unit not in KEY_SUFFIXES[dimension]:
+            converted[name] = _Wrong(f"expected a unit of {dimension}: {_spellings(name, dimension)}", key)
         else:
-            unit = SUFFIXES[dimension][0] if dimension else ""
-        factor = to_si(unit)[0] if unit else 1.0
-        if any(abs(factor * number) > LARGEST[dimension or ""] for number in _numbers(value)):
-            most = f"{LARGEST[dimension or '']:g}{f' {SUFFIXES[dimension][0]}' if dimension else ''}"
-            raise PydanticCustomError("beyond", "expected at most {most}", {"most": most})
-        return value
+            converted[name] = _convert(value, unit)
+            if dimension == MEASURED:
+                converted[f"{name}_unit"] = unit
+    return converted
+
+
+def _within_what_robots_have(kind: type[FileModel | Record], value: Any, info: ValidationInfo) -> Any:
+    """Refuse figures that no robot has, and whose squares may be beyond what a computer can hold."""
+    name = info.field_name or ""
+    dimension = dimensions(kind).get(name)
+    if dimension is None and (split := split_unit(name)):  # a field that keeps the unit of its key
+        unit = split[1]
+        dimension = next(known for known, units in KEY_SUFFIXES.items() if unit in units)
+    else:
+        unit = KEY_SUFFIXES[dimension][0] if dimension else ""
+    factor = to_si(unit)[0] if unit else 1.0
+    if any(abs(factor * number) > LARGEST[dimension or ""] for number in _numbers(value)):
+        most = f"{LARGEST[dimension or '']:g}{f' {KEY_SUFFIXES[dimension][0]}' if dimension else ''}"
+        raise PydanticCustomError("beyond", "expected at most {most}", {"most": most})
+    return value
+
+
+def refuse_all(messages: Iterable[Message]) -> None:
+    """Tell pydantic all that is wrong with a value at once, each with its place within that.
+
+    Raises:
+        ValidationError: there is any.
+    """
+    errors = [
+        InitErrorDetails(
+            type=PydanticCustomError("value_error", "{message}", {"message": message}), loc=where, input=None
+        )
+        for where, message in messages
+    ]
+    if errors:
+        raise ValidationError.from_exception_data("", errors)
+
+
+def write_toml(path: Path, file: FileModel) -> None:
+    """Write a file that `read_toml` reads back equal: all that is not as it is by default."""
+    write_text(path, tomli_w.dumps(stated(file)))
+
+
+def stated(record: FileModel | Record, **other: str) -> dict[str, Any]:
+    """Return the table that states a record: without what is so where nothing is stated, and in units that people use.
+
+    A unit is one in which the figure reads back the same, else that of SI. other gives dimensions of fields of several.
+    """
+    table: dict[str, Any] = {}
+    for name, default in _defaults(type(record)).items():
+        value, dimension = getattr(record, name), other.get(name) or dimensions(type(record))[name]
+        if value == default:
+            continue
+        if not dimension:
+            table[name] = _tables(value)
+        elif value is None:
+            table[f"{name}_{KEY_SUFFIXES[dimension][0]}"] = UNKNOWN
+        else:
+            unit, figures = _everyday(value, dimension)
+            table[f"{name}_{unit}"] = figures
+    return table
+
+
+def _defaults(kind: type[FileModel | Record]) -> dict[str, Any]:
+    if issubclass(kind, FileModel):
+        return {name: field.get_default(call_default_factory=True) for name, field in kind.model_fields.items()}
+    return {
+        field.name: field.default if field.default_factory is MISSING else field.default_factory()
+        for field in fields(kind)
+    }
+
+
+def _tables(value: Any) -> Any:
+    if isinstance(value, FileModel | Record):
+        return stated(value)
+    if isinstance(value, Mapping):
+        return {name: _tables(member) for name, member in value.items() if member is not None}
+    return [_tables(member) for member in value] if isinstance(value, list | tuple) else value
+
+
+def _everyday(value: Any, dimension: str) -> tuple[str, Any]:
+    """An SI value, or several, in mm or degrees where the figures read back the same; else in the SI unit."""
+    values = value if isinstance(value, tuple) else (value,)
+    unit, figures = KEY_SUFFIXES[dimension][0], [float(figure) for figure in values]
+    everyday = {"length": "mm", "angle": "deg"}.get(dimension)
+    if everyday:
+        short = [_short(figure, everyday) for figure in values]
+        if all(in_si(everyday, figure) == exact for figure, exact in zip(short, values, strict=True)):
+            unit, figures = everyday, short
+    return unit, figures if isinstance(value, tuple) else figures[0]
+
+
+def _short(value: float, unit: str) -> float:
+    """The figure of fewest decimals that means an SI value in a unit, as near as there is."""
+    exact = float(value / to_si(unit)[0])
+    shorter = (round(exact, digits) for digits in range(16))
+    return next((figure for figure in shorter if in_si(unit, figure) == value), exact)
 
 
 def read_toml(path: Path, kind: type[File]) -> File:
@@ -205,7 +354,7 @@ def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
     except (OSError, ValueError, RecursionError) as error:  # not UTF-8, or a number of thousands of digits
         raise refuse(f"cannot be read: {error}", path) from None
     origin = Origin.of_text(path, text)
-    unfit = list(beyond(raw))
+    unfit = list(beyond_toml(raw))
     if unfit:
         raise InputError(counted(unfit, lambda one: origin.problem(one[1], *one[0])))
     return raw, origin
@@ -221,32 +370,60 @@ def read_text(path: Path) -> str:
     return regular_file(path).read_text(encoding="utf-8-sig")
 
 
-def validate(raw: dict[str, Any], kind: type[File], origin: Origin, others: Mapping[str, Origin] | None = None) -> File:
-    """Validate a parsed table; others tells which of its keys were written elsewhere, and where.
+def validate(
+    raw: dict[str, Any],
+    kind: type[File],
+    origin: Origin,
+    others: Mapping[str, Origin] | None = None,
+    context: Mapping[str, Any] | None = None,
+) -> File:
+    """Validate a parsed table; others has the keys that were written elsewhere, and where; context is for the validators.
 
     Raises:
         InputError: with all that is wrong in it.
     """
     try:
-        return kind.model_validate(raw)
+        made: File = _adapter(kind).validate_python(raw, context=context)
+        return made
     except ValidationError as error:
-        items = [item | {"loc": _named(item["loc"])} for item in error.errors(include_url=False)]
-        inner = {item["loc"][:end] for item in items for end in range(len(item["loc"]))}
-        told = [
-            item
-            for item in items
-            if item["type"] != "too_short" or item["loc"] not in inner  # pydantic does not count wrong members
-        ]
-        kinds = dict.fromkeys(item["type"] for item in told)
-        problems = [
-            problem
-            for one in kinds
-            for problem in counted(
-                [item for item in told if item["type"] == one],
-                lambda item: _problem(item, kind, raw, origin, others or {}),
-            )
-        ]
+        problems = _problems(error, kind, raw, origin, others or {}, _EXPECTED)
         raise InputError(sorted(problems, key=lambda problem: (str(problem.file), problem.line or 0))) from None
+
+
+def checked(record: Record, kind: type[File], place: str, context: Mapping[str, Any]) -> File:
+    """Return what was built in Python, as a kind of record, checked with all that it is made of.
+
+    Raises:
+        InputError: with all that is wrong in it, each by its place.
+    """
+    try:
+        made: File = _adapter(kind).validate_python(record, context=context)
+        return made
+    except ValidationError as error:
+        problems = _problems(error, kind, record, Origin(Path(), (), {}), {}, _EXPECTED | _IN_PYTHON)
+        raise InputError(replace(one, file=None, key=f"{place}: {one.key}") for one in problems) from None
+
+
+_adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
+
+
+def _problems(
+    error: ValidationError,
+    kind: Any,
+    raw: Any,
+    origin: Origin,
+    others: Mapping[str, Origin],
+    expected: Mapping[str, str],
+) -> list[Problem]:
+    """What pydantic refuses, in the order of its finding."""
+    items = [item | {"loc": _named(item["loc"])} for item in error.errors(include_url=False)]
+    inner = {item["loc"][:end] for item in items for end in range(len(item["loc"]))}
+    counting = [  # pydantic does not count wrong members
+        item for item in items if item["type"] != "too_short" or item["loc"] not in inner
+    ]
+    return counted(
+        counting, lambda item: _problem(item, kind, raw, origin, others, expected), lambda item: item["type"]
+    )
 
 
 def _named(location: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -289,19 +466,21 @@ def _keys(dotted: str) -> list[str]:
     return [key.strip("\"'") for key in re.findall(_KEY, dotted)]
 
 
-def _dimension(field: Any) -> str | None:
-    for item in field.metadata:
-        if isinstance(item, Unit):
-            return str(item)
-    for argument in get_args(field.annotation):  # Optional[Length] keeps the unit one level down
-        for item in getattr(argument, "__metadata__", ()):
-            if isinstance(item, Unit):
-                return str(item)
-    return None
+def _dimension(annotation: Any) -> str | None:
+    """The dimension of a quantity, or of one that may be left out: a level or two down."""
+    of = (str(item) for item in getattr(annotation, "__metadata__", ()) if isinstance(item, Unit))
+    return next(of, None) or next(filter(None, map(_dimension, get_args(annotation))), None)
 
 
 def _spellings(name: str, dimension: str) -> str:
-    return " or ".join(f"{name}_{suffix}" for suffix in SUFFIXES[dimension])
+    return " or ".join(f"{name}_{suffix}" for suffix in KEY_SUFFIXES[dimension])
+
+
+def _plain(value: Any) -> Any:
+    """A value with its sequences as tuples and NumPy's numbers as Python's."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    return tuple(map(_plain, value)) if isinstance(value, Sequence) and not isinstance(value, str) else value
 
 
 def _frozen(value: Any) -> Any:
@@ -319,7 +498,7 @@ def _numbers(value: Any) -> Iterator[float]:
 
 def _convert(value: Any, unit: str) -> Any:
     factor, offset = to_si(unit)
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return tuple(_convert(item, unit) for item in value)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return value  # left for the type check, which names the key
@@ -329,15 +508,22 @@ def _convert(value: Any, unit: str) -> Any:
         return math.inf
 
 
-def _problem(item: Any, kind: type[BaseModel], raw: Any, origin: Origin, others: Mapping[str, Origin]) -> Problem:
+def _problem(
+    item: Any,
+    kind: type[FileModel | Record],
+    raw: Any,
+    origin: Origin,
+    others: Mapping[str, Origin],
+    expected: Mapping[str, str],
+) -> Problem:
     location, found, wrong = tuple(item["loc"]), item.get("input"), item["type"] == "value_error"
-    message = _EXPECTED.get(item["type"], "").format(**item.get("ctx", {})) or item["msg"]
+    message = expected.get(item["type"], "").format(**item.get("ctx", {})) or item["msg"]
     message = re.sub("^Input should be (greater|less)", r"expected a number \1", message)
     message = re.sub("^Input should be ", "expected ", message).removeprefix("Value error, ")
     written = _written(raw, location)
     if isinstance(found, _Wrong):
         message, wrong, written = found.reason, True, (*written[:-1], found.key)
-    elif item["type"] == "extra_forbidden":
+    elif item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         key = str(location[-1])
         message, wrong = f"unknown key{nearest(key, _known_keys(kind, location[:-1]))}", True
     elif item["type"] == "missing":
@@ -346,7 +532,9 @@ def _problem(item: Any, kind: type[BaseModel], raw: Any, origin: Origin, others:
         if isinstance(name, int):
             message = f"value {name + 1} is missing"
         written = written[:-1]
-    if not wrong:
+    if item["type"] == "order":
+        message += f", found {' and '.join(f'{figure:g}' for figure in _at(raw, written))}"
+    elif not wrong:
         message += f", found {_shown(_at(raw, written))}"
     return (others.get(str(location[0]), origin) if location else origin).problem(message, *written)
 
@@ -364,8 +552,10 @@ def _written(raw: Any, location: tuple[Any, ...]) -> tuple[Any, ...]:
 
 def _at(raw: Any, location: tuple[Any, ...]) -> Any:
     for part in location:
-        known = part in raw if isinstance(raw, dict) else isinstance(raw, list | tuple) and part in range(len(raw))
-        raw = raw[part] if known else None
+        members = (
+            vars(raw) if isinstance(raw, Record) else dict(enumerate(raw)) if isinstance(raw, list | tuple) else raw
+        )
+        raw = members.get(part) if isinstance(members, Mapping) else None
     return raw
 
 
@@ -375,32 +565,39 @@ def _shown(value: Any) -> str:
     return shortened(text)
 
 
-def _model_at(kind: Any, location: tuple[Any, ...]) -> type[BaseModel] | None:
+def _table_at(kind: Any, location: tuple[Any, ...]) -> type[FileModel | Record] | None:
     for part in location:
-        field = kind.model_fields.get(part) if isinstance(kind, type) and issubclass(kind, BaseModel) else None
-        if field is not None:
-            kind = field.annotation
-        while not (isinstance(kind, type) and issubclass(kind, BaseModel)):
+        if _is_table(kind):
+            kind = _annotations(kind).get(part, kind)
+        while not _is_table(kind):
             arguments = [a for a in get_args(kind) if a not in (str, type(None), ...)]
             if not arguments:
                 return None
             kind = arguments[0]
-    return kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None
+    return kind if _is_table(kind) else None
+
+
+def _is_table(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, BaseModel | Record)
 
 
 def _known_keys(kind: Any, location: tuple[Any, ...]) -> list[str]:
-    model = _model_at(kind, location)
-    keys: list[str] = []
-    for name, field in (model.model_fields if model else {}).items():
-        dimension = _dimension(field)
-        keys += [f"{name}_{suffix}" for suffix in SUFFIXES[dimension]] if dimension else [field.alias or name]
-    return keys
+    table = _table_at(kind, location)
+    if table is None:
+        return []
+    aliases = {name: field.alias or name for name, field in getattr(table, "model_fields", {}).items()}
+    return [
+        key
+        for name, dimension in dimensions(table).items()
+        for key in (
+            [f"{name}_{suffix}" for suffix in KEY_SUFFIXES[dimension]] if dimension else [aliases.get(name, name)]
+        )
+    ]
 
 
 def _dimension_at(kind: Any, location: tuple[Any, ...]) -> str | None:
-    model = _model_at(kind, location[:-1])
-    field = model.model_fields.get(str(location[-1])) if model else None
-    return _dimension(field) if field is not None else None
+    table = _table_at(kind, location[:-1])
+    return dimensions(table).get(str(location[-1])) if table else None
 
 
 def _dotted(location: tuple[Any, ...]) -> str:
@@ -409,27 +606,3 @@ def _dotted(location: tuple[Any, ...]) -> str:
     for part in location:
         text += f"[{part + 1}]" if isinstance(part, int) else (f".{shortened(part)}" if text else shortened(str(part)))
     return text
-
-
-def write_toml(path: Path, file: FileModel) -> None:
-    """Write a file that `read_toml` reads back equal: all that is not as it is by default, in SI units."""
-    write_text(path, tomli_w.dumps(_stated(file)))
-
-
-def _stated(file: FileModel) -> dict[str, Any]:
-    dimensions = type(file).dimensions()
-    stated = {
-        name: value for name, value in file if value is not None and value != type(file).model_fields[name].default
-    }
-    return {
-        f"{name}_{SUFFIXES[dimension][0]}" if (dimension := dimensions[name]) else name: _toml_value(value)
-        for name, value in stated.items()
-    }
-
-
-def _toml_value(value: Any) -> Any:
-    if isinstance(value, FileModel):
-        return _stated(value)
-    if isinstance(value, Mapping):
-        return {name: _toml_value(member) for name, member in value.items() if member is not None}
-    return [_toml_value(member) for member in value] if isinstance(value, list | tuple) else value

@@ -31,6 +31,8 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
 MEASURED = "what was measured"
 UNITS[MEASURED] = {unit: to for kind in ("length", "angle", "image", "force") for unit, to in UNITS[kind].items()}
 SUFFIXES: dict[str, tuple[str, ...]] = {dimension: tuple(units) for dimension, units in UNITS.items()}
+# Of a file's keys: a joint's variable is an angle or a position, as its kind says.
+KEY_SUFFIXES = SUFFIXES | {"joint variable": ("rad", "m", "deg", "mm")}
 # The largest amount of each dimension that anything of a robot has, in its SI unit; "" is a plain number.
 LARGEST = {
     "": 1e9,
@@ -47,6 +49,7 @@ LARGEST = {
     "image": 1e6,
     "ratio": 1e3,
     MEASURED: 1e6,
+    "joint variable": 1e4,
 }
 _CONVERSIONS = {suffix: conversion for units in UNITS.values() for suffix, conversion in units.items()}
 

@@ -27,14 +27,13 @@ class Where:
 
 
 def check_engine() -> None:
-    """Check that the libraries of the extra are there.
+    """Check that the library of the extra is there.
 
     Raises:
-        InputError: one is not.
+        InputError: it is not.
     """
-    for library, module in (("Snakemake", "snakemake"), ("tomli-w", "tomli_w")):
-        if find_spec(module) is None:
-            raise lacking(library)
+    if find_spec("snakemake") is None:
+        raise lacking("Snakemake")
 
 
 def command(snakefile: Path, told: Mapping[str, object], folder: Path, where: Where) -> list[str]:

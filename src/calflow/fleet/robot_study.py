@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import tomli_w
+
 from calflow.files.problems import refuse
 from calflow.files.toml import parse_toml
 from calflow.files.writing import write_whole
@@ -16,15 +18,7 @@ FOUND_BY = {"file", "url", "sha256"}  # keys that say which file the measurement
 
 
 def write_study(robot: FleetRobot, path: Path) -> None:
-    """Write a robot's study file.
-
-    Raises:
-        InputError: the library that writes TOML is not there.
-    """
-    try:
-        import tomli_w
-    except ModuleNotFoundError:
-        raise lacking("tomli-w") from None
+    """Write a robot's study file."""
     write_whole(path, tomli_w.dumps(study_of(robot, path.parent)).encode())
 
 

@@ -1,17 +1,44 @@
-"""The parts of a robot, in SI: joints with their links, the loop's bars, loads, markers, base and couplings."""
+"""The parts of a robot, in SI: joints with their links, the loop, loads, markers, base and couplings, and what they may be."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Generic, Literal, TypeVar
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Generic, Literal, Self, TypeVar
 
 import numpy as np
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    InstanceOf,
+    ModelWrapValidatorHandler,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic import Field as Rule
+from pydantic_core import PydanticCustomError
 
+from calflow.files.problems import shortened
+from calflow.files.toml import (
+    UNKNOWN,
+    Angle,
+    Angles3,
+    Length,
+    Lengths3,
+    Mass,
+    Message,
+    Moment,
+    Record,
+    Unit,
+    refuse_all,
+)
 from calflow.robot.frames import Frame
 
 Vector = tuple[float, float, float]
 STANDARD_GRAVITY: Vector = (0.0, 0.0, -9.80665)  # m/s²
+MOST_EXTERNAL = 6  # external axes that a controller counts
 Thing = TypeVar("Thing")
 
 
@@ -40,18 +67,39 @@ class Named(Mapping[str, Thing], Generic[Thing]):
         return repr(self._things)
 
 
-@dataclass(frozen=True)
-class Part:
-    """Base of the parts: sequences and NumPy's numbers become tuples and Python's own, so that parts can be compared."""
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            object.__setattr__(self, field.name, plain(getattr(self, field.name)))
+def _or_unknown(schema: dict[str, Any]) -> None:
+    """Have the schema of a number allow what stands for one that nobody knows."""
+    number = {key: schema.pop(key) for key in ("type", "minimum")}
+    schema["anyOf"] = [number, {"const": UNKNOWN}]
 
 
-@dataclass(frozen=True)
-class Joint(Part):
-    """One joint and the link that it moves.
+def _of_the_robot(joint: int, info: ValidationInfo) -> int:
+    """Refuse a joint or link beyond the last, where the whole robot is looked at."""
+    last = (info.context or {}).get("n_joints", joint)
+    if joint > last:
+        what = "link" if info.field_name == "ground" else "joint"
+        first = 0 if what == "link" else 1
+        raise ValueError(f"there is no {what} {joint}: this robot has {what}s {first} to {last}")
+    return joint
+
+
+def _whole(value: Any) -> Any:
+    """Refuse a number with a point, and true, which are equal to whole ones."""
+    if isinstance(value, float | bool):
+        raise PydanticCustomError("int_type", "expected a whole number")
+    return value
+
+
+JointNumber = Annotated[int, Rule(ge=1), AfterValidator(_of_the_robot)]
+Weight = Annotated[Mass | None, Rule(ge=0)]
+MaybeLength = Annotated[Length | None, Rule(gt=0)]
+Limits = tuple[float, float] | None
+IN_FILES = {"revolute": ("limits_deg", "limits_rad"), "prismatic": ("limits_mm", "limits_m")}
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointProperties(Record):
+    """What drives a joint, its limits and the mass of its link, without its frame.
 
     limits are of the joint's own variable, after sign and couplings [rad, or m for a prismatic joint], rated_torque [Nm, or
     N], mass [kg] and com [m] in the link's frame; a reading counts sign times. A joint that is not driven has no reading: it
@@ -59,17 +107,56 @@ class Joint(Part):
     is: it stays where it is commanded, and corrections move the arm alone.
     """
 
-    frame: Frame
-    kind: Literal["revolute", "prismatic"] = "revolute"
-    limits: tuple[float, float] | None = None
-    sign: Literal[1, -1] = 1
-    gear_ratio: float | None = None
-    rated_torque: float | None = None
-    mass: float | None = None
-    com: Vector = (0.0, 0.0, 0.0)
+    limits: Annotated[Limits, Unit("joint variable")] = None
+    sign: Annotated[Literal[1, -1], BeforeValidator(_whole)] = 1
+    gear_ratio: Annotated[float | None, Rule(gt=0)] = None
+    rated_torque: Annotated[Moment | None, Rule(gt=0)] = None
+    mass: Weight = None
+    com: Lengths3 = (0.0, 0.0, 0.0)
     name: str = ""
     driven: bool = True
-    external: int | None = None
+    external: Annotated[int | None, Rule(ge=1, le=MOST_EXTERNAL)] = None
+
+    @field_validator("limits")
+    @classmethod
+    def _in_order(cls, limits: Limits) -> Limits:
+        if limits and not limits[0] < limits[1]:
+            raise PydanticCustomError("order", "expected lower < upper")
+        return limits
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _limits_of_its_kind(cls, raw: Any, handler: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+        made = handler(raw)
+        kind = getattr(made, "kind", None) or (info.context or {}).get("kinds", {}).get(made.name)
+        keys = raw if isinstance(raw, dict) else {}
+        if kind == "revolute" and any(key in keys for key in IN_FILES["prismatic"]):
+            raise ValueError("a revolute joint has limits_deg, not limits_mm")
+        if kind == "prismatic" and any(key in keys for key in IN_FILES["revolute"]):
+            raise ValueError("a prismatic joint needs limits_mm, and no limits_deg")
+        if kind == "prismatic" and hasattr(made, "kind") and made.limits is None:
+            raise ValueError(f"a prismatic joint needs {'limits_mm' if keys else 'limits [m]'}")
+        return made
+
+
+@dataclass(frozen=True)
+class Joint(JointProperties):
+    """One joint and the link that it moves."""
+
+    kind: Literal["revolute", "prismatic"] = field(default="revolute", kw_only=True)
+    frame: InstanceOf[Frame]
+
+    @field_validator("frame")
+    @classmethod
+    def _can_be_moved(cls, frame: Frame) -> Frame:
+        refuse_all(_frame_messages(frame))
+        return frame
+
+    @model_validator(mode="after")
+    def _can_slide(self) -> Self:
+        if self.kind == "prismatic" and self.frame.slide is None:
+            refuse_all([(("frame",), "expected a shift along z in its body, along which a prismatic joint moves")])
+        return self
 
     @property
     def range(self) -> tuple[float, float]:
@@ -97,67 +184,97 @@ class Joint(Part):
         return "angle" if self.kind == "revolute" else "position"
 
 
+def _frame_messages(frame: Frame) -> Iterator[Message]:
+    symbols = [step.symbol for step in frame.steps]
+    for step in frame.steps:
+        if isinstance(step.value, bool) or not isinstance(step.value, int | float) or not math.isfinite(step.value):
+            yield (step.symbol,), f"expected a finite number, found {step.value!r}"
+    for symbol in {symbol for symbol in symbols if symbols.count(symbol) > 1}:
+        yield (), f"expected each symbol once in a frame, found '{symbol}' again"
+    if frame.turn.motion != "rz":
+        yield ("turn",), f"expected a turn about z, found {frame.turn.motion}"
+
+
 @dataclass(frozen=True)
-class Bar(Part):
+class Bar(Record):
     """A moving bar of the loop: its length [m], and mass [kg] and centre along it and across it [m]."""
 
-    length: float
-    mass: float | None = None
-    com: Vector = (0.0, 0.0, 0.0)
+    length: Annotated[Length, Rule(gt=0)]
+    mass: Weight = None
+    com: Lengths3 = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class FourBar(Part):
+class FourBar(Record):
     """A four-bar loop PQRS that drives a joint (counted from 1) from a motor on the joint before it; m and rad.
 
     P lies on the axis of the joint before, S on the driven joint's axis. The crank PQ turns with the motor, the rod QR
     pushes the rocker RS, which is part of the driven link. Angles are measured in the plane across the two axes.
     """
 
-    joint: int
+    joint: Annotated[int, Rule(ge=2), AfterValidator(_of_the_robot)]
     crank: Bar
     rod: Bar
-    rocker: float
-    offset: float = 0.0
+    rocker: Annotated[Length, Rule(gt=0)]
+    offset: Angle = 0.0
     assembly: Literal["open", "crossed"] = "open"
 
 
 @dataclass(frozen=True)
-class Payload(Part):
+class Payload(Record):
     """A named load on the flange [kg]; its centre in the flange's frame [m]. None: nobody knows its mass."""
 
-    mass: float | None
-    com: Vector = (0.0, 0.0, 0.0)
+    mass: Annotated[Mass | None, Rule(ge=0, json_schema_extra=_or_unknown)]
+    com: Lengths3 = (0.0, 0.0, 0.0)
+
+    @field_validator("mass", mode="before")
+    @classmethod
+    def _may_be_unknown(cls, mass: Any) -> Any:
+        if isinstance(mass, str) and mass != UNKNOWN:
+            raise ValueError(f'expected a number or "{UNKNOWN}", found {shortened(repr(mass))}')
+        return None if mass == UNKNOWN else mass
 
 
 @dataclass(frozen=True)
-class Marker(Part):
+class Marker(Record):
     """A measured point of the tool, in the flange's frame [m].
 
     relative_sd [m] is how surely its place beside the first marker is known, where the tool was measured by itself. Not known: it
     may be anywhere, and the training poses say where.
     """
 
-    point: Vector
-    relative_sd: float | None = None
+    point: Lengths3
+    relative_sd: MaybeLength = None
+    known: bool = True
+
+    @model_validator(mode="after")
+    def _known_one_way(self) -> Self:
+        if self.relative_sd and not self.known:
+            raise ValueError("a marker with relative_sd is known beside the first: expected known = true")
+        return self
+
+
+@dataclass(frozen=True)
+class StatedBase(Record):
+    """Where the robot's base stands in the measuring device's frame [m and rad, about x, y and z in turn], as files state it."""
+
+    origin: Lengths3 = (0.0, 0.0, 0.0)
+    rotation: Angles3 = (0.0, 0.0, 0.0)
     known: bool = True
 
 
 @dataclass(frozen=True)
-class Base(Part):
+class Base(StatedBase):
     """Where the robot's base stands in the measuring device's frame [m and rad, about x, y and z in turn].
 
     fixed says that it is the measuring frame itself, since nothing looks at the robot from outside: then it has no errors.
     """
 
-    origin: Vector = (0.0, 0.0, 0.0)
-    rotation: Vector = (0.0, 0.0, 0.0)
-    known: bool = True
     fixed: bool = False
 
 
 @dataclass(frozen=True)
-class Expected(Part):
+class Expected(Record):
     """What is stated of a parameter before this robot is measured, in SI: None is left as its effect has it.
 
     The parameter goes by its name, or by effect, part and symbol, as tables of parameters have them (of effects without
@@ -177,31 +294,126 @@ class Expected(Part):
     fixed: bool = False
     value: float | None = None
 
+    @model_validator(mode="wrap")
+    @classmethod
+    def _as_tables_state_it(cls, raw: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Check a table; what Python or a study states is checked with the parameters that there are."""
+        made = handler(raw)
+        if isinstance(raw, dict):
+            refuse_all(_table_messages(made, raw))
+        return made
+
     @property
     def key(self) -> str | tuple[str, str, str, str]:
         """What the parameter is known by: its name, or its identity."""
         return self.name or (self.effect, "", self.part, self.symbol)
 
 
+def _table_messages(expected: Expected, keys: Mapping[str, Any]) -> Iterator[Message]:
+    identity = (expected.effect, expected.part, expected.symbol)
+    if "unit" not in keys:
+        yield (), "missing: expected 'unit'"
+    if not (expected.name or all(identity)) or (expected.name and any(identity)):
+        yield (), "missing: expected effect, part and symbol of a parameter, or its name"
+    if expected.sd is not None and expected.sd <= 0:
+        yield ("sd",), f"expected a number greater than 0, found {expected.sd:g}"
+    if (expected.mean is None) != (expected.sd is None):
+        yield (), "expected mean and sd together"
+    if expected.value is not None and not expected.fixed:
+        yield (), "value is where a parameter is held: expected fixed = true beside it"
+    if not expected.fixed and expected.mean is expected.lower is expected.upper is None:
+        yield (), "missing: expected mean and sd, lower, upper, or fixed = true"
+
+
 @dataclass(frozen=True)
-class Coupling(Part):
+class Coupling(Record):
     """A joint reading that moves another joint too: q[joint] += factor * reading[source]; joints count from 1."""
 
-    joint: int
-    source: int
+    joint: JointNumber
+    source: JointNumber
     factor: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surroundings(Record):
+    """What a robot is besides its joints, whatever states those."""
+
+    name: str = ""
+    notes: str = ""
+    gravity: Vector | None = None
+    base: StatedBase = StatedBase()
+    tool_rotation: Angles3 | None = None
+    couplings: tuple[Coupling, ...] = ()
+    payloads: Mapping[str, Payload] = field(default_factory=Named)
+    markers: Annotated[Mapping[str, Marker], Rule(validate_default=True)] = field(default_factory=Named)
+    expected: tuple[Expected, ...] = ()
+
+    @field_validator("payloads", "markers")
+    @classmethod
+    def _named(cls, things: Mapping[str, Any]) -> Named[Any]:
+        return Named(things)
+
+    @field_validator("markers")
+    @classmethod
+    def _markers_have_a_first(cls, markers: Mapping[str, Marker]) -> Mapping[str, Marker]:
+        refuse_all(_marker_messages(markers))
+        return markers
+
+
+def _marker_messages(markers: Mapping[str, Marker]) -> Iterator[Message]:
+    if not markers:
+        yield (
+            (),
+            'expected at least one marker, e.g. {"tool": Marker((0, 0, 0.1))}, or [markers.tool] with point_mm in a file',
+        )
+    if "base" in markers:
+        yield (), "a marker cannot be called 'base': parameters are named by their part"
+    if markers and next(iter(markers.values())).relative_sd:
+        yield (), "the first marker has no relative_sd: the others' places are relative to it"
+
+
+@dataclass(frozen=True)
+class RobotParts(Surroundings):
+    """All that a robot is made of."""
+
+    joints: tuple[Joint, ...]
+    name: str = field(default="robot", kw_only=True)
+    gravity: Vector = field(default=STANDARD_GRAVITY, kw_only=True)
+    ground: Annotated[int, Rule(ge=0), AfterValidator(_of_the_robot)] = field(default=0, kw_only=True)
+    base: Base = field(default=Base(), kw_only=True)
+    loop: FourBar | None = field(default=None, kw_only=True)
+
+    @field_validator("joints", mode="before")
+    @classmethod
+    def _has_joints(cls, joints: Any) -> Any:
+        if not isinstance(joints, tuple) or not joints:
+            raise ValueError(f"expected at least one Joint, found {joints!r}")
+        return joints
+
+    @model_validator(mode="after")
+    def _driven(self) -> Self:
+        refuse_all(_drive_messages(self))
+        return self
+
+
+def _drive_messages(robot: RobotParts) -> Iterator[Message]:
+    """What is wrong with joints that follow others, and with external axes."""
+    external = [joint.external for joint in robot.joints if joint.external is not None]
+    for number in sorted({axis for axis in external if external.count(axis) > 1}):
+        yield ("joints",), f"several joints are external axis {number}"
+    if len(external) == len(robot.joints):
+        yield ("joints",), "all joints are external axes: expected an arm"
+    followers = {i for i, joint in enumerate(robot.joints, start=1) if not joint.driven}
+    for joint in sorted(followers - {coupling.joint for coupling in robot.couplings}):
+        yield ("joints", joint - 1), "is not driven, and no coupling moves it: expected one"
+    for i, coupling in enumerate(robot.couplings):
+        if coupling.source in followers:
+            yield ("couplings", i, "source"), f"joint {coupling.source} follows another itself: expected a driven joint"
+    if robot.loop and followers & {robot.loop.joint, robot.loop.joint - 1}:
+        yield ("loop", "joint"), "a joint of the loop is not driven: expected one with a motor"
 
 
 def vector(values: Iterable[float]) -> Vector:
     """Return three numbers as a part holds them."""
     x, y, z = map(float, values)
     return x, y, z
-
-
-def plain(value: Any) -> Any:
-    """Return a value with its sequences as tuples and NumPy's numbers as Python's."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return tuple(map(plain, value))
-    return value

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from pathlib import Path
@@ -16,29 +16,21 @@ from typing import Any, Self
 
 import numpy as np
 
-from calflow.files.problems import InputError
+from calflow.files.toml import checked
 from calflow.files.writing import write_text
-from calflow.robot import robot as summary
-from calflow.robot.checks import follower_problems, joint_problems, other_problems
-from calflow.robot.formats import robot_file, toml_written, urdf
+from calflow.robot.formats import robot_file, urdf
 from calflow.robot.frames import Frame, Step, convention_of, kinematics
 from calflow.robot.parts import (
-    STANDARD_GRAVITY,
-    Base,
-    Coupling,
     Expected,
-    FourBar,
     Joint,
     Marker,
-    Named,
-    Part,
     Payload,
-    Vector,
+    RobotParts,
 )
 
 
 @dataclass(frozen=True, repr=False)
-class Robot(Part):
+class Robot(RobotParts):
     """A serial robot, possibly with one four-bar loop.
 
     gravity [m/s²] is in the frame of link `ground`, which stands on the floor: 0 is the base. Where the chain begins at a work
@@ -51,38 +43,12 @@ class Robot(Part):
         InputError: with all values that cannot be.
     """
 
-    joints: tuple[Joint, ...]
-    name: str = "robot"
-    notes: str = ""
-    gravity: Vector = STANDARD_GRAVITY
-    ground: int = 0
-    base: Base = field(default_factory=Base)
-    couplings: tuple[Coupling, ...] = ()
-    loop: FourBar | None = None
-    tool_rotation: Vector | None = None
-    payloads: Mapping[str, Payload] = field(default_factory=Named)
-    markers: Mapping[str, Marker] = field(default_factory=Named)
-    expected: tuple[Expected, ...] = ()
-
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("payloads", "markers"):
-            object.__setattr__(self, name, Named(getattr(self, name)))
         n_joints = len(self.joints) if isinstance(self.joints, tuple) else 0
-        rest = (
-            self.gravity,
-            self.ground,
-            self.base,
-            self.couplings,
-            self.loop,
-            self.tool_rotation,
-            self.payloads,
-            self.markers,
-        )
-        problems = [*joint_problems(self.joints), *other_problems(n_joints, *rest)]
-        problems = problems or list(follower_problems(self.joints, self.couplings, self.loop))
-        if problems:
-            raise InputError(dataclasses.replace(one, key=f"robot '{self.name}': {one.key}") for one in problems)
+        parts = checked(self, RobotParts, f"robot '{self.name}'", {"n_joints": n_joints})
+        for name, value in vars(parts).items():
+            object.__setattr__(self, name, value)
 
     def __hash__(self) -> int:
         return self._hash
@@ -103,7 +69,7 @@ class Robot(Part):
         Raises:
             InputError: with all that is wrong in it.
         """
-        return cls(**robot_file.read(Path(path)))
+        return cls(**robot_file.read_robot(Path(path)))
 
     @classmethod
     def from_urdf(cls, path: str | Path, tip: str | None = None, base_link: str | None = None, **stated: Any) -> Self:
@@ -115,7 +81,7 @@ class Robot(Part):
         Raises:
             InputError: with all that is wrong in the file.
         """
-        return cls(**(urdf.read(Path(path), tip, base_link) | stated))
+        return cls(**(urdf.read_urdf(Path(path), tip, base_link) | stated))
 
     def to_toml(self, path: str | Path) -> None:
         """Write a robot file that reads back equal; frames that follow no convention are stated by their steps."""
@@ -123,7 +89,7 @@ class Robot(Part):
 
     def toml_text(self) -> str:
         """Return what `to_toml` writes."""
-        return toml_written.text({one.name: getattr(self, one.name) for one in dataclasses.fields(self)})
+        return robot_file.RobotFile.of(self).text
 
     @cached_property
     def expectations(self) -> Mapping[str | tuple[str, str, str, str], Expected]:
@@ -228,10 +194,10 @@ class Robot(Part):
         return np.asarray(((q >= low - by) & (q <= high + by)).all(axis=1))
 
     def __repr__(self) -> str:
-        return summary.text(self.name, self.joints, self.payloads, self.markers)
+        return _text(self.name, self.joints, self.payloads, self.markers)
 
     def _repr_html_(self) -> str:
-        return summary.html(self.name, self.joints, self.payloads, self.markers)
+        return _html(self.name, self.joints, self.payloads, self.markers)
 
 
 def _canonical(value: Any) -> Any:
@@ -248,7 +214,7 @@ def _canonical(value: Any) -> Any:
 Rows = list[tuple[str, ...]]
 
 
-def text(name: str, joints: Sequence[Joint], payloads: Mapping[str, Payload], markers: Mapping[str, Marker]) -> str:
+def _text(name: str, joints: Sequence[Joint], payloads: Mapping[str, Payload], markers: Mapping[str, Marker]) -> str:
     """Return a robot as plain text."""
     table = _table(joints)
     widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
@@ -256,7 +222,7 @@ def text(name: str, joints: Sequence[Joint], payloads: Mapping[str, Payload], ma
     return "\n".join((_title(name, joints), *(f"  {line}" for line in lines), *_tool(payloads, markers)))
 
 
-def html(name: str, joints: Sequence[Joint], payloads: Mapping[str, Payload], markers: Mapping[str, Marker]) -> str:
+def _html(name: str, joints: Sequence[Joint], payloads: Mapping[str, Payload], markers: Mapping[str, Marker]) -> str:
     """Return a robot as a small HTML table."""
     head, *body = _table(joints)
     rows = [_row("th", head), *(_row("td", row) for row in body)]

@@ -1,23 +1,226 @@
-"""The robot file: robot.toml, which states the joints itself or names a URDF beside it.
-
-robot.toml that names a URDF: joints by that file, and beside it what a URDF does not say.
-"""
+"""The robot file, read and written: robot.toml, which states the joints itself or names a URDF beside it."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, field_validator
+import numpy as np
+import tomli_w
+from pydantic import Field as Rule
+from pydantic import ValidationInfo, field_validator, model_validator
 
-from calflow.files.problems import InputError, Problem, nearest, refuse
-from calflow.files.toml import FileModel, Origin, parse_toml, validate
+from calflow.files.problems import nearest, refuse
+from calflow.files.toml import Angle, FileModel, Length, Origin, Record, parse_toml, refuse_all, stated, validate
+from calflow.files.units import split_unit
 from calflow.robot.formats import urdf
-from calflow.robot.formats.robot_toml import CouplingTable, DriveTable, RobotFile, Surroundings
 from calflow.robot.formats.urdf_document import Drive, read_document
-from calflow.robot.parts import Coupling, Joint
+from calflow.robot.frames import CONVENTIONS, Frame, Motion, Place, Step, convention_of
+from calflow.robot.parts import (
+    STANDARD_GRAVITY,
+    Base,
+    FourBar,
+    Joint,
+    JointProperties,
+    RobotParts,
+    StatedBase,
+    Surroundings,
+)
+
+OWN_FRAMES = "frames"  # the convention of a robot whose frames follow none
+PARTS = ("reach", "mount", "turn", "body")  # of a frame, in order
+CONVENTIONAL = ("alpha", "a", "d", "theta", "beta")
+UPRIGHT = 0.5  # cosine of a slide's angle to gravity from which it is no rail
+PROPERTIES = tuple(field.name for field in fields(JointProperties))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepTable(Record):
+    """An elementary transform of a frame that follows no convention: a shift along an axis or a turn about it."""
+
+    part: Literal["reach", "mount", "turn", "body"]
+    motion: Motion
+    symbol: str
+    shift: Length | None = None
+    turn: Angle | None = None
+    free: tuple[Place, ...] = ()
+
+    @model_validator(mode="after")
+    def _of_its_motion(self) -> Self:
+        shifts = self.motion[0] == "t"
+        if (self.turn if shifts else self.shift) is not None:
+            raise ValueError(f"a motion {self.motion} has {'shift_mm' if shifts else 'turn_deg'}, nothing else")
+        return self
+
+    @property
+    def step(self) -> Step:
+        """The step."""
+        return Step(self.motion, self.symbol, self.shift or self.turn or 0.0, self.free)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameTable(Record):
+    """A joint's frame: five figures of a convention, or all its steps."""
+
+    name: str = ""
+    kind: Literal["revolute", "prismatic"] = "revolute"
+    alpha: Angle = 0.0
+    a: Length = 0.0
+    d: Length = 0.0
+    theta: Angle = 0.0
+    beta: Angle = 0.0
+    steps: tuple[StepTable, ...] = ()
+    listed: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _stated_once(self) -> Self:
+        if not self.steps:
+            return self
+        if figures := sorted(name for name in CONVENTIONAL if getattr(self, name)):
+            raise ValueError(f"'{figures[0]}' is of a convention: a joint stated by its steps has none")
+        parts = [step.part for step in self.steps]
+        if parts != sorted(parts, key=PARTS.index) or parts.count("turn") != 1:
+            raise ValueError("steps: expected those of reach, then of mount, one of turn, then those of body")
+        return self
+
+    def frame(self, convention: str) -> Frame:
+        """Return the frame."""
+        if convention != OWN_FRAMES:
+            return CONVENTIONS[convention](**{name: getattr(self, name) for name in CONVENTIONAL})
+        steps = {part: tuple(table.step for table in self.steps if table.part == part) for part in PARTS}
+        (turn,) = steps["turn"]
+        return Frame(turn, steps["reach"], steps["mount"], steps["body"], self.listed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointTable(JointProperties, FrameTable):
+    """One joint and the link it moves."""
+
+    @classmethod
+    def of(cls, joint: Joint, convention: str) -> Self:
+        """Return the table that states a joint."""
+        properties: dict[str, Any] = {name: getattr(joint, name) for name in ("kind", *PROPERTIES)}
+        if convention != OWN_FRAMES:
+            return cls(**properties | joint.frame.figures)
+        steps = [
+            StepTable(
+                part=part,  # type: ignore[arg-type]
+                motion=step.motion,
+                symbol=step.symbol,
+                free=step.free,
+                **{"shift" if step.is_length else "turn": step.value},
+            )
+            for part in PARTS
+            for step in ((joint.frame.turn,) if part == "turn" else getattr(joint.frame, part))
+        ]
+        return cls(**properties, steps=tuple(steps), listed=joint.frame.listed)
+
+    def joint(self, convention: str) -> Joint:
+        """Return the joint."""
+        return Joint(self.frame(convention), kind=self.kind, **{name: getattr(self, name) for name in PROPERTIES})
+
+    @property
+    def text(self) -> str:
+        """The table as a file has it, a step a line."""
+        dimension = "angle" if self.kind == "revolute" else "length"
+        table = stated(self, limits=dimension)
+        steps = table.pop("steps", ())
+        lines = [f"  {{{', '.join(_dumped(step).splitlines())}}},\n" for step in steps]
+        return f"\n[[joints]]\n{_dumped(table)}{''.join(('steps = [', chr(10), *lines, ']', chr(10))) if lines else ''}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotFile(Surroundings):
+    """A robot file as written."""
+
+    name: str
+    convention: Literal["dh", "modified-dh", "frames"]
+    ground: Annotated[int, Rule(ge=0)] = 0
+    joints: Annotated[tuple[JointTable, ...], Rule(min_length=1)]
+    loop: FourBar | None = None
+
+    @field_validator("joints")
+    @classmethod
+    def _stated_alike(cls, joints: tuple[JointTable, ...], info: ValidationInfo) -> tuple[JointTable, ...]:
+        by_steps, expected = info.data.get("convention") == OWN_FRAMES, f'with convention = "{OWN_FRAMES}"'
+        for i, joint in enumerate(joints, start=1):
+            if by_steps and not joint.steps:
+                raise ValueError(f"joint {i}: missing: expected steps, {expected}")
+            if joint.steps and not by_steps:
+                raise ValueError(f"joint {i}: steps go {expected}")
+        return joints
+
+    @model_validator(mode="after")
+    def _up_is_known(self) -> Self:
+        """A first joint that slides along the base's z is a lift, or a rail that takes what is said of no gravity along itself."""
+        if self.ground > len(self.joints):
+            raise ValueError(f"ground: there is no link {self.ground}: this robot has links 0 to {len(self.joints)}")
+        if self.gravity is not None:
+            return self
+        if self.ground:
+            raise ValueError(f"missing: expected gravity, in the axes of link {self.ground}, which stands on the floor")
+        first = self.joints[0]
+        if first.steps:
+            raise ValueError("missing: expected gravity, in the base's axes, of a robot stated by its frames' steps")
+        upright = self.convention == "dh" or abs(np.cos(first.alpha) * np.cos(first.beta)) > UPRIGHT
+        if first.kind == "prismatic" and upright:
+            raise ValueError(
+                "missing: expected gravity, in the base's axes: the first joint slides along the base's z, along which gravity "
+                "acts where nothing is said; of a lift state [0, 0, -9.80665], of a rail e.g. [0, -9.80665, 0]"
+            )
+        return self
+
+    @classmethod
+    def of(cls, robot: RobotParts) -> Self:
+        """Return the file that states a robot; frames that are not all of one convention are stated by their steps."""
+        convention = convention_of([joint.frame for joint in robot.joints]) or OWN_FRAMES
+        level = robot.gravity == STANDARD_GRAVITY and robot.joints[0].kind == "revolute"
+        usual = level and convention != OWN_FRAMES and not robot.ground
+        same = {name: getattr(robot, name) for name in (*AROUND, "name", "couplings", "ground", "loop")}
+        return cls(
+            **same,
+            base=StatedBase(robot.base.origin, robot.base.rotation, robot.base.known),
+            gravity=None if usual else robot.gravity,
+            convention=convention,  # type: ignore[arg-type]
+            joints=tuple(JointTable.of(joint, convention) for joint in robot.joints),
+        )
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """The fields of the robot that the file states."""
+        return {name: getattr(self, name) for name in ("name", "couplings", "ground", "loop")} | {
+            **_around(self),
+            "gravity": self.gravity or STANDARD_GRAVITY,
+            "joints": tuple(joint.joint(self.convention) for joint in self.joints),
+        }
+
+    @property
+    def text(self) -> str:
+        """The file's text."""
+        table = stated(self)
+        after: dict[str, Any] = {name: table.pop(name) for name in ("loop", "payloads", "markers") if name in table}
+        del table["joints"]
+        for expected in table.get("expected", ()):
+            expected.setdefault("unit", "")
+        return "".join((_dumped(table), *(joint.text for joint in self.joints), "\n", _dumped(after)))
+
+
+AROUND = ("notes", "tool_rotation", "payloads", "markers", "expected")
+
+
+def _around(table: Surroundings) -> dict[str, Any]:
+    """The fields of the robot that stand beside its joints in either kind of file."""
+    base = Base(table.base.origin, table.base.rotation, table.base.known)
+    return {name: getattr(table, name) for name in AROUND} | {"base": base}
+
+
+def _dumped(table: Mapping[str, Any]) -> str:
+    """A table as TOML, a list of numbers or names on one line."""
+    lists = re.compile(r"\[\n((?: +[^\[\]{}\n]+,\n)+) *\]")
+    return lists.sub(lambda found: f"[{' '.join(found[1].split())[:-1]}]", tomli_w.dumps(table))
 
 
 class UrdfTable(FileModel):
@@ -35,83 +238,58 @@ class UrdfTable(FileModel):
         return file
 
 
-class NamedJointTable(DriveTable):
+@dataclass(frozen=True, kw_only=True)
+class NamedJointTable(JointProperties):
     """What is to be said of a joint of the URDF besides."""
 
     name: str
 
+    @field_validator("name")
+    @classmethod
+    def _there(cls, name: str, info: ValidationInfo) -> str:
+        kinds = (info.context or {}).get("kinds")
+        if kinds is not None and name not in kinds:
+            missing = f"there is no joint '{name}' that moves between base and tip{nearest(name, kinds)}"
+            raise ValueError(f"{missing}; there are {', '.join(kinds)}")
+        return name
 
+
+@dataclass(frozen=True, kw_only=True)
 class UrdfRobotFile(Surroundings):
     """A robot file that names a URDF, as written; joints are those of which more, or something else, is to be said."""
 
     urdf: UrdfTable
-    joints: tuple[NamedJointTable, ...] = Field(default=())
-    couplings: tuple[CouplingTable, ...] = ()
+    joints: tuple[NamedJointTable, ...] = ()
 
-    def fields(self, origin: Origin) -> dict[str, Any]:
-        """Return the fields of the robot that the two files state.
-
-        Raises:
-            InputError: with all that is wrong in the URDF, else with what does not fit it.
-        """
-        stated = urdf.read(origin.path.parent / self.urdf.file, self.urdf.tip, self.urdf.base)
-        joints = {joint.name: joint for joint in stated["joints"]}
-        problems = [*_joint_problems(self.joints, joints, origin), *_coupling_problems(self.couplings, joints, origin)]
-        if problems:
-            raise InputError(problems)
-        more = {table.name: table for table in self.joints}
-        own = tuple(Coupling(**vars(coupling)) for coupling in self.couplings)
-        return stated | {
-            **self.around(),
-            "name": self.name or stated["name"],
-            "gravity": self.gravity or stated["gravity"],
-            "joints": tuple(_completed(joint, more.get(name)) for name, joint in joints.items()),
-            "couplings": (*stated["couplings"], *own),
-        }
+    @field_validator("joints")
+    @classmethod
+    def _once(cls, joints: tuple[NamedJointTable, ...]) -> tuple[NamedJointTable, ...]:
+        names = [joint.name for joint in joints]
+        refuse_all(((k, "name"), f"joint '{name}' is there twice") for k, name in enumerate(names) if name in names[:k])
+        return joints
 
 
-def _joint_problems(tables: tuple[NamedJointTable, ...], joints: dict[str, Joint], origin: Origin) -> list[Problem]:
-    """Tell tables of joints that do not fit the URDF."""
-    problems = []
-    names = [table.name for table in tables]
-    for k, table in enumerate(tables):
-        joint = joints.get(table.name)
-        if joint is None:
-            said = f"there is no joint '{table.name}' that moves between base and tip{nearest(table.name, joints)}"
-            problems.append(origin.problem(f"{said}; there are {', '.join(joints)}", "joints", k, "name"))
-        elif table.name in names[:k]:
-            problems.append(origin.problem(f"joint '{table.name}' is there twice", "joints", k, "name"))
-        elif joint.kind == "revolute" and table.slides:
-            problems.append(origin.problem("a revolute joint has limits_deg, not limits_mm", "joints", k))
-        elif joint.kind == "prismatic" and table.turns:
-            problems.append(origin.problem("a prismatic joint has limits_mm, not limits_deg", "joints", k))
-    return problems
-
-
-def _coupling_problems(tables: tuple[CouplingTable, ...], joints: dict[str, Joint], origin: Origin) -> list[Problem]:
-    """Tell couplings of joints that are not there."""
-    last = len(joints)
-    return [
-        origin.problem(f"there is no joint {number}: this robot has joints 1 to {last}", "couplings", k, key)
-        for k, table in enumerate(tables)
-        for key, number in (("joint", table.joint), ("source", table.source))
-        if number > last
-    ]
-
-
-def _completed(joint: Joint, table: NamedJointTable | None) -> Joint:
-    """A joint with what a table says of it."""
-    if table is None:
-        return joint
-    given = {
-        name: getattr(table, name)
-        for name in ("sign", "gear_ratio", "rated_torque", "mass", "com", "driven", "external")
+def _with_urdf(raw: dict[str, Any], origin: Origin) -> dict[str, Any]:
+    """The fields of the robot that a robot file and the URDF that it names state, the file's where both do."""
+    names = validate(raw, UrdfRobotFile, origin).urdf
+    parts = urdf.read_urdf(origin.path.parent / names.file, names.tip, names.base)
+    joints = {joint.name: joint for joint in parts["joints"]}
+    context = {"n_joints": len(joints), "kinds": {name: joint.kind for name, joint in joints.items()}}
+    table = validate(raw, UrdfRobotFile, origin, context=context)
+    for stating, keys in zip(table.joints, raw.get("joints", ()), strict=True):
+        names_of = {(split_unit(key) or (key,))[0] for key in keys}
+        more = {name: getattr(stating, name) for name in PROPERTIES if name in names_of}
+        joints[stating.name] = replace(joints[stating.name], **more)
+    return parts | {
+        **_around(table),
+        "name": table.name or parts["name"],
+        "gravity": table.gravity or parts["gravity"],
+        "joints": tuple(joints.values()),
+        "couplings": (*parts["couplings"], *table.couplings),
     }
-    said = {name: value for name, value in given.items() if name in table.model_fields_set}
-    return replace(joint, limits=table.limits or joint.limits, **said)
 
 
-def read(path: Path) -> dict[str, Any]:
+def read_robot(path: Path) -> dict[str, Any]:
     """Read a robot file into the fields of a robot.
 
     Raises:
@@ -123,10 +301,20 @@ def read(path: Path) -> dict[str, Any]:
             f"\"{path.name}\"; 'calflow new FOLDER --robot {path.name}' writes one",
             path,
         )
-    raw, origin = parse_toml(path)
+    return parts_of(*parse_toml(path))
+
+
+def parts_of(raw: dict[str, Any], origin: Origin) -> dict[str, Any]:
+    """Return the fields of a robot that a parsed robot file states.
+
+    Raises:
+        InputError: with all that is wrong in it, and in the URDF that it names.
+    """
     if "urdf" in raw:
-        return validate(raw, UrdfRobotFile, origin).fields(origin)
-    return validate(raw, RobotFile, origin).fields()
+        return _with_urdf(raw, origin)
+    joints = raw.get("joints")
+    context = {"n_joints": len(joints)} if isinstance(joints, list) else None
+    return validate(raw, RobotFile, origin, context=context).parts
 
 
 def files(path: Path) -> tuple[Path, ...]:

@@ -48,7 +48,7 @@ class Chain:
         return sum(joint.moves for joint in self.up)
 
 
-def read(path: Path, tip: str | None = None, base: str | None = None) -> dict[str, Any]:
+def read_urdf(path: Path, tip: str | None = None, base: str | None = None) -> dict[str, Any]:
     """Read a URDF file into the fields of a robot, with a marker at the tip.
 
     tip may be left out where one link alone has no joint on it; base is the root link unless said otherwise.
