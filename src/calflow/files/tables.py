@@ -16,7 +16,7 @@ from __future__ import annotations
 import re
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -221,16 +221,21 @@ class TypedTable(Sequence[Row]):
 
 
 def as_declared(frame: pd.DataFrame, row_type: type) -> pd.DataFrame:
-    """Return a table that was read as it was when it was written: a text that was empty is empty, and no number."""
-    texts = [name for name, one in declared_among(map(str, frame), row_type).items() if one.many or one.kind is str]
-    return frame.assign(
-        **{
-            name: frame[name].map(
-                lambda cell: "" if pd.isna(cell) else _text(cell) if isinstance(cell, float) else cell
-            )
-            for name in texts
-        }
-    )
+    """Return a table that was read with its columns as they were when it was written.
+
+    An empty text is empty, a list is text and no number, and numbers and truth values with gaps are such.
+    """
+
+    def text(cell: Any, many: bool) -> Any:
+        return "" if pd.isna(cell) else _text(cell) if many or isinstance(cell, float) else cell
+
+    columns = {}
+    for name, one in declared_among(map(str, frame), row_type).items():
+        if one.many or one.kind is str:
+            columns[name] = frame[name].map(partial(text, many=one.many))
+        elif one.gaps and one.kind is not float:
+            columns[name] = _stored(frame[name], one)
+    return frame.assign(**columns)
 
 
 def lacking(frame: pd.DataFrame, row_type: type) -> list[str]:
