@@ -530,14 +530,17 @@ class Calibration(CalibratedModel):
 
     def material(self) -> Material:
         """Return what its figures and its report are made from."""
-        from calflow.reporting.material import Calibration as Calibrated
-        from calflow.reporting.material import Material
+        from calflow.reporting.material import Material, pages_of
 
-        workflow = WorkflowFile(name=self.request.name, stages=tuple(self.request.stages))
         request = self.request.model_copy(update={"title": self.title})
-        study = Study(Path(), request, self.model.robot, Path(), workflow, Path())
-        used = self.data.only(self.data.train | self.data.held_out)
-        return Material(study, self.results, Path(), Calibrated(used, replace(self, field=None)))
+        return Material(
+            self.model.robot,
+            request,
+            self.request.name,
+            self.request.stages,
+            self.results,
+            calibration=pages_of(self, self.data),
+        )
 
     def _latest(self, name: str) -> pd.DataFrame:
         return self.results.tables[f"{'diagnose' if self.diagnosed else 'identify'}/{name}.csv"]

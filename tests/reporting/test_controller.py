@@ -48,14 +48,14 @@ def test_the_figures_make_the_calibrated_robot(material: Material) -> None:
                 turned = np.deg2rad(own[symbol]) + (reading if symbol == "theta" else 0.0)
                 chain = chain @ moved(Rotation.from_euler(AXES[symbol], turned), np.zeros(3))
             chain = chain @ moved(Rotation.identity(), np.array([0, 0, own["d"] / 1e3]))
-        seen = material.known.model.point(material.known.estimate, material.data.rows)[k]
+        seen = material.calibrated.model.point(material.calibrated.estimate, material.data.rows)[k]
         np.testing.assert_allclose((chain @ [*place, 1.0])[:3], seen, atol=1e-9)
-    assert marker in material.known.model.robot.markers
+    assert marker in material.calibrated.model.robot.markers
 
 
 def test_zeros_are_those_of_the_readings(material: Material) -> None:
     """Fails if a zero is not what makes the maker's chain turn as far as the calibrated one."""
-    robot = material.known.model.robot
+    robot = material.calibrated.model.robot
     off = [
         next(figure.difference or 0.0 for figure in figures if figure.symbol == "theta") for figures in links(material)
     ]

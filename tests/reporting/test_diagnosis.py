@@ -280,9 +280,9 @@ def test_a_posterior_without_the_maps_is_told_as_such(small: Context, tmp_path: 
     """Fails if the chain of a model whose curves were held is read as one of the whole model, or nobody says so."""
     given = with_sample(with_diagnosis(small, BACKLASH, CURVE))
     material = Material.of(given.study, given.results, given.run_folder)
-    held = sum(parameter.effect == "joint-error-map" for parameter in material.known.model.parameters)
+    held = sum(parameter.effect == "joint-error-map" for parameter in material.calibrated.model.parameters)
     assert held > 20
-    assert len(material.sampled[0].estimate) == len(material.known.estimate) - held
+    assert len(material.sampled[0].estimate) == len(material.calibrated.estimate) - held
     with style():
         (section,) = [section for section in chosen(sections(), material) if "posterior" in section.title]
         text = document.source("", [("", section.write(material))])
@@ -294,7 +294,7 @@ def test_errors_and_accuracy_are_those_of_the_extended_model(small: Context) -> 
     given = with_diagnosis(small, BACKLASH)
     material = Material.of(given.study, given.results, given.run_folder)
     np.testing.assert_allclose(material.error, 0.5 * material.error_before)
-    assert material.known.model.parameters[-1].effect == "joint-backlash"
+    assert material.calibrated.model.parameters[-1].effect == "joint-backlash"
     table = given.tables["diagnose/accuracy.csv"]
     first, _ = told(given)
     last = table[table["split"] == "holdout"]["mean_mm"].iloc[-1]

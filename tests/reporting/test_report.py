@@ -257,7 +257,7 @@ def test_of_very_many_rows_some_are_drawn_and_the_worst(small: Context, monkeypa
 
 def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> None:
     material = Material.of(small.study, small.results, small.run_folder)
-    known = material.known
+    known = material.calibrated
     rng = np.random.default_rng(0)
     draws = rng.multivariate_normal(known.estimate, known.covariance, 400, method="svd")
     rows = material.data.rows[:, material.judged]
@@ -269,16 +269,14 @@ def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> No
 def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small: Context) -> None:
     """Fails if page one gives the parameters' certainty for that of predictions."""
     material = Material.of(small.study, small.results, small.run_folder)
-    calibration = replace(
-        material.calibration, known=replace(material.known, discrepancy=PerUnit().having(METRE, 1e-4), elsewhere=0.0)
-    )
-    off = replace(material, calibration=calibration)
+    less_sure = replace(material.calibrated, discrepancy=PerUnit().having(METRE, 1e-4), elsewhere=0.0)
+    off = replace(material, calibration=(less_sure, material.data))
     assert off.prediction_sd == pytest.approx(np.hypot(material.model_sd, 0.1 * np.sqrt(3)))
     left = f"{off.distance[off.judged].mean():.3f} mm are left on average"
     assert f"certain to {off.prediction_sd:.3f} mm (1 sd, its own error included" in certainty(off)
     assert left in certainty(off)
-    elsewhere = Alternative(off.known.model, off.known.estimate + 3 * np.sqrt(np.diag(off.known.covariance)), 0.4)
-    rivalled = replace(off, calibration=replace(calibration, known=replace(off.known, alternatives=(elsewhere,))))
+    elsewhere = Alternative(less_sure.model, less_sure.estimate + 3 * np.sqrt(np.diag(less_sure.covariance)), 0.4)
+    rivalled = replace(off, calibration=(replace(less_sure, alternatives=(elsewhere,)), material.data))
     assert "its own error and the choice among causes that do as well included" in certainty(rivalled)
     assert rivalled.prediction_sd > off.prediction_sd
 

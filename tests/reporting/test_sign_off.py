@@ -49,8 +49,7 @@ def test_a_study_that_states_it_is_signed(tmp_path) -> None:
         "tolerance_mm": 1.0,
     }
     asked = Acceptance.model_validate(stated)
-    file = given.study.file.model_copy(update={"acceptance": asked})
-    signed = replace(material, study=replace(given.study, file=file))
+    signed = replace(material, request=material.request.model_copy(update={"acceptance": asked}))
     assert acceptance.ACCEPTANCE_SECTION not in chosen(sections(), material)
     assert acceptance.ACCEPTANCE_SECTION in chosen(sections(), signed)
     blocks = acceptance.ACCEPTANCE_SECTION.write(signed)

@@ -5,9 +5,11 @@ The findings of a run.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,7 +29,9 @@ from calflow.files.tables import Tables
 from calflow.files.units import METRE
 from calflow.files.words import effect_words
 from calflow.measurements.measurements import Measurements
+from calflow.robot.robot import Robot
 from calflow.study import Study
+from calflow.study_file import StudyFile
 
 MEAN_OF_NOISE = np.sqrt(
     np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, np.pi])
@@ -56,46 +60,47 @@ class ModelAccuracy:
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """Measurements without the rows that are left out, and the best model that was found."""
-
-    data: Measurements
-    known: CalibratedModel
-
-    @staticmethod
-    def of(study: Study, results: Results) -> Calibration:
-        """Read the measurements and rebuild the fitted model."""
-        data = corrected(study.measurements(), results.tables["identify/faults.csv"])
-        known = replace(calibrated(study.robot, results, data.given), field=None)  # the pages tell of causes
-        return Calibration(data.only(data.train | data.held_out).on(known.model.robot), known)
-
-
-@dataclass(frozen=True)
 class Material:
-    """Study, all results, and the calibration where there is one: a section that asks for it needs results of identify."""
+    """What was asked, of which robot, and what came of it: what the sections are written from.
 
-    study: Study
+    request is what a study file says, settings are those of each stage of the workflow, in their order; chain is the file of the
+    sampled posterior. calibration is the calibrated model, without its residual field, and the measurements without the rows that
+    are left out: a section that asks for them needs results of identify.
+    """
+
+    robot: Robot
+    request: StudyFile
+    workflow: str
+    settings: Mapping[str, Mapping[str, Any]]
     results: Results
-    run_folder: Path
-    calibration: Calibration | None
+    chain: Path | None = None
+    calibration: tuple[CalibratedModel, Measurements] | None = None
 
     @staticmethod
     def of(study: Study, results: Results, run_folder: Path) -> Material:
-        """Read the measurements and rebuild the fitted model, if there is one."""
-        found = Calibration.of(study, results) if "identify/faults.csv" in results else None
-        return Material(study, results, run_folder, found)
+        """Read a study's measurements and rebuild the calibrated model, if there is one."""
+        settings = {stage: study.settings(stage) for stage in study.stages}
+        chain = run_folder / "sample" / "chain.h5"
+        asked = Material(
+            study.robot, study.file, study.workflow.name, settings, results, chain if chain.exists() else None
+        )
+        if "identify/faults.csv" not in results:
+            return asked
+        data = corrected(study.measurements(), results.tables["identify/faults.csv"])
+        model = calibrated(study.robot, results, data.given)
+        return replace(asked, calibration=pages_of(model, data.on(model.model.robot)))
 
     @property
     def data(self) -> Measurements:
         """The measurements, without the rows that are left out."""
         assert self.calibration is not None
-        return self.calibration.data
+        return self.calibration[1]
 
     @property
-    def known(self) -> CalibratedModel:
+    def calibrated(self) -> CalibratedModel:
         """The best model that was found."""
         assert self.calibration is not None
-        return self.calibration.known
+        return self.calibration[0]
 
     @property
     def tables(self) -> Tables:
@@ -105,12 +110,12 @@ class Material:
     @cached_property
     def sampled(self) -> tuple[CalibratedModel, tuple[Cause, ...]]:
         """The model of which the stage sample drew, and the causes that it held at their estimates."""
-        return with_maps_held(self.known)
+        return with_maps_held(self.calibrated)
 
     @property
     def title(self) -> str:
         """What the report is called."""
-        return self.study.file.title or self.study.name
+        return self.request.title or self.request.name
 
     @cached_property
     def held(self) -> np.ndarray:
@@ -141,7 +146,7 @@ class Material:
     @cached_property
     def length_error(self) -> np.ndarray:
         """Predicted minus measured length where a row has one alone, nan elsewhere, shape (n_rows,) [mm]."""
-        whole = errors(self.known.model, self.known.estimate, self.data)
+        whole = errors(self.calibrated.model, self.calibrated.estimate, self.data)
         return np.where(np.isnan(whole[:, 1]), 1e3 * whole[:, 0], np.nan)
 
     @cached_property
@@ -166,9 +171,9 @@ class Material:
     @cached_property
     def place(self) -> np.ndarray:
         """Where the marker was: as measured, or as predicted where no position was, shape (n_rows, 3) [m]."""
-        known = self.known.model
-        here = in_measuring_frame(known.observations, self.data)
-        place = known.point(self.known.estimate, self.data.rows)
+        model = self.calibrated.model
+        here = in_measuring_frame(model.observations, self.data)
+        place = model.point(self.calibrated.estimate, self.data.rows)
         if here.any():
             place[here] = self.data.position[here]
         return place
@@ -176,28 +181,33 @@ class Material:
     @cached_property
     def sigma(self) -> np.ndarray:
         """Noise of each row per axis, shape (n_rows,) [mm]."""
-        return 1e3 * self.known.noise(self.data).sigma
+        return 1e3 * self.calibrated.noise(self.data).sigma
 
     @property
     def noise_floor(self) -> float | None:
         """Mean error that noise alone would give in the judged rows [mm]; None where only the fit tells the noise."""
-        if not self.known.noise_known:
+        if not self.calibrated.noise_known:
             return None
-        units = [one.units.count(METRE) for one in self.known.model.observations]
+        units = [one.units.count(METRE) for one in self.calibrated.model.observations]
         mean = MEAN_OF_NOISE[np.array(units)[self.data.series_number]] * self.sigma
         return float(mean[self.judged].mean())
 
     @cached_property
     def model_sd(self) -> float:
         """How sure the parameters make the model's position: root mean square over the judged rows [mm]."""
-        variance = parameter_variance(self.known, self.data.rows[:, self.judged])
+        variance = parameter_variance(self.calibrated, self.data.rows[:, self.judged])
         return 1e3 * float(np.sqrt(variance.sum(axis=1).mean()))
 
     @property
     def prediction_sd(self) -> float:
         """How sure predicted positions are, with the choice of the model and its own error: see `predict_positions` [mm]."""
-        variance = position_variance(self.known, self.data.rows[:, self.judged])
+        variance = position_variance(self.calibrated, self.data.rows[:, self.judged])
         return 1e3 * float(np.sqrt(variance.sum(axis=1).mean()))
+
+
+def pages_of(model: CalibratedModel, data: Measurements) -> tuple[CalibratedModel, Measurements]:
+    """Return a model and its measurements as pages tell of them: of causes, not of a residual field, and of the rows used."""
+    return replace(model, field=None), data.only(data.train | data.held_out)
 
 
 def _errors(residuals: pd.DataFrame) -> np.ndarray:

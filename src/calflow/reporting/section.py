@@ -11,7 +11,7 @@ from calflow.deployment.usability import Advice, Rule
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block
 from calflow.reporting.material import Material
-from calflow.study import Study
+from calflow.study_file import StudyFile
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Section:
     write: Callable[[Material], list[Block]]
     rules: tuple[Rule, ...] = ()
     worth_telling: Callable[[Results], bool] = lambda results: True
-    asked: Callable[[Study], bool] = lambda study: True
+    asked: Callable[[StudyFile], bool] = lambda request: True
 
 
 def sections() -> list[Section]:
@@ -44,9 +44,8 @@ def sections() -> list[Section]:
 
 def chosen(every: Sequence[Section], material: Material) -> list[Section]:
     """Return the sections whose tables are there and hold something to tell."""
-    results, study = material.results, material.study
-    there = [section for section in every if _served(section, results) and section.asked(study)]
-    return [section for section in there if section.worth_telling(results)]
+    there = [section for section in every if _served(section, material.results) and section.asked(material.request)]
+    return [section for section in there if section.worth_telling(material.results)]
 
 
 def advice(every: Sequence[Section], results: Results) -> list[Advice]:

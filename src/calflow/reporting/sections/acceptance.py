@@ -65,7 +65,7 @@ class Judged:
 
 def judged(material: Material) -> Judged | None:
     """Hold the model against the study's tolerance: a pose is within it where all its rows are; None where there is none."""
-    asked = material.study.file.acceptance
+    asked = material.request.acceptance
     if asked is None or asked.tolerance is None:
         return None
     tolerance = 1e3 * asked.tolerance
@@ -91,7 +91,7 @@ JUDGED = (
 
 def _acceptance(material: Material) -> list[Block]:
     """State what the study gives, and the verdict."""
-    asked = material.study.file.acceptance
+    asked = material.request.acceptance
     assert asked is not None
     verdict = judged(material)
     return [
@@ -106,7 +106,7 @@ def _stated(material: Material, asked: Acceptance) -> list[tuple[str, str]]:
     """What is stated, as it is signed; what the study leaves out is left out."""
     temperature = "" if asked.temperature is None else f"{asked.temperature - KELVIN:.1f} °C"
     facts = [
-        ("robot", material.study.robot.name),
+        ("robot", material.robot.name),
         ("serial number", asked.serial_number),
         ("instrument", asked.instrument),
         ("its certificate", asked.certificate),
@@ -133,5 +133,5 @@ ACCEPTANCE_SECTION = Section(
     "Acceptance",
     ("identify/accuracy.csv", "identify/residuals.csv", "identify/summary.json"),
     _acceptance,
-    asked=lambda study: study.file.acceptance is not None,
+    asked=lambda request: request.acceptance is not None,
 )

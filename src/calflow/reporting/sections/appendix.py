@@ -5,7 +5,7 @@ The summaries of identify and diagnose as an appendix tells them: what was found
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 
 import numpy as np
@@ -91,21 +91,17 @@ PACKAGES = ("calflow", "casadi", "emcee", "numpy", "scipy", "pandas")
 
 def _appendix(material: Material) -> list[Block]:
     """Tabulate what was asked, what was used and how it ended."""
-    study = material.study
+    robot, request = material.robot, material.request
     facts: list[tuple[str, str] | str] = [
         "asked",
-        ("study", study.name),
-        ("robot", f"{study.robot.name}: {study.robot.n_joints} joints, {study.robot.kinematics}"),
-        ("effects", ", ".join(effect_words(effect) for effect in study.file.effects)),
-        ("measurements", ", ".join(source.file for source in study.file.sources) or "none"),
-        ("workflow", f"{study.workflow.name}: {', '.join(study.stages)}"),
-        ("seed", str(study.file.seed)),
+        ("study", request.name),
+        ("robot", f"{robot.name}: {robot.n_joints} joints, {robot.kinematics}"),
+        ("effects", ", ".join(effect_words(effect) for effect in request.effects)),
+        ("measurements", ", ".join(source.file for source in request.sources) or "none"),
+        ("workflow", f"{material.workflow}: {', '.join(material.settings)}"),
+        ("seed", str(request.seed)),
         ("versions", ", ".join(f"{name} {version(name)}" for name in PACKAGES)),
-        *(
-            (f"settings of {stage}", _settings(study.settings(stage)))
-            for stage in study.stages
-            if study.settings(stage)
-        ),
+        *((f"settings of {stage}", _settings(settings)) for stage, settings in material.settings.items() if settings),
         *_identified(material),
         *_diagnosed(material),
     ]
@@ -140,7 +136,7 @@ def _diagnosed(material: Material) -> list[tuple[str, str] | str]:
     return ["found by diagnose", *diagnosed(material.results.document(path, DiagnosisSummary))]
 
 
-def _settings(settings: dict[str, object]) -> str:
+def _settings(settings: Mapping[str, object]) -> str:
     return "; ".join(f"{name} = {_plainly(value)}" for name, value in settings.items())
 
 

@@ -51,13 +51,13 @@ def links(material: Material) -> list[list[Figure]]:
     return [
         [_figure(found, (found["joint"] == i) & (found["symbol"] == step.symbol), step.symbol, step.unit, step.value)
          for step in frame.steps]
-        for i, frame in enumerate(material.known.model.robot.frames, start=1)
+        for i, frame in enumerate(material.calibrated.model.robot.frames, start=1)
     ]  # fmt: skip
 
 
 def markers(material: Material) -> dict[str, list[Figure]]:
     """Return where each marker, the tool's point, sits in the flange's frame."""
-    found, robot = _geometry(material), material.known.model.robot
+    found, robot = _geometry(material), material.calibrated.model.robot
     return {
         name: [_figure(found, (found["part"] == name) & (found["symbol"] == axis), axis, "m", marker.point[k])
                for k, axis in enumerate("xyz")]
@@ -67,7 +67,7 @@ def markers(material: Material) -> dict[str, list[Figure]]:
 
 def bars(material: Material) -> list[Figure]:
     """Return the lengths of the loop's bars; none where there is no loop."""
-    found, loop = _geometry(material), material.known.model.robot.loop
+    found, loop = _geometry(material), material.calibrated.model.robot.loop
     if loop is None:
         return []
     lengths = {"crank": loop.crank.length, "rod": loop.rod.length, "rocker": loop.rocker}
@@ -77,7 +77,7 @@ def bars(material: Material) -> list[Figure]:
 
 def base(material: Material) -> Base:
     """Return where the calibrated robot stands in the measuring frame."""
-    found, nominal = _geometry(material), material.known.model.robot.base
+    found, nominal = _geometry(material), material.calibrated.model.robot.base
     own = found[found["part"] == "base"].set_index("symbol")["estimate"]
     shift = np.array([own.get(axis, 0.0) for axis in "xyz"])
     turn = Rotation.from_euler("XYZ", [own.get(angle, 0.0) for angle in ANGLES])
@@ -92,7 +92,7 @@ def zeros(material: Material) -> list[float]:
 
     A reading counts with its sign and its couplings: reading = C⁻¹ · angle.
     """
-    robot = material.known.model.robot
+    robot = material.calibrated.model.robot
     symbols = [joint.frame.slide.symbol if joint.frame.slide and joint.kind == "prismatic" else joint.frame.turn.symbol
                for joint in robot.joints]  # fmt: skip
     found = _geometry(material)
@@ -104,7 +104,7 @@ def zeros(material: Material) -> list[float]:
 
 def geometry_alone(material: Material) -> tuple[float, float]:
     """Return the mean and the largest error of the judged rows with these figures and nothing else of the model [mm]."""
-    known = material.known
+    known = material.calibrated
     own = np.array([parameter.effect == Geometry.id for parameter in known.model.parameters])
     left = errors(known.model, np.where(own, known.estimate, known.model.nominal), material.data)[material.judged]
     distance = 1e3 * np.sqrt(np.nansum(left**2, axis=1))
@@ -152,7 +152,7 @@ TOOL = "Where each marker sits in the flange's frame, from which a tool is measu
 
 def _controller_figures(material: Material) -> list[Block]:
     """Tabulate links, zeros, base and tool, and say what these figures alone are worth."""
-    robot = material.known.model.robot
+    robot = material.calibrated.model.robot
     joints = links(material)
     curved = any(figure.symbol == "beta" and figure.calibrated for figures in joints for figure in figures)
     order = ORDER.get(robot.kinematics, "") + NO_BETA * curved
@@ -173,7 +173,9 @@ def _controller_figures(material: Material) -> list[Block]:
 
 def _worth(material: Material) -> str:
     """Say what the figures are worth without the rest of the model, which a controller may not take."""
-    others = list(dict.fromkeys(one.effect for one in material.known.model.parameters if one.effect != Geometry.id))
+    others = list(
+        dict.fromkeys(one.effect for one in material.calibrated.model.parameters if one.effect != Geometry.id)
+    )
     others = [effect for effect in others if effect in set(latest(material.results, "parameters")["effect"])]
     if not others:
         return ""
@@ -218,7 +220,7 @@ def _loop(material: Material) -> list[Block]:
 
 
 def _zeros(material: Material) -> Table:
-    joints = material.known.model.robot.joints
+    joints = material.calibrated.model.robot.joints
     header = [f"joint {i} [{joint.shown[0]}]" for i, joint in enumerate(joints, start=1)]
     return Table(header, [[number(value, "+.4f") for value in zeros(material)]], "r" * len(joints), size=8)
 
@@ -235,7 +237,7 @@ def _base(material: Material) -> list[Block]:
     )
     header = ("", "x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
     rows = [("calibrated", *_placed(stands.origin, stands.rotation))]
-    nominal = material.study.robot.base
+    nominal = material.robot.base
     if nominal.known:
         rows.append(("robot file", *_placed(nominal.origin, nominal.rotation)))
     return [Paragraph(BASE.format(ways=ways), keep=True), Table(header, rows, "lrrrrrr", size=8)]

@@ -117,7 +117,7 @@ ESTIMATES_CAPTION = (
 def _parameters(material: Material) -> list[Block]:
     """Tabulate and draw the parameters."""
     parameters = latest(material.results, "parameters")
-    model = material.known.model
+    model = material.calibrated.model
     added = len(parameters) > len(material.tables["identify/parameters.csv"])
     rows, shaded = lines(parameters, _known_together(material.results))
     nominal, estimate, sd, share = parameters[["nominal", "estimate", "sd", "prior_share"]].to_numpy(dtype=float).T

@@ -167,7 +167,7 @@ def _how_many_words(how_many: HowMany) -> list[Item]:
 
 def _held_out(material: Material, how_many: HowMany) -> list[Item]:
     """Say that poses which are held out do not count."""
-    share = material.study.file.split.holdout
+    share = material.request.split.holdout
     if not share:
         return []
     more = math.ceil(how_many.n_poses / (1 - share))
@@ -180,10 +180,10 @@ def _held_out(material: Material, how_many: HowMany) -> list[Item]:
 
 
 def _planned(material: Material) -> str:
-    poses, study = material.tables["select/poses.csv"], material.study
+    poses, robot = material.tables["select/poses.csv"], material.robot
     loads = [str(load) for load in poses["payload"].dropna().unique() if load]
     parts = [
-        f"Robot: {study.robot.name}",
+        f"Robot: {robot.name}",
         plural(len(poses), "pose"),
         f"marker {listed(list(poses['marker'].astype(str).unique()), 3)}",
         *([f"payload {listed(loads, 3)}"] if loads else []),
@@ -260,7 +260,7 @@ def _planned_poses(material: Material) -> list[Block]:
             "The tool at the chosen poses, in measuring order; the square is the first.",
             poses,
         ),
-        *_first_poses(poses, material.study.robot),
+        *_first_poses(poses, material.robot),
     ]
 
 

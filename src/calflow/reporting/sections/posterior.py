@@ -302,11 +302,10 @@ def _noise(posterior: pd.DataFrame) -> list[Block]:
 
 
 def _chain(material: Material) -> list[Block]:
-    path = material.run_folder / "sample" / "chain.h5"
-    if not path.exists():
+    if material.chain is None:
         return []
     posterior = material.tables["sample/posterior.csv"]
-    chain = Chain.read(path, material)
+    chain = Chain.read(material.chain, material)
     names = posterior["parameter"].astype(str).tolist()
     shown = [*short_names(material.sampled[0].model.parameters), names[-1]]
     units = [readable(str(unit)) for unit in posterior["unit"]]

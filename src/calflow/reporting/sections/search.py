@@ -119,7 +119,7 @@ def strongest(rows: Sequence[CandidateRow]) -> str:
 
 def threshold(material: Material) -> float:
     """Chance of a false alarm below which a cause passes."""
-    return SHARES["causes"] * float(material.study.settings("diagnose").get("false_alarm", FALSE_ALARM))
+    return SHARES["causes"] * float(material.settings.get("diagnose", {}).get("false_alarm", FALSE_ALARM))
 
 
 def _why(lacking: str) -> str:

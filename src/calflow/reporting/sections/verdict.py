@@ -112,7 +112,7 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     floor = f" Noise alone would give a mean error of {mm(alone)} mm." if alone else ""
     summary = latest_summary(material.results)
     said = [
-        ("Noise:", f"{material.known.noise(material.data).words}.{floor}"),
+        ("Noise:", f"{material.calibrated.noise(material.data).words}.{floor}"),
         (
             "Left over:",
             leftover(summary.lack_of_fit, summary.discrepancy_mm, structure(material.results), summary.lacks_fit),
@@ -126,8 +126,8 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
 
 def certainty(material: Material) -> str:
     """Say how sure predictions are, with the model's own error and the choice of its causes, and what is left."""
-    own = "its own error" if material.known.noise_known else "what the fit leaves, noise or not,"
-    own += CHOICE if material.known.alternatives else ""
+    own = "its own error" if material.calibrated.noise_known else "what the fit leaves, noise or not,"
+    own += CHOICE if material.calibrated.alternatives else ""
     where = "at held-out poses" if material.held.any() else "at the poses that were fitted"
     left = float(material.distance[material.judged].mean())
     return (
@@ -190,7 +190,7 @@ def _rows(lines: Sequence[str]) -> int:
 
 def _measured(material: Material) -> str:
     summary = material.results.document("identify/summary.json", IdentifySummary)
-    robot, data = material.study.robot, material.data.table
+    robot, data = material.robot, material.data.table
     loads = [name for name in dict.fromkeys(data["payload"].astype(str)) if name]
     markers = list(dict.fromkeys(data["marker"].astype(str)))
     parts = [
