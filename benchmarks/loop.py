@@ -31,8 +31,8 @@ from blind_run import Kind, Row, guarded, run_kind
 
 import calflow as cf
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.runs.next_poses import next_poses
 from calflow.runs.run import run
+from calflow.stages.measuring_loop import next_poses
 from calflow.study import load_study
 from hidden.backgrounds import KINDS as BACKGROUNDS
 from hidden.case import COMPLIANCE, Case, draw_poses, robot_file, stated_tables, toml

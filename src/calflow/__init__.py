@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from calflow.deployment.history import History
     from calflow.deployment.prediction import Prediction, predict
     from calflow.deployment.validation import Validation, validate
+    from calflow.design.next_poses import NextStep
     from calflow.estimation.parameters import Parameters
     from calflow.files.problems import InputError
     from calflow.measurements.measurements import Measurements
@@ -33,12 +34,12 @@ if TYPE_CHECKING:
     from calflow.robot.robot import Robot
     from calflow.runs.between_runs import compare_runs, history_of_runs
     from calflow.runs.given_rows import rows_measured
-    from calflow.runs.next_poses import NextStep, next_poses
     from calflow.runs.pack import pack
     from calflow.runs.reproduce import Reproduction, reproduce
     from calflow.runs.run import Run, run
     from calflow.sampling.posterior import Posterior
     from calflow.simulation import simulate
+    from calflow.stages.measuring_loop import next_poses
     from calflow.study import Study, load_study
 
 __all__ = [
@@ -68,7 +69,8 @@ _HOMES = {
     "robot.robot": ("Robot",),
     "runs.between_runs": ("compare_runs", "history_of_runs"),
     "runs.given_rows": ("rows_measured",),
-    "runs.next_poses": ("NextStep", "next_poses"),
+    "design.next_poses": ("NextStep",),
+    "stages.measuring_loop": ("next_poses",),
     "runs.pack": ("pack",),
     "runs.reproduce": ("Reproduction", "reproduce"),
     "runs.run": ("Run", "run"),

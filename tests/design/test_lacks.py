@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from calflow.design.measuring.lacks import Lacks
+from calflow.design.task_error import Lacks
 from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.estimation.identification import fit_effects

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import calflow as cf
-from calflow.runs.next_poses import next_poses
+from calflow.stages.measuring_loop import next_poses
 from calflow.study import load_study
 from hidden.backgrounds import Background, displaced
 from hidden.case import Case, draw, write_case

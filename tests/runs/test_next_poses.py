@@ -8,9 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import calflow.runs.next_poses as loop
+import calflow.stages.measuring_loop as loop
+from calflow.design.candidates import allowed
 from calflow.runs.given_rows import with_rows
-from calflow.runs.next_poses import next_poses
+from calflow.stages.measuring_loop import next_poses
 from calflow.study import load_study
 from conftest import in_process
 
@@ -79,7 +80,7 @@ def test_the_verdict_and_the_poses_are_written_and_within_the_cell(small):
     model = loop.build(study.robot, ("geometry",), (), ())
     q = np.deg2rad(poses[["q1_deg", "q2_deg", "q3_deg"]].to_numpy())
     region = np.array([[0.2, -1.5, 0.2], [1.5, 1.5, 1.2]]) + np.array([[-5e-3], [5e-3]])  # the base is fitted
-    assert loop.allowed(model, q, "heavy", "tool", region, cell).all()
+    assert allowed(model, q, "heavy", "tool", region, cell).all()
 
 
 def test_rows_given_besides_count_as_if_they_stood_in_the_file(small):
@@ -112,7 +113,7 @@ def test_interrupted_it_leaves_nothing(small, monkeypatch):
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(loop, "further_poses", interrupted)
+    monkeypatch.setattr("calflow.design.next_poses.further_poses", interrupted)
     answer = in_process("next", small.path, "--tolerance-mm", 0.001, "--out", small / "next")
     assert answer.code == 130
     assert not (small / "next").exists()

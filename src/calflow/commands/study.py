@@ -98,9 +98,11 @@ def next_command(
     """
     from rich.console import Console
 
+    from calflow.design.next_poses import TABLES
     from calflow.reporting.terminal import next_lines
     from calflow.runs.given_rows import with_rows
-    from calflow.runs.next_poses import next_poses
+    from calflow.runs.kept import keep_results
+    from calflow.stages.measuring_loop import next_poses
     from calflow.study import load_study
 
     tolerance = None if tolerance_mm is None else tolerance_mm / 1e3
@@ -114,7 +116,7 @@ def next_command(
         say(f"measure next, with {load}, in this order:")
         Console(highlight=False, markup=False, soft_wrap=True).print(_table(step.poses))
     if out is not None:
-        step.write(out)
+        keep_results(out, step.results, TABLES, "Poses to measure next")
         say(f"wrote {out / 'poses.csv'} and {out / 'verdict.json'}")
     sys.exit(
         NOT_TOLD

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator
 
 from calflow.deployment.usability import accuracy_steps, split_judged
-from calflow.design.measuring.measuring_verdict import MeasuringVerdict, Suspect
+from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary
 from calflow.diagnosis.findings.finding import Finding
 from calflow.effects.words import place_name

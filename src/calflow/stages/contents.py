@@ -15,7 +15,7 @@ from calflow.deployment import comparison, history, validation
 from calflow.deployment import drift as drift_verdict
 from calflow.deployment.compensation import Command
 from calflow.deployment.export import ControllerFigure
-from calflow.design.measuring.measuring_verdict import MeasuringVerdict, NextMeasurement
+from calflow.design.next_poses import MeasuringVerdict, NextMeasurement
 from calflow.files.deviations import Deviation
 from calflow.files.tables import Column, columns
 from calflow.files.toml import FileModel

@@ -1,0 +1,404 @@
+"""Next poses: whether what was measured is enough, and which poses make the tool surest over the task, whatever is in doubt.
+
+What is in doubt is turned into directions that are each known with a standard deviation of 1, so that one I-optimal design
+weighs parameters, what the model may lack and the rivals of what was found against each other by what they do to the tool.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from calflow.design.candidates import allowed, candidates
+from calflow.design.discrimination import Question, fitted_share, planned_like, questions, rows_like
+from calflow.design.exchange import greedy, information
+from calflow.design.measuring_order import shortest_tour
+from calflow.design.optimality import ToolError
+from calflow.design.planned import Planned
+from calflow.design.selection import PlannedPose, SelectionRequest, planned_poses
+from calflow.design.t_optimality import Choices
+from calflow.design.task_error import Lack, Lacks, Measure, Site, TaskError, task_error
+from calflow.diagnosis.findings.extended_model import extended_model
+from calflow.diagnosis.findings.tables import Diagnosis, findings
+from calflow.diagnosis.findings.verdict import label
+from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.effects.words import UNEXPLAINED
+from calflow.estimation.accuracy import distances, errors
+from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.elsewhere import left_out
+from calflow.estimation.probing import probed
+from calflow.estimation.progress import Draws
+from calflow.estimation.rival_models import Alternative
+from calflow.faults import as_table
+from calflow.files.problems import refuse
+from calflow.files.results import Results, to_document
+from calflow.files.tables import column, typed
+from calflow.files.units import METRE
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model
+
+MOST_LACKS, DIRECTIONS = 4, 10  # names of what may be lacking that poses are chosen for, and directions of each
+PARAMETERS, SURER = "parameters", "surer tool over the task"
+MATERIAL = 0.02  # share of the task's mean squared error below which a lack is not asked for
+TELLING = 0.5  # share of the poses that tell rivals apart, where there are any
+WORST = 0.1  # share of the task's points that count where the worst one does
+
+
+@dataclass(frozen=True, eq=False)
+class Doubt:
+    """Something in doubt, by directions of standard deviation 1.
+
+    seen (n_poses, n_units, n) is what each candidate pose shows of them over its noise, tool (n_points, 3, n) [m] what they do.
+    """
+
+    name: str
+    seen: np.ndarray
+    tool: np.ndarray
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A candidate pose to measure, by its number, and what for, in words."""
+
+    number: int
+    reason: str
+
+
+def doubts(
+    lacks: Lacks, error: TaskError, alternatives: Sequence[Alternative], site: Site, planned: Planned, choices: Choices
+) -> list[Doubt]:
+    """Return what is in doubt of the tool over the task, as candidate poses would show it."""
+    whole, fitted = lacks.fitted.model, lacks.fitted
+    free = np.flatnonzero(~fitted.fit.at_bound)
+    asked = _material(lacks, error)
+    model = replace(whole, observations=(planned.observation,))
+    known = dict(zip((p.identity for p in whole.parameters), fitted.fit.estimate, strict=True))
+    estimate = np.array([known.get(p.identity, p.nominal) for p in model.parameters])
+    effects = [effect for lack in asked for effect in lack.form.effects]
+    problem = planned.problem(model, estimate, choices.rows)
+    _, slopes = probed(problem, estimate, effects)
+    slopes = slopes.reshape(len(choices.readings), -1, slopes.shape[1])
+    place = {p.identity: k for k, p in enumerate(model.parameters)}
+    own = [place.get(whole.parameters[k].identity) for k in free]
+    jacobian = np.stack(
+        [slopes[:, :, k] if k is not None else np.zeros(slopes.shape[:2]) for k in own], axis=2
+    )  # where another device stands is nothing that these poses show
+    root = np.linalg.cholesky(lacks.covariance)
+    found = [Doubt(PARAMETERS, jacobian @ root, site.slopes[:, :, free] @ root)]
+    start = len(estimate)
+    for lack, tool in zip(asked, site.left(lacks, [one.form for one in asked]), strict=True):
+        columns = lack.form.columns
+        turn = _directions(lacks, lack, tool) * np.sqrt(lacks.probability(lack.form.kind, lack.form.name))
+        seen = slopes[:, :, start : start + len(columns)] + jacobian @ lacks.response(columns)
+        found.append(Doubt(lack.form.name, seen @ turn, tool @ turn))
+        start += len(columns)
+    for k, one in enumerate(alternatives, start=1):
+        rival, size = replace(one.model, given=whole.given), np.sqrt(one.probability)
+        apart = rival.point(one.estimate, choices.rows) - whole.point(fitted.fit.estimate, choices.rows)
+        there = rival.point(one.estimate, site.rows) - whole.point(fitted.fit.estimate, site.rows)
+        if planned.observation.units == (METRE,) * 3:
+            found.append(Doubt(f"rival {k}", size / planned.sigma * apart[:, :, None], size * there[:, :, None]))
+    return found
+
+
+def further_poses(
+    every: Sequence[Doubt], asked: Sequence[Question], choices: Choices, measure: Measure, number: int
+) -> list[Chosen]:
+    """Choose so many candidates: some that tell rivals apart, where poses can, and with them those that make the tool surest."""
+    telling = _telling(asked, choices, int(np.ceil(TELLING * number)))
+    seen = np.concatenate([doubt.seen for doubt in every], axis=2)
+    tool = np.concatenate([doubt.tool for doubt in every], axis=2)
+    known = information(seen[[one.number for one in telling]], np.eye(seen.shape[2]))
+    criterion = ToolError(tool, _shares(tool, known, measure))
+    others = np.setdiff1d(np.arange(len(seen)), [one.number for one in telling])
+    added = others[greedy(seen[others], known, min(number - len(telling), len(others)), criterion)]
+    reasons = []
+    for pose in added:
+        after = information(seen[[pose]], known)
+        reasons.append(_reason(every, criterion, known, after))
+        known = after
+    return [*telling, *(Chosen(int(pose), reason) for pose, reason in zip(added, reasons, strict=True))]
+
+
+def _material(lacks: Lacks, error: TaskError) -> list[Lack]:
+    """The likeliest form and size of what may be lacking and matters most to the tool."""
+    left, squared = np.array(error.left), error.lacking**2
+    share = {name: float(squared[left == name].sum() / (error.every**2).sum()) for name in set(error.left)}
+    likeliest: dict[str, Lack] = {}
+    for one in sorted(lacks.every, key=lambda one: one.log_weight):
+        if one.form.effects:
+            likeliest[one.form.name] = one
+    names = sorted(
+        (name for name in share if share[name] >= MATERIAL and name in likeliest), key=lambda n: (-share[n], n)
+    )
+    return [likeliest[name] for name in names[:MOST_LACKS]]
+
+
+def _directions(lacks: Lacks, lack: Lack, tool: np.ndarray) -> np.ndarray:
+    """The directions (n_columns, n) of a lack's amplitudes that move the tool most, each of standard deviation 1."""
+    mean, covariance = lacks.amplitude(lack)
+    second = np.outer(mean, mean) + covariance
+    value, turned = np.linalg.eigh(second)
+    root = turned * np.sqrt(np.maximum(value, 0.0))
+    moved = tool.reshape(-1, tool.shape[2]) @ root
+    return np.asarray(root @ np.linalg.svd(moved, full_matrices=False)[2][:DIRECTIONS].T)
+
+
+def _telling(asked: Sequence[Question], choices: Choices, most: int) -> list[Chosen]:
+    """The first poses of each question's plan in turn."""
+    plans = [(one, one.plan) for one in asked if one.plan]
+    found: dict[int, str] = {}
+    for k in range(most):
+        for one, plan in plans:
+            if k < len(plan.poses.readings) and len(found) < most:
+                same = (choices.readings == plan.poses.readings[k]).all(axis=1)
+                rivals = ", ".join(label(rival.id, rival.joint) for rival in plan.rivals)
+                found.setdefault(int(same.argmax()), f"tells {label(one.cause.id, one.cause.joint)} from {rivals}")
+    return [Chosen(number, reason) for number, reason in found.items()]
+
+
+def _shares(tool: np.ndarray, known: np.ndarray, measure: Measure) -> np.ndarray:
+    """How much each point of the task counts: all alike, or the worst ones alone."""
+    variance = ToolError(tool, np.full(len(tool), 1 / len(tool))).variances(np.linalg.inv(known))
+    counts = variance >= np.quantile(variance, 1 - WORST) if measure == "worst" else variance >= 0
+    return np.asarray(counts / counts.sum())
+
+
+def _reason(every: Sequence[Doubt], criterion: ToolError, before: np.ndarray, after: np.ndarray) -> str:
+    """Say what of the doubts a pose takes away most."""
+    gone = np.linalg.inv(before) - np.linalg.inv(after)
+    moved = (criterion.root @ criterion.root.T) * gone
+    ends = np.cumsum([0, *(doubt.seen.shape[2] for doubt in every)])
+    gains = [float(moved[i:j, i:j].sum()) for i, j in pairwise(ends)]
+    best = every[int(np.argmax(gains))].name
+    return SURER if best == PARAMETERS else f"suspected: {best}"
+
+
+Status = Literal["stop", "measure", "no tolerance", "too few", "nothing measured"]
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, kw_only=True)
+class NextMeasurement(PlannedPose):
+    """A pose to measure next, in measuring order, and what for."""
+
+    reason: str = column("what it is chosen for")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suspect:
+    """What the model may lack, or have by another name, though nothing proves it."""
+
+    name: str = column("a cause's id and joint; or the inputs of a smooth background; `pose`: every pose for itself")
+    kind: Literal["cause", "background", "pose", "rival"] = column(
+        "what it is; a rival is instead of a cause that was found"
+    )
+    probability: float = column("that it is so, as far as the data tell")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuringVerdict:
+    """What the measurements so far say of the tool over its task, and whether to go on."""
+
+    status: Status = column(
+        "`stop`: the tolerance is met with the probability asked for; `measure`: not yet; `no tolerance`: none was stated; `too "
+        "few` to identify anything, or `nothing measured`: poses to begin with"
+    )
+    poses: int = column("poses measured so far")
+    fitted_poses: int = column("of these, poses that were fitted")
+    measure: Measure = column(
+        "what is compared with the tolerance: the tool's true error over the task, `rms` or `worst` point"
+    )
+    tolerance_mm: float | None = column("what it is to be within; null: not stated", "mm", default=None)
+    confidence: float = column("probability that `stop` needs")
+    probability: float | None = column(
+        "probability that the error is within; null: no tolerance, or too few poses", default=None
+    )
+    probability_at_best: float | None = column(
+        "the same where all parameters were known, and no more of what may be lacking: what more poses of this kind come to",
+        default=None,
+    )
+    error_mm: float | None = column("the error: as likely larger as smaller; null: too few poses", "mm", default=None)
+    error_most_mm: float | None = column(
+        "the error that it is below with the probability `confidence`", "mm", default=None
+    )
+    heldout_rms_mm: float | None = column(
+        "root mean square error at held-out poses, the device's noise in it; null: none was held out",
+        "mm",
+        default=None,
+    )
+    leftout_rms_mm: float | None = column(
+        "the same of fitted poses, each left out in turn (by one Jacobian, without a refit)", "mm", default=None
+    )
+    elsewhere_mm: float | None = column(
+        "what the model errs by at poses left out, beyond noise and parameters, per axis", "mm", default=None
+    )
+    noise_mm: float | None = column("noise of a row, per axis; null: too few poses", "mm", default=None)
+    noise_known: bool = column(
+        "whether it is known apart from the fit; else all that is left counts as the robot's", default=False
+    )
+    found: tuple[str, ...] = column("causes that were found, and what nobody can name, in words", default=())
+    suspected: tuple[Suspect, ...] = column("what is suspected and not proven, the likeliest first", default=())
+    untested: tuple[str, ...] = column(
+        "effects that these data cannot show: the probability knows nothing of them", default=()
+    )
+    notes: tuple[str, ...] = column("what was assumed, and what to look at", default=())
+
+
+LIKELY = 0.02  # probability from which something suspected is told
+
+
+@dataclass(frozen=True, eq=False)
+class NextStep:
+    """The verdict after some measurements, and the poses to measure next, in measuring order: none where it says stop.
+
+    calibrated is the model that the verdict is about; None where there are too few poses to identify one.
+    """
+
+    verdict: MeasuringVerdict
+    poses: pd.DataFrame
+    calibrated: CalibratedModel | None = None
+
+    @property
+    def results(self) -> Results:
+        """poses.csv and verdict.json."""
+        return Results({"poses.csv": self.poses}, {"verdict.json": to_document(self.verdict)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class NextPosesRequest:
+    """What is asked of the next poses: how many and where (see `SelectionRequest`), and what is enough.
+
+    tolerance is what the tool's error over the task is to be within [m], by measure; confidence is the probability of being within
+    it at which measuring may stop.
+    """
+
+    selection: SelectionRequest
+    measure: Measure = "rms"
+    tolerance: float | None = None
+    confidence: float = CONFIDENCE
+
+
+def next_step(
+    diagnosis: Diagnosis, identified: CalibratedModel, data: Measurements, request: NextPosesRequest, rng: Draws
+) -> NextStep:
+    """Weigh what a diagnosed model may lack against the tolerance, and say which poses to measure next.
+
+    Args:
+        diagnosis: what was found of the measurements.
+        identified: the model before it was diagnosed.
+        data: the measurements, gross mistakes put right.
+        request: what is asked; its selection names a task and a marker.
+        rng: all draws.
+
+    Raises:
+        InputError: no stated pose may be taken, or hardly any drawn one.
+    """
+    fitted, asked = diagnosis.extended.fitted, request.selection
+    assert asked.task is not None
+    catalogue = Catalogue.of(fitted.data, [effect.id for effect in fitted.plain])
+    lacks = Lacks.of(fitted, catalogue)
+    bare = replace(fitted.model, given=())
+    site = Site.of(fitted, asked.task, rng("conditions"))
+    alternatives = tuple(one.alternative for one in diagnosis.alternatives)
+    error = task_error(lacks, alternatives, site, request.measure, rng("task error"))
+    verdict = _verdict(diagnosis, data, lacks, catalogue, error, request, rng)
+    calibrated = extended_model(diagnosis, identified, data)
+    if verdict.status == "stop":
+        nothing = planned_poses(bare, np.zeros((0, bare.robot.n_joints)), "", asked.marker).assign(reason="")
+        return NextStep(verdict, numbered_on(nothing, data), calibrated)
+    planned = planned_like(fitted, fitted_share(data))
+    choices = _choices(bare, fitted.data, planned, asked, rng("candidates"))
+    every = doubts(lacks, error, alternatives, site, planned, choices)
+    chosen = further_poses(every, questions(diagnosis, data, rng, choices), choices, request.measure, asked.number)
+    return NextStep(verdict, numbered_on(_table(bare, choices, chosen, asked, data.given), data), calibrated)
+
+
+def _verdict(
+    diagnosis: Diagnosis, data: Measurements, lacks: Lacks, catalogue: Catalogue, error: TaskError,
+    request: NextPosesRequest, rng: Draws,
+) -> MeasuringVerdict:  # fmt: skip
+    fitted, tolerance = diagnosis.extended.fitted, request.tolerance
+    probability = None if tolerance is None else error.probability(tolerance)
+    status: Status = (
+        "no tolerance" if probability is None else "stop" if probability >= request.confidence else "measure"
+    )
+    heldout = data.only(data.held_out)
+    outside = distances(errors(fitted.model, fitted.fit.estimate, heldout)) if len(heldout) else None
+    lacking = findings(diagnosis, data, as_table((), data), rng("resamples"))
+    return MeasuringVerdict(
+        status=status, poses=data.table["pose"].nunique(), fitted_poses=fitted.data.table["pose"].nunique(),
+        measure=request.measure, tolerance_mm=in_mm(tolerance), confidence=request.confidence, probability=probability,
+        probability_at_best=None if tolerance is None else error.within_at_best(tolerance),
+        error_mm=in_mm(error.quantile(0.5)), error_most_mm=in_mm(error.quantile(request.confidence)),
+        heldout_rms_mm=None if outside is None else in_mm(float(np.sqrt(np.mean(outside**2)))),
+        leftout_rms_mm=in_mm(left_out(fitted.fit, fitted.poses).rms), elsewhere_mm=in_mm(fitted.elsewhere),
+        noise_mm=in_mm(float(np.sqrt(np.mean(fitted.noise.sigma**2)))), noise_known=fitted.noise.known,
+        found=tuple(finding.statement for finding in lacking), suspected=_suspects(diagnosis, lacks),
+        untested=tuple(sorted(catalogue.lacking)), notes=data.notes,
+    )  # fmt: skip
+
+
+def _choices(
+    model: Model, data: Measurements, planned: Planned, asked: SelectionRequest, rng: np.random.Generator
+) -> Choices:
+    """Draw poses within cell, region and limits, or take those stated; under the conditions that there were."""
+    payload, marker, region, cell = asked.payload, asked.marker, asked.region, asked.cell
+    if asked.stated is None:
+        readings, _ = candidates(model, asked.candidates, payload, marker, region, rng, planned.observation, cell)
+    else:
+        readings = asked.stated[allowed(model, asked.stated, payload, marker, region, cell)]
+    if not len(readings):
+        raise refuse("no pose of candidates_file is within limits and region, and allowed by the cell")
+    came = rng.choice([-1.0, 1.0], readings.shape)
+    payloads = (payload,) * len(readings)
+    return Choices(readings, came, payloads, rows_like(data, readings, came, payloads, rng).rows)
+
+
+def _table(
+    model: Model, choices: Choices, chosen: Sequence[Chosen], asked: SelectionRequest, given: Sequence[str]
+) -> pd.DataFrame:
+    """The poses in short measuring order, each with its reason, and the side it was chosen with where sides were recorded."""
+    order = shortest_tour(choices.readings[[one.number for one in chosen]])
+    ordered = [chosen[int(k)] for k in order]
+    numbers = [one.number for one in ordered]
+    table = planned_poses(model, choices.readings[numbers], asked.payload, asked.marker)
+    if "approach" in given:
+        sides = choices.approach[numbers].astype(int)
+        table = table.assign(**{f"approach{i + 1}": sides[:, i] for i in model.robot.driven})
+    return table.assign(reason=[one.reason for one in ordered])
+
+
+def _suspects(diagnosis: Diagnosis, lacks: Lacks) -> tuple[Suspect, ...]:
+    """What is suspected, the likeliest first."""
+    names = dict.fromkeys((one.form.kind, one.form.name) for one in lacks.every if one.form.kind != "nothing")
+    every = [Suspect(name=name, kind=kind, probability=lacks.probability(kind, name)) for kind, name in names]
+    every += [
+        Suspect(
+            name=label(one.rival.id, one.rival.joint) if one.rival else UNEXPLAINED, kind="rival",
+            probability=one.probability,
+        )
+        for one in diagnosis.alternatives
+    ]  # fmt: skip
+    likely = [one for one in every if one.probability >= LIKELY]
+    return tuple(sorted(likely, key=lambda one: -one.probability))
+
+
+def numbered_on(table: pd.DataFrame, data: Measurements | None) -> pd.DataFrame:
+    """Number poses on from those measured, so that the file may be continued."""
+    names = [] if data is None else [str(name) for name in data.table["pose"]]
+    last = max((int(name) for name in names if name.isdecimal()), default=0)
+    return typed(table.assign(pose=last + np.arange(1, len(table) + 1)), NextMeasurement)
+
+
+def in_mm(length: float | None) -> float | None:
+    """Return a length [m] in mm; None where there is none."""
+    return None if length is None else 1e3 * length
+
+
+TABLES = {"poses.csv": NextMeasurement, "verdict.json": MeasuringVerdict}

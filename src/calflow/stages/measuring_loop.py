@@ -1,0 +1,146 @@
+"""The measuring loop of a study: what the measurements so far say, whether that is enough, and which poses to measure next."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+from calflow.design.next_poses import (
+    CONFIDENCE,
+    SURER,
+    MeasuringVerdict,
+    NextPosesRequest,
+    NextStep,
+    Status,
+    in_mm,
+    next_step,
+    numbered_on,
+)
+from calflow.design.planned import Task
+from calflow.design.selection import TASK_POSES, select
+from calflow.design.task_error import Measure
+from calflow.diagnosis.diagnosis import search_causes
+from calflow.estimation.identification import fit_effects, too_few_equations
+from calflow.estimation.progress import Say, draws, nobody
+from calflow.faults import examined
+from calflow.files.problems import InputError, refuse
+from calflow.measurements.measurements import Measurements
+from calflow.model import build, stated
+from calflow.observations import observations
+from calflow.stages.diagnose import DiagnoseSettings
+from calflow.stages.identify import IdentifySettings
+from calflow.stages.select_settings import SelectSettings
+from calflow.stages.select_study import by_sides, measured_rows, planned_of, problems, request_of
+from calflow.study import Study
+
+
+def next_poses(
+    study: Study, number: int = 10, tolerance: float | None = None, confidence: float = CONFIDENCE, say: Say = nobody
+) -> NextStep:
+    """Say what a study's measurements tell so far, and which poses to measure next; nothing is written.
+
+    Args:
+        study: with the rows measured so far, if any (see `given_rows.with_rows`).
+        number: of poses to propose.
+        tolerance: what the tool's error over the task is to be within [m]; the study's, where it is None.
+        confidence: the probability of being within it at which measuring may stop.
+        say: is told what is done.
+
+    Raises:
+        InputError: the study's input is at fault, or hardly any pose is left.
+    """
+    if number < 1:
+        raise refuse(f"expected 1 pose or more, found {number}", key="number")
+    if not 0.5 <= confidence < 1:
+        raise refuse(f"expected a probability of at least 0.5 and below 1, found {confidence:g}", key="confidence")
+    if tolerance is not None and not tolerance > 0:
+        raise refuse(f"expected a tolerance above 0, found {1e3 * tolerance:g} mm", key="tolerance")
+    settings = study.validated_settings("select", SelectSettings)
+    assert isinstance(settings, SelectSettings)
+    if wrong := problems(study, settings, None):
+        raise InputError(wrong)
+    tolerance = tolerance or settings.tolerance
+    unwritten = _unwritten(study)
+    if unwritten or not study.file.sources:
+        notes = tuple(f"{path} is not there yet" for path in unwritten)
+        return _begun(study, settings, None, number, tolerance, confidence, notes)
+    data = study.measurements()
+    train = data.only(data.train)
+    model = stated(study.robot, study.file.effects, train, observations(train))
+    if lacking := too_few_equations(model, train):
+        return _begun(study, settings, data, number, tolerance, confidence, (lacking,))
+    return _judged(study, settings, data, number, tolerance, confidence, say)
+
+
+def _measure(settings: SelectSettings) -> Measure:
+    """What is compared with the tolerance, as the study's criterion says."""
+    return "worst" if settings.criterion == "worst" else "rms"
+
+
+def _begun(
+    study: Study, settings: SelectSettings, data: Measurements | None, number: int, tolerance: float | None, confidence: float,
+    notes: tuple[str, ...],
+) -> NextStep:  # fmt: skip
+    """Propose poses to begin with, or to go on with where there are too few to identify anything."""
+    rng = draws(study.file.seed)
+    effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))
+    planned = planned_of(study, settings)
+    one_sided = by_sides(effects)
+    model = build(study.robot, [one for one in effects if one not in one_sided], (), (planned.observation,))
+    request = request_of(study, settings, model, planned, rng("task"))
+    there = None if data is None else measured_rows(data)
+    chosen = select(model, replace(request, number=number, there=there), rng=rng)
+    status: Status = "nothing measured" if data is None else "too few"
+    verdict = MeasuringVerdict(
+        status=status, poses=0 if data is None else data.table["pose"].nunique(),
+        fitted_poses=0 if data is None else data.table.loc[data.train, "pose"].nunique(),
+        measure=_measure(settings), confidence=confidence, tolerance_mm=in_mm(tolerance), notes=notes,
+    )  # fmt: skip
+    reason = "surer parameters" if settings.aim == "parameters" else SURER
+    return NextStep(verdict, numbered_on(chosen.poses.assign(reason=reason), data))
+
+
+def _judged(
+    study: Study,
+    settings: SelectSettings,
+    data: Measurements,
+    number: int,
+    tolerance: float | None,
+    confidence: float,
+    say: Say,
+) -> NextStep:
+    """Identify and diagnose, and weigh what may be lacking against the tolerance."""
+    rng = draws(study.file.seed)
+    identifying = study.validated_settings("identify", IdentifySettings)
+    assert isinstance(identifying, IdentifySettings)
+    data, faults = examined(data, study.measurement_paths)
+    for fault in faults:
+        say(fault.said)
+    first = fit_effects(
+        data, study.file.effects, starts=1, loss=identifying.loss, noise=identifying.noise, rng=rng,
+        source=study.measurement_path,
+    )  # fmt: skip
+    diagnosing = study.validated_settings("diagnose", DiagnoseSettings).model_dump()
+    found = search_causes(first.known, first.data, **diagnosing, rng=rng)
+    bare = replace(found.extended.fitted.model, given=())
+    asked = request_of(study, settings, bare, planned_of(study, settings), rng("task"))
+    marker = settings.marker or next(iter(study.robot.markers))
+    task = asked.task or Task.within(bare, (settings.payload,), marker, settings.region, TASK_POSES, rng("task"))
+    request = NextPosesRequest(
+        selection=replace(asked, number=number, marker=marker, task=task), measure=_measure(settings), tolerance=tolerance,
+        confidence=confidence,
+    )  # fmt: skip
+    return next_step(found, first.known, first.data, request, rng)
+
+
+def _unwritten(study: Study) -> list[Path]:
+    """The study's measurement files that nobody has written yet, where no rows measured since stand for them."""
+    sources = study.file.sources if not study.further else ()
+    data = os.environ.get("CALFLOW_DATA")
+    places = [study.path.parent, *([Path(data)] if data else [])]
+    return [
+        study.path.parent / one.file
+        for one in sources
+        if not one.url and not any(os.path.lexists(place / one.file) for place in places)
+    ]
