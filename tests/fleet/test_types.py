@@ -14,7 +14,7 @@ from calflow.fleet.type_blocks import type_blocks
 from calflow.fleet.types import CommonCauseRow, TypeFindings, TypeParameter, UnlikeRow, by_type, type_lines
 from calflow.model import build
 from calflow.population.common_causes import Shown
-from calflow.population.told import Calibration
+from calflow.population.likelihood import ParameterEstimates
 from estimation.data import measured
 from robots import hh800
 
@@ -37,7 +37,7 @@ def fleet() -> list[Collected]:
         data = measured(model, np.clip(truth, *model.bounds.T), 50, rng)
         data = replace(data, table=data.table.assign(sigma=3e-5))
         known = cf.identify(robot, data, EFFECTS, starts=1)
-        found.append(Collected(f"r{k}", "hh800", Calibration.of(known), (WAVE,)))
+        found.append(Collected(f"r{k}", "hh800", ParameterEstimates.of(known), (WAVE,)))
     return found
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.population.told import Calibration, Told, shared_parameters
+from calflow.population.likelihood import ParameterEstimates, ParameterLikelihood, shared_parameters
 from calflow.population.type_prior import FEWEST, type_prior
 from calflow.population.unlike import unlike
 from calflow.robot.parameter import Parameter
@@ -26,13 +26,13 @@ def plant(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return 0.5 * rng.standard_normal(N), 10 ** rng.uniform(-1.5, -0.5, N)
 
 
-def told(rng: np.random.Generator, robot: str, value: np.ndarray) -> Told:
+def told(rng: np.random.Generator, robot: str, value: np.ndarray) -> ParameterLikelihood:
     """What measurements tell in which two parameters look much alike, and one is not seen."""
     slope = rng.standard_normal((ROWS, N))
     slope[:, 1] = 0.9 * slope[:, 0] + 0.45 * slope[:, 1]
     slope[:, UNSEEN] = 0
     seen = slope @ value + NOISE * rng.standard_normal(ROWS)
-    return Told(robot, slope.T @ slope / NOISE**2, slope.T @ seen / NOISE**2)
+    return ParameterLikelihood(robot, slope.T @ slope / NOISE**2, slope.T @ seen / NOISE**2)
 
 
 def fleet(rng: np.random.Generator, robots: int, shifted: dict[int, tuple[int, float]] | None = None):
@@ -94,7 +94,9 @@ def test_parameters_that_look_alike_are_said_together():
     slope = rng.standard_normal((ROWS, N))
     slope[:, 1] = slope[:, 0] + 1e-3 * slope[:, 1]
     robots = [
-        Told(str(k), slope.T @ slope / NOISE**2, slope.T @ (slope @ one + NOISE * rng.standard_normal(ROWS)) / NOISE**2)
+        ParameterLikelihood(
+            str(k), slope.T @ slope / NOISE**2, slope.T @ (slope @ one + NOISE * rng.standard_normal(ROWS)) / NOISE**2
+        )
         for k, one in enumerate(value)
     ]
     (odd, *_) = unlike(parameters(), robots)[1]
@@ -110,9 +112,9 @@ def test_too_few_robots_are_refused():
 
 def test_a_fits_own_prior_is_taken_out_of_what_it_tells(calibration: CalibratedModel):
     """Fails if what the study took for granted counts once a robot: a fit with another prior tells the same."""
-    fitted = Calibration.of(calibration)
+    fitted = ParameterEstimates.of(calibration)
     shared = shared_parameters([fitted])
-    one = Told.of("r", fitted, shared)
+    one = ParameterLikelihood.of("r", fitted, shared)
     known = np.linalg.inv(one.information + np.eye(len(shared))) @ one.pull
     where = {p.identity: k for k, p in enumerate(calibration.model.parameters)}
     own = [where[p.identity] for p in shared]

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -138,10 +138,6 @@ class CalibratedModel:
     in_reach: tuple[ModelInReach, ...] = ()
     needed: tuple[NeededCondition, ...] = ()
     time_origin: float | None = None
-
-    def stating(self, conditions: tuple[str, ...]) -> Self:
-        """Return the same model for rows that state these optional conditions."""
-        return replace(self, model=replace(self.model, given=conditions))
 
     @property
     def noise_known(self) -> bool:

@@ -16,7 +16,7 @@ from calflow.files.tables import from_frame
 from calflow.fleet.fleet import FleetRobot
 from calflow.fleet.fleet_folder import FleetFolder
 from calflow.population.common_causes import Shown
-from calflow.population.told import Calibration
+from calflow.population.likelihood import ParameterEstimates
 from calflow.run_folder import Manifest, damage, of_others, read_manifest
 
 
@@ -26,7 +26,7 @@ class Collected:
 
     robot: str
     type: str
-    calibration: Calibration
+    calibration: ParameterEstimates
     causes: tuple[Shown, ...]
 
 
@@ -57,12 +57,12 @@ def _last_fitted(manifest: Manifest) -> str:
     return "diagnose" if stands else "identify"
 
 
-def _calibration(made: Path, placed: frozenset[str]) -> Calibration:
+def _calibration(made: Path, placed: frozenset[str]) -> ParameterEstimates:
     """The parameters in a stage's folder."""
     every = from_frame(read_csv(made / "parameters.csv"), FittedParameter, f"{made.name}/parameters.csv")
     rows = [row for row in every if not row.fixed]
     covariance = read_csv(made / "covariance.csv")
-    return Calibration(
+    return ParameterEstimates(
         tuple(row.as_parameter() for row in rows),
         np.array([row.estimate for row in rows]),
         covariance[[row.parameter for row in rows]].to_numpy(dtype=float),

@@ -11,7 +11,7 @@ from calflow.files.tables import column
 from calflow.files.words import listed, plural
 from calflow.fleet.collected import Collected
 from calflow.population.common_causes import CommonCause, Whose, common_causes
-from calflow.population.told import Told, shared_parameters
+from calflow.population.likelihood import ParameterLikelihood, shared_parameters
 from calflow.population.type_prior import FEWEST, TypePrior
 from calflow.population.unlike import Unlike, unlike
 from calflow.robot.robot import Robot
@@ -88,7 +88,9 @@ class TypeFindings:
         if len(robots) < FEWEST:
             return TypeFindings(type_, len(robots), None, (), causes)
         parameters = shared_parameters([one.calibration for one in robots])
-        prior, odd = unlike(parameters, [Told.of(one.robot, one.calibration, parameters) for one in robots])
+        prior, odd = unlike(
+            parameters, [ParameterLikelihood.of(one.robot, one.calibration, parameters) for one in robots]
+        )
         return TypeFindings(type_, len(robots), prior, tuple(odd), causes)
 
     def expecting(self, robot: Robot) -> Robot | None:

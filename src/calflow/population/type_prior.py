@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from calflow.population.told import Told
+from calflow.population.likelihood import ParameterLikelihood
 from calflow.robot.parameter import Parameter
 from calflow.robot.parts import Expected
 
@@ -36,7 +36,7 @@ class TypePrior:
     """
 
     parameters: tuple[Parameter, ...]
-    told: tuple[Told, ...]
+    likelihoods: tuple[ParameterLikelihood, ...]
     mean: np.ndarray
     covariance: np.ndarray
     spread: np.ndarray
@@ -49,13 +49,13 @@ class TypePrior:
 
         A spread known from few robots counts for more: 95 % of Student's distribution are within 1.96 of these.
         """
-        wider = student.ppf(COVERED, len(self.told) - 1) / norm.ppf(COVERED)
+        wider = student.ppf(COVERED, len(self.likelihoods) - 1) / norm.ppf(COVERED)
         return np.asarray(wider * np.sqrt(self.spread**2 + np.diag(self.covariance)))
 
     @property
     def determined(self) -> np.ndarray:
         """Of each parameter how many robots tell of it at least as much as the type does (n,)."""
-        return np.asarray(sum(_told_apart(one, self.spread) for one in self.told))
+        return np.asarray(sum(_determines(one, self.spread) for one in self.likelihoods))
 
     def expected(self) -> tuple[Expected, ...]:
         """Return what is expected of a further robot's parameters, in their own units."""
@@ -68,7 +68,7 @@ class TypePrior:
 
 def type_prior(
     parameters: Sequence[Parameter],
-    told: Sequence[Told],
+    likelihoods: Sequence[ParameterLikelihood],
     own: np.ndarray | None = None,
     start: np.ndarray | None = None,
 ) -> TypePrior:
@@ -76,21 +76,21 @@ def type_prior(
 
     Args:
         parameters: (n,) of which they tell.
-        told: by each robot; fewer than FEWEST say little of a spread.
+        likelihoods: of each robot; fewer than FEWEST say little of a spread.
         own: (n_robots, n) parameters in which a robot is unlike the type, whatever its deviation; none where nothing is said.
         start: spreads (n,) to begin with; those of the parameters' priors where nothing is said.
     """
     n = len(parameters)
-    own = np.zeros((len(told), n), dtype=bool) if own is None else own
+    own = np.zeros((len(likelihoods), n), dtype=bool) if own is None else own
     spread, counted = np.ones(n) if start is None else start, np.maximum(1, (~own).sum(axis=0))
     for _ in range(ROUNDS):
-        mean, covariance, squares = _expectation(told, spread, own)
+        mean, covariance, squares = _expectation(likelihoods, spread, own)
         new = np.maximum(NARROWEST, np.sqrt(np.where(own, 0.0, squares).sum(axis=0) / counted))
         change, spread = np.abs(new / spread - 1).max(), new
         if change < SETTLED:
             break
-    mean, covariance, squares = _expectation(told, spread, own)
-    return TypePrior(tuple(parameters), tuple(told), mean, covariance, spread, squares, own)
+    mean, covariance, squares = _expectation(likelihoods, spread, own)
+    return TypePrior(tuple(parameters), tuple(likelihoods), mean, covariance, spread, squares, own)
 
 
 def variances(spread: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -98,23 +98,23 @@ def variances(spread: np.ndarray, own: np.ndarray) -> np.ndarray:
     return np.where(own, FREE, spread**2)
 
 
-def pooled(told: Sequence[Told], variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def pooled(likelihoods: Sequence[ParameterLikelihood], variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return what each robot tells of the type's mean: information (n_robots, n, n) and pull (n_robots, n).
 
     variance (n_robots, n) is by how much its parameters may differ from the mean.
     """
-    information = np.array([one.information for one in told])
-    pull = np.array([one.pull for one in told])
+    information = np.array([one.information for one in likelihoods])
+    pull = np.array([one.pull for one in likelihoods])
     shrink = np.linalg.inv(np.eye(variance.shape[1]) + information * variance[:, None, :])
     return shrink @ information, (shrink @ pull[:, :, None])[:, :, 0]
 
 
 def _expectation(
-    told: Sequence[Told], spread: np.ndarray, own: np.ndarray
+    likelihoods: Sequence[ParameterLikelihood], spread: np.ndarray, own: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the mean (n,), its covariance (n, n), and the expected squares of the deviations from it (n_robots, n)."""
     variance = variances(spread, own)
-    weight, pull = pooled(told, variance)
+    weight, pull = pooled(likelihoods, variance)
     covariance = np.linalg.inv(weight.sum(axis=0) + np.eye(len(spread)))
     mean = covariance @ pull.sum(axis=0)
     deviation = variance * (pull - weight @ mean)
@@ -123,7 +123,7 @@ def _expectation(
     return mean, covariance, deviation**2 + left + variance**2 * moved
 
 
-def _told_apart(one: Told, spread: np.ndarray) -> np.ndarray:
+def _determines(one: ParameterLikelihood, spread: np.ndarray) -> np.ndarray:
     """Whether a robot tells of each parameter at least as much as its type does, whatever the others are (n,)."""
     posterior = np.linalg.inv(one.information + np.diag(spread**-2.0))
     return np.diag(posterior) < 0.5 * spread**2

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from calflow.population.told import Told
+from calflow.population.likelihood import ParameterLikelihood
 from calflow.population.type_prior import FEWEST, NARROWEST, TypePrior, pooled, type_prior, variances
 from calflow.robot.parameter import Parameter
 
@@ -42,21 +42,21 @@ class Unlike:
 
 
 def unlike(
-    parameters: Sequence[Parameter], told: Sequence[Told], false_alarm: float = FALSE_ALARM
+    parameters: Sequence[Parameter], likelihoods: Sequence[ParameterLikelihood], false_alarm: float = FALSE_ALARM
 ) -> tuple[TypePrior, list[Unlike]]:
     """Return the type's prior as the robots tell it that are like it, and what is unlike it, the surest first.
 
     Raises:
         ValueError: there are fewer than FEWEST robots.
     """
-    if len(told) < FEWEST:
-        raise ValueError(f"expected at least {FEWEST} robots, found {len(told)}")
+    if len(likelihoods) < FEWEST:
+        raise ValueError(f"expected at least {FEWEST} robots, found {len(likelihoods)}")
     found: list[Unlike] = []
-    own = np.zeros((len(told), len(parameters)), dtype=bool)
+    own = np.zeros((len(likelihoods), len(parameters)), dtype=bool)
     while True:
-        prior = type_prior(parameters, told, own)
+        prior = type_prior(parameters, likelihoods, own)
         first = _most_telling(prior, false_alarm)
-        if first is None or own.any(axis=1).sum() > MOST * len(told):
+        if first is None or own.any(axis=1).sum() > MOST * len(likelihoods):
             return prior, found
         robot, k, one = first
         own[robot, k] = True
@@ -65,7 +65,7 @@ def unlike(
 
 def _most_telling(prior: TypePrior, false_alarm: float) -> tuple[int, int, Unlike] | None:
     """Return the robot and parameter whose shift explains most, where chance seldom does; None where there is none."""
-    tests = max(1, int((prior.determined > 0).sum())) * len(prior.told)
+    tests = max(1, int((prior.determined > 0).sum())) * len(prior.likelihoods)
     first = np.argsort([shifts.chance.min() for shifts in _roughly(prior)])[:CLOSELY]
     exact = {int(robot): _shifts(prior, robot, _others(prior, robot)) for robot in first}
     robot = min(exact, key=lambda one: exact[one].chance.min())
@@ -77,7 +77,7 @@ def _most_telling(prior: TypePrior, false_alarm: float) -> tuple[int, int, Unlik
     explained = (shifts.shift / shifts.sd) ** 2
     near = np.flatnonzero((explained > explained[k] - ALIKE) & ~prior.own[robot])
     one = Unlike(
-        prior.told[robot].robot, prior.parameters[k], float(shifts.shift[k]), float(shifts.sd[k]),
+        prior.likelihoods[robot].robot, prior.parameters[k], float(shifts.shift[k]), float(shifts.sd[k]),
         float(shifts.shift[k] / shifts.spread[k]), p, tuple(prior.parameters[j] for j in near if j != k),
     )  # fmt: skip
     return robot, k, one
@@ -104,9 +104,9 @@ class _Others:
 
 def _roughly(prior: TypePrior) -> Iterator[_Shifts]:
     """Yield each robot's shifts, the others' spread being known as far as the robot's own squares tell."""
-    weight, pull = pooled(prior.told, variances(prior.spread, prior.own))
+    weight, pull = pooled(prior.likelihoods, variances(prior.spread, prior.own))
     whole, total = weight.sum(axis=0) + np.eye(len(prior.mean)), pull.sum(axis=0)
-    for robot in range(len(prior.told)):
+    for robot in range(len(prior.likelihoods)):
         covariance = np.linalg.inv(whole - weight[robot])
         others = _Others(covariance @ (total - pull[robot]), covariance, _spread_without(prior, robot))
         yield _shifts(prior, robot, others)
@@ -114,9 +114,9 @@ def _roughly(prior: TypePrior) -> Iterator[_Shifts]:
 
 def _others(prior: TypePrior, robot: int) -> _Others:
     """The type as the others tell it, all estimated anew."""
-    told = [one for k, one in enumerate(prior.told) if k != robot]
+    likelihoods = [one for k, one in enumerate(prior.likelihoods) if k != robot]
     own = np.delete(prior.own, robot, axis=0)
-    found = type_prior(prior.parameters, told, own, _spread_without(prior, robot))
+    found = type_prior(prior.parameters, likelihoods, own, _spread_without(prior, robot))
     return _Others(found.mean, found.covariance, found.spread)
 
 
@@ -129,7 +129,7 @@ def _spread_without(prior: TypePrior, robot: int) -> np.ndarray:
 def _shifts(prior: TypePrior, robot: int, others: _Others) -> _Shifts:
     """Hold a robot against the others by each parameter's score test."""
     variance = variances(others.spread, prior.own[robot : robot + 1])
-    (information,), (pull,) = pooled(prior.told[robot : robot + 1], variance)
+    (information,), (pull,) = pooled(prior.likelihoods[robot : robot + 1], variance)
     score = pull - information @ others.mean
     scatter = np.diag(information + information @ others.covariance @ information)
     slope = np.diag(information)

@@ -12,7 +12,7 @@ from calflow.robot.parameter import Parameter
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class ParameterEstimates:
     """A robot's fitted parameters (n,): their estimate (n,) with covariance (n, n), and which sit on a bound (n,).
 
     placed names the parts that say where the robot stands and what it holds.
@@ -25,14 +25,16 @@ class Calibration:
     placed: frozenset[str]
 
     @staticmethod
-    def of(known: CalibratedModel) -> Calibration:
+    def of(calibrated: CalibratedModel) -> ParameterEstimates:
         """Return the parameters of a fitted model."""
-        placed = frozenset({"base", *known.model.robot.markers})
-        return Calibration(known.model.parameters, known.estimate, known.covariance, known.at_bound, placed)
+        model, placed = calibrated.model, frozenset({"base", *calibrated.model.robot.markers})
+        return ParameterEstimates(
+            model.parameters, calibrated.estimate, calibrated.covariance, calibrated.at_bound, placed
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class ParameterLikelihood:
     """The log likelihood of parameters (n,) up to a constant: pull @ x - x @ information @ x / 2, x in standard deviations.
 
     These are the parameters' priors'. A parameter that sits on a bound is told nothing of.
@@ -43,32 +45,32 @@ class Told:
     pull: np.ndarray
 
     @staticmethod
-    def of(robot: str, known: Calibration, parameters: Sequence[Parameter]) -> Told:
+    def of(robot: str, estimates: ParameterEstimates, parameters: Sequence[Parameter]) -> ParameterLikelihood:
         """Return what a fit tells of parameters of its model, whatever its others are."""
-        where = {parameter.identity: k for k, parameter in enumerate(known.parameters)}
+        where = {parameter.identity: k for k, parameter in enumerate(estimates.parameters)}
         own = np.array([where[parameter.identity] for parameter in parameters], dtype=int)
-        free = np.flatnonzero(~known.at_bound[own])
+        free = np.flatnonzero(~estimates.at_bound[own])
         chosen = own[free]
-        sd = np.array([known.parameters[int(k)].prior_sd for k in chosen])
-        mean = np.array([known.parameters[int(k)].prior_mean for k in chosen])
+        sd = np.array([estimates.parameters[int(k)].prior_sd for k in chosen])
+        mean = np.array([estimates.parameters[int(k)].prior_mean for k in chosen])
         unit = np.array([parameters[int(k)].prior_sd for k in free])
-        precise = np.linalg.inv(known.covariance[np.ix_(chosen, chosen)] / np.outer(unit, unit))
+        precise = np.linalg.inv(estimates.covariance[np.ix_(chosen, chosen)] / np.outer(unit, unit))
         prior = (unit / sd) ** 2
         share, directions = np.linalg.eigh(precise - np.diag(prior))
         information, pull = np.zeros((len(own), len(own))), np.zeros(len(own))
         information[np.ix_(free, free)] = directions * np.maximum(share, 0.0) @ directions.T
-        told = precise @ (known.estimate[chosen] / unit) - prior * mean / unit
-        pull[free] = directions @ np.where(share > 0, directions.T @ told, 0.0)
-        return Told(robot, information, pull)
+        shift = precise @ (estimates.estimate[chosen] / unit) - prior * mean / unit
+        pull[free] = directions @ np.where(share > 0, directions.T @ shift, 0.0)
+        return ParameterLikelihood(robot, information, pull)
 
 
-def shared_parameters(fits: Sequence[Calibration]) -> tuple[Parameter, ...]:
+def shared_parameters(fits: Sequence[ParameterEstimates]) -> tuple[Parameter, ...]:
     """Return the parameters that all fits have, of effects without variants, in the first one's order.
 
     Where a robot stands and what it holds while it is measured is its own, and tells nothing of its type.
     """
-    common = set.intersection(*({one.identity for one in known.parameters} for known in fits))
-    placed = frozenset.union(*(known.placed for known in fits))
+    common = set.intersection(*({one.identity for one in estimates.parameters} for estimates in fits))
+    placed = frozenset.union(*(estimates.placed for estimates in fits))
     return tuple(
         one for one in fits[0].parameters
         if one.identity in common and not one.variant and one.part not in placed and one.effect
