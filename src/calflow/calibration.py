@@ -560,7 +560,7 @@ class Calibration(CalibratedModel):
 
     @property
     def _accuracy(self) -> pd.DataFrame:
-        return self.accuracy.table[["model", "split", "n", "mean_mm", "max_mm"]].round(4)
+        return self.accuracy.table[["model", "split", "n", "mean", "max", "unit"]].round(4)
 
     @property
     def _words(self) -> list[str]:

@@ -84,7 +84,7 @@ def noise_contradicted(results: Results) -> list[Advice]:
 def nominal_far_off(results: Results) -> list[Advice]:
     """A nominal robot that misses by a tenth of the measured space was described or read wrongly."""
     off = results.rows("identify/accuracy.csv", Accuracy)[0].mean_mm
-    if off < FAR_OFF * results.document(IDENTIFIED, IdentifySummary).spread_mm:
+    if not off >= FAR_OFF * results.document(IDENTIFIED, IdentifySummary).spread_mm:  # nan: no lengths were measured
         return []
     sentence = (
         f"Do not use this result: the nominal robot misses by {mm(off)} mm, which no robot does. Check for swapped axes, a "

@@ -329,16 +329,16 @@ def _verdict(
         "no tolerance" if probability is None else "stop" if probability >= request.confidence else "measure"
     )
     heldout = data.only(data.held_out)
-    outside = distances(errors(fitted.model, fitted.fit.estimate, heldout)) if len(heldout) else None
+    outside = distances(errors(fitted.model, fitted.fit.estimate, heldout, METRE)) if len(heldout) else None
     lacking = findings(diagnosis, data, as_table((), data), rng("resamples"))
     return MeasuringVerdict(
         status=status, poses=data.table["pose"].nunique(), fitted_poses=fitted.data.table["pose"].nunique(),
         measure=request.measure, tolerance_mm=in_mm(tolerance), confidence=request.confidence, probability=probability,
         probability_at_best=None if tolerance is None else error.within_at_best(tolerance),
         error_mm=in_mm(error.quantile(0.5)), error_most_mm=in_mm(error.quantile(request.confidence)),
-        heldout_rms_mm=None if outside is None else in_mm(float(np.sqrt(np.mean(outside**2)))),
+        heldout_rms_mm=None if outside is None else in_mm(float(np.sqrt(np.nanmean(outside**2)))),
         leftout_rms_mm=in_mm(left_out(fitted.fit, fitted.poses).rms), elsewhere_mm=in_mm(fitted.elsewhere),
-        noise_mm=in_mm(float(np.sqrt(np.mean(fitted.noise.sigma**2)))), noise_known=fitted.noise.known,
+        noise_mm=in_mm(fitted.noise.typical(METRE)), noise_known=fitted.noise.known,
         found=tuple(finding.statement for finding in lacking), suspected=_suspects(diagnosis, lacks),
         untested=tuple(sorted(catalogue.lacking)), notes=data.notes,
     )  # fmt: skip

@@ -18,15 +18,17 @@ from scipy.optimize import minimize_scalar
 from scipy.special import gammaln
 from scipy.stats import chi, norm, t
 
-from calflow.estimation.accuracy import distances, errors
+from calflow.estimation.accuracy import distances, leading_errors
 from calflow.estimation.fit import Fit
 from calflow.estimation.judgement import Studentised
 from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.noise import median_length
 from calflow.estimation.registration import in_measuring_frame, registered
 from calflow.estimation.repeats import measured_noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.faults.base import Check, Correction, Fault, fault, lines_in_words
-from calflow.faults.reference import EQUATIONS, GROSS, LEAST_GROSS, NORMAL_LENGTH, Reference, Rough, rows_with_reading
+from calflow.faults.reference import EQUATIONS, GROSS, LEAST_GROSS, Reference, Rough, rows_with_reading
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.observations import observations
@@ -110,9 +112,6 @@ def _of_a_joint(data: Measurements, fit: Rough, error: np.ndarray, rows: np.ndar
     return False
 
 
-MEDIAN_LENGTH = (np.nan, 0.6745, 1.1774, NORMAL_LENGTH)  # of so many unit normals
-
-
 def is_position(data: Measurements) -> np.ndarray:
     """Return which rows are positions in the measuring frame, shape (n_rows,)."""
     return in_measuring_frame(observations(data), data)
@@ -129,27 +128,30 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
     if LeastSquares.of(model, train, noise).size < EQUATIONS * len(model.parameters):
         return ()
     fit = fit_reweighted(model, train, noise, model.prior_mean[None], "cauchy")[0]
-    miss = errors(model, fit.estimate, here)
+    miss = leading_errors(model, fit.estimate, here)
     faults = []
     far = distances(miss)
     for k in np.unique(data.series_number[which]):
         rows = which & data.of_series(int(k)) & (data.train | data.held_out)
-        scale = float(np.median(far[rows])) / MEDIAN_LENGTH[int((~np.isnan(miss[rows][0])).sum())]
-        gross = rows & (far > limit_of(far[rows], scale, max(GROSS * scale, LEAST_GROSS)))
+        unit = observed[int(k)].units[0]
+        scale = float(np.median(far[rows]) / median_length(int((~np.isnan(miss[rows][0])).sum())))
+        least = LEAST_GROSS * unit.usual / METRE.usual
+        gross = rows & (far > limit_of(far[rows], scale, max(GROSS * scale, least)))
         if gross.any() and gross.sum() <= MOST * rows.sum():
-            faults.append(_outliers(data, int(k), gross, far, float(np.median(far[rows & ~gross]))))
+            faults.append(_outliers(data, int(k), gross, far, float(np.median(far[rows & ~gross])), unit))
     return tuple(faults)
 
 
-def _outliers(data: Measurements, k: int, beyond: np.ndarray, far: np.ndarray, others: float) -> Fault:
-    """Tell the rows (n_rows,) of a series that are too far [m] from what all others say."""
+def _outliers(
+    data: Measurements, k: int, beyond: np.ndarray, far: np.ndarray, others: float, unit: MeasurementUnit
+) -> Fault:
+    """Tell the rows (n_rows,) of a series that are too far [unit] from what all others say."""
     rows = np.flatnonzero(beyond)
     lines = tuple(dict.fromkeys(int(line) for line in data.table["line"].iloc[rows]))
     several = f" of measurements {data.series[k].name or k + 1}" if len(data.series) > 1 else ""
-    low, high = (f"{1e3 * end:.3g}" for end in (far[beyond].min(), far[beyond].max()))
     statement = (
-        f"what was measured in {lines_in_words(lines)}{several} is {low if low == high else f'{low} to {high}'} mm from what all "
-        f"other rows say, which miss by {1e3 * others:.2g} mm; left out, measure again"
+        f"what was measured in {lines_in_words(lines)}{several} is {_span(unit.shown(far[beyond]), '.3g')} {unit.label} from what "
+        f"all other rows say, which miss by {unit.words(others, '.2g')}; left out, measure again"
     )
     return Fault(Outlier.id, 0, lines, statement, "left out", tuple(Correction(int(row) + 1) for row in rows))
 
@@ -242,13 +244,17 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
         alike = used & (studentised.units == size)
         values = studentised.values[alike]
         odd[alike] = length[alike] > limit_of_length(values[~np.isnan(values)].reshape(-1, int(size)))
-    error = errors(result.model, result.estimate, data)
+    error = leading_errors(result.model, result.estimate, data)
     odd &= ~off_together(data, np.nan_to_num(error), odd)
     if not 0 < odd.sum() <= MOST * used.sum():
         return np.zeros(len(data), dtype=bool), ()
-    far, times = 1e3 * distances(error[odd]), studentised.whitened[odd]
+    far, times = distances(error), studentised.whitened[odd]
+    leading = np.array([observation.units[0] for observation in result.model.observations])[data.series_number]
+    off = [
+        f"{_span(unit.shown(far[odd & (leading == unit)]), '.3g')} {unit.label}" for unit in dict.fromkeys(leading[odd])
+    ]
     statement = (
-        f"the measured values in LINES do not fit the final model: off by {_span(far, '.3g')} mm, {_span(times, '.2g')} times the "
+        f"the measured values in LINES do not fit the final model: off by {' or '.join(off)}, {_span(times, '.2g')} times the "
         "expected; they hardly count in the fit, and count in the accuracy: measure again"
     )
     corrections = [Correction(int(row) + 1) for row in np.flatnonzero(odd)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 # Every suffix that a file may use, by dimension, with (factor, offset): value_SI = factor * value + offset. The first of
 # each dimension is the SI unit that calflow computes in.
@@ -99,8 +100,8 @@ class MeasurementUnit:
         """The dimension of the file columns and keys that hold such values."""
         return next((name for name, suffixes in SUFFIXES.items() if self.symbol in suffixes), "")
 
-    def shown(self, value: float) -> float:
-        """Return a value [symbol] as people are told it."""
+    def shown(self, value: Any) -> Any:
+        """Return a value, or an array of them, [symbol] as people are told it."""
         return self.scale * value
 
     def words(self, value: float, form: str = ".3g") -> str:

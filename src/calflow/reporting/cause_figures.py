@@ -15,8 +15,9 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
+from calflow.files.units import METRE
 from calflow.files.words import mm, number
-from calflow.reporting.material import ModelAccuracy
+from calflow.reporting.material import ModelAccuracy, error_axis
 from calflow.reporting.style import ACCENT, DARK, LIGHT, MANY, MIDDLE, crowded, dots, figure, panels, plain_decades
 
 FEW_VALUES = 6  # of a variable, up to which its rows are drawn in groups
@@ -29,9 +30,10 @@ ROW = 0.19  # inches a bar takes
 
 
 def explained(
-    x: np.ndarray, before: np.ndarray, after: np.ndarray, fitted: np.ndarray, held: np.ndarray, label: str, unit: str
-) -> Figure:
-    """Draw errors [mm] against a variable without and with a cause in the model, and against what the cause explains.
+    x: np.ndarray, before: np.ndarray, after: np.ndarray, fitted: np.ndarray, held: np.ndarray, label: str, unit: str,
+    error_unit: str = METRE.label,
+) -> Figure:  # fmt: skip
+    """Draw errors [error_unit] against a variable without and with a cause in the model, and against what the cause explains.
 
     All arrays have shape (n_rows,); fitted is the cause's part of before.
     """
@@ -57,9 +59,9 @@ def explained(
     dots(third, fitted, before, held, size, 3)
     ends = np.array([min(fitted.min(), 0.0), max(fitted.max(), 0.0)])
     third.plot(ends, ends, color="black", linestyle="--", linewidth=1.0, label="equal")
-    third.set_xlabel("explained by the cause [mm]")
+    third.set_xlabel(f"explained by the cause [{error_unit}]")
     third.locator_params(axis="x", nbins=4)
-    first.set_ylabel("error where the\ncause acts [mm]")
+    first.set_ylabel(f"error where the\ncause acts [{error_unit}]")
     for axes, title in ((first, "without the cause"), (second, "with it"), (third, "agreement")):
         axes.axhline(0, color="#444444", linewidth=0.6, zorder=0.5)
         axes.set_title(title)
@@ -71,52 +73,53 @@ def explained(
 
 
 def waterfall(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
-    """Draw what each of many steps takes off the mean error [mm], bar by bar, on a logarithmic scale."""
-    drawn = figure(0.8 + ROW * (len(steps) + 1))
+    """Draw what each of many steps takes off the mean error [unit], bar by bar, on a logarithmic scale."""
+    drawn, unit = figure(0.8 + ROW * (len(steps) + 1)), steps[0].unit
     axes = drawn.add_subplot()
     least, largest = min([*(step.mean for step in steps), *([floor] if floor else [])]), max(s.mean for s in steps)
     base = 0.5 * least
     labels = [steps[0].label]
     axes.barh(0, steps[0].mean - base, 0.66, left=base, color=MIDDLE)
-    _beside(axes, 0, steps[0].mean, f"{mm(steps[0].mean)} mm")
+    _beside(axes, 0, steps[0].mean, f"{mm(steps[0].mean)} {unit}")
     for k, (before, after) in enumerate(pairwise(steps), start=1):
-        _taken(axes, k, before.mean, after.mean)
+        _taken(axes, k, before.mean, after.mean, unit)
         labels.append(after.label)
-    _left(axes, len(steps), base, steps[-1].mean, floor)
+    _left(axes, len(steps), base, steps[-1].mean, floor, unit)
     axes.set_xscale("log")
     axes.set_xlim(base, largest * (largest / base) ** 0.14)
     plain_decades(axes.xaxis, base, largest)
     _rows(axes, [*labels, "left"])
-    axes.set_xlabel("mean tool-position error [mm]")
+    axes.set_xlabel(f"mean {error_axis(unit)}")
     _legend(drawn, (axes,))
     return drawn
 
 
 def gains(
-    start: float, labels: Sequence[str], after: Sequence[float], intervals: np.ndarray, floor: float | None
-) -> Figure:
-    """Draw what each cause takes off the held-out mean error [mm], from the study's own model on.
+    start: float, labels: Sequence[str], after: Sequence[float], intervals: np.ndarray, floor: float | None,
+    unit: str = METRE.label,
+) -> Figure:  # fmt: skip
+    """Draw what each cause takes off the held-out mean error [unit], from the study's own model on.
 
     after has the error that is left with each cause, intervals (n_causes, 2) what it takes off at least and at most.
     """
     drawn = figure(0.8 + ROW * (len(labels) + 2))
     axes = drawn.add_subplot()
     axes.barh(0, start, 0.66, color=MIDDLE)
-    _beside(axes, 0, start, f"{mm(start)} mm")
+    _beside(axes, 0, start, f"{mm(start)} {unit}")
     levels = [start, *after]
     ends = [start]
     for k, (before, now) in enumerate(pairwise(levels), start=1):
         low, high = before - intervals[k - 1, 1], before - intervals[k - 1, 0]
-        _taken(axes, k, before, now, said_at=max(before, high))
+        _taken(axes, k, before, now, unit, said_at=max(before, high))
         look: dict[str, Any] = {"fmt": "none", "ecolor": "black", "elinewidth": 1.0, "capsize": 2.5}
         look["path_effects"] = [withStroke(linewidth=2.6, foreground="white")]  # to be seen on the bar
         axes.errorbar(now, k, xerr=[[max(now - low, 0.0)], [max(high - now, 0.0)]], **look,
                       label="95 % interval" if k == 1 else None)  # fmt: skip
         ends.append(max(before, high))
-    _left(axes, len(levels), 0.0, levels[-1], floor)
+    _left(axes, len(levels), 0.0, levels[-1], floor, unit)
     axes.set_xlim(0, 1.16 * max([*ends, floor or 0.0]))
     _rows(axes, ["the study's model", *labels, "left"])
-    axes.set_xlabel("mean tool-position error at held-out poses [mm]")
+    axes.set_xlabel(f"mean {error_axis(unit)} at held-out poses")
     _legend(drawn, (axes,))
     return drawn
 
@@ -239,23 +242,25 @@ def _curve(axes: Axes, x: np.ndarray, fitted: np.ndarray) -> None:
         )
 
 
-def _taken(axes: Axes, k: int, before: float, after: float, said_at: float | None = None) -> None:
+def _taken(axes: Axes, k: int, before: float, after: float, unit: str, said_at: float | None = None) -> None:
     """Draw what a step takes off, or adds, from the level that the one before has left."""
     low, high = sorted((before, after))
     better = after <= before
     axes.barh(k, high - low, 0.66, left=low, color=DARK if better else ACCENT, hatch="" if better else "xx")
     axes.plot([before, before], [k - 0.67, k + 0.33], color="#444444", linewidth=0.6)
-    _beside(axes, k, said_at or high, f"{'−' if better else '+'}{mm(high - low)} mm")
+    _beside(axes, k, said_at or high, f"{'−' if better else '+'}{mm(high - low)} {unit}")
 
 
-def _left(axes: Axes, k: int, base: float, value: float, floor: float | None) -> None:
+def _left(axes: Axes, k: int, base: float, value: float, floor: float | None, unit: str) -> None:
     """Draw what is left, and what noise alone would leave."""
     look: dict[str, Any] = {"facecolor": LIGHT, "edgecolor": MIDDLE, "hatch": "////", "linewidth": 0.6}
     axes.barh(k, value - base, 0.66, left=base, **look)
     axes.plot([value, value], [k - 0.67, k + 0.33], color="#444444", linewidth=0.6)
-    _beside(axes, k, max(value, floor or 0.0), f"{mm(value)} mm")
+    _beside(axes, k, max(value, floor or 0.0), f"{mm(value)} {unit}")
     if floor:
-        axes.axvline(floor, color="black", linestyle="--", linewidth=0.9, label=f"mean of noise alone: {mm(floor)} mm")
+        axes.axvline(
+            floor, color="black", linestyle="--", linewidth=0.9, label=f"mean of noise alone: {mm(floor)} {unit}"
+        )
 
 
 def _beside(axes: Axes, y: float, x: float, text: str) -> None:

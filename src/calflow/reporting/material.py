@@ -18,7 +18,7 @@ from calflow.deployment.usability import accuracy_steps, split_judged
 from calflow.diagnosis.findings.finding import Finding
 from calflow.effects.cause import Cause
 from calflow.effects.words import place_name
-from calflow.estimation.accuracy import Accuracy, errors
+from calflow.estimation.accuracy import Accuracy, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel, calibrated, with_maps_held
 from calflow.estimation.certainty import parameter_variance, position_variance
 from calflow.estimation.fit_summary import FitSummary
@@ -26,7 +26,7 @@ from calflow.estimation.registration import in_measuring_frame
 from calflow.faults import corrected
 from calflow.files.results import Results
 from calflow.files.tables import Tables
-from calflow.files.units import METRE
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import effect_words
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
@@ -43,7 +43,7 @@ DRAWN, WORST = 5_000, 100  # rows that figures show one by one: more dots would 
 
 @dataclass(frozen=True)
 class ModelAccuracy:
-    """A model's accuracy on one split [mm]; name says what it is, or what it has more than the one before (added)."""
+    """A model's accuracy on one split [unit]; name says what it is, or what it has more than the one before (added)."""
 
     model: str
     name: str
@@ -52,6 +52,7 @@ class ModelAccuracy:
     rms: float
     max: float
     added: bool = False
+    unit: str = METRE.label
 
     @property
     def label(self) -> str:
@@ -118,14 +119,20 @@ class Material:
         return self.request.title or self.request.name
 
     @cached_property
+    def unit(self) -> MeasurementUnit:
+        """The unit by which the model is judged."""
+        return judged_unit([observation.units[0] for observation in self.calibrated.model.observations])
+
+    @cached_property
     def held(self) -> np.ndarray:
         """Which rows no fit has seen, shape (n_rows,)."""
         return self.data.held_out
 
     @property
     def judged(self) -> np.ndarray:
-        """The rows by which the model is judged: those held out, else those fitted."""
-        return self.held if self.held.any() else self.data.train
+        """The rows by which the model is judged: those held out, else those fitted, of values in its unit."""
+        there = np.isfinite(self.distance)
+        return (self.held if (self.held & there).any() else self.data.train) & there
 
     @cached_property
     def error(self) -> np.ndarray:
@@ -139,14 +146,19 @@ class Material:
 
     @cached_property
     def distance(self) -> np.ndarray:
-        """Size of each row's error, shape (n_rows,) [mm]."""
-        residuals = latest(self.results, "residuals")
-        return _used(residuals)["error_mm"].to_numpy(dtype=float)
+        """Size of each row's error, shape (n_rows,) [unit]; nan where its values are in another."""
+        residuals = _used(latest(self.results, "residuals"))
+        return residuals["error"].where(residuals["unit"] == self.unit.label).to_numpy(dtype=float)
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """Predicted minus measured values in the unit by which the model is judged, (n_rows, n_axes) [unit]; nan elsewhere."""
+        return np.asarray(self.unit.shown(errors(self.calibrated.model, self.calibrated.estimate, self.data)))
 
     @cached_property
     def length_error(self) -> np.ndarray:
         """Predicted minus measured length where a row has one alone, nan elsewhere, shape (n_rows,) [mm]."""
-        whole = errors(self.calibrated.model, self.calibrated.estimate, self.data)
+        whole = errors(self.calibrated.model, self.calibrated.estimate, self.data, METRE)
         return np.where(np.isnan(whole[:, 1]), 1e3 * whole[:, 0], np.nan)
 
     @cached_property
@@ -156,7 +168,7 @@ class Material:
         if n <= DRAWN:
             return np.arange(n)
         some = np.random.default_rng(0).choice(n, DRAWN, replace=False)  # markers and payloads may take turns
-        return np.union1d(some, np.argpartition(self.distance, -WORST)[-WORST:])
+        return np.union1d(some, np.argpartition(np.nan_to_num(self.distance), -WORST)[-WORST:])
 
     @property
     def drawn_words(self) -> str:
@@ -180,16 +192,17 @@ class Material:
 
     @cached_property
     def sigma(self) -> np.ndarray:
-        """Noise of each row per axis, shape (n_rows,) [mm]."""
-        return 1e3 * self.calibrated.noise(self.data).sigma
+        """Noise of each row per axis, shape (n_rows,) [unit]; nan where its values are in another."""
+        noise = self.calibrated.noise(self.data)
+        return np.where(noise.in_unit(self.unit), self.unit.scale * noise.sigma, np.nan)
 
     @property
     def noise_floor(self) -> float | None:
-        """Mean error that noise alone would give in the judged rows [mm]; None where only the fit tells the noise."""
+        """Mean error that noise alone would give in the judged rows [unit]; None where only the fit tells the noise."""
         if not self.calibrated.noise_known:
             return None
-        units = [one.units.count(METRE) for one in self.calibrated.model.observations]
-        mean = MEAN_OF_NOISE[np.array(units)[self.data.series_number]] * self.sigma
+        values = [observation.units.count(observation.units[0]) for observation in self.calibrated.model.observations]
+        mean = MEAN_OF_NOISE[np.array(values)[self.data.series_number]] * self.sigma
         return float(mean[self.judged].mean())
 
     @cached_property
@@ -233,9 +246,10 @@ def latest_summary(results: Results) -> FitSummary:
 
 def steps(results: Results, split: str) -> list[ModelAccuracy]:
     """Return the models on the way to the best one, in their order."""
+    rows = [row for row in accuracy_steps(results) if row.split == split]
     return [
-        ModelAccuracy(row.model, _name(row), row.n, row.mean_mm, row.rms_mm, row.max_mm, row.step > 1)
-        for row in accuracy_steps(results) if row.split == split
+        ModelAccuracy(row.model, _name(row), row.n, row.mean, row.rms, row.max, row.step > 1, row.unit)
+        for row in rows if row.unit == rows[0].unit  # that by which models are judged
     ]  # fmt: skip
 
 
@@ -252,10 +266,16 @@ def gathered_steps(results: Results) -> list[ModelAccuracy]:
 
 def as_table(found: list[ModelAccuracy]) -> pd.DataFrame:
     """Return models with their accuracy as a table for whoever wants a figure's numbers."""
+    unit = found[0].unit if found else METRE.label
     return pd.DataFrame(
         [(one.label, one.n, one.mean, one.rms, one.max) for one in found],
-        columns=["model", "rows", "mean_mm", "rms_mm", "max_mm"],
+        columns=["model", "rows", *(f"{name}_{unit}" for name in ("mean", "rms", "max"))],
     )
+
+
+def error_axis(unit: str) -> str:
+    """Return what an axis of errors in a unit is labelled."""
+    return f"{'tool-position error' if unit == METRE.label else 'error of what was measured'} [{unit}]"
 
 
 def gathered(found: list[ModelAccuracy], own: int) -> list[ModelAccuracy]:

@@ -15,6 +15,7 @@ from calflow.diagnosis.findings.finding import Finding
 from calflow.effects.words import place_name
 from calflow.estimation.accuracy import Accuracy
 from calflow.files.results import Results
+from calflow.files.units import METRE
 from calflow.files.words import mm, number
 from calflow.reporting.material import findings, gathered_steps
 from calflow.reporting.section import advice, sections
@@ -37,10 +38,13 @@ def _accuracy(results: Results) -> list[str]:
     rows = accuracy_steps(results)
     names = [row.model if row.model in own else f"+ {place_name(row.effect, row.joint, row.part)}" for row in rows]
     width = max(map(len, names))
+    unit = rows[0].unit
+    what = "position error" if unit == METRE.label else "error"
     return [
-        f"{'position error':{width}}  split      mean mm    max mm",
+        f"{what:{width}}  split    {f'mean {unit}':>9} {f'max {unit}':>9}",
         *(
-            f"{name:{width}}  {row.split:8} {row.mean_mm:9.3f} {row.max_mm:9.3f}"
+            f"{name:{width}}  {row.split:8} {row.mean:9.3f} {row.max:9.3f}"
+            + (f" {row.unit}" if row.unit != unit else "")
             for name, row in zip(names, rows, strict=True)
         ),
     ]
@@ -62,12 +66,14 @@ def _told(one: Finding) -> str:
     if math.isnan(gain):
         return said
     if math.isnan(low):
-        return f"{said}; takes {mm(gain)} mm off the mean error"
+        return f"{said}; takes {mm(gain)} {one.error_unit} off the mean error"
     interval = f"({number(low, '.3f')} to {number(high, '.3f')}, 95 %)"
     if low > 0:
-        return f"{said}; takes {mm(gain)} mm off the mean error {interval}"
+        return f"{said}; takes {mm(gain)} {one.error_unit} off the mean error {interval}"
     if high < 0:
-        return f"{said}; makes the mean error {mm(-gain)} mm larger at poses that no fit has seen {interval}"
+        return (
+            f"{said}; makes the mean error {mm(-gain)} {one.error_unit} larger at poses that no fit has seen {interval}"
+        )
     return f"{said}; takes nothing off the mean error that poses that no fit has seen would show {interval}"
 
 

@@ -77,7 +77,7 @@ def renewed(text: str) -> str:
 
 def keys(table: str, settings: type[FileModel]) -> str:
     """Return the keys of a table of a study, as Markdown."""
-    rows = "\n".join(_key(name, field) for name, field in settings.model_fields.items())
+    rows = "\n".join(_key(name, field) for name, field in settings.model_fields.items() if field.description)
     return f"| key of `{table}` | meaning |\n| --- | --- |\n{rows}"
 
 

@@ -14,11 +14,13 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects.base import Effect, Variable
 from calflow.effects.cause import Cause
 from calflow.effects.joint_error import JointError, Term
-from calflow.estimation.accuracy import error_jacobian, errors
+from calflow.estimation.accuracy import error_jacobian, errors, judged_unit
 from calflow.estimation.nuisance import completed
 from calflow.files.tables import column, to_frame, typed
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
+from calflow.observations import leading_units
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
@@ -37,11 +39,15 @@ class CurvePoint:
     variable: str = column("what explains it, in words")
     variable_unit: str = column("of the variable; empty: none")
     x: float = column("the variable", "as `variable_unit` says")
-    before_mm: float = column("measured minus predicted, without this cause's own part", "mm")
+    before_mm: float = column("measured minus predicted, without this cause's own part; empty: no lengths", "mm")
     after_mm: float = column("the same with the whole extended model", "mm")
     fitted_mm: float = column("the cause's own part", "mm")
     pose: str = column("as in the measurements")
     split: str = column("train, holdout; empty: left out as faulty")
+    before: float = column("as before_mm, in `error_unit`")
+    after: float = column("as after_mm, in `error_unit`")
+    fitted: float = column("as fitted_mm, in `error_unit`")
+    error_unit: str = column("the unit by which the model is judged: mm, or where no lengths were measured mrad, px, …")
 
 
 def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.DataFrame:
@@ -56,6 +62,8 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
     turned = replace(model, effects=(*model.effects, _Lever(model.robot)))
     whole = error_jacobian(turned, np.append(estimate, np.zeros(model.robot.n_joints)), data)
     jacobian, levers = np.split(whole, [len(estimate)], axis=2)
+    unit = judged_unit(leading_units(data))
+    lengths = unit.scale if unit == METRE else np.nan
     blocks = []
     for effect in model.effects:
         if effect not in causes:
@@ -70,7 +78,9 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
         block = {
             "finding": causes.index(effect) + 1, "cause": effect.id, "joint": effect.joint or None,
             "variable": variable.label, "variable_unit": variable.unit, "x": _values(model, effect, variable, data),
-            "before_mm": 1e3 * (after + fitted), "after_mm": 1e3 * after, "fitted_mm": 1e3 * fitted,
+            "before_mm": lengths * (after + fitted), "after_mm": lengths * after, "fitted_mm": lengths * fitted,
+            "before": unit.shown(after + fitted), "after": unit.shown(after), "fitted": unit.shown(fitted),
+            "error_unit": unit.label,
             "pose": data.table["pose"], "split": data.table["split"],
         }  # fmt: skip
         blocks.append(typed(pd.DataFrame(block), CurvePoint))

@@ -8,6 +8,7 @@ from typing import Literal
 from calflow.effects.words import UNEXPLAINED, NamedCause, amount, cause_family, cause_name
 from calflow.estimation.parameters import UNIT
 from calflow.files.tables import column, spread
+from calflow.files.units import METRE
 from calflow.files.words import listed
 
 NAN = float("nan")
@@ -65,6 +66,13 @@ class Finding:
         "root of their squares' sum",
         default=(),
     )
+    error_unit: str = column(
+        "the unit by which the model is judged: mm, or where no lengths were measured mrad, px, …", default="mm"
+    )
+    gain_mean: float = column("as gain_mean_mm, in `error_unit` where that is another", default=NAN)
+    gain_low: float = column("as gain_low_mm, likewise", default=NAN)
+    gain_high: float = column("as gain_high_mm, likewise", default=NAN)
+    heldout_mean: float = column("as heldout_mean_mm, likewise", default=NAN)
 
     @property
     def is_cause(self) -> bool:
@@ -83,8 +91,15 @@ class Finding:
 
     @property
     def gain(self) -> tuple[float, float, float]:
-        """What it takes off the mean error at held-out poses, with the ends of its 95 % interval [mm]; nan where not known."""
-        return self.gain_mean_mm, self.gain_low_mm, self.gain_high_mm
+        """What it takes off the mean error at held-out poses, and the ends of its 95 % interval [error_unit]; nan: not known."""
+        if self.error_unit == METRE.label:
+            return self.gain_mean_mm, self.gain_low_mm, self.gain_high_mm
+        return self.gain_mean, self.gain_low, self.gain_high
+
+    @property
+    def left(self) -> float:
+        """Mean error at held-out poses with it [error_unit]."""
+        return self.heldout_mean_mm if self.error_unit == METRE.label else self.heldout_mean
 
     @property
     def of_family(self) -> bool:

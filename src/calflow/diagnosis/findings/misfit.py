@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import comb
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -24,10 +25,12 @@ from calflow.diagnosis.search.background import functions
 from calflow.diagnosis.search.decoys import Decoy, decoys
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import Effect
-from calflow.estimation.accuracy import distances, errors
+from calflow.estimation.accuracy import distances, errors, judged_unit
 from calflow.estimation.lack_of_fit import SIGNIFICANT
 from calflow.files.tables import column
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
+from calflow.observations import leading_units
 
 PARTS = 8  # of an input's poses, between whose ends regions reach
 MOST = 0.5  # share of the poses that a region may hold: what is larger is no place
@@ -47,8 +50,13 @@ class MisfitRegion:
     high: float | None = column("where it ends", "as `unit` says", default=None)
     unit: str = column("of the range", default="")
     value: str = column("the payload or marker", default="")
-    there_mm: float = column("mean error of the training rows there", "mm")
-    elsewhere_mm: float = column("mean error of the others", "mm")
+    there_mm: float | None = column(
+        "mean error of the training rows there; null: no lengths were measured", "mm", default=None
+    )
+    elsewhere_mm: float | None = column("mean error of the others", "mm", default=None)
+    error_unit: str = column("the unit of the errors: mm, mrad, px, …", default="mm")
+    there: float = column("as there_mm, in `error_unit`")
+    elsewhere: float = column("as elsewhere_mm, in `error_unit`")
 
     @property
     def where(self) -> str:
@@ -68,7 +76,8 @@ class MisfitRegion:
     @property
     def words(self) -> str:
         """Say where, with the figures."""
-        return f"largest where {self.where}: {self.there_mm:.3g} mm against {self.elsewhere_mm:.3g} mm elsewhere"
+        unit = self.error_unit
+        return f"largest where {self.where}: {self.there:.3g} {unit} against {self.elsewhere:.3g} {unit} elsewhere"
 
 
 @dataclass(frozen=True)
@@ -202,16 +211,15 @@ def _constant(values: np.ndarray, groups: np.ndarray) -> bool:
 
 
 def _region(candidate: _Input, inside: np.ndarray, fitted: Fitted) -> MisfitRegion:
-    size = 1e3 * distances(errors(fitted.model, fitted.fit.estimate, fitted.data))
-    there, elsewhere = float(size[inside].mean()), float(size[~inside].mean())
+    unit = judged_unit(leading_units(fitted.data))
+    size = unit.shown(distances(errors(fitted.model, fitted.fit.estimate, fitted.data)))
+    there, elsewhere = float(np.nanmean(size[inside])), float(np.nanmean(size[~inside]))
+    lengths = {"there_mm": there, "elsewhere_mm": elsewhere} if unit == METRE else {}
+    figures: dict[str, Any] = {"there": there, "elsewhere": elsewhere, "error_unit": unit.label, **lengths}
     if candidate.values.dtype == object:
-        return MisfitRegion(
-            input=candidate.name, value=str(candidate.values[inside][0]), there_mm=there, elsewhere_mm=elsewhere
-        )
+        return MisfitRegion(input=candidate.name, value=str(candidate.values[inside][0]), **figures)
     low, high = float(candidate.values[inside].min()), float(candidate.values[inside].max())
-    return MisfitRegion(
-        input=candidate.name, low=low, high=high, unit=candidate.unit, there_mm=there, elsewhere_mm=elsewhere
-    )
+    return MisfitRegion(input=candidate.name, low=low, high=high, unit=candidate.unit, **figures)
 
 
 def _said(value: float | None) -> str:

@@ -19,6 +19,7 @@ from calflow.estimation.registration import registered
 from calflow.estimation.repeats import measured_noise
 from calflow.estimation.reweighting import fit_reweighted
 from calflow.files.tables import column, to_frame, typed
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations import observations
@@ -221,4 +222,4 @@ def _covered(fitted: Fitted, causes: Sequence[Cause], other: Measurements) -> np
 def _mean(fit: Fit, rows: Measurements) -> float:
     if not len(rows):
         return float("nan")
-    return float(1e3 * distances(errors(fit.model, fit.estimate, rows)).mean())
+    return 1e3 * float(np.nanmean(distances(errors(fit.model, fit.estimate, rows, METRE))))

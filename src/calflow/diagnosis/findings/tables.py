@@ -36,12 +36,14 @@ from calflow.diagnosis.search.trial import kindred
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Cause
 from calflow.effects.words import UNEXPLAINED, NamedCause
-from calflow.estimation.accuracy import distances, error_jacobian, errors
+from calflow.estimation.accuracy import distances, error_jacobian, errors, judged_unit
 from calflow.estimation.parameters import UNIT
 from calflow.estimation.rival_models import ModelInReach
 from calflow.files.tables import column, to_frame
+from calflow.files.units import METRE
 from calflow.measurements.columns import blocks_of
 from calflow.measurements.measurements import Measurements
+from calflow.observations import leading_units
 
 
 def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
@@ -98,12 +100,13 @@ class Gain:
 
 
 def gain(before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator) -> Gain:
-    """Compare two models' errors (n_rows, 3) [m] on held-out rows, resampling whole poses (within payload and session)."""
-    if not len(heldout):
-        return Gain(np.nan, np.nan, np.nan)
+    """Compare two models' `errors` (n_rows, n_axes) on held-out rows, resampling whole poses (within payload and session)."""
     fallen = distances(before) - distances(after)
-    blocks = blocks_of(heldout.table)
-    table = heldout.table[["pose", *blocks]].assign(fallen=fallen)
+    there = np.isfinite(fallen)
+    if not there.any():
+        return Gain(np.nan, np.nan, np.nan)
+    blocks, fallen = blocks_of(heldout.table), fallen[there]
+    table = heldout.table.loc[there, ["pose", *blocks]].assign(fallen=fallen)
     poses = table.groupby("pose", sort=True).agg(
         total=("fallen", "sum"), n=("fallen", "size"), **{name: (name, "first") for name in blocks}
     )
@@ -272,11 +275,12 @@ def _gained(
     row: Finding, before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator
 ) -> Finding:
     gained = gain(before, after, heldout, rng)
-    mean = float(distances(after).mean()) if len(after) else NAN
-    return replace(
-        row, gain_mean_mm=1e3 * gained.mean, gain_low_mm=1e3 * gained.low, gain_high_mm=1e3 * gained.high,
-        heldout_mean_mm=1e3 * mean,
-    )  # fmt: skip
+    mean = float(np.nanmean(distances(after))) if len(after) else NAN
+    unit = judged_unit(leading_units(heldout))
+    figures = {"gain_mean": gained.mean, "gain_low": gained.low, "gain_high": gained.high, "heldout_mean": mean}
+    suffix = "_mm" if unit == METRE else ""
+    shown = {f"{name}{suffix}": unit.shown(figure) for name, figure in figures.items()}
+    return replace(row, error_unit=unit.label, **shown)
 
 
 def candidates_table(diagnosis: Diagnosis) -> pd.DataFrame:

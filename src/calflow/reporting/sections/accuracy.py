@@ -22,10 +22,11 @@ from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.repeats import MIN_REPEATS
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
 from calflow.files.results import Results
+from calflow.files.units import METRE
 from calflow.files.words import effect_words, first_up, listed, mm, ratio
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.cause_figures import waterfall
-from calflow.reporting.material import Material, ModelAccuracy, as_table, findings, latest_summary, steps
+from calflow.reporting.material import Material, ModelAccuracy, as_table, error_axis, findings, latest_summary, steps
 from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, figure, panels, plain_decades
 
@@ -35,7 +36,7 @@ LONGEST = 14  # letters of a line below a bar
 
 
 def before_after(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
-    """Draw mean and largest error [mm] of each model on a logarithmic scale, with what noise alone would leave.
+    """Draw mean and largest error [unit] of each model on a logarithmic scale, with what noise alone would leave.
 
     floor is None where that is not known.
     """
@@ -51,52 +52,54 @@ def before_after(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
         axes.bar(at + shift, np.array(values) - base, 0.38, bottom=base, label=name, linewidth=0.6, **look)
         for x, value in zip(at + shift, values, strict=True):
             _said(axes, x, value, mm(value), fontsize=6.5)
-    _floor(axes, floor)
+    _floor(axes, floor, steps[0].unit)
     _log_mm(axes, base, max(step.max for step in steps))
     axes.set_xticks(at, [_wrapped(step) for step in steps])
     axes.set_xlim(-0.55, len(steps) - 0.45)
     axes.grid(axis="x", visible=False)
-    axes.set_ylabel("tool-position error [mm]")
+    axes.set_ylabel(error_axis(steps[0].unit))
     drawn.legend(loc="outside upper center", ncols=3, columnspacing=1.0, handlelength=1.6)
     return drawn
 
 
 def budget(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
-    """Draw what each step of the model takes off the mean error [mm], as a waterfall on a logarithmic scale."""
+    """Draw what each step of the model takes off the mean error [unit], as a waterfall on a logarithmic scale."""
     drawn = figure(1.9)
     axes = drawn.add_subplot()
     base = _base(steps, floor)
     first, final, last = steps[0], steps[-1], len(steps)
+    unit = first.unit
     labels = [first.label]
     axes.bar(0, first.mean - base, 0.6, bottom=base, color=MIDDLE)
-    _said(axes, 0, first.mean, f"{mm(first.mean)} mm")
+    _said(axes, 0, first.mean, f"{mm(first.mean)} {unit}")
     for k, (before, after) in enumerate(pairwise(steps), start=1):
         low, high = sorted((before.mean, after.mean))
         better = after.mean <= before.mean
         axes.bar(k, high - low, 0.6, bottom=low, color=DARK if better else ACCENT, hatch="" if better else "xx")
         _level(axes, k, before.mean)
-        _said(axes, k, high, f"{'−' if better else '+'}{mm(high - low)} mm")
+        _said(axes, k, high, f"{'−' if better else '+'}{mm(high - low)} {unit}")
         labels.append(f"{'explained' if better else 'added'} by\n{after.name}")
     look: dict[str, Any] = {"facecolor": LIGHT, "edgecolor": MIDDLE, "hatch": "////", "linewidth": 0.6}
     axes.bar(last, final.mean - base, 0.6, bottom=base, **look)
     _level(axes, last, final.mean)
-    _said(axes, last, max(floor or 0.0, final.mean), f"{mm(final.mean)} mm")
-    _floor(axes, floor)
+    _said(axes, last, max(floor or 0.0, final.mean), f"{mm(final.mean)} {unit}")
+    _floor(axes, floor, unit)
     _log_mm(axes, base, max(step.mean for step in steps))
     axes.set_xticks(range(last + 1), [*labels, "left"])
     axes.grid(axis="x", visible=False)
     axes.set_xlim(-0.5, last + 0.5)
-    axes.set_ylabel("mean tool-position\nerror [mm]")
+    axes.set_ylabel(f"mean {error_axis(unit)}".replace(" error", "\nerror", 1))
     if floor:
         axes.legend(loc="upper right")
     return drawn
 
 
-def distribution(distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, noise_name: str) -> Figure:
-    """Draw histogram and cumulative share of the errors' lengths [mm], used and held out, with those of normal noise.
+def distribution(distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, noise_name: str, unit: str) -> Figure:
+    """Draw histogram and cumulative share of the errors' lengths [unit], used and held out, with those of normal noise.
 
-    sigma is the noise of each row per axis [mm].
+    sigma is the noise of each row per axis [unit]; rows without an error are left out.
     """
+    distance, held, sigma = (values[np.isfinite(distance)] for values in (distance, held, sigma))
     drawn, ((left, right),) = panels(1, 2, 1.95)
     rng = np.random.default_rng(0)
     noise = np.sort(np.linalg.norm(rng.standard_normal((NOISE_DRAWS, 3)), axis=1) * rng.choice(sigma, NOISE_DRAWS))
@@ -120,20 +123,22 @@ def distribution(distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, nois
     left.stairs(100 * np.histogram(noise, bins)[0] / len(noise), bins, **look)
     grid = np.linspace(0, end, 300)
     right.plot(grid, 100 * np.searchsorted(noise, grid) / len(noise), label=noise_name, **look)
-    left.set(xlabel="error [mm]", ylabel="share of rows in a bin [%]", xlim=(0, end))
-    right.set(xlabel="error [mm]", ylabel="rows with a\nsmaller error [%]", xlim=(0, end), ylim=(0, 103))
+    left.set(xlabel=f"error [{unit}]", ylabel="share of rows in a bin [%]", xlim=(0, end))
+    right.set(xlabel=f"error [{unit}]", ylabel="rows with a\nsmaller error [%]", xlim=(0, end), ylim=(0, 103))
     right.legend(loc="lower right")
     return drawn
 
 
 def _base(steps: Sequence[ModelAccuracy], floor: float | None) -> float:
-    """Return where the bars of a logarithmic scale begin [mm]."""
+    """Return where the bars of a logarithmic scale begin."""
     return 0.4 * min([*(step.mean for step in steps), *([floor] if floor else [])])
 
 
-def _floor(axes: Axes, floor: float | None) -> None:
+def _floor(axes: Axes, floor: float | None, unit: str) -> None:
     if floor:
-        axes.axhline(floor, color="black", linestyle="--", linewidth=0.9, label=f"mean of noise alone: {mm(floor)} mm")
+        axes.axhline(
+            floor, color="black", linestyle="--", linewidth=0.9, label=f"mean of noise alone: {mm(floor)} {unit}"
+        )
 
 
 def _level(axes: Axes, k: int, value: float) -> None:
@@ -169,33 +174,37 @@ TOO_GOOD = 0.7  # times the stated noise below which the stated noise is doubted
 WORSE = 1.5  # held-out over training mean error from which the model does not carry over
 
 
+DISTANCE = "Distance between predicted and measured tool position"
+DIFFERENCE = "Difference between what is predicted and what was measured, each row's as a whole"
+
+
 def _accuracy(material: Material) -> list[Block]:
     """Say how accurate each model is, where the error went, and how the errors that are left are spread."""
-    results = material.results
+    results, unit = material.results, material.unit.label
     accuracy, own = accuracy_steps(results), len(results.rows("identify/accuracy.csv", Accuracy))
     words = {"train": "used for the fit", "holdout": "held out"}
     label = {step.model: step.label for split in words for step in steps(results, split)}
     rows = [
         (effect_words(row.model) if k < own else label[row.model], words[row.split], str(row.n),
-         *(f"{value:.3f}" for value in (row.mean_mm, row.rms_mm, row.max_mm)))
+         *(f"{value:.3f}" for value in (row.mean, row.rms, row.max)), row.unit)
         for k, row in enumerate(accuracy)
     ]  # fmt: skip
     final = frozenset(k for k, row in enumerate(accuracy) if row.model == accuracy[-1].model)
     split = split_judged(results)
     known = material.noise_floor is not None
     errors = pd.DataFrame(
-        {"held_out": material.held, "error_mm": material.distance, "noise_per_axis_mm": material.sigma}
+        {"held_out": material.held, f"error_{unit}": material.distance, f"noise_per_axis_{unit}": material.sigma}
     ).iloc[material.drawn]
     draw = waterfall if len(accuracy) > own else budget
     spent = draw(steps(results, split), material.noise_floor)
     name = "noise alone" if known else "normal noise"
-    spread = distribution(material.distance, material.held, material.sigma, name)
+    spread = distribution(material.distance, material.held, material.sigma, name, unit)
     return [
         Paragraph(
-            "Distance between predicted and measured tool position. Held-out poses were never shown to a fit: they tell "
+            f"{DISTANCE if unit == METRE.label else DIFFERENCE}. Held-out poses were never shown to a fit: they tell "
             "how the model does at poses that were not measured."
         ),
-        Table(("model", "poses", "rows", "mean [mm]", "rms [mm]", "max [mm]"), rows, "llrrrr", final),
+        Table(("model", "poses", "rows", "mean", "rms", "max", "unit"), rows, "llrrrrl", final),
         Plot(
             "error_budget",
             spent,
@@ -276,8 +285,8 @@ def does_not_carry_over(results: Results) -> list[Advice]:
     if held.mean <= WORSE * train.mean:
         return []
     sentence = (
-        f"The error at held-out poses is {ratio(held.mean / train.mean)} times that at fitted ones ({mm(held.mean)} mm "
-        f"against {mm(train.mean)} mm): measure more poses, spread over all the space where the robot is to work."
+        f"The error at held-out poses is {ratio(held.mean / train.mean)} times that at fitted ones ({mm(held.mean)} {held.unit} "
+        f"against {mm(train.mean)} {held.unit}): measure more poses, spread over all the space where the robot is to work."
     )
     return [Advice(2, sentence)]
 

@@ -54,18 +54,19 @@ def gain_words(one: Finding, floor: float | None) -> str:
     gain, low, high = one.gain
     if math.isnan(gain):
         return "No poses were held out, so what it is worth at other poses is not known."
-    interval = f"95 % interval {_signed(low)} to {_signed(high)} mm"
-    noise = f"; noise alone would leave {mm(floor)} mm" if floor else ""
+    unit = one.error_unit
+    interval = f"95 % interval {_signed(low)} to {_signed(high)} {unit}"
+    noise = f"; noise alone would leave {mm(floor)} {one.error_unit}" if floor else ""
     if low > 0:
         return (
-            f"At poses that no fit has seen it takes {mm(gain)} mm off the mean error ({interval}) and leaves "
-            f"{mm(one.heldout_mean_mm)} mm{noise}."
+            f"At poses that no fit has seen it takes {mm(gain)} {one.error_unit} off the mean error ({interval}) and leaves "
+            f"{mm(one.left)} {one.error_unit}{noise}."
         )
     if high < 0:
-        return f"At poses that no fit has seen it makes the mean error {mm(-gain)} mm larger ({interval}): do not rely on it."
+        return f"At poses that no fit has seen it makes the mean error {mm(-gain)} {unit} larger ({interval}): do not rely on it."
     return (
-        f"At poses that no fit has seen the step that added it gained {_signed(gain)} mm, which cannot be told from nothing "
-        f"({interval}); {mm(one.heldout_mean_mm)} mm are left{noise}."
+        f"At poses that no fit has seen the step that added it gained {_signed(gain)} {unit}, which cannot be told from nothing "
+        f"({interval}); {mm(one.left)} {one.error_unit} are left{noise}."
     )
 
 
@@ -82,10 +83,14 @@ def worth(one: Finding) -> str:
     gain, low, high = one.gain
     if math.isnan(gain):
         return ""
-    interval = f"95 % interval {_signed(low)} to {_signed(high)} mm"
+    unit = one.error_unit
+    interval = f"95 % interval {_signed(low)} to {_signed(high)} {unit}"
     if low <= 0:
-        return f" How much it matters at other poses cannot be told (a Gaussian process gains {_signed(gain)} mm, {interval})."
-    return f" A Gaussian process of it, which has no physical meaning, would take {mm(gain)} mm off the mean error ({interval})."
+        return f" How much it matters at other poses cannot be told (a Gaussian process gains {_signed(gain)} {unit}, {interval})."
+    taken = f"{mm(gain)} {unit}"
+    return (
+        f" A Gaussian process of it, which has no physical meaning, would take {taken} off the mean error ({interval})."
+    )
 
 
 def gained(material: Material, causes: Sequence[Finding]) -> list[Block]:
@@ -94,11 +99,14 @@ def gained(material: Material, causes: Sequence[Finding]) -> list[Block]:
     if not moved:
         return []
     start = study_steps(material.results, split_judged(material.results))[-1].mean
-    drawn = gains(start, labels(moved), [one.heldout_mean_mm for one in moved], np.array([one.gain[1:] for one in moved]),
-                  material.noise_floor)  # fmt: skip
+    drawn = gains(start, labels(moved), [one.left for one in moved], np.array([one.gain[1:] for one in moved]),
+                  material.noise_floor, material.unit.label)  # fmt: skip
     data = pd.DataFrame(
-        [(name, *one.gain, one.heldout_mean_mm) for name, one in zip(labels(moved), moved, strict=True)],
-        columns=["cause", "gain_mean_mm", "gain_low_mm", "gain_high_mm", "heldout_mean_mm"],
+        [(name, *one.gain, one.left) for name, one in zip(labels(moved), moved, strict=True)],
+        columns=[
+            "cause",
+            *(f"{name}_{material.unit.label}" for name in ("gain_mean", "gain_low", "gain_high", "heldout_mean")),
+        ],
     )
     unknown = (
         "" if material.noise_floor else " What noise alone would leave is not known: it was estimated from the fit."
@@ -232,7 +240,16 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
          chance_figure(one.p_family), sureness(one.probability), *gain_cells(one))
         for one in found
     ]  # fmt: skip
-    header = ("", "finding", "size (± 1 sd)", "name", "false alarm", "probability", "gain [mm]", "95 % interval")
+    header = (
+        "",
+        "finding",
+        "size (± 1 sd)",
+        "name",
+        "false alarm",
+        "probability",
+        f"gain [{found[0].error_unit}]",
+        "95 % interval",
+    )
     told = any(one.is_cause for one in found)
     first = [] if told else [Paragraph("No cause of the catalogue was found.", bold=True)]
     listing: list[Block] = [Paragraph(NO_PROOF), Table(header, rows, "rlrlrrrr", size=8, wide=1)]
@@ -403,14 +420,21 @@ def _curves(material: Material, one: Finding) -> list[Block]:
 
 
 def _curve_figure(one: Finding, rows: pd.DataFrame, number: int) -> Block:
-    x, before, after, fitted = rows[["x", "before_mm", "after_mm", "fitted_mm"]].to_numpy(dtype=float).T
+    x, before, after, fitted = rows[["x", "before", "after", "fitted"]].to_numpy(dtype=float).T
     unit = "" if pd.isna(rows["variable_unit"].iloc[0]) else str(rows["variable_unit"].iloc[0])
     drawn = explained(
-        x, before, after, fitted, (rows["split"] != "train").to_numpy(), str(rows["variable"].iloc[0]), unit
+        x,
+        before,
+        after,
+        fitted,
+        (rows["split"] != "train").to_numpy(),
+        str(rows["variable"].iloc[0]),
+        unit,
+        str(rows["error_unit"].iloc[0]),
     )
     said = one.name if len(one.numbers) == 1 else cause_name(str(rows["cause"].iloc[0]), one.joint)
     caption = f"{first_up(said)}: errors without it, with it, and against what it explains."
-    told = rows[["variable", "variable_unit", "x", "before_mm", "after_mm", "fitted_mm", "split"]]
+    told = rows[["variable", "variable_unit", "x", "before", "after", "fitted", "error_unit", "split"]]
     return Plot(f"cause_{number}", drawn, caption, told)
 
 
@@ -482,7 +506,7 @@ def _mean_gain(one: Finding) -> float:
 
 
 def _line(one: Finding) -> str:
-    gained = f"; it takes {mm(one.gain[0])} mm off the mean error" if math.isfinite(one.gain[0]) else ""
+    gained = f"; it takes {mm(one.gain[0])} {one.error_unit} off the mean error" if math.isfinite(one.gain[0]) else ""
     return f"{one.amount}{gained}."
 
 
@@ -499,7 +523,7 @@ def unsure(results: Results) -> list[str]:
     left = unexplained_findings(results)
     why = f"Why a part of the error depends on {structure(results)}: no cause of the catalogue explains it."
     gain = max((one.gain[0] for one in left if one.gain[1] > 0), default=0.0)
-    worth = f" What depends on it is worth {mm(gain)} mm of the mean error, or more." if gain else ""
+    worth = f" What depends on it is worth {mm(gain)} {left[0].error_unit} of the mean error, or more." if gain else ""
     return [*said, why + worth] if left else said
 
 

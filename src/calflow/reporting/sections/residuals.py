@@ -20,6 +20,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calflow.deployment.usability import Advice
 from calflow.files.results import Results
+from calflow.files.units import METRE
 from calflow.files.words import listed, mm, plural, ratio
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Scene, Table
 from calflow.reporting.material import Material, latest
@@ -31,18 +32,18 @@ BINS = 12  # of the running mean
 
 
 def in_workspace(
-    position: np.ndarray, error: np.ndarray, length: np.ndarray, held: np.ndarray, factor: float
+    position: np.ndarray, error: np.ndarray, size: np.ndarray, held: np.ndarray, factor: float, unit: str
 ) -> Figure:
     """Draw each position with its error times factor, in space and from three sides.
 
-    position and error have shape (n_rows, 3) [mm], error nan where it has no direction; the darker, the larger its length
-    (n_rows,) [mm].
+    position and error have shape (n_rows, 3) [mm], error nan where it has no direction; the darker, the larger its size
+    (n_rows,) [unit].
     """
     drawn = figure(4.8)
     drawn.set_layout_engine("none")
     dark = ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(0.3, 1, 256)))
-    norm = Normalize(0, length.max() or 1.0)
-    colours = dark(norm(length))
+    norm = Normalize(0, size.max() or 1.0)
+    colours = dark(norm(size))
     segments = np.stack([position, position + factor * np.nan_to_num(error)], axis=1) / 1000
     picture = len(position) > MANY / 5
 
@@ -75,14 +76,14 @@ def in_workspace(
                 handle.set(color=DARK, sizes=[12])  # type: ignore[union-attr]
     bar = drawn.add_axes((0.475, 0.10, 0.012, 0.24))
     drawn.colorbar(ScalarMappable(norm, dark), cax=bar)
-    bar.set_title("error [mm]", fontsize=7)
+    bar.set_title(f"error [{unit}]", fontsize=7)
     return drawn
 
 
 def against_joints(
     reading: np.ndarray, parts: Mapping[str, np.ndarray], held: np.ndarray, shown: np.ndarray, labels: Sequence[str]
 ) -> Figure:
-    """Draw the parts of the errors (n_rows,) [mm], nan where a row has none, against every joint's reading (n_rows, n_joints).
+    """Draw the parts of the errors (n_rows,), nan where a row has none, against every joint's reading (n_rows, n_joints).
 
     shown are the rows that get a dot; the mean is that of all.
     """
@@ -100,7 +101,7 @@ def against_joints(
             running_mean(axes, reading[there, i], error[there])
             axes.set_ylim(-limit, limit)
             axes.locator_params(axis="x", nbins=3)
-        grid[k, 0].set_ylabel(f"{name} [mm]")
+        grid[k, 0].set_ylabel(name)
     for i, label in enumerate(labels):
         grid[-1, i].set_xlabel(label)
         grid[0, i].set_title(f"joint {i + 1}")
@@ -108,9 +109,9 @@ def against_joints(
 
 
 def against_place(
-    reach: np.ndarray, height: np.ndarray, distance: np.ndarray, held: np.ndarray, shown: np.ndarray
+    reach: np.ndarray, height: np.ndarray, distance: np.ndarray, held: np.ndarray, shown: np.ndarray, unit: str
 ) -> Figure:
-    """Draw the errors' lengths [mm] against reach and height [m] and against the order of the rows.
+    """Draw the errors' sizes [unit] against reach and height [m] and against the order of the rows.
 
     shown are the rows that get a dot; the mean is that of all.
     """
@@ -126,8 +127,8 @@ def against_place(
         running_mean(axes, values, distance)
         axes.set_xlabel(label)
         axes.ticklabel_format(axis="x", style="plain")  # of a million rows too
-    grid[0, 0].set_ylabel("error [mm]")
-    grid[0, 0].set_ylim(0, 1.22 * distance.max() or 1.0)
+    grid[0, 0].set_ylabel(f"error [{unit}]")
+    grid[0, 0].set_ylim(0, 1.22 * np.nanmax(distance) or 1.0)
     grid[0, 0].legend(loc="upper left", ncols=3, columnspacing=0.8, handletextpad=0.2, handlelength=1.2)
     return drawn
 
@@ -176,7 +177,7 @@ def _residuals(material: Material) -> list[Block]:
             in_space(material),
             f"Errors in the measuring frame{enlarged}; the darker, the larger.{some}",
             rows,
-            scene=Scene(shown.tolist(), _factor(material), ("pose", "marker")),
+            scene=Scene(shown.tolist(), _factor(material), ("pose", "marker")) if material.unit == METRE else None,
         ),
         Plot("residuals_joints", by_joint(material), JOINTS + drawn, rows),
         *_flagged(material),
@@ -189,7 +190,9 @@ def by_row(material: Material) -> pd.DataFrame:
     place = {f"{axis}_mm": 1e3 * material.place[:, k] for k, axis in enumerate("xyz")}
     joints = shown_readings(robot, material.data.joints)
     readings = {name: joints[:, k] for k, name in enumerate(reading_columns(robot))}
-    error = {f"d{axis}_mm": material.error[:, k] for k, axis in enumerate("xyz")} | {"error_mm": material.distance}
+    error = {f"d{axis}_mm": material.error[:, k] for k, axis in enumerate("xyz")} | {
+        f"error_{material.unit.label}": material.distance
+    }
     named = {name: told[name].astype(str).to_numpy() for name in ("pose", "marker")}
     return pd.DataFrame({**named, "held_out": material.held, **place, **readings, **error}).iloc[material.drawn]
 
@@ -197,14 +200,17 @@ def by_row(material: Material) -> pd.DataFrame:
 def by_place(material: Material) -> Figure:
     """Draw the errors' size against reach, height and row."""
     reach = np.linalg.norm(material.place[:, :2] - np.array(material.data.robot.base.origin[:2]), axis=1)
-    return against_place(reach, material.place[:, 2], material.distance, material.held, material.drawn)
+    return against_place(
+        reach, material.place[:, 2], material.distance, material.held, material.drawn, material.unit.label
+    )
 
 
 def in_space(material: Material) -> Figure:
     """Draw the errors in the workspace."""
     position, shown = 1e3 * material.place, material.drawn[_shown(material)]
+    shown = shown[np.isfinite(material.distance[shown])]
     error, distance, held = (values[shown] for values in (material.error, material.distance, material.held))
-    return in_workspace(position[shown], error, distance, held, _factor(material))
+    return in_workspace(position[shown], error, distance, held, _factor(material), material.unit.label)
 
 
 def by_joint(material: Material) -> Figure:
@@ -231,23 +237,27 @@ def _shown(material: Material) -> np.ndarray:
 
 
 def _components(material: Material) -> dict[str, np.ndarray]:
-    """The errors' parts (n_rows,) [mm] by their names, nan where a row does not have one."""
-    parts = {f"d{axis}": material.error[:, k] for k, axis in enumerate("xyz")} | {"length": material.length_error}
+    """The errors' parts (n_rows,) by their names and units, nan where a row does not have one."""
+    parts = {f"d{axis} [mm]": material.error[:, k] for k, axis in enumerate("xyz")} | {
+        "length [mm]": material.length_error
+    }
+    if material.unit != METRE:
+        parts = {f"value {k} [{material.unit.label}]": values for k, values in enumerate(material.values.T, start=1)}
     return {name: values for name, values in parts.items() if np.isfinite(values).any()}
 
 
 def _flagged(material: Material) -> list[Block]:
     rows = _flags(material.results)
-    flagged = rows[rows["flagged"].astype(bool)].sort_values("error_mm", ascending=False)
+    flagged = rows[rows["flagged"].astype(bool)].sort_values("error", ascending=False)
     if flagged.empty:
         return [Paragraph("No row stands out: none has an error too large for noise and for the spread of the rest.")]
     cells = [
         (*(str(row[name]) for name in ("line", "pose", "repeat", "marker")),
-         "held out" if row["split"] == "holdout" else "used", mm(row["error_mm"]), ratio(row["whitened"]))
+         "held out" if row["split"] == "holdout" else "used", f"{mm(row['error'])} {row['unit']}", ratio(row["whitened"]))
         for row in flagged.head(SHOWN).to_dict("records")
     ]  # fmt: skip
     left = f" The {SHOWN} largest of {len(flagged)} are shown." if len(flagged) > SHOWN else ""
-    header = ("line of the file", "pose", "repeat", "marker", "row", "error [mm]", "times the expected")
+    header = ("line of the file", "pose", "repeat", "marker", "row", "error", "times the expected")
     return [
         Heading("Rows that do not fit"),
         Paragraph(f"Their errors are too large for noise and for the spread of the rest.{left}", keep=True),

@@ -14,6 +14,7 @@ import numpy as np
 from calflow.deployment.usability import is_useless, split_judged
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.files.results import Results
+from calflow.files.units import METRE
 from calflow.files.words import first_up, listed, mm, plural, ratio
 from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Paragraph, Plot, RestOfPage
 from calflow.reporting.material import (
@@ -48,7 +49,14 @@ def _first_page(material: Material) -> list[Block]:
     split, found = split_judged(material.results), gathered_steps(material.results)
     shown = [found[0], *found[1:][-(CARDS - 1) :]]
     cards = [
-        [Card(step.label, mm(step.mean), f"largest {mm(step.max)} mm", dark=step is found[-1] and len(found) > 1)]
+        [
+            Card(
+                step.label,
+                mm(step.mean),
+                f"largest {mm(step.max)} {step.unit}",
+                dark=step is found[-1] and len(found) > 1,
+            )
+        ]
         for step in shown
     ]
     urgent, further = next_steps(material.results)
@@ -98,24 +106,31 @@ def headline(found: list[ModelAccuracy], split: str) -> str:
     first, last = found[0], found[-1]
     seen = "that no fit has seen" if split == "holdout" else "used for the fit (none were held out)"
     if len(found) == 1:
-        return f"At poses {seen}, the nominal robot is off by {mm(first.mean)} mm on average."
-    verb = "reduces" if last.mean < first.mean else "increases"
+        return f"At poses {seen}, the nominal robot is off by {mm(first.mean)} {first.unit} on average."
+    verb, unit = "reduces" if last.mean < first.mean else "increases", last.unit
+    error = "the tool-position error" if unit == METRE.label else "the error of what was measured"
     return (
-        f"At poses {seen}, calibration {verb} the tool-position error from {mm(first.mean)} mm to {mm(last.mean)} mm "
-        f"on average, and the largest from {mm(first.max)} mm to {mm(last.max)} mm."
+        f"At poses {seen}, calibration {verb} {error} from {mm(first.mean)} {unit} to {mm(last.mean)} {unit} "
+        f"on average, and the largest from {mm(first.max)} {unit} to {mm(last.max)} {unit}."
     )
 
 
 def how_sure(material: Material) -> list[tuple[str, str]]:
     """Say what the numbers are worth: noise, lack of fit, the model's own uncertainty, coverage."""
-    alone = material.noise_floor
-    floor = f" Noise alone would give a mean error of {mm(alone)} mm." if alone else ""
+    alone, unit = material.noise_floor, material.unit
+    floor = f" Noise alone would give a mean error of {mm(alone)} {unit.label}." if alone else ""
     summary = latest_summary(material.results)
     said = [
         ("Noise:", f"{material.calibrated.noise(material.data).words}.{floor}"),
         (
             "Left over:",
-            leftover(summary.lack_of_fit, summary.discrepancy_mm, structure(material.results), summary.lacks_fit),
+            leftover(
+                summary.lack_of_fit,
+                summary.discrepancies.get(unit.label, 0.0),
+                structure(material.results),
+                summary.lacks_fit,
+                unit.label,
+            ),
         ),
         ("Calibrated model:", certainty(material)),
     ]
@@ -129,15 +144,17 @@ def certainty(material: Material) -> str:
     own = "its own error" if material.calibrated.noise_known else "what the fit leaves, noise or not,"
     own += CHOICE if material.calibrated.alternatives else ""
     where = "at held-out poses" if material.held.any() else "at the poses that were fitted"
-    left = float(material.distance[material.judged].mean())
+    left = f"{mm(float(material.distance[material.judged].mean()))} {material.unit.label}"
     return (
-        f"where it was tested, its predicted positions are certain to {mm(material.prediction_sd)} mm (1 sd, {own} included; from "
-        f"its parameters alone: {mm(material.model_sd)} mm). {first_up(where)} {mm(left)} mm are left on average."
+        f"where it was tested, its predicted positions are certain to {mm(material.prediction_sd)} mm (1 sd, {own} "
+        f"included; from its parameters alone: {mm(material.model_sd)} mm). {first_up(where)} {left} are left on average."
     )
 
 
-def leftover(times: float, discrepancy: float = 0.0, structure: str = "", significant: bool = False) -> str:
-    """Say what a lack-of-fit factor and the model's own error [mm] mean; nan is a factor that cannot be known.
+def leftover(
+    times: float, discrepancy: float = 0.0, structure: str = "", significant: bool = False, unit: str = METRE.label
+) -> str:
+    """Say what a lack-of-fit factor and the model's own error [unit] mean; nan is a factor that cannot be known.
 
     structure is what an unexplained part of the error depends on, if there is one; significant says that so much is no chance.
     """
@@ -148,7 +165,7 @@ def leftover(times: float, discrepancy: float = 0.0, structure: str = "", signif
     if times <= ENOUGH and not significant:
         return f"the model leaves {times:.2f} times the noise, so the noise explains all that is left."
     own = (
-        f" Its own error of {mm(discrepancy)} mm per axis is counted in every standard deviation."
+        f" Its own error of {mm(discrepancy)} {unit} per axis is counted in every standard deviation."
         if discrepancy
         else ""
     )
