@@ -12,6 +12,7 @@ from calflow.diagnosis.findings.extended_model import DiagnosisSummary
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.files.results import Results
+from calflow.files.units import METRE
 from calflow.files.words import mm
 
 IDENTIFIED, DIAGNOSED = "identify/summary.json", "diagnose/summary.json"
@@ -48,8 +49,9 @@ def split_judged(results: Results) -> Literal["train", "holdout"]:
 
 
 def mean_errors(results: Results) -> tuple[float, float]:
-    """Return the mean error of the nominal robot and of the best model, on the split by which they are judged [mm]."""
-    judged = [row.mean_mm for row in accuracy_steps(results) if row.split == split_judged(results)]
+    """Return the mean error of the nominal robot and of the best model, on the split by which they are judged, in their unit."""
+    rows = [row for row in accuracy_steps(results) if row.split == split_judged(results)]
+    judged = [row.figures[0] for row in rows if row.unit == rows[0].unit]
     return judged[0], judged[-1]
 
 
@@ -69,7 +71,8 @@ def warning(results: Results) -> str | None:
     if not is_useless(results):
         return None
     before, after = mean_errors(results)
-    gained = f"calibration left {mm(after)} mm of a mean error of {mm(before)} mm."
+    unit = accuracy_steps(results)[0].unit
+    gained = f"calibration left {mm(after)} {unit} of a mean error of {mm(before)} {unit}."
     return f"Do not use this model: {' '.join(objections(results)) or gained}"
 
 
@@ -123,13 +126,12 @@ def makes_it_worse(results: Results) -> list[Advice]:
     """Causes with which unseen poses fit worse were fitted to too few poses."""
     if "diagnose/accuracy.csv" not in results or split_judged(results) != "holdout":
         return []
-    own, last = (
-        [row for row in results.rows(f"{stage}/accuracy.csv", Accuracy) if row.split == "holdout"][-1].mean_mm
-        for stage in ("identify", "diagnose")
-    )
+    unit = accuracy_steps(results)[0].unit
+    steps = (results.rows(f"{stage}/accuracy.csv", Accuracy) for stage in ("identify", "diagnose"))
+    own, last = ([row for row in rows if (row.split, row.unit) == ("holdout", unit)][-1].figures[0] for rows in steps)
     if last <= WORSE * own:
         return []
-    said = f"{mm(last)} mm against {mm(own)} mm"
+    said = f"{mm(last)} {unit} against {mm(own)} {unit}"
     if last > HARM * own or loss_by_chance(results) < SURE:
         sentence = (
             f"Do not use the model with the causes: at held-out poses it is worse than without them ({said}). The fitted poses "
@@ -148,8 +150,10 @@ def loss_by_chance(results: Results) -> float:
 
     1 where there are fewer than two poses, or all are alike.
     """
+    unit = accuracy_steps(results)[0].unit
+    size = "error_mm" if unit == METRE.label else "error"
     by_pose = [
-        rows[rows["split"] == "holdout"].groupby("pose")["error_mm"].mean()
+        rows[(rows["split"] == "holdout") & (unit == METRE.label or rows["unit"] == unit)].groupby("pose")[size].mean()
         for rows in (results.tables[f"{stage}/residuals.csv"] for stage in ("diagnose", "identify"))
     ]
     lost = (by_pose[0] - by_pose[1]).dropna()

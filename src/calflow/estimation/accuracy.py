@@ -45,6 +45,13 @@ class Accuracy:
     rms: float = column("root mean square of that size, in `unit`", default=NAN)
     max: float = column("largest size, in `unit`", default=NAN)
 
+    @property
+    def figures(self) -> tuple[float, float, float]:
+        """Mean, root mean square and largest size [unit]."""
+        if self.unit == METRE.label:
+            return self.mean_mm, self.rms_mm, self.max_mm
+        return self.mean, self.rms, self.max
+
 
 @dataclass(frozen=True, kw_only=True)
 class Residual:

@@ -148,6 +148,8 @@ class Material:
     def distance(self) -> np.ndarray:
         """Size of each row's error, shape (n_rows,) [unit]; nan where its values are in another."""
         residuals = _used(latest(self.results, "residuals"))
+        if self.unit == METRE:
+            return residuals["error_mm"].to_numpy(dtype=float)
         return residuals["error"].where(residuals["unit"] == self.unit.label).to_numpy(dtype=float)
 
     @cached_property
@@ -248,7 +250,7 @@ def steps(results: Results, split: str) -> list[ModelAccuracy]:
     """Return the models on the way to the best one, in their order."""
     rows = [row for row in accuracy_steps(results) if row.split == split]
     return [
-        ModelAccuracy(row.model, _name(row), row.n, row.mean, row.rms, row.max, row.step > 1, row.unit)
+        ModelAccuracy(row.model, _name(row), row.n, *row.figures, row.step > 1, row.unit)
         for row in rows if row.unit == rows[0].unit  # that by which models are judged
     ]  # fmt: skip
 

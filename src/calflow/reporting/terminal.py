@@ -43,7 +43,7 @@ def _accuracy(results: Results) -> list[str]:
     return [
         f"{what:{width}}  split    {f'mean {unit}':>9} {f'max {unit}':>9}",
         *(
-            f"{name:{width}}  {row.split:8} {row.mean:9.3f} {row.max:9.3f}"
+            f"{name:{width}}  {row.split:8} {row.figures[0]:9.3f} {row.figures[2]:9.3f}"
             + (f" {row.unit}" if row.unit != unit else "")
             for name, row in zip(names, rows, strict=True)
         ),

@@ -55,8 +55,8 @@ class MisfitRegion:
     )
     elsewhere_mm: float | None = column("mean error of the others", "mm", default=None)
     error_unit: str = column("the unit of the errors: mm, mrad, px, …", default="mm")
-    there: float = column("as there_mm, in `error_unit`")
-    elsewhere: float = column("as elsewhere_mm, in `error_unit`")
+    there: float | None = column("as there_mm, in `error_unit` where that is another", default=None)
+    elsewhere: float | None = column("as elsewhere_mm, likewise", default=None)
 
     @property
     def where(self) -> str:
@@ -76,8 +76,9 @@ class MisfitRegion:
     @property
     def words(self) -> str:
         """Say where, with the figures."""
-        unit = self.error_unit
-        return f"largest where {self.where}: {self.there:.3g} {unit} against {self.elsewhere:.3g} {unit} elsewhere"
+        suffix = "_mm" if self.error_unit == METRE.label else ""
+        there, elsewhere = (f"{getattr(self, name + suffix):.3g} {self.error_unit}" for name in ("there", "elsewhere"))
+        return f"largest where {self.where}: {there} against {elsewhere} elsewhere"
 
 
 @dataclass(frozen=True)
@@ -214,8 +215,8 @@ def _region(candidate: _Input, inside: np.ndarray, fitted: Fitted) -> MisfitRegi
     unit = judged_unit(leading_units(fitted.data))
     size = unit.shown(distances(errors(fitted.model, fitted.fit.estimate, fitted.data)))
     there, elsewhere = float(np.nanmean(size[inside])), float(np.nanmean(size[~inside]))
-    lengths = {"there_mm": there, "elsewhere_mm": elsewhere} if unit == METRE else {}
-    figures: dict[str, Any] = {"there": there, "elsewhere": elsewhere, "error_unit": unit.label, **lengths}
+    suffix = "_mm" if unit == METRE else ""
+    figures: dict[str, Any] = {f"there{suffix}": there, f"elsewhere{suffix}": elsewhere, "error_unit": unit.label}
     if candidate.values.dtype == object:
         return MisfitRegion(input=candidate.name, value=str(candidate.values[inside][0]), **figures)
     low, high = float(candidate.values[inside].min()), float(candidate.values[inside].max())

@@ -186,7 +186,7 @@ def _accuracy(material: Material) -> list[Block]:
     label = {step.model: step.label for split in words for step in steps(results, split)}
     rows = [
         (effect_words(row.model) if k < own else label[row.model], words[row.split], str(row.n),
-         *(f"{value:.3f}" for value in (row.mean, row.rms, row.max)), row.unit)
+         *(f"{value:.3f}" for value in row.figures), row.unit)
         for k, row in enumerate(accuracy)
     ]  # fmt: skip
     final = frozenset(k for k, row in enumerate(accuracy) if row.model == accuracy[-1].model)

@@ -24,6 +24,7 @@ from calflow.diagnosis.findings.finding import Finding
 from calflow.effects.words import UNEXPLAINED, cause_name, cause_words
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.files.results import Results
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import (
     chance,
     chance_figure,
@@ -416,11 +417,16 @@ def moves(material: Material, one: Finding) -> bool:
 def _curves(material: Material, one: Finding) -> list[Block]:
     every = material.tables["diagnose/curves.csv"]
     drawn = [every[(every["finding"] == number) & every["split"].isin(["train", "holdout"])] for number in one.numbers]
-    return [_curve_figure(one, rows, number) for rows, number in zip(drawn, one.numbers, strict=True) if not rows.empty]
+    return [
+        _curve_figure(one, rows, number, material.unit)
+        for rows, number in zip(drawn, one.numbers, strict=True)
+        if not rows.empty
+    ]
 
 
-def _curve_figure(one: Finding, rows: pd.DataFrame, number: int) -> Block:
-    x, before, after, fitted = rows[["x", "before", "after", "fitted"]].to_numpy(dtype=float).T
+def _curve_figure(one: Finding, rows: pd.DataFrame, number: int, error_unit: MeasurementUnit) -> Block:
+    errors = [f"{name}_mm" if error_unit == METRE else name for name in ("before", "after", "fitted")]
+    x, before, after, fitted = rows[["x", *errors]].to_numpy(dtype=float).T
     unit = "" if pd.isna(rows["variable_unit"].iloc[0]) else str(rows["variable_unit"].iloc[0])
     drawn = explained(
         x,
@@ -430,11 +436,11 @@ def _curve_figure(one: Finding, rows: pd.DataFrame, number: int) -> Block:
         (rows["split"] != "train").to_numpy(),
         str(rows["variable"].iloc[0]),
         unit,
-        str(rows["error_unit"].iloc[0]),
+        error_unit.label,
     )
     said = one.name if len(one.numbers) == 1 else cause_name(str(rows["cause"].iloc[0]), one.joint)
     caption = f"{first_up(said)}: errors without it, with it, and against what it explains."
-    told = rows[["variable", "variable_unit", "x", "before", "after", "fitted", "error_unit", "split"]]
+    told = rows[["variable", "variable_unit", "x", *errors, "split"]]
     return Plot(f"cause_{number}", drawn, caption, told)
 
 
