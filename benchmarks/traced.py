@@ -34,7 +34,9 @@ class Question:
 
 QUESTIONS = (
     Question("diagnose", ("run", "arm", "--stage", "diagnose"), "stages/diagnose.py:run", "stages/diagnose.py:run"),
-    Question("findings to page one", ("run", "arm", "--stage", "report"), "stages/report.py:run", "verdict.py:write"),
+    Question(
+        "findings to page one", ("run", "arm", "--stage", "report"), "stages/report.py:run", "verdict.py:_first_page"
+    ),
     Question("compensate", ("compensate", "arm", "targets.csv")),
 )
 

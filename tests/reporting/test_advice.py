@@ -93,7 +93,8 @@ def accuracies(train: float = 0.05, holdout: float | None = 0.06) -> pd.DataFram
 def parameter_table(**changed: object) -> pd.DataFrame:
     row = {"parameter": "joint2.a", "effect": "geometry", "variant": float("nan"), "part": "joint2", "symbol": "a",
            "joint": 2, "unit": "m", "nominal": 0.0, "estimate": 0.02, "sd": 1e-5,
-           "lower": -0.02, "upper": 0.02, "at_bound": False, "prior_share": 0.01, "meaning": ""}  # fmt: skip
+           "lower": -0.02, "upper": 0.02, "prior_mean": 0.0, "prior_sd": 0.01, "at_bound": False, "fixed": False,
+           "prior_share": 0.01, "figure": 0.0, "calibrated": 0.02, "meaning": ""}  # fmt: skip
     return pd.DataFrame([row | changed])
 
 

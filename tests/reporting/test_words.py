@@ -10,8 +10,9 @@ import pytest
 
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.fit_summary import FitSummary, Solver
+from calflow.estimation.parameters import FittedParameter
 from calflow.files.results import Results
-from calflow.files.tables import to_frame
+from calflow.files.tables import from_frame, to_frame
 from calflow.files.words import interval, listed, mm, number, part_words, plural, readable, with_sd
 from calflow.reporting.material import steps
 from calflow.reporting.sections.parameters import known_from, lines
@@ -147,6 +148,17 @@ def test_lack_of_fit_is_a_factor_on_the_noise() -> None:
     assert np.isnan(replace(known, noise_sources=("estimated",)).lack_of_fit)
 
 
+UNTOLD = {
+    "joint": 0,
+    "prior_mean": 0.0,
+    "prior_sd": 0.0,
+    "fixed": False,
+    "figure": 0.0,
+    "calibrated": 0.0,
+    "meaning": "",
+}
+
+
 def test_corner_shows_bounds_then_correlated_pairs_then_compliances() -> None:
     names = [f"p{i}" for i in range(9)]
     parameters = pd.DataFrame(
@@ -155,7 +167,8 @@ def test_corner_shows_bounds_then_correlated_pairs_then_compliances() -> None:
             "effect": ["geometry"] * 7 + ["joint-compliance"] * 2,
             "at_bound": [i == 3 for i in range(9)],
         }
-    )
+    ).assign(**UNTOLD, part="", symbol="", variant="", unit="", nominal=0.0, estimate=0.0, sd=0.0, lower=0.0, upper=0.0,
+             prior_share=0.0)  # fmt: skip
     pairs = pd.DataFrame({"first": ["p5"], "second": ["p1"], "correlation": [-0.99]})
     tables = {"identify/parameters.csv": parameters, "identify/correlations.csv": pairs}
     assert corner_names(Results(tables)) == ["p1", "p3", "p5", "p7", "p8"]
@@ -169,7 +182,7 @@ def test_a_curves_figures_stand_in_one_line() -> None:
         estimate=[1e-3, *np.linspace(-2e-4, 3e-4, 30), 2e-3], sd=1e-5, lower=-1.0, upper=1.0, at_bound=False, prior_share=0.0,
     )  # fmt: skip
     parameters["parameter"] = parameters["part"] + "." + parameters["symbol"]
-    told, _ = lines(parameters, set())
+    told, _ = lines(from_frame(parameters.assign(**UNTOLD), FittedParameter), set())
     assert [row if isinstance(row, str) else row[0] for row in told] == [
         "geometry", "joint1.a", "joint error map", "joint1, 30 figures", "geometry", "joint2.d"
     ]  # fmt: skip

@@ -22,6 +22,7 @@ from calflow.estimation.accuracy import Accuracy, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel, calibrated, with_maps_held
 from calflow.estimation.certainty import parameter_variance, position_variance
 from calflow.estimation.fit_summary import FitSummary
+from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.registration import in_measuring_frame
 from calflow.faults import corrected
 from calflow.files.results import Results
@@ -38,6 +39,7 @@ MEAN_OF_NOISE = np.sqrt(
 )  # mean length of so many unit normals
 
 
+IDENTIFIED_PARAMETERS = "identify/parameters.csv"
 DRAWN, WORST = 5_000, 100  # rows that figures show one by one: more dots would only hide each other
 
 
@@ -238,6 +240,12 @@ def latest(results: Results, name: str) -> pd.DataFrame:
     """Return a table of the best model there is: diagnose's, which has the causes that were found, else identify's."""
     extended = f"diagnose/{name}.csv"
     return results.tables[extended] if extended in results else results.tables[f"identify/{name}.csv"]
+
+
+def latest_parameters(results: Results) -> list[FittedParameter]:
+    """Return the parameters of the best model there is."""
+    extended = "diagnose/parameters.csv"
+    return results.rows(extended if extended in results else IDENTIFIED_PARAMETERS, FittedParameter)
 
 
 def latest_summary(results: Results) -> FitSummary:

@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import errors
+from calflow.estimation.parameters import FittedParameter
 from calflow.files.words import effect_words, listed, mm, number
 from calflow.reporting.blocks import Block, Heading, Paragraph, Table
-from calflow.reporting.material import Material, latest
+from calflow.reporting.material import Material, latest_parameters
 from calflow.reporting.section import Section
 from calflow.robot.parts import Base
 from calflow.robot.transforms import angles
@@ -49,7 +49,7 @@ def links(material: Material) -> list[list[Figure]]:
     """Return every joint's figures, in the robot file's convention."""
     found = _geometry(material)
     return [
-        [_figure(found, (found["joint"] == i) & (found["symbol"] == step.symbol), step.symbol, step.unit, step.value)
+        [_figure([row for row in found if row.joint == i and row.symbol == step.symbol], step.symbol, step.unit, step.value)
          for step in frame.steps]
         for i, frame in enumerate(material.calibrated.model.robot.frames, start=1)
     ]  # fmt: skip
@@ -59,7 +59,7 @@ def markers(material: Material) -> dict[str, list[Figure]]:
     """Return where each marker, the tool's point, sits in the flange's frame."""
     found, robot = _geometry(material), material.calibrated.model.robot
     return {
-        name: [_figure(found, (found["part"] == name) & (found["symbol"] == axis), axis, "m", marker.point[k])
+        name: [_figure([row for row in found if row.part == name and row.symbol == axis], axis, "m", marker.point[k])
                for k, axis in enumerate("xyz")]
         for name, marker in robot.markers.items()
     }  # fmt: skip
@@ -71,14 +71,14 @@ def bars(material: Material) -> list[Figure]:
     if loop is None:
         return []
     lengths = {"crank": loop.crank.length, "rod": loop.rod.length, "rocker": loop.rocker}
-    return [_figure(found, (found["part"] == "loop") & (found["symbol"] == name), name, "m", length)
+    return [_figure([row for row in found if row.part == "loop" and row.symbol == name], name, "m", length)
             for name, length in lengths.items()]  # fmt: skip
 
 
 def base(material: Material) -> Base:
     """Return where the calibrated robot stands in the measuring frame."""
     found, nominal = _geometry(material), material.calibrated.model.robot.base
-    own = found[found["part"] == "base"].set_index("symbol")["estimate"]
+    own = {row.symbol: row.estimate for row in found if row.part == "base"}
     shift = np.array([own.get(axis, 0.0) for axis in "xyz"])
     turn = Rotation.from_euler("XYZ", [own.get(angle, 0.0) for angle in ANGLES])
     stands = Rotation.from_euler("XYZ", nominal.rotation)
@@ -96,8 +96,10 @@ def zeros(material: Material) -> list[float]:
     symbols = [joint.frame.slide.symbol if joint.frame.slide and joint.kind == "prismatic" else joint.frame.turn.symbol
                for joint in robot.joints]  # fmt: skip
     found = _geometry(material)
-    off = [found.loc[(found["joint"] == i) & (found["symbol"] == symbol), "estimate"].sum()
-           for i, symbol in enumerate(symbols, start=1)]  # fmt: skip
+    off = [
+        sum(row.estimate for row in found if row.joint == i and row.symbol == symbol)
+        for i, symbol in enumerate(symbols, start=1)
+    ]
     readings = robot.angle_matrix @ np.array(off)
     return [float(value * joint.shown[1]) for value, joint in zip(readings, robot.joints, strict=True)]
 
@@ -111,19 +113,17 @@ def geometry_alone(material: Material) -> tuple[float, float]:
     return float(distance.mean()), float(distance.max())
 
 
-def _geometry(material: Material) -> pd.DataFrame:
-    parameters = latest(material.results, "parameters")
-    return parameters[parameters["effect"] == Geometry.id]
+def _geometry(material: Material) -> list[FittedParameter]:
+    return [row for row in latest_parameters(material.results) if row.effect == Geometry.id]
 
 
-def _figure(found: pd.DataFrame, which: pd.Series, symbol: str, unit: str, nominal: float) -> Figure:
+def _figure(rows: Sequence[FittedParameter], symbol: str, unit: str, nominal: float) -> Figure:
     """Return a figure with its difference, if it is one of the parameters."""
     factor, shown = SHOWN[unit], "mm" if unit == "m" else "deg"
-    own = found[which]
-    if own.empty:
+    if not rows:
         return Figure(symbol, shown, factor * nominal)
-    difference = factor * float((own["estimate"] - own["nominal"]).iloc[0])
-    return Figure(symbol, shown, factor * nominal, difference, bool(own["prior_share"].iloc[0] <= BY_PRIOR))
+    difference = factor * (rows[0].estimate - rows[0].nominal)
+    return Figure(symbol, shown, factor * nominal, difference, rows[0].prior_share <= BY_PRIOR)
 
 
 INTRODUCTION = (
@@ -176,7 +176,7 @@ def _worth(material: Material) -> str:
     others = list(
         dict.fromkeys(one.effect for one in material.calibrated.model.parameters if one.effect != Geometry.id)
     )
-    others = [effect for effect in others if effect in set(latest(material.results, "parameters")["effect"])]
+    others = [effect for effect in others if effect in {row.effect for row in latest_parameters(material.results)}]
     if not others:
         return ""
     mean, largest = geometry_alone(material)
@@ -256,5 +256,5 @@ CONTROLLER_SECTION = Section(
     "Figures for the controller",
     ("identify/parameters.csv", "identify/accuracy.csv"),
     _controller_figures,
-    worth_telling=lambda results: bool((latest(results, "parameters")["effect"] == Geometry.id).any()),
+    worth_telling=lambda results: any(row.effect == Geometry.id for row in latest_parameters(results)),
 )

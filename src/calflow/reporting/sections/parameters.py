@@ -7,10 +7,10 @@ The section on identifiability: what the data determine and what they cannot tel
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from itertools import groupby
 from textwrap import fill
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,10 +21,11 @@ from matplotlib.figure import Figure
 from calflow.deployment.usability import Advice
 from calflow.estimation.fit_summary import IdentifySummary
 from calflow.estimation.identifiability import Redundant, Statement, scale_words, silent_words, trade_words
+from calflow.estimation.parameters import FittedParameter
 from calflow.files.results import Results
 from calflow.files.words import cut, effect_words, first_up, interval, listed, number, part_words, readable, with_sd
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
-from calflow.reporting.material import Material, latest
+from calflow.reporting.material import IDENTIFIED_PARAMETERS, Material, latest_parameters
 from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, turned
 
@@ -116,87 +117,85 @@ ESTIMATES_CAPTION = (
 
 def _parameters(material: Material) -> list[Block]:
     """Tabulate and draw the parameters."""
-    parameters = latest(material.results, "parameters")
-    model = material.calibrated.model
-    added = len(parameters) > len(material.tables["identify/parameters.csv"])
+    parameters = latest_parameters(material.results)
+    added = len(parameters) > len(_identified(material.results))
     rows, shaded = lines(parameters, _known_together(material.results))
-    nominal, estimate, sd, share = parameters[["nominal", "estimate", "sd", "prior_share"]].to_numpy(dtype=float).T
-    scaled = parameters[["parameter", "unit", "nominal", "estimate", "sd", "prior_share"]].assign(
-        prior_sd=model.prior_sd,
-        estimate_in_prior_sd=(estimate - nominal) / model.prior_sd,
-        sd_in_prior_sd=sd / model.prior_sd,
+    names = ("parameter", "unit", "nominal", "estimate", "sd", "prior_share", "prior_sd")
+    free = [row for row in parameters if not row.fixed]
+    scaled = pd.DataFrame({name: [getattr(row, name) for row in free] for name in names})
+    scaled["estimate_in_prior_sd"] = (scaled["estimate"] - scaled["nominal"]) / scaled["prior_sd"]
+    scaled["sd_in_prior_sd"] = scaled["sd"] / scaled["prior_sd"]
+    number = Counter((_group(row), row.part) for row in free)
+    single = np.array([number[_group(row), row.part] <= MANY for row in free])
+    drawn = estimates(
+        [cut(_place(row)) for row, alone in zip(free, single, strict=True) if alone],
+        [_group(row) for row, alone in zip(free, single, strict=True) if alone],
+        scaled["estimate_in_prior_sd"].to_numpy()[single],
+        scaled["sd_in_prior_sd"].to_numpy()[single],
+        scaled["prior_share"].to_numpy()[single] > BY_PRIOR,
     )
-    single = _number_in_part(parameters) <= MANY
-    away, uncertain = (
-        scaled[name].to_numpy(dtype=float)[single] for name in ("estimate_in_prior_sd", "sd_in_prior_sd")
-    )
-    places, groups = ([name for name, alone in zip(names, single, strict=True) if alone]
-                      for names in (map(cut, _places(parameters)), _groups(parameters)))  # fmt: skip
-    drawn = estimates(places, groups, away, uncertain, share[single] > BY_PRIOR)
     curves = "" if single.all() else CURVES
     return [
-        Paragraph(LEGEND + (REGISTERED if not model.robot.base.known else "") + (ADDED if added else "") + curves),
+        Paragraph(
+            LEGEND
+            + (REGISTERED if not material.calibrated.model.robot.base.known else "")
+            + (ADDED if added else "")
+            + curves
+        ),
         Table(("parameter", "unit", "estimate", "sd", "allowed", "known from"), rows, "llrrrl", shaded, 8.6),
         Plot("parameters", drawn, ESTIMATES_CAPTION, scaled),
     ]
 
 
-def lines(parameters: pd.DataFrame, together: set[str]) -> tuple[list[tuple[str, ...] | str], frozenset[int]]:
+def lines(
+    parameters: Sequence[FittedParameter], together: set[str]
+) -> tuple[list[tuple[str, ...] | str], frozenset[int]]:
     """Return the table's rows with a heading for each effect, and which rows are left to the prior."""
+    parts: dict[tuple[str, str], list[FittedParameter]] = {}
+    for row in parameters:
+        parts.setdefault((_group(row), row.part), []).append(row)
     told: list[tuple[str, ...] | str] = []
     shaded = []
     before = ""
-    rows = parameters.assign(group=_groups(parameters), place=_places(parameters))
-    for _, own in rows.groupby(["group", "part"], sort=False):
-        group = str(own["group"].iloc[0])
+    for (group, _), own in parts.items():
         if group != before:
             before = group
             told.append(group)
         if len(own) > MANY:
             told.append(_curve(own))
             continue
-        for row in own.to_dict("records"):
-            if row["prior_share"] > BY_PRIOR:
+        for row in own:
+            if row.prior_share > BY_PRIOR:
                 shaded.append(len(told))
-            told.append((row["place"], *_line(row, row["parameter"] in together)))
+            told.append((_place(row), *_line(row, row.parameter in together)))
     return told, frozenset(shaded)
 
 
-def _number_in_part(parameters: pd.DataFrame) -> np.ndarray:
-    """Return of each parameter how many of its group belong to its part, shape (n_parameters,)."""
-    places = parameters.assign(group=_groups(parameters)).groupby(["group", "part"], sort=False)
-    return places["parameter"].transform("size").to_numpy()
-
-
-def _curve(own: pd.DataFrame) -> tuple[str, ...]:
+def _curve(own: Sequence[FittedParameter]) -> tuple[str, ...]:
     """Tell of a curve's figures, which mean nothing one by one, in one line: how many, and between what they lie."""
-    factor, unit = readable(str(own["unit"].iloc[0]))
-    moved = factor * (own["estimate"] - own["nominal"])
-    said = interval(float(f"{moved.min():.2g}"), float(f"{moved.max():.2g}"))
-    sd = interval(*(float(f"{factor * end:.2g}") for end in (own["sd"].min(), own["sd"].max())))
-    return f"{own['part'].iloc[0]}, {len(own)} figures", unit, said, sd, "", "of a curve"
+    factor, unit = readable(own[0].unit)
+    moved = [factor * (row.estimate - row.nominal) for row in own]
+    said = interval(float(f"{min(moved):.2g}"), float(f"{max(moved):.2g}"))
+    sds = [factor * row.sd for row in own]
+    sd = interval(*(float(f"{end:.2g}") for end in (np.nanmin(sds), np.nanmax(sds))))
+    return f"{own[0].part}, {len(own)} figures", unit, said, sd, "", "of a curve"
 
 
-def _groups(parameters: pd.DataFrame) -> list[str]:
-    """Return each parameter's effect in words, with its variant."""
-    variants = parameters["variant"].astype(object).fillna("")
-    return [" ".join(filter(None, (effect_words(str(effect)), str(variant))))
-            for effect, variant in zip(parameters["effect"], variants, strict=True)]  # fmt: skip
+def _group(row: FittedParameter) -> str:
+    """Return a parameter's effect in words, with its variant."""
+    return " ".join(filter(None, (effect_words(row.effect), row.variant)))
 
 
-def _places(parameters: pd.DataFrame) -> list[str]:
-    """Return each parameter's part and symbol, which is clear within its group."""
-    return [f"{part}.{symbol}" for part, symbol in zip(parameters["part"], parameters["symbol"], strict=True)]
+def _place(row: FittedParameter) -> str:
+    """Return a parameter's part and symbol, which is clear within its group."""
+    return f"{row.part}.{row.symbol}"
 
 
-def _line(row: dict[Hashable, Any], together: bool) -> tuple[str, ...]:
-    factor, unit = readable(str(row["unit"]))
-    nominal, estimate, sd, lower, upper, share = (
-        float(row[name]) for name in ("nominal", "estimate", "sd", "lower", "upper", "prior_share")
-    )
-    value, deviation = with_sd(factor * (estimate - nominal), factor * sd)
-    allowed = interval(factor * (lower - nominal), factor * (upper - nominal))
-    return unit, value, deviation, allowed, known_from(share, bool(row["at_bound"]), together)
+def _line(row: FittedParameter, together: bool) -> tuple[str, ...]:
+    factor, unit = readable(row.unit)
+    value, deviation = with_sd(factor * (row.estimate - row.nominal), factor * row.sd)
+    allowed = interval(factor * (row.lower - row.nominal), factor * (row.upper - row.nominal))
+    return unit, value, deviation, allowed, known_from(row.prior_share, row.at_bound, together)
 
 
 def known_from(prior_share: float, at_bound: bool, together: bool = False) -> str:
@@ -222,39 +221,41 @@ def _known_together(results: Results) -> set[str]:
 
 def at_bound(results: Results) -> list[Advice]:
     """A parameter that the data push against a bound means that something else is wrong."""
-    parameters = latest(results, "parameters")
-    pushed = parameters[parameters["at_bound"].astype(bool) & (parameters["prior_share"] <= BY_PRIOR)]
-    zero = (pushed["lower"] == 0) & (pushed["estimate"] < NEAR_ZERO * pushed["upper"])
+    pushed = [row for row in latest_parameters(results) if row.at_bound and row.prior_share <= BY_PRIOR]
+    zero = [row for row in pushed if row.lower == 0 and row.estimate < NEAR_ZERO * row.upper]
+    far = [row for row in pushed if row not in zero]
     found = []
-    if not zero.all():
-        far = pushed[~zero]
+    if far:
         sentence = (
-            f"The data push {listed(far['parameter'].tolist())} to the end of the allowed range ({_ranges(far)}): check "
+            f"The data push {listed([row.parameter for row in far])} to the end of the allowed range ({_ranges(far)}): check "
             "the robot file's dimensions and units, and the payload's mass."
         )
         found.append(Advice(2, sentence))
-    if zero.any():
+    if zero:
         sentence = (
-            f"{listed(pushed.loc[zero, 'parameter'].tolist())} came out at zero, the least allowed: stiffer than the data can "
+            f"{listed([row.parameter for row in zero])} came out at zero, the least allowed: stiffer than the data can "
             "tell, or the masses and payload in the robot file are wrong."
         )
         found.append(Advice(3, sentence))
     return found
 
 
-def _ranges(rows: pd.DataFrame) -> str:
-    said = []
-    for row in rows.to_dict("records"):
-        factor, unit = readable(str(row["unit"]))
-        said.append(f"{interval(factor * row['lower'], factor * row['upper'])} {unit}".rstrip())
-    return listed(list(dict.fromkeys(said)), 4)
+def _ranges(rows: Sequence[FittedParameter]) -> str:
+    return listed(list(dict.fromkeys(map(_range, rows))), 4)
+
+
+def _range(row: FittedParameter) -> str:
+    factor, unit = readable(row.unit)
+    return f"{interval(factor * row.lower, factor * row.upper)} {unit}".rstrip()
 
 
 def prior_names(results: Results) -> list[str]:
     """Return the parameters that the data leave to the prior."""
-    parameters = results.tables["identify/parameters.csv"]
-    share = np.asarray(parameters["prior_share"], dtype=float)
-    return parameters.loc[share > BY_PRIOR, "parameter"].astype(str).tolist()
+    return [row.parameter for row in _identified(results) if row.prior_share > BY_PRIOR]
+
+
+def _identified(results: Results) -> list[FittedParameter]:
+    return results.rows(IDENTIFIED_PARAMETERS, FittedParameter)
 
 
 PARAMETERS_SECTION = Section(60, "Identified parameters", ("identify/parameters.csv",), _parameters, (at_bound,))
@@ -312,9 +313,7 @@ def left_out_words(results: Results) -> list[Block]:
 
 def _statements(results: Results) -> list[Block]:
     said = [_statement_words(one) for one in left_open(results) if one.kind in ("silent", "trade", "scale")]
-    said += [
-        _bound_words(row) for row in results.tables["identify/parameters.csv"].to_dict("records") if row["at_bound"]
-    ]
+    said += [_bound_words(row) for row in _identified(results) if row.at_bound]
     if not said:
         return [Paragraph("Nothing is left open: the data determine every parameter.")]
     return [
@@ -324,11 +323,9 @@ def _statements(results: Results) -> list[Block]:
     ]
 
 
-def _bound_words(row: dict[Hashable, Any]) -> str:
-    factor, unit = readable(str(row["unit"]))
-    ends = f"{interval(factor * row['lower'], factor * row['upper'])} {unit}".rstrip()
+def _bound_words(row: FittedParameter) -> str:
     return (
-        f"{row['parameter']} sits at the end of its allowed range ({ends}): its error is one-sided, so no standard "
+        f"{row.parameter} sits at the end of its allowed range ({_range(row)}): its error is one-sided, so no standard "
         "deviation is given."
     )
 
@@ -380,8 +377,7 @@ def second_marker(results: Results) -> list[Advice]:
     if len(markers) != 1:
         return []
     marker = markers[0]
-    parameters = results.tables["identify/parameters.csv"]
-    places = set(parameters.loc[parameters["part"] == marker, "parameter"])
+    places = {row.parameter for row in _identified(results) if row.part == marker}
     links: set[str] = set()
     for trade in _of_kind(results, "trade"):
         own = places & set(trade.parameters)
@@ -397,8 +393,7 @@ def second_marker(results: Results) -> list[Advice]:
 
 def unseen_compliance(results: Results) -> list[Advice]:
     """A joint that no load turned keeps an unknown compliance."""
-    parameters = results.tables["identify/parameters.csv"]
-    compliant = parameters[parameters["unit"].isin(LOAD_DRIVEN)].set_index("parameter")["part"]
+    compliant = {row.parameter: row.part for row in _identified(results) if row.unit in LOAD_DRIVEN}
     unseen = [name for one in _of_kind(results, "silent") for name in one.parameters if name in compliant]
     if not unseen:
         return []
@@ -448,7 +443,7 @@ def open_questions(results: Results) -> list[str]:
 
 def _spoken(names: list[str], results: Results) -> str:
     """Names with what they mean: joint1.s (compliance of joint 1)."""
-    meaning = results.tables["identify/parameters.csv"].set_index("parameter")["meaning"].fillna("")
+    meaning = {row.parameter: row.meaning for row in _identified(results)}
     return listed([f"{name} ({meaning[name]})" if meaning.get(name) else name for name in names], 8)
 
 

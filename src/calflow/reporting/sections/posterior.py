@@ -25,7 +25,7 @@ from calflow.effects.words import cause_name
 from calflow.files.results import Results
 from calflow.files.words import cut, listed, percent, readable, with_sd
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
-from calflow.reporting.material import Material, latest
+from calflow.reporting.material import Material, latest_parameters
 from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, MIDDLE, WIDTH, figure, panels, turned
 from calflow.robot.parameter import Parameter
@@ -353,17 +353,16 @@ def _in_line(label: str) -> str:
 
 def corner_names(results: Results) -> list[str]:
     """Return the parameters worth a look in pairs: at a bound, then the most correlated, then the last effect's; six at most."""
-    parameters = latest(results, "parameters")
-    names = parameters.loc[parameters["at_bound"].astype(bool), "parameter"].astype(str).tolist()[:2]
+    parameters = latest_parameters(results)
+    names = [row.parameter for row in parameters if row.at_bound][:2]
     if "identify/correlations.csv" in results:
         names += results.tables["identify/correlations.csv"][["first", "second"]].to_numpy().ravel().tolist()
-    last = parameters["effect"].iloc[-1]
-    names += parameters.loc[parameters["effect"] == last, "parameter"].astype(str).tolist()
+    names += [row.parameter for row in parameters if row.effect == parameters[-1].effect]
     sampled = (
         set(results.tables["sample/posterior.csv"]["parameter"]) if "sample/posterior.csv" in results else set(names)
     )
     chosen = [name for name in dict.fromkeys(names) if name in sampled][:PAIRED]
-    return [name for name in parameters["parameter"] if name in chosen]
+    return [row.parameter for row in parameters if row.parameter in chosen]
 
 
 def short_names(parameters: Sequence[Parameter]) -> list[str]:
