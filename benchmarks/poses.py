@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calflow import templates as library
 from calflow.design.candidates import candidates
 from calflow.design.exchange import information
 from calflow.design.optimality import Parameters, ToolError, indices
@@ -27,9 +28,8 @@ from calflow.estimation.progress import draws
 from calflow.measurements.series import Series
 from calflow.model import Model, build
 from calflow.observations.position import Position
-from calflow.robot.readings import reading_columns, shown_readings
+from calflow.robot.conditions import reading_columns, shown_readings
 from calflow.robot.robot import Robot
-from calflow.templates import library
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from collisions import CASES, Outside

@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation
 from calflow.estimation.registration import registered
 from calflow.measurements.measurements import Measurements
 from calflow.observations import observations
-from calflow.robot.formats.rigid_chain import rigid_chain
-from calflow.robot.formats.urdf_written import urdf_text
+from calflow.robot.formats.rigid_chain import rigid_chain, urdf_text
 from calflow.robot.frames import convention_of
 from calflow.robot.robot import Robot
 from prior_methods.method import Predictor, timed

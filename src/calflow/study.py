@@ -15,10 +15,9 @@ from calflow.files.problems import InputError, Problem, nearest, refuse, togethe
 from calflow.files.regular import regular_file
 from calflow.files.toml import FileModel, Origin, read_toml, validate
 from calflow.files.units import SUFFIXES, split_unit
-from calflow.measurements.cells import layout_of_further
-from calflow.measurements.combined import combined, continued
-from calflow.measurements.measurements import Measurements
+from calflow.measurements.measurements import Measurements, combined, continued
 from calflow.measurements.reading import data_folder, is_to_fetch, locate
+from calflow.measurements.rows import layout_of_further
 from calflow.measurements.series import Series
 from calflow.measurements.source import MeasurementSource
 from calflow.model import Model, build, stated

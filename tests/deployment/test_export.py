@@ -18,9 +18,8 @@ from scipy.spatial.transform import Rotation
 from calflow.deployment.export import _between, export
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.model import build
-from calflow.robot.formats.rigid_chain import rigid_chain
+from calflow.robot.formats.rigid_chain import properties_text, rigid_chain, urdf_text
 from calflow.robot.formats.robot_file import drives
-from calflow.robot.formats.urdf_written import properties_text, urdf_text
 from calflow.robot.robot import Robot
 from robot.formats import urdfs
 from robots import ASKEW, base_frame, figures, frames, hh800, industrial, marker_position, placed, poses, rows, ur10

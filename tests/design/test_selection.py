@@ -8,8 +8,8 @@ import numpy as np
 
 from calflow.design.selection import SelectionRequest, select
 from calflow.model import build
+from calflow.robot.conditions import reading_columns, shown_readings
 from calflow.robot.parts import Coupling
-from calflow.robot.readings import reading_columns, shown_readings
 from robots import industrial
 
 LIMITS = np.deg2rad([(-90, 60), (-40, 20), (-10, 80), (-170, 30), (-100, 100), (10, 200)])

@@ -10,7 +10,7 @@ from calflow.estimation.identifiability import identifiability
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
 from calflow.estimation.registration import registered
-from calflow.measurements.combined import combined
+from calflow.measurements.measurements import combined
 from calflow.measurements.series import Series
 from calflow.model import build
 from calflow.observations import observations

@@ -16,8 +16,7 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.registration import registered
 from calflow.estimation.repeats import measured_noise
 from calflow.estimation.reweighting import fit_reweighted
-from calflow.measurements.combined import combined
-from calflow.measurements.measurements import Measurements
+from calflow.measurements.measurements import Measurements, combined
 from calflow.measurements.series import BeamNoise, Series, Station
 from calflow.model import Model, build
 from calflow.observations import observations

@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 
 from calflow.files.problems import InputError
-from calflow.measurements.combined import combined
-from calflow.measurements.measurements import Measurements
+from calflow.measurements.measurements import Measurements, combined
 from calflow.measurements.series import Series, Station
 from calflow.study import load_study
 from robots import ur10

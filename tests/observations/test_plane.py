@@ -11,7 +11,7 @@ import pytest
 from calflow.design.candidates import candidates, packed_conditions
 from calflow.files.problems import InputError
 from calflow.files.toml import Origin, validate
-from calflow.measurements.combined import combined
+from calflow.measurements.measurements import combined
 from calflow.measurements.series import Series
 from calflow.model import build
 from calflow.observations.plane import Plane, PlaneSettings

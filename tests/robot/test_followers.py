@@ -17,10 +17,9 @@ from calflow.design.candidates import candidates
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
-from calflow.robot.formats.rigid_chain import rigid_chain, said_of_variables
-from calflow.robot.formats.urdf_written import urdf_text
+from calflow.robot.conditions import reading_columns
+from calflow.robot.formats.rigid_chain import rigid_chain, said_of_variables, urdf_text
 from calflow.robot.parts import Coupling
-from calflow.robot.readings import reading_columns
 from calflow.robot.robot import Robot
 from robot.formats.test_urdf import ARM
 

@@ -14,11 +14,10 @@ from scipy.optimize import root
 
 import robots
 from calflow.model import build
-from calflow.robot.chain import Deflection, pose
+from calflow.robot.chain import Deflection, assembly_side, close, pose
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions, nominal_loads
 from calflow.robot.frames import CONVENTIONS
-from calflow.robot.loop import assembly_side, close
 from calflow.robot.robot import Robot
 from calflow.robot.statics import state
 

@@ -18,7 +18,7 @@ from calflow.robot.robot import Robot
 from calflow.robot.statics import gravity_torque
 from calflow.simulation import simulate
 from calflow.study import load_study
-from calflow.templates import library, write_study
+from calflow.templates import library_file, library_listing, library_names, write_study
 from robot.formats import urdfs
 
 # Where other descriptions have the flange [mm], its z and its x, at joint readings [deg]: computed by pinocchio from the
@@ -54,14 +54,14 @@ FILES = {"ur5": ("ur_description/urdf/ur5_robot.urdf", "tool0"), "ur10": ("ur_de
 def robot(name: str, folder: Path) -> Robot:
     """A robot of the library."""
     path = folder / f"{name}.toml"
-    path.write_text(library.text(name), encoding="utf-8")
+    path.write_text(library_file(name), encoding="utf-8")
     return Robot.from_toml(path)
 
 
 def test_every_robot_is_compared() -> None:
     """Fails if a robot comes into the library without a second description."""
-    assert sorted(set(FLANGES.index)) == library.names()
-    assert sorted(LENGTHS) == library.names()
+    assert sorted(set(FLANGES.index)) == library_names()
+    assert sorted(LENGTHS) == library_names()
 
 
 @pytest.mark.parametrize("name", LENGTHS)
@@ -152,6 +152,6 @@ def test_what_is_not_in_the_library(tmp_path: Path) -> None:
 
 def test_the_library_is_listed() -> None:
     """Fails if a user does not see what there is."""
-    said = dict(library.listing())
-    assert list(said) == library.names()
+    said = dict(library_listing())
+    assert list(said) == library_names()
     assert said["franka-panda"] == "Franka Emika Panda: 7 joints, with masses"

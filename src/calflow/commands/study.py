@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
     if not asked:
         return
-    from calflow.templates import library
+    from calflow.templates import library_listing
 
-    for name, said in library.listing():
+    for name, said in library_listing():
         say(f"{name:20} {said}")
     context.exit()
 

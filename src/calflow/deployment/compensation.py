@@ -28,10 +28,10 @@ from calflow.files.problems import refuse
 from calflow.files.tables import column, typed
 from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.sequence import approach_and_travel
+from calflow.measurements.rows import approach_and_travel
 from calflow.model import Model, over_rows
 from calflow.observations.pose import Pose
-from calflow.robot.readings import READINGS, reading_columns, shown_readings
+from calflow.robot.conditions import READINGS, reading_columns, shown_readings
 from calflow.robot.transforms import turning
 
 MOST = 0.5  # share of the variance of a turn that no measurement told of, from which it is said

@@ -27,9 +27,16 @@ from calflow.model import Model
 from calflow.robot.chain import Deflection
 from calflow.robot.conditions import OPTIONAL, Row
 from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads
-from calflow.robot.formats.rigid_chain import RigidChain, json_text, rigid_chain, said_of_variables
-from calflow.robot.formats.urdf_document import Drive
-from calflow.robot.formats.urdf_written import properties_text, said_of_drives, urdf_text
+from calflow.robot.formats.rigid_chain import (
+    RigidChain,
+    json_text,
+    properties_text,
+    rigid_chain,
+    said_of_drives,
+    said_of_variables,
+    urdf_text,
+)
+from calflow.robot.formats.urdf import Drive
 from calflow.robot.frames import Frame, Step
 from calflow.robot.parts import Vector, vector
 from calflow.robot.robot import Robot

@@ -19,7 +19,7 @@ from calflow.estimation.groups import members
 from calflow.files.problems import MOST_TOLD, InputError, Problem, nearest, refuse
 from calflow.files.toml import Angles3, FileModel, Lengths3, read_toml
 from calflow.model import Model, over_rows
-from calflow.robot.loop import reachable
+from calflow.robot.chain import reachable
 from calflow.robot.robot import Robot
 from calflow.robot.transforms import placement, turning
 

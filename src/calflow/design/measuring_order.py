@@ -21,7 +21,7 @@ from calflow.design.cell import Cell
 from calflow.design.worth import PlanInformation
 from calflow.files.tables import column
 from calflow.files.units import METRE
-from calflow.measurements.sequence import sides_and_travel
+from calflow.measurements.rows import sides_and_travel
 from calflow.model import Model
 from calflow.robot.robot import Robot
 

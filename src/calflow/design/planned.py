@@ -19,10 +19,8 @@ from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.noise import Noise, PerUnit
 from calflow.files.problems import InputError, Problem, nearest
 from calflow.files.units import SUFFIXES
-from calflow.measurements.cells import read_cells
-from calflow.measurements.checks import ReadColumn
-from calflow.measurements.layout import Layout
-from calflow.measurements.rows import numbers
+from calflow.measurements.columns import Layout
+from calflow.measurements.rows import ReadColumn, numbers, read_cells
 from calflow.model import Model
 from calflow.observations import Observation
 from calflow.robot.robot import Robot

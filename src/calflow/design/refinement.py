@@ -16,7 +16,7 @@ from calflow.design.exchange import information
 from calflow.design.optimality import Criterion
 from calflow.design.planned import Planned
 from calflow.model import Model
-from calflow.robot.loop import DEAD_POINT
+from calflow.robot.chain import DEAD_POINT
 from calflow.robot.robot import Robot
 from calflow.robot.transforms import placement
 

@@ -9,8 +9,7 @@ import casadi as ca
 
 from calflow.effects.base import Effect, Variable, Words, displaced
 from calflow.effects.smooth_curve import RMS, waves
-from calflow.measurements.measurements import Measurements
-from calflow.measurements.sessions import sessions_of
+from calflow.measurements.measurements import Measurements, sessions_of
 from calflow.robot.conditions import Row, session_number
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot

@@ -10,8 +10,7 @@ import numpy as np
 
 from calflow.effects.base import Effect, Words, displaced
 from calflow.effects.frame_drift import OF_THE_FRAME
-from calflow.measurements.measurements import Measurements
-from calflow.measurements.sessions import borders
+from calflow.measurements.measurements import Measurements, borders
 from calflow.robot.conditions import Row
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot

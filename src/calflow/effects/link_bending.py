@@ -9,10 +9,9 @@ import casadi as ca
 
 from calflow.effects.base import Effect, Variable, Words
 from calflow.measurements.measurements import Measurements
-from calflow.robot.chain import Deflection
+from calflow.robot.chain import Deflection, span
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import nominal_dimensions
-from calflow.robot.links import span
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.statics import State, rated_torques

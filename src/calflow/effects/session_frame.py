@@ -9,8 +9,7 @@ from typing import ClassVar, Self
 import casadi as ca
 
 from calflow.effects.base import Effect, Words, displaced
-from calflow.measurements.measurements import Measurements
-from calflow.measurements.sessions import borders, sessions_of
+from calflow.measurements.measurements import Measurements, borders, sessions_of
 from calflow.robot.conditions import Row, session_number
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from calflow.files.problems import InputError, Problem
-from calflow.measurements.checks import at_rows
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import at_rows
 from calflow.model import build
 
 SHAPE_ROWS = 200  # rows whose distances from each other tell a wrong unit

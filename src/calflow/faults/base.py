@@ -14,7 +14,7 @@ from calflow.faults.reference import Reference
 from calflow.files.tables import column, typed
 from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.sequence import IN_ORDER, approach_and_travel
+from calflow.measurements.rows import IN_ORDER, approach_and_travel
 
 Action = Literal["corrected", "left out", "told"]
 PLACE = ("x", "y", "z")

@@ -267,10 +267,10 @@ def refuse_all(messages: Iterable[Message]) -> None:
 
 def write_toml(path: Path, file: FileModel) -> None:
     """Write a file that `read_toml` reads back equal: all that is not as it is by default."""
-    write_text(path, tomli_w.dumps(stated(file)))
+    write_text(path, tomli_w.dumps(table_of(file)))
 
 
-def stated(record: FileModel | Record, **other: str) -> dict[str, Any]:
+def table_of(record: FileModel | Record, **other: str) -> dict[str, Any]:
     """Return the table that states a record: without what is so where nothing is stated, and in units that people use.
 
     A unit is one in which the figure reads back the same, else that of SI. other gives dimensions of fields of several.
@@ -301,7 +301,7 @@ def _defaults(kind: type[FileModel | Record]) -> dict[str, Any]:
 
 def _tables(value: Any) -> Any:
     if isinstance(value, FileModel | Record):
-        return stated(value)
+        return table_of(value)
     if isinstance(value, Mapping):
         return {name: _tables(member) for name, member in value.items() if member is not None}
     return [_tables(member) for member in value] if isinstance(value, list | tuple) else value

@@ -1,40 +1,411 @@
-"""The rows of a measurement file: its cells as one checked table in SI units.
+"""The rows of measurements: a file's cells, or arrays, as one checked table in SI units, and what is wrong with them, by line.
 
-The labels that may be left out of measurements: marker, payload, pose and repeat.
-Followers: joints that only others move have no reading, and so need no columns in measurements.
-The values of a measurement file's columns: cells as numbers in SI units or as labels, and what is wrong with them.
-Measurements from arrays: the checked table of rows that were never in a file.
+A CSV's cells are text and a MATLAB file's numbers; labels, and columns of joints that only others move, may be left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import csv
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
 from calflow.files.csv import NUMBER, changed, unquoted
-from calflow.files.problems import InputError, Problem, nearest, shortened
+from calflow.files.problems import CONTROL, MOST_TOLD, InputError, Problem, counted, nearest, refuse, shortened
+from calflow.files.regular import regular_file
 from calflow.files.units import LARGEST, SUFFIXES, to_si
-from calflow.measurements.cells import EMPTY, read_cells
-from calflow.measurements.checks import MAX_ROWS_TOLD, ReadColumn, at_rows, check_header, check_values, columns_read
 from calflow.measurements.columns import (
     ANGLES,
     LABELS,
     POSITION,
+    QUATERNION,
     SIGMAS,
     STEMS,
+    WRENCH,
+    Layout,
     column_names,
     condition_columns,
     numbered,
+    split_column,
 )
-from calflow.measurements.layout import Layout
-from calflow.measurements.sequence import ordered, ranged
 from calflow.robot.robot import Robot
 from calflow.robot.transforms import angles
+
+
+@dataclass(frozen=True)
+class ReadColumn:
+    """A column that is read: calflow's name and unit for it, both as one word, the file's word, its marker ('': all)."""
+
+    name: str
+    unit: str
+    ours: str
+    theirs: str
+    marker: str = ""
+
+    def __str__(self) -> str:
+        return f"column '{self.theirs}'" + (f" ({self.ours})" if self.ours != self.theirs else "")
+
+
+def columns_read(there: Sequence[str], layout: Layout, robot: Robot, path: Path) -> list[ReadColumn]:
+    """Return the columns that are read of those that are there: what the layout names, or else all.
+
+    Raises:
+        InputError: the layout names columns that are not there.
+    """
+    names = set(there)
+    if absent := [name for name in dict.fromkeys(layout.named) if name not in names]:
+        raise InputError(
+            counted(
+                absent,
+                lambda name: Problem(
+                    f"no column '{name}', which the study's mapping names{nearest(name, there)}", path, 1
+                ),
+            )
+        )
+    pairs = [("", ours, theirs) for ours, theirs in layout.columns.items()]
+    pairs += [(marker, ours, theirs) for marker, own in layout.markers.items() for ours, theirs in own.items()]
+    if not pairs:
+        pairs = [("", name, name) for name in there]
+    return [
+        ReadColumn(*split_column(ours, robot, layout.reports), ours, theirs, marker) for marker, ours, theirs in pairs
+    ]
+
+
+MAX_ROWS_TOLD = 5  # a message names this many rows of a kind, then counts the rest
+LEAST_SIGMA = 1e-15  # m or rad; below, what is divided by it is no number any more
+MOVED = 0.02  # rad or m by which two readings of one pose may differ
+
+
+def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, conditions_only: bool) -> list[str]:
+    """Say which columns are unknown, doubled, without their unit, or missing."""
+    known = column_names(robot, layout.reports)
+    first = {(column.name, column.marker): column for column in reversed(columns)}
+    wrong = [
+        column for column in columns
+        if _doubled(column, first) or not _is_known(column, known) or (conditions_only and column.name in layout.reports.values)
+    ]  # fmt: skip
+    unknown = [_mistake(column, first, known) for column in wrong[:MOST_TOLD]]
+    if len(wrong) > MOST_TOLD:
+        unknown.append(f"and {len(wrong) - MOST_TOLD} more columns like these")
+    missing: list[str] = []
+    for marker in dict.fromkeys([column.marker for column in columns if column.marker] or [""]):
+        own = {column.name: column for column in columns if column.marker in ("", marker)}
+        missing += _missing(own, marker, layout, robot, conditions_only)
+    names = {column.name: column for column in columns}
+    oriented = not conditions_only and layout.reports.measured and bool({"rx", "qw"} & set(names))
+    told = []
+    for name, stated in (("sigma", layout.sigma), ("sigma_rotation", layout.sigma_rotation)):
+        if stated is not None and name in names:
+            told.append(f"{names[name]}: the study's [measurements] states {name} too; expected one of them")
+    if oriented and robot.tool_rotation is None:
+        told.append("has measured orientations, but the robot file does not say how the tool is turned: expected "
+                    "tool_rotation_deg (or _rad) = [rx, ry, rz] there")  # fmt: skip
+    if oriented and layout.sigma_rotation is None and "sigma_rotation" not in names:
+        told.append("has measured orientations, but not how sure they are: expected a column sigma_rotation_mrad (or _rad, "
+                    "_deg), or sigma_rotation_mrad = … in the study's [measurements]")  # fmt: skip
+    if "rx" in names and "qw" in names:
+        told.append("has orientations twice, as rx, ry, rz and as a quaternion: expected one of them")
+    return list(dict.fromkeys((*unknown, *missing, *told)))
+
+
+Columns = Mapping[tuple[str, str], ReadColumn]  # by name and marker
+
+
+def _doubled(column: ReadColumn, first: Columns) -> bool:
+    """Whether an earlier column, of all markers or of its own, has a column's name."""
+    return first.get((column.name, ""), first[column.name, column.marker]) is not column
+
+
+def _is_known(column: ReadColumn, known: Mapping[str, str]) -> bool:
+    """Whether a column's name is one of calflow's, with a unit where it needs one."""
+    dimension = known.get(column.name)
+    return dimension is not None and column.unit in (SUFFIXES[dimension] if dimension else ("",))
+
+
+def _mistake(column: ReadColumn, first: Columns, known: Mapping[str, str]) -> str:
+    """Say what is wrong with a column's name."""
+    name = column.name
+    if _doubled(column, first):
+        return f"{column}: '{name}' is there twice, in different units"
+    if name not in known or (column.unit and not known[name]):
+        every = [f"{n}_{s}" if s else n for n, d in known.items() for s in SUFFIXES.get(d, ("",))]
+        return f"unknown {column}{nearest(column.ours, every)}"
+    if not _is_known(column, known):
+        wanted = ", ".join(f"{name}_{suffix}" for suffix in SUFFIXES[known[name]])
+        return f"{column} needs a unit of {known[name]} in its name: {wanted}"
+    return f"{column} is what will be predicted: leave it out of the rows"
+
+
+def _missing(
+    own: dict[str, ReadColumn], marker: str, layout: Layout, robot: Robot, conditions_only: bool
+) -> list[str]:  # fmt: skip
+    """Say which columns the rows of a marker ('' for all) lack."""
+    n, known = robot.n_joints, column_names(robot, layout.reports)
+    required = numbered("q", n) if layout.reports.measured else []
+    required += [] if conditions_only else [*layout.reports.needed]
+    if len(robot.markers) > 1 and not marker:
+        required.append("marker")
+    groups = [*(numbered(stem, n) for stem in STEMS.values()), WRENCH, ANGLES, QUATERNION]
+    if not layout.reports.measured:  # external axes are stated where the arm's joints are asked for
+        groups[0] = [f"q{joint + 1}" for joint in robot.arm]
+    required += [name for group in groups if own.keys() & set(group) for name in group]
+    following = {f"{stem}{joint + 1}" for joint in robot.followers for stem in STEMS.values()}
+    where = ""
+    if layout.columns or layout.markers:
+        place = f"markers.{marker}" if marker else "columns"
+        where = f" in the study's [measurements.{place}]"
+    return [
+        f"missing column: expected {' or '.join(f'{name}_{s}' if s else name for s in SUFFIXES.get(known[name], ('',)))}{where}"
+        for name in dict.fromkeys(required)
+        if name not in own and name not in following
+    ]
+
+
+def check_values(table: pd.DataFrame, robot: Robot, path: Path | None) -> list[Problem]:
+    """Find names that the robot lacks, rows that contradict each other, and values out of range."""
+    problems = [*_names(table, robot, path), *_figures(table, robot, path)]
+    if "split" in table:
+        split = table["split"].where(table["split"].isin(["train", "holdout"]))
+        problems += at_rows(split.isna(), table, path, "split: expected 'train' or 'holdout'")
+        mixed = split.groupby(table["pose"]).transform("nunique") > 1
+        problems += at_rows(mixed, table, path, "split: one pose is in train and in holdout; held out is a whole pose")
+    twice = table.duplicated(["pose", "repeat", "marker"], keep="first") & (table["pose"] != "")
+    problems += at_rows(twice, table, path, "duplicate pose: the same pose, repeat and marker stand in an earlier row")
+    joints = table[numbered("q", robot.n_joints)]
+    moved = (joints - joints.groupby(table["pose"]).transform("first")).abs().max(axis=1) > MOVED
+    problems += at_rows(
+        moved & ~twice,
+        table,
+        path,
+        "duplicate pose: this pose number has other joint readings in an earlier row",
+    )
+    return problems
+
+
+def _names(table: pd.DataFrame, robot: Robot, path: Path | None) -> list[Problem]:
+    problems: list[Problem] = []
+    for name, known, optional in (("marker", robot.markers, False), ("payload", robot.payloads, True)):
+        unknown = [value for value in table[name].unique() if value not in known and not (optional and value == "")]
+        names = ", ".join(known) or "none"
+        for value in unknown[:MOST_TOLD]:
+            problems += at_rows(table[name] == value, table, path,
+                                f"unknown {name} '{value}'; the robot file has {names}{nearest(value, known)}")  # fmt: skip
+        if len(unknown) > MOST_TOLD:
+            problems.append(Problem(f"and {len(unknown) - MOST_TOLD} more names of a {name} that is not there", path))
+    return problems
+
+
+def _figures(table: pd.DataFrame, robot: Robot, path: Path | None) -> list[Problem]:
+    problems: list[Problem] = []
+    for i in range(robot.n_joints):
+        if f"approach{i + 1}" in table:
+            wrong = ~table[f"approach{i + 1}"].isin([-1, 0, 1, np.nan])
+            problems += at_rows(wrong, table, path, f"approach{i + 1}: expected -1, 0 or 1")
+    for name in SIGMAS:
+        if name in table:
+            wrong = table[name] < LEAST_SIGMA
+            problems += at_rows(wrong, table, path, f"{name}: expected a positive standard deviation")
+    if "qw" in table:
+        norm = np.linalg.norm(table[[*QUATERNION]], axis=1)
+        problems += at_rows(np.abs(norm - 1) > 0.01, table, path, "qw, qx, qy, qz: expected a quaternion of norm 1")
+    return problems
+
+
+def at_rows(bad: Any, table: pd.DataFrame, path: Path | None, message: str) -> list[Problem]:
+    """One problem a line for the first few bad rows, and one that counts the rest."""
+    lines = list(dict.fromkeys(table["line"].to_numpy()[np.asarray(bad, dtype=bool)]))
+    told = [
+        Problem(message, path, int(line)) if path else Problem(message, key=f"row {line}")
+        for line in lines[:MAX_ROWS_TOLD]
+    ]
+    if len(lines) > MAX_ROWS_TOLD:
+        told.append(Problem(f"{message} (and {len(lines) - MAX_ROWS_TOLD} more rows)", path))
+    return told
+
+
+REMEDY = 'save it as "CSV UTF-8 (comma delimited)", as Excel calls it'
+ARCHIVE, OLE = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"  # how .xlsx and .xls begin
+HEAD = 4096  # bytes that tell what a file is
+
+
+def check_text(path: Path, separator: str = ",") -> None:
+    """Refuse what is not text in UTF-8, with what to do about it.
+
+    Raises:
+        InputError: it is an Excel file, text in another encoding, or no text.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(HEAD)
+        if head.startswith((ARCHIVE, OLE)):
+            raise refuse(f"is an Excel file (or another archive), not a CSV: {REMEDY}", path)
+        even, odd = head[::2], head[1::2]
+        if head.startswith((b"\xff\xfe", b"\xfe\xff")) or (b"\0" in head and not (any(even) and any(odd))):
+            raise refuse(f"is not a text file in UTF-8 but in UTF-16: {REMEDY}", path)
+        stream.seek(0)
+        for line, text in enumerate(stream, start=1):
+            try:
+                signs = text.decode()
+            except UnicodeDecodeError as error:
+                sign = text[error.start : error.start + 1]
+                raise refuse(f"is not in UTF-8: byte {sign[0]:#x} would be {sign.decode('latin-1')!r} in Latin-1; {REMEDY}",
+                             path, line) from None  # fmt: skip
+            control = CONTROL.search(signs.replace(separator, ""))
+            if control:
+                raise refuse(
+                    f"is not a text file: expected a CSV, found the control character {control.group()!r}", path, line
+                )
+
+
+EMPTY = "is empty: expected a header line and a row per measured point"
+
+
+def layout_of_further(path: Path, layout: Layout) -> Layout:
+    """Return the layout of a series' further file: the series' own, or calflow's names for one that has none of its columns.
+
+    Poses that calflow proposed, with what was measured filled in, are such a file.
+    """
+    if not layout.named or set(layout.named) & set(map(str, read_cells(path, layout))):
+        return layout
+    return replace(layout, columns={}, markers={})
+
+
+def read_cells(path: Path, layout: Layout) -> pd.DataFrame:
+    """Return the file's cells as text (numbers of a MATLAB file as they are), indexed by line; empty lines are left out.
+
+    Raises:
+        InputError: the file is not a table.
+    """
+    try:
+        regular_file(path)
+        if path.suffix.lower() == ".mat":
+            return _read_mat(path, layout)
+        check_text(path, layout.separator)
+        _check_shape(path, layout)
+        raw = pd.read_csv(path, sep=layout.separator, dtype=str, keep_default_na=False, skip_blank_lines=False,
+                          encoding="utf-8-sig")  # fmt: skip
+    except FileNotFoundError:
+        raise refuse("no such file", path) from None
+    except pd.errors.EmptyDataError:
+        raise refuse(EMPTY, path) from None
+    except (OSError, ValueError, csv.Error) as error:
+        raise refuse(f"cannot be read: {str(error).strip()}", path) from None
+    raw.index = pd.RangeIndex(2, len(raw) + 2)
+    raw = raw.fillna("").apply(lambda column: column.str.strip())
+    raw = raw[(raw != "").any(axis=1)]
+    if raw.empty:
+        raise refuse(EMPTY, path)
+    return raw
+
+
+def _check_shape(path: Path, layout: Layout) -> None:
+    """Refuse a table whose lines are not as wide as its header, or whose cells run over several lines: cells would be shifted.
+
+    Columns beyond the last one that is read may be missing.
+
+    Raises:
+        InputError: the table is such, or a column that is read is there twice.
+    """
+    fewer, more = [], []
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        lines = csv.reader(stream, delimiter=layout.separator, strict=True)
+        header = next(lines, [])
+        if len(header) == 1:
+            _check_separator(path, header[0], layout)
+        least = max((k for k, name in enumerate(header, start=1) if name in (layout.named or header)), default=0)
+        for line, cells in enumerate(lines, start=2):
+            if lines.line_num != line:
+                raise refuse('a quote " is opened here, and closed in another line: expected a line a row', path, line)
+            if len(cells) > len(header):
+                more.append(line)
+            elif len(cells) < least and any(cells):
+                fewer.append(line)
+    twice = [name for name, times in Counter(header).items() if times > 1 and name in (layout.named or header)]
+    problems = [
+        Problem(f"column '{shortened(name)}' is there twice: expected each name once", path, 1) for name in twice
+    ]
+    for wrong, word in ((fewer, "fewer"), (more, "more")):
+        message = f"has {word} values than the {len(header)} names of the header line"
+        problems += at_rows(np.full(len(wrong), True), pd.DataFrame({"line": wrong}), path, message)
+    if problems:
+        raise InputError(problems)
+
+
+def _check_separator(path: Path, header: str, layout: Layout) -> None:
+    """Refuse a header that another separator would take apart."""
+    other = next((sign for sign in ";\t|," if sign in header), None)
+    if other:
+        raise refuse(f"has no {layout.separator!r} in its header line, but {other!r}: say separator = {json.dumps(other)} "
+                     "in the study's [measurements] (and decimal = \",\" where numbers have a decimal comma)", path, 1)  # fmt: skip
+
+
+def _read_mat(path: Path, layout: Layout) -> pd.DataFrame:
+    """Return the arrays that the layout names (all where it names none), a column for each of their columns."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        arrays = {name: np.asarray(value) for name, value in loadmat(path).items() if not name.startswith("__")}
+    except (MatReadError, NotImplementedError, TypeError, KeyError) as error:
+        raise ValueError(error) from None
+    named = {theirs.rpartition("_")[0] for theirs in layout.named} or set(arrays)
+    wide = {name: array.reshape(len(array), -1) for name, array in arrays.items() if name in named and array.ndim}
+    table = pd.DataFrame({f"{name}_{j + 1}": a[:, j] for name, a in wide.items() for j in range(a.shape[1])})
+    return table.set_axis(pd.RangeIndex(1, len(table) + 1))
+
+
+IN_ORDER = "in_order = true: approach directions and travel follow from the order of the rows"
+
+
+def ordered(table: pd.DataFrame, robot: Robot, in_order: bool) -> tuple[pd.DataFrame, list[str]]:
+    """Return the rows with their place in measuring order and, where they stand in it, approach and travel; and a note.
+
+    Approach columns of the file's own stay as they are, and no travel is added to them.
+    """
+    table = table.copy()
+    table["order"] = table["time"].rank(method="dense") if "time" in table else np.arange(1.0, len(table) + 1)
+    if not in_order or "approach1" in table:
+        return table, []
+    came, far = approach_and_travel(table, numbered("q", robot.n_joints))
+    table[numbered("approach", robot.n_joints)] = came
+    table[numbered("travel", robot.n_joints)] = far
+    return table, [IN_ORDER]
+
+
+def ranged(table: pd.DataFrame, robot: Robot, tracker: tuple[float, float, float] | None) -> pd.DataFrame:
+    """Return the rows with their range [m], where it is known where the device stands (tracker, in its own frame)."""
+    at_origin = robot.base.known and not np.any(robot.base.origin)
+    if "x" not in table or (tracker is None and at_origin):
+        return table
+    return table.assign(range=np.linalg.norm(table[[*POSITION]] - np.array(tracker or (0.0, 0.0, 0.0)), axis=1))
+
+
+def approach_and_travel(table: pd.DataFrame, readings: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return each row's approach directions and its travel since the joints last turned back, (n_rows, n_joints) each."""
+    came, far = sides_and_travel(table.sort_values("order", kind="stable")[readings].to_numpy())
+    back = np.argsort(np.argsort(table["order"].to_numpy(), kind="stable"), kind="stable")
+    return came[back], far[back]
+
+
+def sides_and_travel(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the side that each joint comes from and its travel since it last turned back, of readings (n, n_joints) in order."""
+    step = np.diff(q, axis=0, prepend=q[:1])
+    row = np.arange(len(q))[:, None]
+    moved = np.maximum.accumulate(
+        np.where(step != 0, row, 0), axis=0
+    )  # the last row at which a joint moved; it then keeps its side
+    came = np.take_along_axis(np.sign(step), moved, axis=0)
+    turned = np.diff(came, axis=0, prepend=came[:1]) != 0
+    way = np.cumsum(np.abs(step), axis=0)
+    before = np.take_along_axis(way - np.abs(step), np.maximum.accumulate(np.where(turned, row, 0), axis=0), axis=0)
+    return came, way - before
+
 
 AGREES = {"rad": np.deg2rad(0.5), "m": 1e-3}  # by how much what a file says of a follower may be off
 
@@ -143,7 +514,7 @@ def numbers(cells: pd.Series, column: ReadColumn, layout: Layout, path: Path) ->
     factor, offset = to_si(column.unit) if column.unit else (1.0, 0.0)
     values = factor * figures + offset
     dimension = next((name for name, units in SUFFIXES.items() if column.unit in units), "")
-    large = pd.Series(beyond(values.where(~empty, 0.0).to_numpy(), dimension), cells.index)
+    large = pd.Series(beyond_largest(values.where(~empty, 0.0).to_numpy(), dimension), cells.index)
     problems = [Problem(_no_number(cells[text], column, layout), path, int(cells.index[text][0]))] if text.any() else []
     problems += at_lines(large, path, f"{column}: {beyond_words(dimension)}")
     return Values(values.where(~(empty | large)), empty, problems)
@@ -154,7 +525,7 @@ def at_lines(bad: pd.Series, path: Path, message: str) -> list[Problem]:
     return at_rows(bad.to_numpy(dtype=bool), pd.DataFrame({"line": bad.index}), path, message)
 
 
-def beyond(values: np.ndarray, dimension: str) -> np.ndarray:
+def beyond_largest(values: np.ndarray, dimension: str) -> np.ndarray:
     """Which values [SI] are larger than anything in a wrong unit could be, shape as values."""
     return np.abs(values) > WRONG_UNIT * LARGEST[dimension]
 
@@ -400,6 +771,6 @@ def _not_finite(table: pd.DataFrame, robot: Robot, gone: pd.Series) -> list[Prob
         values = table[name].to_numpy(dtype=float)
         excused = gone.to_numpy() if name in (*POSITION, *ANGLES, *SIGMAS) else False
         problems += at_rows(~np.isfinite(values) & ~np.array(excused), table, None, f"{name}: expected a finite number")
-        large = beyond(np.where(np.isfinite(values), values, 0.0), known[str(name)])
+        large = beyond_largest(np.where(np.isfinite(values), values, 0.0), known[str(name)])
         problems += at_rows(large, table, None, f"{name}: {beyond_words(known[str(name)])}")
     return problems

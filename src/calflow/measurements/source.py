@@ -11,7 +11,7 @@ from pydantic import Field, field_validator, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Sigma, Unit
-from calflow.measurements.layout import Layout, Missing
+from calflow.measurements.columns import Layout, Missing
 from calflow.measurements.series import BeamNoise, Series, Setting, Station
 
 

@@ -22,9 +22,8 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.programs.axes import Axes, CorrectedReadings
 from calflow.programs.configuration import ArmPosture
-from calflow.robot.chain import Deflection, pose
+from calflow.robot.chain import Deflection, pose, reachable
 from calflow.robot.dimensions import nominal_dimensions
-from calflow.robot.loop import reachable
 from calflow.robot.robot import Robot
 from calflow.robot.transforms import placement
 

@@ -1,4 +1,4 @@
-"""The conditions of one measured row: everything the graph is told besides the parameters."""
+"""The conditions of one measured row: all that the graph is given besides the parameters, and the columns that show readings."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 
 import casadi as ca
+import numpy as np
 
 from calflow.robot.robot import Robot
 
@@ -67,3 +68,22 @@ class Row:
             parts[name] = packed[start : start + size]
             start += size
         return Row(**parts, q=ca.sparsify(ca.DM(robot.reading_matrix)) @ parts["reading"])
+
+
+READINGS = "q{joint}_{deg|mm}"  # the columns of joint readings
+VIAS = "via{joint}_{deg|mm}"  # the same of a pose on the way
+
+
+def reading_columns(robot: Robot) -> list[str]:
+    """Return the columns of joint readings by their names, e.g. q1_deg; joints that follow others have none."""
+    return [f"q{i + 1}_{robot.joints[i].shown[0]}" for i in robot.driven]
+
+
+def reading_labels(robot: Robot) -> list[str]:
+    """Return the same for people, e.g. q1 [deg]."""
+    return [f"q{i + 1} [{robot.joints[i].shown[0]}]" for i in robot.driven]
+
+
+def shown_readings(robot: Robot, readings: np.ndarray) -> np.ndarray:
+    """Return readings (n, n_joints) [rad, or m] as these columns have them, shape (n, number of columns)."""
+    return np.asarray(readings[:, robot.driven] * [robot.joints[i].shown[1] for i in robot.driven])

@@ -22,7 +22,7 @@ NO_TURN = 1e-12  # rad
 
 
 @dataclass(frozen=True)
-class Origin:
+class FrameOrigin:
     """Where a frame stands in another: shifted by xyz [m], then turned by rpy [rad] about its fixed x, y and z in turn."""
 
     xyz: Vector = (0.0, 0.0, 0.0)
@@ -39,21 +39,21 @@ class Origin:
         return np.array(self.xyz) + self.rotation @ np.array(point)
 
     @property
-    def inverse(self) -> Origin:
+    def inverse(self) -> FrameOrigin:
         """Where the frame in which it stands is, seen from its own."""
-        if self == Origin():
+        if self == FrameOrigin():
             return self
         x, y, z = map(float, -self.rotation.T @ np.array(self.xyz))
-        return Origin((x, y, z), rpy_of(self.rotation.T))
+        return FrameOrigin((x, y, z), rpy_of(self.rotation.T))
 
-    def then(self, inner: Origin) -> Origin:
+    def then(self, inner: FrameOrigin) -> FrameOrigin:
         """Return the origin of a frame that stands in this one."""
-        if self == Origin():
+        if self == FrameOrigin():
             return inner
-        if inner == Origin():
+        if inner == FrameOrigin():
             return self
         x, y, z = map(float, self.at(inner.xyz))
-        return Origin((x, y, z), rpy_of(self.rotation @ inner.rotation))
+        return FrameOrigin((x, y, z), rpy_of(self.rotation @ inner.rotation))
 
 
 def about(axis: int, angle: float) -> np.ndarray:
@@ -96,7 +96,9 @@ class Axis:
         return around, float(np.arctan2(across, z)) if across > NO_TURN else (0.0 if z > 0 else np.pi)
 
 
-def joint_frame(origin: Origin, axis: Axis, before: Axis | None, zero: float = 0.0, tip: Origin | None = None) -> Frame:
+def joint_frame(
+    origin: FrameOrigin, axis: Axis, before: Axis | None, zero: float = 0.0, tip: FrameOrigin | None = None
+) -> Frame:
     """Return the frame of a joint that stands at an origin in the link before, and whose own axes its link has.
 
     before is the axis of the joint before, None for the first joint; zero [rad or m] is added to the joint's variable; tip is
@@ -140,7 +142,7 @@ def _stated(*steps: Step) -> tuple[Step, ...]:
     return tuple(step for step in steps if step.value)
 
 
-def _to_tip(tip: Origin | None) -> tuple[Step, ...]:
+def _to_tip(tip: FrameOrigin | None) -> tuple[Step, ...]:
     if tip is None:
         return ()
     (x, y, z), (roll, pitch, yaw) = tip.xyz, tip.rpy
@@ -150,7 +152,7 @@ def _to_tip(tip: Origin | None) -> tuple[Step, ...]:
     )  # fmt: skip
 
 
-def _free(origin: Origin, axis: Axis, before: Axis | None) -> frozenset[str]:
+def _free(origin: FrameOrigin, axis: Axis, before: Axis | None) -> frozenset[str]:
     """The figures whose errors are parameters of their own.
 
     What moves the joint along or about the axis before moves that joint's own frame and is counted there (of a slide every shift

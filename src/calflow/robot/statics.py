@@ -9,10 +9,9 @@ import casadi as ca
 import numpy as np
 
 from calflow.files.problems import refuse
-from calflow.robot.chain import Deflection, Posture, marker_point, pose
+from calflow.robot.chain import Deflection, Posture, marker_point, pose, reachable
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads, symbols_like
-from calflow.robot.loop import reachable
 from calflow.robot.robot import Robot
 from calflow.robot.transforms import apply
 

@@ -16,13 +16,12 @@ from calflow.deployment.inverse_kinematics import Targets, in_measuring_frame, r
 from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
 from calflow.estimation.plausibility import plausible
 from calflow.files.problems import InputError, Problem, refuse
-from calflow.measurements.cells import read_cells
-from calflow.measurements.columns import FRAME, LABELS, numbered
-from calflow.measurements.layout import Layout
+from calflow.measurements.columns import FRAME, LABELS, Layout, numbered
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import sha256
+from calflow.measurements.rows import read_cells
 from calflow.measurements.source import MeasurementSource
-from calflow.robot.readings import reading_columns
+from calflow.robot.conditions import reading_columns
 from calflow.run_folder import is_measured
 from calflow.study import Study
 

@@ -1,4 +1,7 @@
-"""Templates: the files of a new study, commented, with a robot that runs as it is."""
+"""Templates: the files of a new study, commented, with a robot that runs as it is, or one of the library.
+
+The library's robot files are of arms that people have, each with the source of its figures in its notes.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,15 @@ import re
 import tempfile
 from collections.abc import Mapping
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 
-from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.problems import InputError, Problem, nearest, refuse
 from calflow.files.writing import write_text
 from calflow.robot.formats import urdf
-from calflow.robot.formats.urdf_document import UrdfJoint, read_document
+from calflow.robot.formats.urdf import UrdfJoint, read_document
 from calflow.robot.frames import places
 from calflow.robot.robot import Robot
-from calflow.templates import library
 
 FILES = ("robot.toml", "study.toml", "truth.toml")
 SCHEMAS = ".schemas"  # folder beside a study's files in which `calflow new` writes their JSON Schemas
@@ -74,7 +77,7 @@ def _texts(study: str, robot: str, tip: str | None, base: str | None) -> dict[st
     elif tip is not None or base is not None:
         raise refuse(f"tip and base are links of a URDF: expected --robot FILE{urdf.SUFFIX}")
     elif robot:
-        described = {"robot.toml": library.text(robot)}
+        described = {"robot.toml": library_file(robot)}
     else:
         return {name: _filled(_template(name), {"STUDY_NAME": study}) for name in FILES}
     return described | _asked(study, described)
@@ -135,3 +138,40 @@ def _template(name: str) -> str:
 def _filled(text: str, said: Mapping[str, str]) -> str:
     """A text with what is said in the place of each word."""
     return re.sub("|".join(said), lambda found: said[found[0]], text)
+
+
+def library_names() -> list[str]:
+    """Return the names of the robots in the library."""
+    return sorted(file.name.removesuffix(".toml") for file in _folder().iterdir() if file.name.endswith(".toml"))
+
+
+def library_file(name: str) -> str:
+    """Return a robot's file.
+
+    Raises:
+        InputError: there is no robot of this name.
+    """
+    if name not in library_names():
+        raise refuse(
+            f"there is no robot '{name}' in the library{nearest(name, library_names())}; there are {', '.join(library_names())}"
+        )
+    return _folder().joinpath(f"{name}.toml").read_text(encoding="utf-8")
+
+
+def library_listing() -> list[tuple[str, str]]:
+    """Return each robot's name in the library and what it is."""
+    import tomllib
+
+    files = ((name, tomllib.loads(library_file(name))) for name in library_names())
+    return [(name, _summary(file)) for name, file in files]
+
+
+def _summary(file: dict[str, object]) -> str:
+    joints = file["joints"]
+    assert isinstance(joints, list)
+    weighed = all("mass_kg" in joint for joint in joints)
+    return f"{file['name']}: {len(joints)} joints, {'with' if weighed else 'no'} masses"
+
+
+def _folder() -> Traversable:
+    return resources.files(__package__).joinpath("robots")

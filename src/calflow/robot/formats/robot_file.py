@@ -14,10 +14,10 @@ from pydantic import Field as Rule
 from pydantic import ValidationInfo, field_validator, model_validator
 
 from calflow.files.problems import nearest, refuse
-from calflow.files.toml import Angle, FileModel, Length, Origin, Record, parse_toml, refuse_all, stated, validate
+from calflow.files.toml import Angle, FileModel, Length, Origin, Record, parse_toml, refuse_all, table_of, validate
 from calflow.files.units import split_unit
 from calflow.robot.formats import urdf
-from calflow.robot.formats.urdf_document import Drive, read_document
+from calflow.robot.formats.urdf import Drive, read_document
 from calflow.robot.frames import CONVENTIONS, Frame, Motion, Place, Step, convention_of
 from calflow.robot.parts import (
     STANDARD_GRAVITY,
@@ -62,7 +62,7 @@ class StepTable(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameTable(Record):
+class JointFrame(Record):
     """A joint's frame: five figures of a convention, or all its steps."""
 
     name: str = ""
@@ -96,7 +96,7 @@ class FrameTable(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointTable(JointProperties, FrameTable):
+class JointTable(JointProperties, JointFrame):
     """One joint and the link it moves."""
 
     @classmethod
@@ -126,7 +126,7 @@ class JointTable(JointProperties, FrameTable):
     def text(self) -> str:
         """The table as a file has it, a step a line."""
         dimension = "angle" if self.kind == "revolute" else "length"
-        table = stated(self, limits=dimension)
+        table = table_of(self, limits=dimension)
         steps = table.pop("steps", ())
         lines = [f"  {{{', '.join(_dumped(step).splitlines())}}},\n" for step in steps]
         return f"\n[[joints]]\n{_dumped(table)}{''.join(('steps = [', chr(10), *lines, ']', chr(10))) if lines else ''}"
@@ -200,7 +200,7 @@ class RobotFile(Surroundings):
     @property
     def text(self) -> str:
         """The file's text."""
-        table = stated(self)
+        table = table_of(self)
         after: dict[str, Any] = {name: table.pop(name) for name in ("loop", "payloads", "markers") if name in table}
         del table["joints"]
         for expected in table.get("expected", ()):

@@ -1,4 +1,4 @@
-"""URDF: the chain from a base link to a tip link, with the masses that hang on it.
+"""URDF: links and joints as they stand in the file, and the chain from a base link to a tip link with the masses on it.
 
 Fixed joints are joined to the next moving one, and what hangs on a link by fixed joints counts as part of it. The flange is
 the tip link. Up is the root link's z. Efforts and transmissions are not read: most files hold numbers nobody meant.
@@ -6,24 +6,371 @@ the tip link. Up is the root link's z. Efforts and transmissions are not read: m
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from calflow.files.problems import InputError, Problem, nearest, refuse
-from calflow.robot.formats.urdf_document import Document, Inertia, UrdfJoint, read_document
-from calflow.robot.origins import Axis, Origin, joint_frame
+from calflow.files.problems import InputError, Problem, nearest, refuse, shortened
+from calflow.files.units import LARGEST
+from calflow.files.xml import Element, read_xml
+from calflow.robot.origins import Axis, FrameOrigin, joint_frame
 from calflow.robot.parts import STANDARD_GRAVITY, Coupling, Joint, Marker, Vector, vector
+
+MOVING = ("revolute", "continuous", "prismatic")
+KINDS = (*MOVING, "fixed", "floating", "planar")
+OF_A_JOINT = ("origin", "parent", "child", "axis", "calibration", "dynamics", "limit", "mimic", "safety_controller")
+OF_A_LINK = ("inertial", "visual", "collision")
+OF_A_MASS = ("origin", "mass", "inertia")
+XACRO = "is a xacro file: expected the URDF that `xacro FILE > robot.urdf` writes"
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """A link's mass [kg] and its centre [m] in the link's frame."""
+
+    mass: float
+    com: Vector
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """Another joint that a joint follows: its variable is multiplier times the other's, and offset [rad or m] more."""
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The most that moves a joint: its effort [Nm or N] and velocity [rad/s or m/s]; None where nobody says, or says 0."""
+
+    effort: float | None = None
+    velocity: float | None = None
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """A joint: where it stands in its parent's frame, the direction of its axis in its own, its limits [rad or m] and drive."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    line: int
+    origin: FrameOrigin = field(default_factory=FrameOrigin)
+    axis: Vector = (1.0, 0.0, 0.0)
+    limits: tuple[float, float] | None = None
+    mimic: Mimic | None = None
+    drive: Drive = Drive()
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has a variable that calflow knows."""
+        return self.kind in MOVING
+
+
+@dataclass(frozen=True)
+class Document:
+    """A tree of links: the inertia of each, where it has one, and the joint that each hangs on."""
+
+    path: Path
+    name: str
+    links: Mapping[str, Inertia | None]
+    joints: Mapping[str, UrdfJoint]  # by name
+
+    @property
+    def root(self) -> str:
+        """The link that hangs on no joint."""
+        hung = {joint.child for joint in self.joints.values()}
+        return next(link for link in self.links if link not in hung)
+
+    @property
+    def leaves(self) -> tuple[str, ...]:
+        """The links on which no joint hangs."""
+        bearing = {joint.parent for joint in self.joints.values()}
+        return tuple(link for link in self.links if link not in bearing)
+
+    def above(self, link: str) -> list[UrdfJoint]:
+        """Return the joints on the way from the root to a link, in order."""
+        hung = {joint.child: joint for joint in self.joints.values()}
+        way: list[UrdfJoint] = []
+        while link in hung:
+            way.append(hung[link])
+            link = hung[link].parent
+        return way[::-1]
+
+
+def read_document(path: Path) -> Document:
+    """Read a URDF file.
+
+    Raises:
+        InputError: with all that is wrong in it.
+    """
+    root = read_xml(path)
+    reader = _Reader(path)
+    if root.tag != "robot":
+        reader.tell(root, "", f"expected <robot>, found <{root.tag}>")
+        raise InputError(reader.problems)
+    if any(":" in one.tag and one.tag.startswith("xacro") for one in root.inside):
+        reader.tell(root, "", XACRO)
+        raise InputError(reader.problems)
+    reader.misspelt(root, "robot", ("link", "joint", "material", "transmission", "gazebo"))
+    links = reader.named(root, "link")
+    joints = reader.named(root, "joint")
+    read = {name: reader.inertia(element, f"link '{name}'") for name, element in links.items()}
+    built = {name: reader.joint(element, name) for name, element in joints.items()}
+    document = Document(path, root.attributes.get("name", path.stem), read, built)
+    reader.problems.extend(_of_the_tree(document))
+    if reader.problems:
+        raise InputError(sorted(reader.problems, key=lambda one: one.line or 0))
+    return document
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Takes elements apart and gathers what is wrong with them; a wrong value counts as the one that URDF takes where none is."""
+
+    path: Path
+    problems: list[Problem] = field(default_factory=list)
+
+    def tell(self, element: Element, key: str, message: str) -> None:
+        """Add a problem."""
+        self.problems.append(Problem(message, self.path, element.line, key or None))
+
+    def misspelt(self, element: Element, key: str, known: Sequence[str]) -> None:
+        """Tell elements that look like a known one: what they state would be missed; others are extensions of other programs."""
+        for one in element.inside:
+            guess = nearest(one.tag, known)
+            if one.tag not in known and guess:
+                self.tell(one, key, f"unknown element <{shortened(one.tag)}>{guess}")
+
+    def attributes(self, element: Element, key: str, known: Sequence[str]) -> None:
+        """Tell attributes that are unknown: they would mean something that is not read."""
+        for name in element.attributes:
+            if name not in known:
+                self.tell(
+                    element,
+                    key,
+                    f"unknown attribute '{shortened(name)}'{nearest(name, known)}; expected {', '.join(known)}",
+                )
+
+    def named(self, root: Element, tag: str) -> dict[str, Element]:
+        """The elements of a tag by their names; those of the same name are told."""
+        found: dict[str, Element] = {}
+        for element in root.all(tag):
+            name = element.attributes.get("name", "")
+            if not name:
+                self.tell(element, tag, "missing: expected name")
+            elif name in found:
+                self.tell(element, f"{tag} '{name}'", f"is there twice, first in line {found[name].line}")
+            else:
+                found[name] = element
+        return found
+
+    def numbers(self, element: Element, key: str, name: str, default: Vector, unit: str) -> Vector:
+        """Three numbers of an attribute."""
+        text = element.attributes.get(name)
+        if text is None:
+            return default
+        values = [_number(word) for word in text.split()]
+        if len(values) != 3 or None in values:
+            self.tell(element, key, f"{name}: expected 3 finite numbers, found '{shortened(text)}'")
+            return default
+        if any(abs(value or 0.0) > LARGEST[unit] for value in values):
+            self.tell(element, key, f"{name}: expected at most {LARGEST[unit]:g}, found '{shortened(text)}'")
+            return default
+        return vector(value or 0.0 for value in values)
+
+    def number(self, element: Element, key: str, name: str, default: float | None = None) -> float | None:
+        """One number of an attribute; None where there is none, or what is there is none, which is told."""
+        text = element.attributes.get(name)
+        if text is None:
+            return default
+        value = _number(text)
+        if value is None:
+            self.tell(element, key, f"{name}: expected a finite number, found '{shortened(text)}'")
+        return value
+
+    def origin(self, element: Element, key: str) -> FrameOrigin:
+        """The origin inside an element; none is at the same place."""
+        found = self.once(element, key, "origin")
+        if found is None:
+            return FrameOrigin()
+        self.attributes(found, f"{key}: origin", ("xyz", "rpy"))
+        still = (0.0, 0.0, 0.0)
+        xyz = self.numbers(found, f"{key}: origin", "xyz", still, "length")
+        return FrameOrigin(xyz, self.numbers(found, f"{key}: origin", "rpy", still, "angle"))
+
+    def once(self, element: Element, key: str, tag: str) -> Element | None:
+        """The one element of a tag inside another."""
+        found = list(element.all(tag))
+        for again in found[1:]:
+            self.tell(again, key, f"<{tag}> is there twice, first in line {found[0].line}")
+        return found[0] if found else None
+
+    def inertia(self, element: Element, key: str) -> Inertia | None:
+        """A link's inertia."""
+        self.misspelt(element, key, OF_A_LINK)
+        inertial = self.once(element, key, "inertial")
+        if inertial is None:
+            return None
+        self.misspelt(inertial, key, OF_A_MASS)
+        com = self.origin(inertial, f"{key}: inertial").xyz
+        mass = self.once(inertial, key, "mass")
+        if mass is None or "value" not in mass.attributes:
+            self.tell(mass or inertial, f"{key}: inertial", "missing: expected <mass value=…/>")
+            return None
+        value = self.number(mass, f"{key}: mass", "value")
+        if value is not None and not 0 <= value <= LARGEST["mass"]:
+            self.tell(mass, f"{key}: mass", f"expected 0 to {LARGEST['mass']:g} kg, found {value:g}")
+            return None
+        return None if value is None else Inertia(value, com)
+
+    def joint(self, element: Element, name: str) -> UrdfJoint:
+        """A joint."""
+        key = f"joint '{name}'"
+        self.misspelt(element, key, OF_A_JOINT)
+        kind = element.attributes.get("type", "")
+        if kind not in KINDS:
+            found = f"found '{shortened(kind)}'{nearest(kind, KINDS)}" if kind else "found none"
+            self.tell(element, key, f"type: expected one of {', '.join(KINDS)}, {found}")
+        parent, child = (self.link(element, key, tag) for tag in ("parent", "child"))
+        joint = UrdfJoint(name, kind, parent, child, element.line, self.origin(element, key))
+        if kind not in MOVING:
+            return joint
+        return UrdfJoint(name, kind, parent, child, element.line, joint.origin, self.axis(element, key),
+                         self.limits(element, key, kind), self.mimic(element, key), _drive(element))  # fmt: skip
+
+    def link(self, element: Element, key: str, tag: str) -> str:
+        """The name of a joint's parent or child; empty where it has none."""
+        found = self.once(element, key, tag)
+        name = found.attributes.get("link", "") if found else ""
+        if not name:
+            self.tell(found or element, key, f"missing: expected <{tag} link=…/>")
+        return name
+
+    def axis(self, element: Element, key: str) -> Vector:
+        """A joint's axis, of length 1."""
+        found = self.once(element, key, "axis")
+        if found is None:
+            return (1.0, 0.0, 0.0)
+        self.attributes(found, f"{key}: axis", ("xyz",))
+        direction = np.array(self.numbers(found, f"{key}: axis", "xyz", (1.0, 0.0, 0.0), "length"))
+        length = float(np.linalg.norm(direction))
+        if length < 1e-6:
+            self.tell(found, f"{key}: axis", "xyz: expected a direction, found one without length")
+            return (1.0, 0.0, 0.0)
+        return vector(direction / length)
+
+    def limits(self, element: Element, key: str, kind: str) -> tuple[float, float] | None:
+        """A joint's limits; those of a continuous joint do not count."""
+        found = self.once(element, key, "limit")
+        if kind == "continuous":
+            return None
+        if found is None:
+            self.tell(element, key, f"missing: expected <limit lower=… upper=…/> of a {kind} joint")
+            return None
+        low, high = (self.number(found, f"{key}: limit", name, 0.0) for name in ("lower", "upper"))
+        if low is None or high is None:
+            return None
+        if not low < high:
+            self.tell(found, f"{key}: limit", f"expected lower < upper, found {low:g} and {high:g}")
+            return None
+        return low, high
+
+    def mimic(self, element: Element, key: str) -> Mimic | None:
+        """The joint that a joint follows."""
+        found = self.once(element, key, "mimic")
+        if found is None:
+            return None
+        self.attributes(found, f"{key}: mimic", ("joint", "multiplier", "offset"))
+        source = found.attributes.get("joint", "")
+        if not source:
+            self.tell(found, f"{key}: mimic", "missing: expected joint")
+            return None
+        multiplier = self.number(found, f"{key}: mimic", "multiplier", 1.0)
+        offset = self.number(found, f"{key}: mimic", "offset", 0.0)
+        return Mimic(source, 1.0 if multiplier is None else multiplier, offset or 0.0)
+
+
+def _drive(element: Element) -> Drive:
+    """A joint's drive, in which what is no number above 0 says nothing: calflow itself has no use for it."""
+    said = next((found.attributes for found in element.all("limit")), {})
+    effort, velocity = (_number(said.get(name, "")) for name in ("effort", "velocity"))
+    return Drive(effort if (effort or 0) > 0 else None, velocity if (velocity or 0) > 0 else None)
+
+
+def _number(word: str) -> float | None:
+    """A finite number as XML Schema spells it."""
+    try:
+        value = float(word) if "_" not in word else math.nan
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _of_the_tree(document: Document) -> Iterator[Problem]:
+    """Tell what keeps the links from being one tree."""
+    joints = document.joints.values()
+    if not joints:
+        yield Problem("expected links and joints, found no joint", document.path, 1)
+        return
+    carriers: dict[str, UrdfJoint] = {}
+    for joint in joints:
+        key = f"joint '{joint.name}'"
+        for tag, link in (("parent", joint.parent), ("child", joint.child)):
+            if link and link not in document.links:
+                said = f"{tag}: there is no link '{shortened(link)}'{nearest(link, document.links)}"
+                yield Problem(said, document.path, joint.line, key)
+        if joint.child in carriers:
+            said = f"child: link '{joint.child}' hangs on joint '{carriers[joint.child].name}' already"
+            yield Problem(said, document.path, joint.line, key)
+        elif joint.child:
+            carriers[joint.child] = joint
+        if joint.mimic and joint.mimic.joint not in document.joints:
+            said = f"mimic: there is no joint '{shortened(joint.mimic.joint)}'{nearest(joint.mimic.joint, document.joints)}"
+            yield Problem(said, document.path, joint.line, key)
+    yield from _circles(document, carriers)
+    roots = [link for link in document.links if link not in carriers]
+    if len(roots) > 1:
+        yield Problem(f"expected one link that hangs on no joint, found {_several(roots)}", document.path, 1, "robot")
+
+
+def _circles(document: Document, carriers: Mapping[str, UrdfJoint]) -> Iterator[Problem]:
+    """Tell each circle of joints once."""
+    done: set[str] = set()
+    for start in carriers:
+        way: list[str] = []
+        link = start
+        while link in carriers and link not in done:
+            done.add(link)
+            way.append(link)
+            link = carriers[link].parent
+        if link in way:
+            circle = way[way.index(link) :]
+            joint = carriers[circle[0]]
+            said = f"hangs on itself, by way of links {_several(circle)}"
+            yield Problem(said, document.path, joint.line, f"joint '{joint.name}'")
+
+
+def _several(names: Iterable[str]) -> str:
+    told = list(names)
+    return ", ".join(f"'{shortened(name)}'" for name in told[:10]) + (
+        f" and {len(told) - 10} more" if len(told) > 10 else ""
+    )
+
 
 SUFFIX = ".urdf"
 
 
 @dataclass(frozen=True)
-class Chain:
+class UrdfChain:
     """The joints from a base link to a tip link: up, against their direction, to the link of which both hang, and down."""
 
     document: Document
@@ -100,7 +447,7 @@ def read_urdf(path: Path, tip: str | None = None, base: str | None = None) -> di
     }
 
 
-def find_chain(document: Document, tip: str | None, base: str | None) -> Chain:
+def find_chain(document: Document, tip: str | None, base: str | None) -> UrdfChain:
     """Return the chain from a base link to a tip link.
 
     Raises:
@@ -120,7 +467,7 @@ def find_chain(document: Document, tip: str | None, base: str | None) -> Chain:
         raise InputError(unknown)
     above_base, above_tip = document.above(start), document.above(tip)
     common = sum(1 for _ in takewhile(lambda both: both[0] == both[1], zip(above_base, above_tip, strict=False)))
-    chain = Chain(document, start, tip, tuple(above_base[common:][::-1]), tuple(above_tip[common:]))
+    chain = UrdfChain(document, start, tip, tuple(above_base[common:][::-1]), tuple(above_tip[common:]))
     problems = [_problem(chain, joint, f"calflow has no joint of type '{joint.kind}' between base and tip")
                 for joint in chain.joints if joint.kind in ("floating", "planar")]  # fmt: skip
     names = [joint.name for joint in chain.moving]
@@ -137,27 +484,27 @@ def find_chain(document: Document, tip: str | None, base: str | None) -> Chain:
     return chain
 
 
-def _problem(chain: Chain, joint: UrdfJoint, message: str) -> Problem:
+def _problem(chain: UrdfChain, joint: UrdfJoint, message: str) -> Problem:
     return Problem(message, chain.document.path, joint.line, f"joint '{joint.name}'")
 
 
-def _origins(chain: Chain) -> tuple[list[Origin], Origin]:
+def _origins(chain: UrdfChain) -> tuple[list[FrameOrigin], FrameOrigin]:
     """Each moving joint's origin in the frame of the one before (the first one's in the base), and the tip's in the last one's."""
-    origins, at = [], Origin()
+    origins, at = [], FrameOrigin()
     for joint in chain.up:
         if joint.moves:
             origins.append(at)
-            at = Origin()
+            at = FrameOrigin()
         at = at.then(joint.origin.inverse)
     for joint in chain.down:
         at = at.then(joint.origin)
         if joint.moves:
             origins.append(at)
-            at = Origin()
+            at = FrameOrigin()
     return origins, at
 
 
-def _couplings(chain: Chain) -> tuple[Coupling, ...]:
+def _couplings(chain: UrdfChain) -> tuple[Coupling, ...]:
     """What joints that follow others have from those."""
     number = {joint.name: i + 1 for i, joint in enumerate(chain.moving)}
     return tuple(
@@ -175,7 +522,7 @@ def _own_limits(joint: UrdfJoint) -> tuple[float, float] | None:
     return low - joint.mimic.offset, high - joint.mimic.offset
 
 
-def _gravity(chain: Chain) -> Vector:
+def _gravity(chain: UrdfChain) -> Vector:
     """Gravity in the frame of what stands on the floor: along the root's z, all joints between them at zero.
 
     That frame is the base's, or that of the last of the joints that lead up.
@@ -187,26 +534,29 @@ def _gravity(chain: Chain) -> Vector:
     return STANDARD_GRAVITY if np.array_equal(turn, np.eye(3)) else vector(turn.T @ np.array(STANDARD_GRAVITY))
 
 
-def _carried(chain: Chain) -> list[Inertia | None]:
+def _carried(chain: UrdfChain) -> list[Inertia | None]:
     """What each moving joint's link weighs, with all that hangs on it by joints that are not of the chain, at their zero.
 
     In the joint's frame; None where no link of it has a mass.
     """
-    beside: dict[str, list[tuple[str, Origin]]] = {}
+    beside: dict[str, list[tuple[str, FrameOrigin]]] = {}
     names = {joint.name for joint in chain.moving}
     for joint in chain.document.joints.values():
         if joint.name not in names:
             beside.setdefault(joint.parent, []).append((joint.child, joint.origin))
             beside.setdefault(joint.child, []).append((joint.parent, joint.origin.inverse))
     starts = [
-        (joint.parent, joint.origin.inverse) if i < chain.ground else (joint.child, Origin())
+        (joint.parent, joint.origin.inverse) if i < chain.ground else (joint.child, FrameOrigin())
         for i, joint in enumerate(chain.moving)
     ]
     return [_lumped(chain.document.links, beside, link, at) for link, at in starts]
 
 
 def _lumped(
-    links: Mapping[str, Inertia | None], beside: Mapping[str, Sequence[tuple[str, Origin]]], link: str, at: Origin
+    links: Mapping[str, Inertia | None],
+    beside: Mapping[str, Sequence[tuple[str, FrameOrigin]]],
+    link: str,
+    at: FrameOrigin,
 ) -> Inertia | None:
     """The inertia of a link that stands at an origin, and of all that is joined to it but by the joints of the chain."""
     mass, moment, weighed = 0.0, np.zeros(3), False
@@ -226,6 +576,6 @@ def _lumped(
     return Inertia(mass, vector(moment / mass) if mass else (0.0, 0.0, 0.0))
 
 
-def _seen_from(origin: Origin, point: Vector) -> Vector:
+def _seen_from(origin: FrameOrigin, point: Vector) -> Vector:
     """A point in the frame that stands at an origin."""
     return vector(origin.rotation.T @ (np.array(point) - np.array(origin.xyz)))
