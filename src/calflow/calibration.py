@@ -67,12 +67,13 @@ from calflow.estimation.identifiability import (
     correlations,
     redundant,
 )
-from calflow.estimation.identification import FittedEffects, NoiseSource, fit_effects
+from calflow.estimation.identification import FittedEffects, fit_effects
 from calflow.estimation.judgement import JudgedResidual, Studentised, judged, judged_table
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.parameters import Covariances, FittedParameter, Parameters, covariance_table, mistaken
 from calflow.estimation.progress import Advance, Draws, Say, draws, nobody
+from calflow.estimation.repeats import NoiseSource
 from calflow.estimation.residual_field import POSES, FieldAccuracy, FieldPose, read_field
 from calflow.estimation.rival_models import AlternativeParameter, CauseInReach, in_reach_table
 from calflow.faults import Fault, FaultyRow, as_table, corrected, examined

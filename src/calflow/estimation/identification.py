@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from calflow.estimation.noise import Noise
 from calflow.estimation.noise_doubt import NoiseDoubt, doubts_of_repeats, doubts_of_residuals
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered
-from calflow.estimation.repeats import conditions, measured_noise
+from calflow.estimation.repeats import NoiseSource, conditions, noise_beside
 from calflow.files.problems import refuse
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
@@ -33,7 +32,6 @@ from calflow.model import Model, build, stated
 from calflow.observations import observations
 
 EQUILIBRIUM_ROWS = 2000  # rows at which the equilibrium is checked
-NoiseSource = Literal["auto", "repeats", "file", "estimated"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,9 +144,8 @@ def fit_effects(
     robot, observed = registered(data.robot, observations(train), train)
     data, train = data.on(robot), train.on(robot)
     nominal = build(robot, (), data.given, observed)
-    device = measured_noise(data, noise, nominal)
-
     error = leading_errors(nominal, nominal.nominal, data)
+    device = noise_beside(error, data, noise)
     doubts = doubts_of_repeats(data, error, tuple(source == "file" for source in device.sources))
     for doubt in doubts:
         say(doubt.words)

@@ -22,22 +22,31 @@ from calflow.robot.transforms import angles
 MIN_REPEATS = 10  # degrees of freedom below which repeats say too little
 
 
-def measured_noise(
-    data: Measurements, source: Literal["auto", "repeats", "file", "estimated"] = "auto", nominal: Model | None = None
-) -> Noise:
-    """Return the noise of each series by the best source there is, or by the one asked for.
+NoiseSource = Literal["auto", "repeats", "file", "estimated"]
 
-    Repeats are pooled over training poses: sigma² is the sum of squares about each pose's mean over its degrees of
-    freedom, after the nominal robot's part is taken off, so that repeats need not stand at the very same readings. Gross
-    errors are left out of it (see `scatter.pooled`). nominal is the robot as its maker says, with the data's observations.
+
+def measured_noise(data: Measurements, source: NoiseSource = "auto", nominal: Model | None = None) -> Noise:
+    """Return the noise of each series: see `noise_beside`; nominal is the robot as its maker says, with the data's observations.
 
     Raises:
         InputError: the source asked for is not in the data.
     """
     nominal = observing(nominal or Model(data.robot, (), data.given), data)
+    return noise_beside(leading_errors(nominal, nominal.nominal, data), data, source)
+
+
+def noise_beside(error: np.ndarray, data: Measurements, source: NoiseSource = "auto") -> Noise:
+    """Return the noise of each series by the best source there is, or by the one asked for.
+
+    Repeats are pooled over training poses: sigma² is the sum of squares about each pose's mean over its degrees of
+    freedom, after the nominal robot's part is taken off, so that repeats need not stand at the very same readings. Gross
+    errors are left out of it (see `scatter.pooled`). error are the nominal robot's `leading_errors`.
+
+    Raises:
+        InputError: the source asked for is not in the data.
+    """
     stated = stated_noise(data)
     sigma, sources = stated.sigma.copy(), list[Source]()
-    error = leading_errors(nominal, nominal.nominal, data)
     for k, series in enumerate(data.series):
         own = data.of_series(k)
         there = not np.isnan(sigma[own]).any()

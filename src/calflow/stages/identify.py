@@ -6,9 +6,9 @@ from pydantic import Field
 
 from calflow.calibration import TABLES, identify
 from calflow.estimation.fit_summary import IdentifySummary
-from calflow.estimation.identification import NoiseSource, too_few_equations
+from calflow.estimation.identification import too_few_equations
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.repeats import measured_noise
+from calflow.estimation.repeats import NoiseSource, measured_noise
 from calflow.files.problems import InputError, Problem, nearest
 from calflow.files.results import Results
 from calflow.files.toml import FileModel
