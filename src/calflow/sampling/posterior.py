@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calflow.estimation.accuracy import distances, errors
+from calflow.estimation.accuracy import distances, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.parameters import UNIT
 from calflow.estimation.progress import Draws
 from calflow.files.tables import column, typed
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
+from calflow.observations import leading_units
 from calflow.sampling.chain import ENOUGH_TAU, ChainLength
 from calflow.sampling.log_posterior import Laplace, LogPosterior
 from calflow.sampling.models import WeighedModels, cause_table, models_table
@@ -233,6 +235,11 @@ class PredictedError:
     covariance_yz_mm2: float = column("covariance of y and z", "mm2")
     covariance_zz_mm2: float = column("variance along z", "mm2")
     choice_share: float = column("share of these variances because another model than the one found may be right")
+    unit: str = column("the unit by which the model is judged: mm, or where no lengths were measured mrad, px, …")
+    error: float = column("as error_mm, in `unit`; its rows alone are told of")
+    expected: float = column("as expected_mm, in `unit`")
+    low: float = column("as low_mm, in `unit`")
+    high: float = column("as high_mm, in `unit`")
 
 
 def posterior_table(posterior: Posterior) -> pd.DataFrame:
@@ -280,20 +287,27 @@ def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataF
     """
     calibrated = posterior.calibrated
     data = posterior.data.only(posterior.data.train | posterior.data.held_out)
-    sigma = np.hypot(calibrated.noise(data).total, np.where(data.held_out, calibrated.elsewhere, 0.0))
+    units = leading_units(data)
+    unit = judged_unit(units)
+    data = data.only(np.array([other == unit for other in units])[data.series_number])
+    lengths = 1.0 if unit == METRE else np.nan
+    sigma = np.hypot(
+        calibrated.noise(data).total, np.where(data.held_out, np.nan_to_num(lengths) * calibrated.elsewhere, 0.0)
+    )
     drawn = mixture(posterior, data, DRAWS, rng)
     centre, covariance = drawn.mean, drawn.covariance
-    error = 1e3 * distances(centre)
+    error = unit.shown(distances(centre))
     expected = np.empty((len(drawn.level), len(data)))
     for k, level in enumerate(drawn.level):
         noise = (level * sigma)[:, None] * rng.standard_normal(centre.shape)
-        expected[k] = 1e3 * distances(drawn.errors[k] + noise - centre)
+        expected[k] = unit.scale * distances(drawn.errors[k] + noise - centre)
     low, middle, high = np.quantile(expected, [0.025, 0.5, 0.975], axis=0)
     table = data.table[["pose", "repeat", "marker", "split"]].assign(
-        error_mm=error, expected_mm=middle, low_mm=low, high_mm=high, covered=(error >= low) & (error <= high),
-        **{f"d{axis}_mm": 1e3 * centre[:, i] for i, axis in enumerate("xyz")},
-        **{f"covariance_{'xyz'[i]}{'xyz'[j]}_mm2": 1e6 * covariance[:, i, j] for i in range(3) for j in range(i, 3)},
-        choice_share=drawn.of_choice,
+        error_mm=lengths * error, expected_mm=lengths * middle, low_mm=lengths * low, high_mm=lengths * high,
+        covered=(error >= low) & (error <= high),
+        **{f"d{axis}_mm": 1e3 * lengths * centre[:, i] for i, axis in enumerate("xyz")},
+        **{f"covariance_{'xyz'[i]}{'xyz'[j]}_mm2": 1e6 * lengths * covariance[:, i, j] for i in range(3) for j in range(i, 3)},
+        choice_share=drawn.of_choice, unit=unit.label, error=error, expected=middle, low=low, high=high,
     )  # fmt: skip
     heldout = table[table["split"] == "holdout"]
     coverage = heldout["covered"].mean() if len(heldout) else np.nan

@@ -23,6 +23,7 @@ from calflow.deployment.usability import Advice
 from calflow.effects.cause import Cause
 from calflow.effects.words import cause_name
 from calflow.files.results import Results
+from calflow.files.units import METRE
 from calflow.files.words import cut, listed, percent, readable, with_sd
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
 from calflow.reporting.material import Material, latest_parameters
@@ -114,8 +115,10 @@ def corner(draws: np.ndarray, labels: Sequence[str]) -> Figure:
     return drawn
 
 
-def predictions(error: np.ndarray, low: np.ndarray, high: np.ndarray, covered: np.ndarray) -> Figure:
-    """Draw errors [mm] against the interval in which each was expected, rows ordered by the interval's end."""
+def predictions(
+    error: np.ndarray, low: np.ndarray, high: np.ndarray, covered: np.ndarray, unit: str = METRE.label
+) -> Figure:
+    """Draw errors [unit] against the interval in which each was expected, rows ordered by the interval's end."""
     drawn = figure(2.2)
     axes = drawn.add_subplot()
     order = np.argsort(high, kind="stable")
@@ -130,7 +133,7 @@ def predictions(error: np.ndarray, low: np.ndarray, high: np.ndarray, covered: n
             at[~covered], error[~covered], 2.2 * size, color=ACCENT, marker="x", linewidths=1.0, label="outside"
         )
     axes.set(
-        xlabel="rows, ordered by expected error", ylabel="error [mm]", xlim=(0.3, len(error) + 0.7), ylim=(0, None)
+        xlabel="rows, ordered by expected error", ylabel=f"error [{unit}]", xlim=(0.3, len(error) + 0.7), ylim=(0, None)
     )
     axes.legend(loc="upper left", ncols=3)
     return drawn
@@ -420,8 +423,9 @@ SURPRISE = 0.01  # probability below which a coverage is not chance
 def _predictions(material: Material) -> list[Block]:
     """Draw held-out errors with their intervals and count how many lie inside."""
     rows, words = _judged(material.results)
-    error, low, high = rows[["error_mm", "low_mm", "high_mm"]].to_numpy(dtype=float).T
-    drawn = predictions(error, low, high, rows["covered"].to_numpy(dtype=bool))
+    names = [f"{name}_mm" if material.unit == METRE else name for name in ("error", "low", "high")]
+    error, low, high = rows[names].to_numpy(dtype=float).T
+    drawn = predictions(error, low, high, rows["covered"].to_numpy(dtype=bool), material.unit.label)
     return [
         Paragraph(f"The model predicts how large each error should be. {coverage_words(material.results)}", keep=True),
         Plot("predictions", drawn, f"Errors of {words} against the interval in which each was expected (95 %).", rows),
