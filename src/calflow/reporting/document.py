@@ -1,8 +1,4 @@
-"""The PDF: a report's blocks as typst markup with their drawings.
-
-Letters that the report's own fonts lack: a font of this machine that has them, else their numbers.
-The report, written: its sections with their figures as one PDF and as one page.
-"""
+"""The report as a PDF: its blocks as typst markup, in fonts that have their letters."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What the sections are written from: the study, its measurements and the results, with what is derived from them.
-
-The findings of a run.
-"""
+"""What the sections are written from: what was asked, the measurements, the calibrated model, and what follows from them."""
 
 from __future__ import annotations
 

@@ -1,11 +1,7 @@
-"""The page's elements: each block as a reader sees it in a browser.
+"""report.html: the sections of the PDF as one file that a browser shows without any network.
 
-HTML elements: whatever is not an element itself is escaped where it enters one.
-The numbers of all figures of a page: a column that several figures show is stored once, in few bytes.
-
-report.html: the sections of the PDF as one file that a browser shows without any network.
-
-Drawings as small pictures, so that a page with every figure can be sent by mail, however many rows are in them.
+Whatever is not HTML already is escaped where it enters an element. Drawings are small pictures, and a column that several figures
+show is stored once, in few bytes, so that a page with every figure can be sent by mail, however many rows are in them.
 """
 
 from __future__ import annotations

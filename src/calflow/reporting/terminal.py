@@ -1,7 +1,4 @@
-"""What a run ends with: the accuracy, what was found and page one's verdict, as plain lines.
-
-The measuring loop as a terminal tells it: what the measurements say, whether that is enough, and what is in doubt.
-"""
+"""What a terminal shows: of a run as it ends, and of a round of the measuring loop."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Sections: one file each, which defines SECTION; the report holds those whose tables are there."""
+"""Sections: each `Section` that a file here defines is in the report where its tables are there."""

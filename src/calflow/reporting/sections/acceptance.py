@@ -1,7 +1,4 @@
-"""The section on acceptance: what was measured with what, whether it is good enough, and where to sign.
-
-A calibration held against the tolerance that its study asks for.
-"""
+"""Acceptance: what was measured with what, the tolerance that was asked for held against it, and where to sign."""
 
 from __future__ import annotations
 

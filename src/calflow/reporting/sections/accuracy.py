@@ -1,8 +1,4 @@
-"""The section on accuracy, and what a poor fit asks for.
-
-Figures of accuracy: before and after, the error budget, and the distribution of errors.
-The section on the residual field: a correction that is not physical, what it gains, and where it ends.
-"""
+"""Accuracy: how far off each model is, what a poor fit asks for, and what a correction that is not physical would gain."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The appendix: the facts of the run.
-
-The summaries of identify and diagnose as an appendix tells them: what was found, item by item.
-"""
+"""The appendix: the facts of the run, of what was asked and how identify and diagnose ended."""
 
 from __future__ import annotations
 

@@ -1,12 +1,4 @@
-"""The section on causes: what the study's model lacked, how sure that is, and what stays unexplained.
-
-A finding told: what it is, how sure that is, what it gained, and its curve.
-
-What tells a finding from its rivals: further poses, or something else at the robot.
-What a cause, or what no cause explains, takes off the error at poses that no fit has seen.
-What no cause explains: what it depends on, and how much it matters.
-The causes on the first page: what the study's model lacked, and what the data leave open of it.
-"""
+"""Causes: what the study's model lacked, how sure that is, what it gained, and what stays unexplained."""
 
 from __future__ import annotations
 
@@ -50,41 +42,41 @@ GAINS = (
 )
 
 
-def gain_words(one: Finding, floor: float | None) -> str:
+def gain_words(finding: Finding, floor: float | None) -> str:
     """Say what a cause gained on poses that no fit has seen; floor is what noise alone would leave [mm]."""
-    gain, low, high = one.gain
+    gain, low, high = finding.gain
     if math.isnan(gain):
         return "No poses were held out, so what it is worth at other poses is not known."
-    unit = one.error_unit
+    unit = finding.error_unit
     interval = f"95 % interval {_signed(low)} to {_signed(high)} {unit}"
-    noise = f"; noise alone would leave {mm(floor)} {one.error_unit}" if floor else ""
+    noise = f"; noise alone would leave {mm(floor)} {finding.error_unit}" if floor else ""
     if low > 0:
         return (
-            f"At poses that no fit has seen it takes {mm(gain)} {one.error_unit} off the mean error ({interval}) and leaves "
-            f"{mm(one.left)} {one.error_unit}{noise}."
+            f"At poses that no fit has seen it takes {mm(gain)} {finding.error_unit} off the mean error ({interval}) and leaves "
+            f"{mm(finding.left)} {finding.error_unit}{noise}."
         )
     if high < 0:
         return f"At poses that no fit has seen it makes the mean error {mm(-gain)} {unit} larger ({interval}): do not rely on it."
     return (
         f"At poses that no fit has seen the step that added it gained {_signed(gain)} {unit}, which cannot be told from nothing "
-        f"({interval}); {mm(one.left)} {one.error_unit} are left{noise}."
+        f"({interval}); {mm(finding.left)} {finding.error_unit} are left{noise}."
     )
 
 
-def gain_cells(one: Finding) -> tuple[str, str]:
+def gain_cells(finding: Finding) -> tuple[str, str]:
     """Return a gain and its interval for a table."""
-    gain, low, high = one.gain
+    gain, low, high = finding.gain
     if math.isnan(gain):
         return "–", "–"
     return _signed(gain), f"{_signed(low)} … {_signed(high)}"
 
 
-def worth(one: Finding) -> str:
+def worth(finding: Finding) -> str:
     """Say what a Gaussian process would gain."""
-    gain, low, high = one.gain
+    gain, low, high = finding.gain
     if math.isnan(gain):
         return ""
-    unit = one.error_unit
+    unit = finding.error_unit
     interval = f"95 % interval {_signed(low)} to {_signed(high)} {unit}"
     if low <= 0:
         return f" How much it matters at other poses cannot be told (a Gaussian process gains {_signed(gain)} {unit}, {interval})."
@@ -96,14 +88,14 @@ def worth(one: Finding) -> str:
 
 def gained(material: Material, causes: Sequence[Finding]) -> list[Block]:
     """Draw what each cause took off, one after the other."""
-    moved = [one for one in causes if math.isfinite(one.gain[0])]
+    moved = [finding for finding in causes if math.isfinite(finding.gain[0])]
     if not moved:
         return []
     start = study_steps(material.results, split_judged(material.results))[-1].mean
-    drawn = gains(start, labels(moved), [one.left for one in moved], np.array([one.gain[1:] for one in moved]),
+    drawn = gains(start, labels(moved), [finding.left for finding in moved], np.array([finding.gain[1:] for finding in moved]),
                   material.noise_floor, material.unit.label)  # fmt: skip
     data = pd.DataFrame(
-        [(name, *one.gain, one.left) for name, one in zip(labels(moved), moved, strict=True)],
+        [(name, *finding.gain, finding.left) for name, finding in zip(labels(moved), moved, strict=True)],
         columns=[
             "cause",
             *(f"{name}_{material.unit.label}" for name in ("gain_mean", "gain_low", "gain_high", "heldout_mean")),
@@ -117,8 +109,11 @@ def gained(material: Material, causes: Sequence[Finding]) -> list[Block]:
 
 def labels(causes: Sequence[Finding]) -> list[str]:
     """Return the causes' names, with their details where a name comes twice."""
-    names = [one.name for one in causes]
-    return [f"{one.name} ({one.detail})" if names.count(one.name) > 1 and one.detail else one.name for one in causes]
+    names = [finding.name for finding in causes]
+    return [
+        f"{finding.name} ({finding.detail})" if names.count(finding.name) > 1 and finding.detail else finding.name
+        for finding in causes
+    ]
 
 
 def _signed(value: float) -> str:
@@ -130,10 +125,10 @@ def still_unexplained(left: Sequence[Finding]) -> list[Block]:
     if not left:
         return []
     items = [
-        ("The model as a whole:", f"{first_up(one.statement)}.") if one.is_misfit else
-        (f"{first_up(one.inputs_in_words)}:", f"part of the error depends on it, and no cause of the catalogue explains it. The "
-         f"chance that noise looks like this is {chance(one.p_family)}.{worth(one)}")
-        for one in left
+        ("The model as a whole:", f"{first_up(finding.statement)}.") if finding.is_misfit else
+        (f"{first_up(finding.inputs_in_words)}:", f"part of the error depends on it, and no cause of the catalogue explains it. "
+         f"The chance that noise looks like this is {chance(finding.p_family)}.{worth(finding)}")
+        for finding in left
     ]  # fmt: skip
     return [
         Heading("What stays unexplained"),
@@ -145,17 +140,17 @@ def still_unexplained(left: Sequence[Finding]) -> list[Block]:
 def structure(results: Results) -> str:
     """Name what the unexplained part of the error depends on; empty where nothing is unexplained."""
     left = unexplained_findings(results)
-    return listed([one.inputs_in_words for one in left], 3) if left else ""
+    return listed([finding.inputs_in_words for finding in left], 3) if left else ""
 
 
 def unexplained_findings(results: Results) -> list[Finding]:
     """Return what stays unexplained and depends on an input."""
-    return [one for one in findings(results) if one.status == "unexplained" and not one.is_misfit]
+    return [finding for finding in findings(results) if finding.status == "unexplained" and not finding.is_misfit]
 
 
 def lack_of_fit(results: Results) -> str:
     """Say that the extended model leaves more than its noise, and where most; empty where it does not."""
-    p = next((one.p_family for one in findings(results) if one.is_misfit), None)
+    p = next((finding.p_family for finding in findings(results) if finding.is_misfit), None)
     if p is None:
         return ""
     summary = results.document("diagnose/summary.json", DiagnosisSummary)
@@ -211,11 +206,11 @@ CURVES = (
 def _causes(material: Material) -> list[Block]:
     """Tell each finding in words and figures, then what is left."""
     found = findings(material.results)
-    causes = [one for one in found if one.is_cause]
-    left = [one for one in found if one.status == "unexplained"]
+    causes = [finding for finding in found if finding.is_cause]
+    left = [finding for finding in found if finding.status == "unexplained"]
     return [
         *_opening(material, found),
-        *[block for k, one in enumerate(causes, start=1) for block in _finding(material, one, k)],
+        *[block for k, finding in enumerate(causes, start=1) for block in _finding(material, finding, k)],
         *gained(material, causes),
         *still_unexplained(left),
         *space(material, causes),
@@ -229,17 +224,17 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
         f"surroundings. A cause counts as found where, with nothing hidden, fewer than {100 * threshold(material):.2g} % of such "
         f"searches would find anything.{_mended(every)}"
     )
-    found = [one for one in every if one.status != FAULT]
+    found = [finding for finding in every if finding.status != FAULT]
     if not found:
         best = strongest(candidates(material.results))
         unseen = f" But {summary.unseen}." if summary.unseen else ""
         return [Paragraph(NOTHING + unseen, bold=True), Paragraph(f"{searched}{best}")]
     order = count(1)
     rows = [
-        (str(next(order)) if one.is_cause else "–", _title(one), one.amount if one.is_cause and one.unit else "–",
-         STATUS.get(one.status, one.status),
-         chance_figure(one.p_family), sureness(one.probability), *gain_cells(one))
-        for one in found
+        (str(next(order)) if finding.is_cause else "–", _title(finding),
+         finding.amount if finding.is_cause and finding.unit else "–", STATUS.get(finding.status, finding.status),
+         chance_figure(finding.p_family), sureness(finding.probability), *gain_cells(finding))
+        for finding in found
     ]  # fmt: skip
     header = (
         "",
@@ -251,41 +246,41 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
         f"gain [{found[0].error_unit}]",
         "95 % interval",
     )
-    told = any(one.is_cause for one in found)
+    told = any(finding.is_cause for finding in found)
     first = [] if told else [Paragraph("No cause of the catalogue was found.", bold=True)]
     listing: list[Block] = [Paragraph(NO_PROOF), Table(header, rows, "rlrlrrrr", size=8, wide=1)]
     return [
         *first,
         Paragraph(searched),
         *listing,
-        *([Paragraph(CURVES)] if any(moves(material, one) for one in found) else []),
+        *([Paragraph(CURVES)] if any(moves(material, finding) for finding in found) else []),
     ]
 
 
 def _mended(every: Sequence[Finding]) -> str:
     """Say that the search was made on data whose faults were seen to."""
-    faults = dict.fromkeys(effect_words(one.cause) for one in every if one.status == FAULT)
+    faults = dict.fromkeys(effect_words(finding.cause) for finding in every if finding.status == FAULT)
     return (
         f" Faults of the data ({listed(list(faults))}) were seen to before: see the section on them." if faults else ""
     )
 
 
-def _title(one: Finding) -> str:
-    if one.is_misfit:
-        return f"more than noise{f', most where {one.detail}' if one.detail else ''}"
-    if one.status == "unexplained":
-        return f"depends on {one.inputs_in_words}"
-    return one.names
+def _title(finding: Finding) -> str:
+    if finding.is_misfit:
+        return f"more than noise{f', most where {finding.detail}' if finding.detail else ''}"
+    if finding.status == "unexplained":
+        return f"depends on {finding.inputs_in_words}"
+    return finding.names
 
 
 RIVALS_TOLD = 3  # rivals that a finding's own text names
 
 
-def apart(one: Finding, results: Results) -> list[str]:
+def apart(finding: Finding, results: Results) -> list[str]:
     """Say what would tell a cause from its rivals."""
     said = []
     for row in _separations(results):
-        if (row.cause, row.joint) != (one.cause, one.joint):
+        if (row.cause, row.joint) != (finding.cause, finding.joint):
             continue
         if row.chance_after < ENOUGH:
             after = row.separation_after_sd if row.tested else None
@@ -320,7 +315,7 @@ def next_poses(results: Results) -> list[Advice]:
 
 def other_means(results: Results) -> list[Advice]:
     """Where no pose tells a cause from its rival, something else does."""
-    open_ = {(one.cause, one.joint) for one in findings(results) if one.status == "one_of"}
+    open_ = {(finding.cause, finding.joint) for finding in findings(results) if finding.status == "one_of"}
     means: dict[str, list[str]] = {}
     for row in _separations(results):
         if row.chance_after < ENOUGH and (row.cause, row.joint) in open_:
@@ -348,83 +343,94 @@ WANDERED = "What the device reports shifts in the course of the measurement"
 ARROWS = 700  # arrows in the workspace
 
 
-def _finding(material: Material, one: Finding, number: int) -> list[Block]:
+def _finding(material: Material, finding: Finding, number: int) -> list[Block]:
     """Tell a cause, the number of which counts those found, in words and figures."""
-    head = f"{number}. {first_up(one.names)}"
+    head = f"{number}. {first_up(finding.names)}"
     text = " ".join(
         part
-        for part in (_what(one), how_sure(one), *apart(one, material.results), _gained_words(material, one))
+        for part in (
+            _what(finding),
+            how_sure(finding),
+            *apart(finding, material.results),
+            _gained_words(material, finding),
+        )
         if part
     )
-    return [Heading(head), Paragraph(text), *_curves(material, one)]
+    return [Heading(head), Paragraph(text), *_curves(material, finding)]
 
 
-def _what(one: Finding) -> str:
-    words = cause_words(one.cause)
-    size = f"{words.size} {one.amount}" if one.unit else ""
-    if one.of_family:
-        best = f"{words.name} ({one.detail})" if one.detail else words.name
-        off = f"The angle of joint {one.joint} is off by an amount that goes with the angle" if one.joint else WANDERED
+def _what(finding: Finding) -> str:
+    words = cause_words(finding.cause)
+    size = f"{words.size} {finding.amount}" if finding.unit else ""
+    if finding.of_family:
+        best = f"{words.name} ({finding.detail})" if finding.detail else words.name
+        off = (
+            f"The angle of joint {finding.joint} is off by an amount that goes with the angle"
+            if finding.joint
+            else WANDERED
+        )
         return f"{off}; best described as {best}: {size}."
     said = first_up(words.what or words.name)
     return f"{said}: {size} (1 sd)." if size and "±" in size else f"{said}{f': {size}' if size else ''}."
 
 
-def how_sure(one: Finding) -> str:
+def how_sure(finding: Finding) -> str:
     """Say how sure it is that there is something, and how sure its name is."""
-    said = [f"The chance that noise alone makes any cause look like this is {chance(one.p_family)}."]
-    if one.of_family:
-        kin = first_up(listed([cause_words(name).name for name in one.kin]))
+    said = [f"The chance that noise alone makes any cause look like this is {chance(finding.p_family)}."]
+    if finding.of_family:
+        kin = first_up(listed([cause_words(name).name for name in finding.kin]))
         sure = "That it goes with the joint's angle is sure; its order, or finer form, is not."
-        said.append(sure if one.joint else "That it goes with the time is sure; its course is not.")
-        said += [f"{kin} would do as well."] if one.kin else []
-    if one.others:
-        named = [other for other in one.others if other.cause != UNEXPLAINED]
-        tested = [other.name for other in named if other.cause not in one.not_tested]
-        untested = [other.name for other in named if other.cause in one.not_tested]
+        said.append(sure if finding.joint else "That it goes with the time is sure; its course is not.")
+        said += [f"{kin} would do as well."] if finding.kin else []
+    if finding.others:
+        named = [other for other in finding.others if other.cause != UNEXPLAINED]
+        tested = [other.name for other in named if other.cause not in finding.not_tested]
+        untested = [other.name for other in named if other.cause in finding.not_tested]
         verb = "explains" if len(tested) == 1 else "explain"
         why = [f"{listed(tested, 5)} {verb} these data as well, or nearly so"] if tested else []
         why += [f"{listed(untested, 5)} could not be tested with these data"] if untested else []
-        why += ["something that no cause explains may be all of it"] if len(named) < len(one.others) else []
+        why += ["something that no cause explains may be all of it"] if len(named) < len(finding.others) else []
         said.append(
-            f"Its name is less sure: {', and '.join(why)} (probability of {cause_name(one.cause, one.joint)}: "
-            f"{sureness(one.probability)})."
+            f"Its name is less sure: {', and '.join(why)} (probability of {cause_name(finding.cause, finding.joint)}: "
+            f"{sureness(finding.probability)})."
         )
-    elif UNEXPLAINED in one.cannot_tell_from:
+    elif UNEXPLAINED in finding.cannot_tell_from:
         said.append(
             "Its name is not sure: something that no cause explains depends on the same input, and may be all of it."
         )
-    elif not one.of_family:
+    elif not finding.of_family:
         said.append(
-            f"Nothing else that was tested explains the data nearly as well (probability {sureness(one.probability)})."
+            f"Nothing else that was tested explains the data nearly as well (probability {sureness(finding.probability)})."
         )
-    if one.carries_over is False:
+    if finding.carries_over is False:
         said.append("It does not hold in blocks of the fitted poses that were left out: do not rely on its name.")
     return " ".join(said)
 
 
-def _gained_words(material: Material, one: Finding) -> str:
-    if not moves(material, one):
+def _gained_words(material: Material, finding: Finding) -> str:
+    if not moves(material, finding):
         return "It changes how much each row counts, not where the tool is predicted."
-    return gain_words(one, material.noise_floor)
+    return gain_words(finding, material.noise_floor)
 
 
-def moves(material: Material, one: Finding) -> bool:
+def moves(material: Material, finding: Finding) -> bool:
     """Whether a finding is in the model of the position, and not in that of the noise."""
-    return one.is_cause and bool((material.tables["diagnose/curves.csv"]["finding"].isin(one.numbers)).any())
+    return finding.is_cause and bool((material.tables["diagnose/curves.csv"]["finding"].isin(finding.numbers)).any())
 
 
-def _curves(material: Material, one: Finding) -> list[Block]:
+def _curves(material: Material, finding: Finding) -> list[Block]:
     every = material.tables["diagnose/curves.csv"]
-    drawn = [every[(every["finding"] == number) & every["split"].isin(["train", "holdout"])] for number in one.numbers]
+    drawn = [
+        every[(every["finding"] == number) & every["split"].isin(["train", "holdout"])] for number in finding.numbers
+    ]
     return [
-        _curve_figure(one, rows, number, material.unit)
-        for rows, number in zip(drawn, one.numbers, strict=True)
+        _curve_figure(finding, rows, number, material.unit)
+        for rows, number in zip(drawn, finding.numbers, strict=True)
         if not rows.empty
     ]
 
 
-def _curve_figure(one: Finding, rows: pd.DataFrame, number: int, error_unit: MeasurementUnit) -> Block:
+def _curve_figure(finding: Finding, rows: pd.DataFrame, number: int, error_unit: MeasurementUnit) -> Block:
     errors = [f"{name}_mm" if error_unit == METRE else name for name in ("before", "after", "fitted")]
     x, before, after, fitted = rows[["x", *errors]].to_numpy(dtype=float).T
     unit = "" if pd.isna(rows["variable_unit"].iloc[0]) else str(rows["variable_unit"].iloc[0])
@@ -438,7 +444,7 @@ def _curve_figure(one: Finding, rows: pd.DataFrame, number: int, error_unit: Mea
         unit,
         error_unit.label,
     )
-    said = one.name if len(one.numbers) == 1 else cause_name(str(rows["cause"].iloc[0]), one.joint)
+    said = finding.name if len(finding.numbers) == 1 else cause_name(str(rows["cause"].iloc[0]), finding.joint)
     caption = f"{first_up(said)}: errors without it, with it, and against what it explains."
     told = rows[["variable", "variable_unit", "x", *errors, "split"]]
     return Plot(f"cause_{number}", drawn, caption, told)
@@ -446,7 +452,7 @@ def _curve_figure(one: Finding, rows: pd.DataFrame, number: int, error_unit: Mea
 
 def space(material: Material, causes: Sequence[Finding]) -> list[Block]:
     """Draw the errors before and after the causes were added."""
-    if not any(moves(material, one) for one in causes):
+    if not any(moves(material, finding) for finding in causes):
         return []
     position, before, after = 1e3 * material.place, material.error_before, material.error
     whole = np.isfinite(before).all(axis=1)
@@ -480,7 +486,7 @@ def foremost(results: Results) -> list[str]:
 
 def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
     """Say for the first page in a line each what the model lacked: what gains most first, what gains nothing last, as such."""
-    causes = [one for one in findings(results) if one.is_cause]
+    causes = [finding for finding in findings(results) if finding.is_cause]
     summary = results.document("diagnose/summary.json", DiagnosisSummary)
     if not causes:
         more = unexplained_findings(results) or lack_of_fit(results)
@@ -501,34 +507,38 @@ def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
     return said
 
 
-def _in_vain(one: Finding) -> bool:
+def _in_vain(finding: Finding) -> bool:
     """Whether the step that added a cause shows no gain at poses that no fit has seen."""
-    return math.isfinite(one.gain[0]) and not one.gain[1] > 0
+    return math.isfinite(finding.gain[0]) and not finding.gain[1] > 0
 
 
-def _mean_gain(one: Finding) -> float:
+def _mean_gain(finding: Finding) -> float:
     """What a cause takes off the mean error; nothing where that is not known."""
-    return one.gain[0] if math.isfinite(one.gain[0]) else 0.0
+    return finding.gain[0] if math.isfinite(finding.gain[0]) else 0.0
 
 
-def _line(one: Finding) -> str:
-    gained = f"; it takes {mm(one.gain[0])} {one.error_unit} off the mean error" if math.isfinite(one.gain[0]) else ""
-    return f"{one.amount}{gained}."
+def _line(finding: Finding) -> str:
+    gained = (
+        f"; it takes {mm(finding.gain[0])} {finding.error_unit} off the mean error"
+        if math.isfinite(finding.gain[0])
+        else ""
+    )
+    return f"{finding.amount}{gained}."
 
 
 def unsure(results: Results) -> list[str]:
     """Say for the first page which names and which structure the data leave open."""
     said = []
-    for one in findings(results):
-        if one.of_family:
-            said.append(f"The order, or finer form, of the {one.name}.")
-        if UNEXPLAINED in one.cannot_tell_from:
-            said.append(f"Whether it is {one.name} at all, or a part of what stays unexplained.")
-        elif one.status == "one_of" and one.others:
-            said.append(f"Whether it is {' or '.join([one.name, *(rival.name for rival in one.others[:3])])}.")
+    for finding in findings(results):
+        if finding.of_family:
+            said.append(f"The order, or finer form, of the {finding.name}.")
+        if UNEXPLAINED in finding.cannot_tell_from:
+            said.append(f"Whether it is {finding.name} at all, or a part of what stays unexplained.")
+        elif finding.status == "one_of" and finding.others:
+            said.append(f"Whether it is {' or '.join([finding.name, *(rival.name for rival in finding.others[:3])])}.")
     left = unexplained_findings(results)
     why = f"Why a part of the error depends on {structure(results)}: no cause of the catalogue explains it."
-    gain = max((one.gain[0] for one in left if one.gain[1] > 0), default=0.0)
+    gain = max((finding.gain[0] for finding in left if finding.gain[1] > 0), default=0.0)
     worth = f" What depends on it is worth {mm(gain)} {left[0].error_unit} of the mean error, or more." if gain else ""
     return [*said, why + worth] if left else said
 

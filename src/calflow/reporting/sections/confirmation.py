@@ -1,7 +1,4 @@
-"""The section on confirmation: what an independent series of measurements says of the joint errors found.
-
-The figure of joint errors found on two series of measurements.
-"""
+"""Confirmation: what an independent series of measurements says of the joint errors found."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The section for the controller: the calibrated figures to type in, beside their differences from the robot file.
-
-The figures that a controller takes, from a calibrated model: as the maker counts them, in mm and degrees.
-"""
+"""Figures for the controller: as the maker counts them, in mm and degrees, beside their differences from the robot file."""
 
 from __future__ import annotations
 

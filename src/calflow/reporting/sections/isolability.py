@@ -1,6 +1,4 @@
-"""The section on what planned poses tell apart: which causes they would show, and which gaps could be filled.
-
-Figure of what a plan of poses shows and tells apart."""
+"""Isolability: which causes the planned poses would show and tell apart, and which gaps could be filled."""
 
 from __future__ import annotations
 

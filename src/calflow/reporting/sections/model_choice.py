@@ -1,7 +1,4 @@
-"""The section on which causes act: all models in reach of what was found, each as probable as its evidence makes it.
-
-Figure of how probable causes are, among the models that may be right.
-"""
+"""Model choice: all models in reach of what was found, each as probable as its evidence makes it."""
 
 from __future__ import annotations
 

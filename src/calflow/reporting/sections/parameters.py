@@ -1,9 +1,4 @@
-"""The section on parameters: what was identified, how surely, and what is only prior knowledge.
-
-Figure of the parameters: estimates against what was known before.
-
-The section on identifiability: what the data determine and what they cannot tell.
-"""
+"""Parameters: what was identified, how surely, what is prior knowledge alone, and what the data cannot tell."""
 
 from __future__ import annotations
 

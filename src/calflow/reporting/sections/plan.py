@@ -1,10 +1,4 @@
-"""The first page of a plan: how many poses, how sure they make the tool, what they cannot tell apart, and what to do.
-
-The section on planned poses: how many are worth it, and which.
-Figures of what a number of poses is worth.
-The section on what one thing more is worth: a payload, a marker, a station, a repeat, ten poses.
-The section on the order of the poses: what a drift that nobody sees would pull, and from which side joints come.
-"""
+"""The plan: how many poses, which and in what order, how sure they make the tool, and what one thing more is worth."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""The section on the sampled posterior: is it to be trusted, and how does it differ from the approximation.
-
-The sampled chain in the parameters' own units, thinned to what a figure can show.
-
-Figures of the posterior: against Laplace's approximation, traces, corner, and held-out predictions.
-The section on predictions: do held-out errors lie where the posterior says they should.
-"""
+"""The posterior: whether its samples can be trusted, how it differs from the approximation, and whether its predictions hold."""
 
 from __future__ import annotations
 

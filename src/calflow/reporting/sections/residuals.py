@@ -1,7 +1,4 @@
-"""The section on residuals: where the model is still wrong, and which rows do not fit.
-
-Figures of residuals: where in the workspace, and against what the robot did.
-"""
+"""Residuals: where the model is still wrong, in the workspace and along each joint, and which rows do not fit."""
 
 from __future__ import annotations
 

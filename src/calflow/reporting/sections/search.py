@@ -1,7 +1,4 @@
-"""The section on the search for causes: which places spoke, how small a cause would have shown, what could not be tested.
-
-How the search went: the places that spoke most strongly, how small a cause these data show, and what was not testable.
-"""
+"""The search for causes: which places spoke, how small a cause would have shown, and what could not be tested."""
 
 from __future__ import annotations
 

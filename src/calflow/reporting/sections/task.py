@@ -1,9 +1,4 @@
-"""The section on the task: how far off the tool may be where the robot works.
-
-What the report says of the task: whether the robot is accurate enough where it works.
-
-Figures of the task: how far off the tool may be, where in space and along a path.
-"""
+"""The task: how far off the tool may be where the robot works, in space and along a path, and whether that is enough."""
 
 from __future__ import annotations
 

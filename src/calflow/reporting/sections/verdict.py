@@ -1,8 +1,4 @@
-"""The first page: what calibration gained, how sure that is, what stays open and what to do next.
-
-Further steps: what is advised besides what the first page has room for.
-Where the experts' part begins.
-"""
+"""The first page: what calibration gained, how sure that is, what stays open and what to do next."""
 
 from __future__ import annotations
 
