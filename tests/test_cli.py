@@ -145,7 +145,7 @@ def test_ctrl_c_is_heeded_inside_a_fit(small):
 
 def test_an_interruption_that_nobody_asks_for_comes_again():
     """Fails if Ctrl-C, cleared by compiled code, is forgotten where no progress is told; or comes after the stage stopped."""
-    with progress.Lines() as listener:
+    with progress.ProgressLines() as listener:
         with contextlib.suppress(KeyboardInterrupt):  # as a library's clean-up does
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):  # noqa: PT012
@@ -372,7 +372,7 @@ def test_simulate_does_not_write_over_measurements(small):
 
 def test_an_interruption_that_a_library_swallows_is_heeded():
     """Fails if Ctrl-C, cleared by compiled code, leaves a run that goes on for hours."""
-    with progress.Lines() as listener:
+    with progress.ProgressLines() as listener:
         with contextlib.suppress(KeyboardInterrupt):  # as a library's clean-up does
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.deployment.compensation import clearance, compensate_rows, not_known
-from calflow.deployment.inverse_kinematics import FrameTable, Targets, in_measuring_frame
+from calflow.deployment.inverse_kinematics import FrameTable, Targets, targets_in_measuring_frame
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
@@ -132,13 +132,13 @@ def test_a_target_may_be_in_the_base_or_in_a_fixture():
     asked = Targets(np.tile([1.0, 0.0, 0.0], (3, 1)))
     fixture = {"fixture": FrameTable(origin_m=[0.5, 0.0, 0.0], rotation_deg=[0.0, 0.0, 90.0], within="base")}
     rows = data.rows[:, :3]
-    found = in_measuring_frame(asked, ["base", "fixture", ""], fixture, known, rows)
+    found = targets_in_measuring_frame(asked, ["base", "fixture", ""], fixture, known, rows)
     origin = ASKEW.origin
     np.testing.assert_allclose(found.position[0], np.add(origin, (0.0, 1.01, 0.0)), atol=1e-12)
     np.testing.assert_allclose(found.position[1], np.add(origin, (-1.0, 0.51, 0.0)), atol=1e-12)
     np.testing.assert_array_equal(found.position[2], asked.position[2])
     with pytest.raises(InputError, match=r"unknown frame 'fixtur'.*did you mean 'fixture'"):
-        in_measuring_frame(asked, ["fixtur"] * 3, fixture, known, rows)
+        targets_in_measuring_frame(asked, ["fixtur"] * 3, fixture, known, rows)
 
 
 def test_the_distance_to_a_wrist_singularity_is_joint_5_s_angle(posed):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calflow.programs.axes import Axes, CorrectedReadings
+from calflow.programs.calibrated_robot import Axes, CorrectedReadings
 from calflow.programs.configuration import ArmPosture
 from calflow.programs.filtering import FilterSettings
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calflow.deployment.conventions import angle_between, inverse, pose_matrix, pose_values
-from calflow.programs.axes import Axes
+from calflow.programs.calibrated_robot import Axes
 from calflow.programs.configuration import RapidConfiguration
 from calflow.programs.filtering import FilterSettings, filtered
 from calflow.programs.formats import parsed

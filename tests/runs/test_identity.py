@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from calflow.runs.reasons import UNCHANGED
+from calflow.runs.planning import UNCHANGED
 from conftest import Folder, in_process
 
 

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.console import FILE, OVER, apart, check_free, deliver, hand_over, say, say_notes, write_free
+from calflow.commands.console import (
+    FILE,
+    OVER,
+    check_apart,
+    check_unwritten,
+    deliver,
+    hand_over,
+    say,
+    say_notes,
+    write_free,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,7 +47,7 @@ def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: boo
     from calflow.files.csv import csv_text
     from calflow.runs.given_rows import rows_to_predict
 
-    apart(out, "--out", rows)
+    check_apart(out, "--out", rows)
     calibration = Calibration.load(study_or_run)
     given = rows_to_predict(calibration, rows)
     predicted = predict_rows(calibration, given.data, "widen" if without_conditions else "refuse")
@@ -76,7 +86,7 @@ def compensate_command(
     from calflow.files.csv import csv_text
     from calflow.runs.given_rows import compensate_file
 
-    apart(out, "--out", targets)
+    check_apart(out, "--out", targets)
     calibration = Calibration.load(study_or_run)
     missing: Missing = "widen" if without_conditions else "refuse"
     given, found = compensate_file(calibration, targets, frames=frames, in_order=in_order, missing=missing)
@@ -165,8 +175,8 @@ def filter_command(
     from calflow.programs.filtering import FilteredTarget, filter_program
 
     target = out or program.with_name(f"{program.stem}.corrected{program.suffix}")
-    apart(target, "--out", program)
-    apart(summary, "--summary", program, target)
+    check_apart(target, "--out", program)
+    check_apart(summary, "--summary", program, target)
     calibration = Calibration.load(study_or_run)
     done = filter_program(
         calibration, program, payload=payload, tools=tools, frames=frames, base=base, flange=flange,
@@ -174,10 +184,10 @@ def filter_command(
         conditions=dict(_condition(one) for one in conditions),
         missing="widen" if without_conditions else "refuse",
     )  # fmt: skip
-    check_free(target, done.source, force)
+    check_unwritten(target, done.source, force)
     table = csv_text(to_frame(done.rows, FilteredTarget)).encode()
     if summary is not None:
-        check_free(summary, table, force, "another name")
+        check_unwritten(summary, table, force, "another name")
     say(*summary_lines(program, done))
     say_notes((*calibration.warnings, *calibration.notes, *done.notes))
     write_whole(target, done.source)

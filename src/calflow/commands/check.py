@@ -12,7 +12,7 @@ from calflow.commands.console import (
     FILE,
     OVER,
     STATION,
-    Command,
+    ArgumentCommand,
     deliver,
     exit_code,
     say,
@@ -70,7 +70,7 @@ def _counted(path: Path, data: Measurements) -> str:
     return f"{path}: {len(data)} rows, {data.table['pose'].nunique()} poses, {fitted} of them to fit"
 
 
-@click.command("check-poses", cls=Command)
+@click.command("check-poses", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
 @click.argument("rows", metavar="MEASURED.csv", type=FILE)
 @click.option("--number", type=int, default=8, show_default=True, help="How many poses to choose.")
@@ -93,7 +93,7 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
     deliver(csv_text(chosen.table), out, force)
 
 
-@click.command("validate", cls=Command)
+@click.command("validate", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
 @click.argument("rows", metavar="NEW.csv", type=FILE)
 @click.option("--tolerance-mm", type=float, help="What a pose may err by: asks for a verdict.")
@@ -142,7 +142,7 @@ def validate_command(
     sys.exit(exit_code(found.summary.status))
 
 
-@click.command("drift", cls=Command)
+@click.command("drift", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
 @click.argument("rows", metavar="NEW.csv", type=FILE)
 @click.option(

@@ -39,7 +39,7 @@ STATION = click.option(
 )
 
 
-class Command(click.Command):
+class ArgumentCommand(click.Command):
     """A command that tells what is wrong with an argument of its function by the option that sets it."""
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -91,7 +91,7 @@ def say_notes(notes: Iterable[str]) -> None:
         say(f"note: {note}", err=True)
 
 
-def apart(written: Path | None, option: str, *others: Path) -> None:
+def check_apart(written: Path | None, option: str, *others: Path) -> None:
     """Check that a file that an option names is none of the others, which it would write over.
 
     Raises:
@@ -102,7 +102,7 @@ def apart(written: Path | None, option: str, *others: Path) -> None:
             raise click.UsageError(f"{option} {written} would write over {other}: expected another file")
 
 
-def check_free(path: Path, content: bytes, force: bool, other: str = "--out") -> None:
+def check_unwritten(path: Path, content: bytes, force: bool, other: str = "--out") -> None:
     """Check that what is to be written does not write over a file that holds something else, unless that is forced.
 
     other is what else its user may give.
@@ -124,7 +124,7 @@ def write_free(path: Path, content: bytes, force: bool) -> None:
     """
     from calflow.files.writing import write_whole
 
-    check_free(path, content, force, "another name")
+    check_unwritten(path, content, force, "another name")
     write_whole(path, content)
     say(f"wrote {path}")
 

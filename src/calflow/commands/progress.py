@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 AGAIN = 0.1  # s after which an interruption that was swallowed comes again
 
 
-def progress() -> Lines:
+def progress() -> ProgressLines:
     """Return what shows progress where the command runs."""
-    return Bar() if sys.stderr.isatty() else Lines()
+    return ProgressBar() if sys.stderr.isatty() else ProgressLines()
 
 
-class Lines:
+class ProgressLines:
     """Progress as plain lines, for a log.
 
     Compiled code may swallow a KeyboardInterrupt that comes while it runs (CasADi's conversions do), so it comes again until
@@ -35,7 +35,7 @@ class Lines:
         self._interrupted = False
         self._again: threading.Timer | None = None
 
-    def __enter__(self) -> Lines:
+    def __enter__(self) -> ProgressLines:
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, self._interrupt)
         return self
@@ -84,10 +84,10 @@ class Lines:
         say(f"  done in {seconds:.1f} s")
 
 
-class Bar(Lines):
+class ProgressBar(ProgressLines):
     """Progress as a bar, for a terminal."""
 
-    def __enter__(self) -> Bar:
+    def __enter__(self) -> ProgressBar:
         super().__enter__()
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.console import FILE, OVER, Command, exit_code, say, say_notes, write_free
+from calflow.commands.console import FILE, OVER, ArgumentCommand, exit_code, say, say_notes, write_free
 from calflow.commands.progress import progress
 
 if TYPE_CHECKING:
@@ -33,8 +33,7 @@ def pack_command(run: Path, out: Path | None, licence: str, author: tuple[str, .
 
     The archive is an RO-Crate.
     """
-    from calflow.runs.pack import pack
-    from calflow.runs.terms import Terms
+    from calflow.runs.pack import Terms, pack
 
     terms = Terms(licence, author)
     write_free(out or Path(f"{run.resolve()}.zip"), pack(run, terms), force)
@@ -141,7 +140,7 @@ def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
         say(f"report: {out / 'report.pdf'}")
 
 
-@click.command("history", cls=Command)
+@click.command("history", cls=ArgumentCommand)
 @click.argument("runs", metavar="RUN RUN…", type=FILE, nargs=-1, required=True)
 @click.option(
     "--false-alarm", type=float, default=0.01, show_default=True, help="Chance of an alarm where nothing moved."

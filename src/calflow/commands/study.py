@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.console import FILE, NOT_TOLD, OVER, Command, check_free, hand_over, say, write_free
+from calflow.commands.console import FILE, NOT_TOLD, OVER, ArgumentCommand, check_unwritten, hand_over, say, write_free
 from calflow.files.problems import seen
 
 if TYPE_CHECKING:
@@ -68,12 +68,12 @@ def simulate_command(truth: Path, out: Path | None, force: bool) -> None:
 
     path = out or truth.parent / "measurements.csv"
     table = simulate(truth)
-    check_free(path, csv_text(table).encode(), force)
+    check_unwritten(path, csv_text(table).encode(), force)
     write_csv(path, table)
     say(f"wrote {path}")
 
 
-@click.command("next", cls=Command)
+@click.command("next", cls=ArgumentCommand)
 @click.argument("study", type=FILE)
 @click.option(
     "--rows", type=FILE, multiple=True, help="CSV of rows measured since, besides the study's own; may be repeated."

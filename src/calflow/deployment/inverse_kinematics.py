@@ -120,7 +120,7 @@ def read_frames(path: Path) -> dict[str, FrameTable]:
     return frames
 
 
-def in_measuring_frame(
+def targets_in_measuring_frame(
     targets: Targets,
     names: Sequence[str],
     frames: Mapping[str, FrameTable],

@@ -21,8 +21,7 @@ from calflow.files.problems import InputError, Problem, nearest, refuse
 from calflow.files.tables import column
 from calflow.files.units import split_unit, to_si
 from calflow.measurements.measurements import Measurements
-from calflow.programs.axes import Axes, Corrector
-from calflow.programs.calibrated_robot import CalibratedRobot
+from calflow.programs.calibrated_robot import Axes, CalibratedRobot, Corrector
 from calflow.programs.configuration import NEAR, Flag
 from calflow.programs.formats import read_program
 from calflow.programs.target import Left, Maker, Number, Program, Target

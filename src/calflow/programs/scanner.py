@@ -1,7 +1,4 @@
-"""Scanner: a program's text as tokens with their places, and a reader that goes through them.
-
-Expressions: what stands for a value in a program, as far as it takes to know a number from a computation.
-"""
+"""Scanning: a program's text as tokens with their places, and expressions as far as it takes to know a number from one computed."""
 
 from __future__ import annotations
 

@@ -1,10 +1,16 @@
-"""The cache key: what a stage's results depend on, by name, so that a miss can be explained."""
+"""The cache key: what a stage's results depend on by name, so that a miss can be explained, and what is installed beside it."""
 
 from __future__ import annotations
 
 import json
+import platform
 from collections.abc import Mapping
+from functools import lru_cache
+from importlib import metadata
 from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from calflow.files.plugins import packages
 from calflow.measurements.reading import sha256
@@ -80,3 +86,53 @@ def _measurement_hashes(study: Study) -> dict[str, str]:
 def _asked(study: Study, without: set[str]) -> dict[str, str]:
     file = study.file.model_dump(mode="json", exclude=without)
     return {name: json.dumps(value, ensure_ascii=False) for name, value in file.items()}
+
+
+def environment() -> dict[str, str]:
+    """Return the version of every installed package that calflow needs, directly or through others, by its name."""
+    return dict(_environment())
+
+
+def machine() -> str:
+    """Return the kind of machine, and which processor its linear algebra is for: the last bits of numbers depend on that."""
+    import numpy as np  # noqa: F401  # its linear algebra must be there to be asked
+    from threadpoolctl import threadpool_info
+
+    kernels = sorted({library["architecture"] for library in threadpool_info() if "architecture" in library})
+    return ", ".join([f"{platform.system()} {platform.machine()}", *(f"linear algebra for {name}" for name in kernels)])
+
+
+def version_changes(was: dict[str, str], now: dict[str, str]) -> list[str]:
+    """Return in words which versions differ."""
+    names = dict.fromkeys((*was, *now))
+    return [
+        f"{name} {was.get(name, 'not there')} → {now.get(name, 'not there')}"
+        for name in names
+        if was.get(name) != now.get(name)
+    ]
+
+
+@lru_cache
+def _environment() -> tuple[tuple[str, str], ...]:
+    found: dict[str, str] = {}
+    waiting = ["calflow"]
+    while waiting:
+        name = waiting.pop()
+        if name in found:
+            continue
+        try:
+            package = metadata.distribution(name)
+        except metadata.PackageNotFoundError:  # of another system, or an extra that is not installed
+            continue
+        found[name] = package.version
+        waiting += [canonicalize_name(need.name) for need in requirements(package)]
+    return tuple(sorted(found.items()))
+
+
+def requirements(package: metadata.Distribution, extra: str = "") -> list[Requirement]:
+    """Return what a package needs on this machine; with the name of an extra, what it needs for that besides."""
+    every = [Requirement(text) for text in package.requires or ()]
+    plain = [need for need in every if need.marker is None or need.marker.evaluate({"extra": ""})]
+    if not extra:
+        return plain
+    return [need for need in every if need not in plain and need.marker and need.marker.evaluate({"extra": extra})]

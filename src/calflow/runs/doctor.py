@@ -21,14 +21,14 @@ from calflow.files.plugins import packages
 from calflow.files.problems import InputError
 from calflow.measurements.reading import data_folder
 from calflow.run_folder import code_digest
-from calflow.runs.environment import machine, requirements
+from calflow.runs.cache_key import machine, requirements
 
 State = Literal["ok", "slow", "without", "trouble"]
 NEEDED_BYTES = 200e6  # of a disk that a run of a usual size, its chain included, must find
 
 
 @dataclass(frozen=True)
-class Finding:
+class Examined:
     """One thing looked at: how it is, what was found, and what to do about it.
 
     slow: all works, later; without: what it is for does not, and all else does; trouble: calflow cannot be relied on.
@@ -40,7 +40,7 @@ class Finding:
     remedy: str = ""
 
 
-def examine() -> list[Finding]:
+def examine() -> list[Examined]:
     """Return what there is to know of this machine, in the order in which it matters."""
     return [
         _versions(), *_packages(), *_extras(), _plugins(), _compiler(), _folder("work folder", Path.cwd()), _temporary(),
@@ -48,14 +48,14 @@ def examine() -> list[Finding]:
     ]  # fmt: skip
 
 
-def _versions() -> Finding:
+def _versions() -> Examined:
     said = (
         f"calflow {metadata.version('calflow')} (code {code_digest()}), Python {platform.python_version()}, {machine()}"
     )
-    return Finding("versions", "ok", said)
+    return Examined("versions", "ok", said)
 
 
-def _packages() -> Iterator[Finding]:
+def _packages() -> Iterator[Examined]:
     """One finding for all packages that it needs; each that is not as it must be by itself."""
     wrong = []
     needs = requirements(metadata.distribution("calflow"))
@@ -63,14 +63,14 @@ def _packages() -> Iterator[Finding]:
         version = _version(need.name)
         if version is None or not need.specifier.contains(version, prereleases=True):
             wrong.append(
-                Finding(need.name, "trouble", f"found {version or 'nothing'}, needed {need}", f"pip install '{need}'")
+                Examined(need.name, "trouble", f"found {version or 'nothing'}, needed {need}", f"pip install '{need}'")
             )
     yield from wrong
     if not wrong:
-        yield Finding("packages", "ok", ", ".join(f"{need.name} {_version(need.name)}" for need in needs))
+        yield Examined("packages", "ok", ", ".join(f"{need.name} {_version(need.name)}" for need in needs))
 
 
-def _extras() -> Iterator[Finding]:
+def _extras() -> Iterator[Examined]:
     own = metadata.distribution("calflow")
     for extra in own.metadata.get_all("Provides-Extra") or ():
         needs = [need for need in requirements(own, extra) if canonicalize_name(need.name) != "calflow"]
@@ -78,9 +78,9 @@ def _extras() -> Iterator[Finding]:
         if lacking:
             names = ", ".join(need.name for need in lacking)
             remedy = " ".join(f"'{need.name}{need.specifier}'" for need in lacking)  # calflow itself is in no index
-            yield Finding(f"extra {extra}", "without", f"not installed: {names}", f"pip install {remedy}")
+            yield Examined(f"extra {extra}", "without", f"not installed: {names}", f"pip install {remedy}")
         else:
-            yield Finding(f"extra {extra}", "ok", "installed")
+            yield Examined(f"extra {extra}", "ok", "installed")
 
 
 def _version(name: str) -> str | None:
@@ -89,58 +89,58 @@ def _version(name: str) -> str | None:
     return None
 
 
-def _plugins() -> Finding:
+def _plugins() -> Examined:
     try:
         found = packages()
     except InputError as error:
-        return Finding("plugins", "trouble", str(error), "mend or uninstall the package")
+        return Examined("plugins", "trouble", str(error), "mend or uninstall the package")
     said = ", ".join(f"{name} {version}" for name, version in found.items())
-    return Finding("plugins", "ok", said or "no package brings effects or observations")
+    return Examined("plugins", "ok", said or "no package brings effects or observations")
 
 
-def _compiler() -> Finding:
+def _compiler() -> Examined:
     """Whether machine code can be had, which needs a compiler and a folder of one's own to keep it in."""
     if reason := hindrance():
         remedy = "install a C compiler (gcc, clang) or name one by CC; let XDG_CACHE_HOME name a folder that is yours"
-        return Finding("compiler", "slow", f"{reason}: long fits, sampling and many poses take longer", remedy)
+        return Examined("compiler", "slow", f"{reason}: long fits, sampling and many poses take longer", remedy)
     try:
         folder = cache_folder()
         made = list(folder.glob("*.so"))
     except (NotCompiled, OSError) as error:  # taken away in this very moment
-        return Finding("compiler", "slow", str(error))
+        return Examined("compiler", "slow", str(error))
     size = sum(path.stat().st_size for path in made) / 1e6
-    return Finding(
+    return Examined(
         "compiler", "ok", f"{os.environ.get('CC', 'cc')}; {len(made)} functions kept in {folder}, {size:.1f} MB"
     )
 
 
-def _folder(what: str, folder: Path) -> Finding:
+def _folder(what: str, folder: Path) -> Examined:
     """Whether a folder can be written to, and has room."""
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
         free = shutil.disk_usage(folder).free
     except OSError as error:
-        return Finding(
+        return Examined(
             what, "trouble", f"cannot be written to: {error}", "work in another folder, or name one by --out"
         )
     said = f"{folder}, {free / 1e9:.1f} GB free"
-    return Finding(what, "ok", said) if free > NEEDED_BYTES else Finding(what, "trouble", said, "make room")
+    return Examined(what, "ok", said) if free > NEEDED_BYTES else Examined(what, "trouble", said, "make room")
 
 
-def _temporary() -> Finding:
+def _temporary() -> Examined:
     try:
         folder = Path(tempfile.gettempdir())
     except OSError as error:
-        return Finding("temporary files", "trouble", str(error), "let TMPDIR name a folder that can be written to")
+        return Examined("temporary files", "trouble", str(error), "let TMPDIR name a folder that can be written to")
     asked = os.environ.get("TMPDIR")
     if asked and folder != Path(asked).absolute():  # Python goes on elsewhere, a compiler does not
-        return Finding("temporary files", "slow", f"TMPDIR={asked} is full or cannot be written to: {folder} is used instead",
+        return Examined("temporary files", "slow", f"TMPDIR={asked} is full or cannot be written to: {folder} is used instead",
                        "make room there, or let TMPDIR name another folder")  # fmt: skip
     return _folder("temporary files", folder)
 
 
-def _fonts() -> Finding:
+def _fonts() -> Examined:
     """Fonts that reports have, and where Matplotlib keeps its list of them, without which it makes it anew each time."""
     from matplotlib import get_cachedir
     from matplotlib.font_manager import fontManager
@@ -148,35 +148,35 @@ def _fonts() -> Finding:
     number = len({entry.name for entry in fontManager.ttflist})
     kept = Path(get_cachedir())
     if kept.parent == Path(tempfile.gettempdir()) and "MPLCONFIGDIR" not in os.environ:
-        return Finding("fonts", "slow", f"{number} families; their list is made anew for each report: no folder keeps it",
+        return Examined("fonts", "slow", f"{number} families; their list is made anew for each report: no folder keeps it",
                        "let MPLCONFIGDIR name a folder that can be written to")  # fmt: skip
-    return Finding("fonts", "ok", f"{number} families; letters that none has are shown by number")
+    return Examined("fonts", "ok", f"{number} families; letters that none has are shown by number")
 
 
-def _data() -> Finding:
+def _data() -> Examined:
     folder = data_folder()
     if folder is None:
-        return Finding("CALFLOW_DATA", "ok", "not set: measurements are looked for beside their study")
+        return Examined("CALFLOW_DATA", "ok", "not set: measurements are looked for beside their study")
     if not folder.is_dir():
-        return Finding("CALFLOW_DATA", "trouble", f"names no folder: {folder}", "correct or unset it")
-    return Finding("CALFLOW_DATA", "ok", f"{folder} is looked in before the study's folder")
+        return Examined("CALFLOW_DATA", "trouble", f"names no folder: {folder}", "correct or unset it")
+    return Examined("CALFLOW_DATA", "ok", f"{folder} is looked in before the study's folder")
 
 
-def _threads() -> Finding:
+def _threads() -> Examined:
     asked, cores = os.environ.get("OMP_NUM_THREADS", ""), os.cpu_count() or 1
     if asked.isdigit() and int(asked) > 1:
-        return Finding(
+        return Examined(
             "threads",
             "slow",
             f"{asked} threads for matrices too small to be shared, {cores} cores",
             "unset OMP_NUM_THREADS",
         )
-    return Finding("threads", "ok", f"one for linear algebra, {cores} cores")
+    return Examined("threads", "ok", f"one for linear algebra, {cores} cores")
 
 
-def _letters() -> Finding:
+def _letters() -> Examined:
     told = (sys.stdout.encoding or "ascii").lower()
     if told.replace("-", "").replace("_", "") == "utf8":
-        return Finding("letters", "ok", f"{told}; files are UTF-8 whatever the locale")
-    return Finding("letters", "without", f"the terminal's are {told}: other letters may not be shown; files are UTF-8",
+        return Examined("letters", "ok", f"{told}; files are UTF-8 whatever the locale")
+    return Examined("letters", "without", f"the terminal's are {told}: other letters may not be shown; files are UTF-8",
                    "set PYTHONIOENCODING=utf-8, or a UTF-8 locale")  # fmt: skip

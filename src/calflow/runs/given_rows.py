@@ -12,7 +12,7 @@ import pandas as pd
 from calflow.calibration import Calibration
 from calflow.deployment.attained import TARGET
 from calflow.deployment.compensation import Compensation, compensate_rows
-from calflow.deployment.inverse_kinematics import Targets, in_measuring_frame, read_frames
+from calflow.deployment.inverse_kinematics import Targets, read_frames, targets_in_measuring_frame
 from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
 from calflow.estimation.plausibility import plausible
 from calflow.files.problems import InputError, Problem, refuse
@@ -100,7 +100,7 @@ def compensate_file(
         data = plausible(data, path)
     names = data.table[FRAME].astype(str) if FRAME in data.table else [""] * len(data)
     aims = Targets(data.position, data.rotation)
-    asked = in_measuring_frame(aims, list(names), stated, on_conditions_of(calibration, data), data.rows)
+    asked = targets_in_measuring_frame(aims, list(names), stated, on_conditions_of(calibration, data), data.rows)
     found = compensate_rows(
         calibration, data, asked, start=data.joints if started else None, in_order=in_order, missing=missing, seed=seed
     )

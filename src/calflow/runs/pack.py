@@ -1,25 +1,141 @@
-"""Packing: a run with all that it takes to repeat it elsewhere, in one archive that is the same byte by byte each time."""
+"""Packing: a run with all that it takes to repeat it elsewhere, in one archive that is the same byte by byte each time.
+
+It is an RO-Crate 1.1 (https://w3id.org/ro/crate/1.1), for people and programs that do not know calflow, and says under which
+licence its files may be used, and whose work they are.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import io
+import json
+import mimetypes
 import re
 import tempfile
 import zipfile
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
 
 from packaging.version import VERSION_PATTERN
 
 from calflow.files.data_package import DATA_PACKAGE
-from calflow.files.problems import InputError, Problem, seen
+from calflow.files.problems import InputError, Problem, refuse, seen
 from calflow.files.results import document_text
+from calflow.files.tables import columns
 from calflow.files.writing import inside
 from calflow.run_folder import INPUTS, LAID_OUT, NAME, Manifest, check_inputs, laid_out, lay_out
 from calflow.runs.kept import run_package
 from calflow.runs.reproduce import checked_run, finished
-from calflow.runs.ro_crate import NAME as METADATA
-from calflow.runs.ro_crate import ro_crate
-from calflow.runs.terms import Terms
+from calflow.stages import STAGES
+
+LICENCE = "#licence"
+SPDX = "https://spdx.org/licenses/"
+REFERENCE = "LicenseRef-"  # in SPDX: terms that are on no list
+
+
+@dataclass(frozen=True)
+class Terms:
+    """A licence as an SPDX expression (https://spdx.org/licenses), e.g. `CC-BY-4.0`, and authors by name; empty: not stated."""
+
+    licence: str = ""
+    authors: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
+
+        if not all(name.strip() for name in self.authors):
+            raise refuse("--author is empty: expected a name")
+        if not self.licence:
+            return
+        try:
+            object.__setattr__(self, "licence", canonicalize_license_expression(self.licence))
+        except InvalidLicenseExpression:
+            raise refuse(
+                f"--licence '{self.licence}' is no SPDX licence expression: expected e.g. CC-BY-4.0, CC0-1.0, MIT, "
+                f"'MIT AND CC-BY-4.0', or {REFERENCE}NAME for terms of your own ({SPDX} has the list)"
+            ) from None
+
+    def entities(self) -> list[dict[str, Any]]:
+        """Return the licence and the authors as entities of an RO-Crate, the licence first."""
+        people = [{"@id": f"#author-{k}", "@type": "Person", "name": name} for k, name in enumerate(self.authors, 1)]
+        return [self._licence(), *people]
+
+    def _licence(self) -> dict[str, Any]:
+        if not self.licence:
+            return {
+                "@id": LICENCE, "@type": "CreativeWork", "name": "no licence stated",
+                "description": "Who packed this run has not said under which terms its files may be used.",
+            }  # fmt: skip
+        listed = " " not in self.licence and not self.licence.startswith(REFERENCE)
+        said = f"SPDX licence expression {self.licence}: the terms under which the files may be used."
+        name = f"{SPDX}{self.licence}" if listed else LICENCE
+        return {"@id": name, "@type": "CreativeWork", "name": self.licence, "description": said}
+
+
+METADATA = "ro-crate-metadata.json"
+RO_CRATE_VERSION = "https://w3id.org/ro/crate/1.1"
+CONTEXT = [f"{RO_CRATE_VERSION}/context", {"sha256": "https://schema.org/sha256"}]
+KINDS = {".csv": "text/csv", ".toml": "application/toml", ".h5": "application/x-hdf5", ".json": "application/json"}
+RUN, PROGRAM = "#run", "#calflow"
+
+
+def ro_crate(manifest: Manifest, files: Mapping[str, bytes], terms: Terms) -> bytes:
+    """Return the crate's metadata; files are the archive's by their path in it, without the metadata, used by these terms.
+
+    The run is a CreateAction of calflow on the inputs, whose results are all else; the data package has the schema of every table.
+    """
+    inputs = [name for name in files if name.startswith(f"{INPUTS}/")]
+    results = [name for name in files if ("/" in name and name not in inputs) or name.startswith("report.")]
+    licence, *authors = terms.entities()
+    ended = max(entry.finished for entry in manifest.stages.values())
+    graph: list[dict[str, Any]] = [
+        {"@id": METADATA, "@type": "CreativeWork", "conformsTo": {"@id": RO_CRATE_VERSION}, "about": {"@id": "./"}},
+        {
+            "@id": "./", "@type": "Dataset", "name": f"calflow run of study {manifest.study}",
+            "description": "A robot calibration: its inputs, its results, and what it takes to repeat it. Unpack it; 'calflow "
+            "reproduce FOLDER' runs it again and tells what differs. environment.txt has the versions it was made with.",
+            "datePublished": ended, "license": _reference(licence), **({"author": [*map(_reference, authors)]} if authors else {}),
+            "hasPart": _named(files), "mentions": {"@id": RUN},
+        },
+        licence, *authors,
+        {
+            "@id": RUN, "@type": "CreateAction", "name": f"workflow {manifest.workflow} of study {manifest.study}",
+            "endTime": ended, "instrument": {"@id": PROGRAM}, "object": _named(inputs), "result": _named(results),
+        },
+        {
+            "@id": PROGRAM, "@type": "SoftwareApplication", "name": "calflow", "version": manifest.calflow,
+            "identifier": manifest.code, "description": "calibrates robots; identifier is a hash of its code",
+            "operatingSystem": manifest.machine,
+        },
+        *(_file(name, content) for name, content in files.items()),
+    ]  # fmt: skip
+    return f"{json.dumps({'@context': CONTEXT, '@graph': graph}, indent=2, ensure_ascii=False)}\n".encode()
+
+
+def _reference(entity: Mapping[str, Any]) -> dict[str, str]:
+    return {"@id": entity["@id"]}
+
+
+def _named(names: Mapping[str, bytes] | list[str]) -> list[dict[str, str]]:
+    return [{"@id": name} for name in names]
+
+
+def _file(name: str, content: bytes) -> dict[str, Any]:
+    path = PurePosixPath(name)
+    kind = KINDS.get(path.suffix) or mimetypes.guess_type(name)[0] or "application/octet-stream"
+    said: dict[str, Any] = {
+        "@id": name, "@type": "File", "name": path.name, "encodingFormat": kind, "contentSize": str(len(content)),
+        "sha256": hashlib.sha256(content).hexdigest(),
+    }  # fmt: skip
+    declared = {table: row for stage in STAGES.values() for table, row in stage.tables.items()}.get(name)
+    if declared is not None:
+        said["description"] = (declared.__doc__ or "").strip().splitlines()[0]
+        said["variableMeasured"] = [one.name for one in columns(declared)]
+        said["subjectOf"] = {"@id": DATA_PACKAGE}
+    return said
+
 
 ENVIRONMENT = "environment.txt"
 BEGINNING = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can state: the archive's bytes tell no time

@@ -1,4 +1,4 @@
-"""Planning: which stages would run, which are reused, and why."""
+"""Planning: which stages would run, which are reused and why, and whether a run folder is that of the study."""
 
 from __future__ import annotations
 
@@ -9,14 +9,73 @@ from pathlib import Path
 
 from calflow.files.problems import InputError, Problem, counted, nearest, refuse, together
 from calflow.files.toml import Origin
-from calflow.run_folder import read_manifest
+from calflow.measurements.reading import sha256
+from calflow.run_folder import Manifest, StageEntry, beside, damage, is_measured, read_manifest
 from calflow.runs.cache_key import common_key, stage_key
-from calflow.runs.identity import check_same_study
-from calflow.runs.reasons import FORCED, UNCHANGED, reason
 from calflow.stages import STAGES
 from calflow.stages.demand import Demand
 from calflow.stages.stage import Stage
 from calflow.study import Study
+
+
+def check_same_study(study: Study, folder: Path, manifest: Manifest) -> None:
+    """Check that a run folder is this study's.
+
+    Raises:
+        InputError: it is that of another study, be it of the same name.
+    """
+    if manifest.study != study.name:
+        raise refuse(f"holds the run of another study, '{manifest.study}'; give another folder with --out", folder)
+    if not (_at_the_same_place(study, folder, manifest) or _of_the_same_content(study, manifest)):
+        raise refuse(
+            f"holds the run of another study of the same name, {manifest.study_file}; to run {study.path.resolve()}, "
+            "give another folder with --out, or the study another name",
+            folder,
+        )
+
+
+def _at_the_same_place(study: Study, folder: Path, manifest: Manifest) -> bool:
+    """Whether the study lies where it lay, by itself or beside its run folder: then it is the same one, edited."""
+    old, new = Path(manifest.study_file), study.path
+    if old.resolve() == new.resolve():
+        return True
+    return bool(manifest.folder) and beside(Path(manifest.folder), old) == beside(folder, new)
+
+
+def _of_the_same_content(study: Study, manifest: Manifest) -> bool:
+    """Whether study, robot and (where some were read) measurements are those of the run: then it is a copy."""
+    known = set(manifest.inputs.values())
+    own = [study.path, *study.robot_paths]
+    if any(map(is_measured, manifest.inputs)):
+        own += study.measurement_paths
+    return all(sha256(path) in known for path in own)
+
+
+UNCHANGED = "inputs, settings, upstream results and code are unchanged"
+FORCED = "forced"
+LONGEST_CHANGE = 200  # characters of an old and a new value that a reason still shows
+
+
+def reason(before: StageEntry | None, key: Mapping[str, str], folder: Path, run_again: Collection[str]) -> str | None:
+    """Return why a stage must run; None where its results can be reused. run_again names earlier stages that run."""
+    if before is None:
+        return "was never run"
+    if before.status != "done":
+        return f"did not finish last time ({before.status})"
+    again = [name for name in run_again if f"after {name}" in key]
+    if again:
+        return f"{again[0]} runs again"
+    old = before.key
+    changed = [name for name in {**old, **key} if old.get(name) != key.get(name)]
+    if changed:
+        return "; ".join(difference(name, old.get(name), key.get(name)) for name in changed)
+    return damage(before, folder)
+
+
+def difference(name: str, old: str | None, new: str | None) -> str:
+    if name.startswith(("setting ", "study's ")) and len(f"{old}{new}") < LONGEST_CHANGE:
+        return f"{name} changed from {old} to {new}"
+    return f"{name.removeprefix('file ').removeprefix('after ')} changed"
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,9 @@ from calflow.files.deviations import Deviation, agreeing_digits, document_deviat
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import to_frame
 from calflow.run_folder import Manifest, code_digest, damage, load_again, read_manifest, versions
-from calflow.runs.cache_key import common_key, stage_key
-from calflow.runs.environment import changes, environment, machine
-from calflow.runs.listener import Listener, Silent
-from calflow.runs.reasons import difference
-from calflow.runs.run import run
+from calflow.runs.cache_key import common_key, environment, machine, stage_key, version_changes
+from calflow.runs.planning import difference
+from calflow.runs.run import Listener, Silent, run
 from calflow.stages import STAGES
 from calflow.stages.stage import Stage
 from calflow.study import Study
@@ -165,8 +163,8 @@ def _of_inputs(key: Mapping[str, str]) -> dict[str, str]:
 def _versions_changed(manifest: Manifest) -> Iterator[str]:
     if manifest.code != code_digest():
         yield f"calflow's code {manifest.calflow} ({manifest.code}) → this one ({code_digest()})"
-    yield from changes({**manifest.versions, **manifest.environment}, {**versions(), **environment()})
-    yield from changes({"machine": manifest.machine}, {"machine": machine()})
+    yield from version_changes({**manifest.versions, **manifest.environment}, {**versions(), **environment()})
+    yield from version_changes({"machine": manifest.machine}, {"machine": machine()})
 
 
 def _deviations(name: str, was: Path, now: Path) -> list[Deviation]:

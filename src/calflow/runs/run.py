@@ -1,23 +1,290 @@
-"""A run: a study's stages in order, results reused where nothing changed, interrupted work resumed."""
+"""A run: a study's stages in order, results reused where nothing changed, interrupted work resumed.
+
+Each stage works in a folder of its own, whose files move into place when all are whole; the manifest keeps all files of the study.
+"""
 
 from __future__ import annotations
 
+import json
+import os
+import posixpath
+import shutil
 import time
+from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path, PurePath
+from typing import Any, Protocol
 
-from calflow.files.results import Documents, Results
+from calflow.files.data_package import DATA_PACKAGE
+from calflow.files.plugins import packages
+from calflow.files.results import Documents, Results, write_results
 from calflow.files.tables import Tables
 from calflow.files.writing import PART, inside, write_whole
-from calflow.measurements.reading import fetch
-from calflow.run_folder import default_folder, read_manifest, read_results
-from calflow.runs.execution import execute, record_reuse
-from calflow.runs.listener import Listener, Silent
+from calflow.measurements.reading import fetch, sha256
+from calflow.run_folder import (
+    KeptFile,
+    Manifest,
+    StageEntry,
+    code_digest,
+    default_folder,
+    is_measured,
+    read_manifest,
+    read_results,
+    versions,
+    write_manifest,
+)
+from calflow.runs.cache_key import environment, file_hashes, machine
+from calflow.runs.kept import run_package
 from calflow.runs.lock import locked
-from calflow.runs.planning import foreseen, passed_over, plan
+from calflow.runs.planning import FORCED, PlannedStage, foreseen, passed_over, plan
 from calflow.stages import STAGES
 from calflow.stages.demand import memory_there, warned
+from calflow.stages.stage import Context, Stage
 from calflow.study import Study
+
+
+class Listener(Protocol):
+    """Who is told how a run goes on."""
+
+    def start(self, stage: Stage, reason: str) -> None:
+        """A stage begins, and why."""
+
+    def reuse(self, stage: Stage, reason: str) -> None:
+        """A stage's results are reused, and why."""
+
+    def say(self, line: str) -> None:
+        """A stage has something to tell."""
+
+    def advance(self, share: float) -> None:
+        """This share of the stage's work is done; it never falls."""
+
+    def stop(self, stage: Stage) -> None:
+        """A stage ends before it is done."""
+
+    def finish(self, stage: Stage, seconds: float) -> None:
+        """A stage is done."""
+
+
+class Silent:
+    """A listener that does nothing."""
+
+    def start(self, stage: Stage, reason: str) -> None:
+        """Do nothing."""
+
+    def reuse(self, stage: Stage, reason: str) -> None:
+        """Do nothing."""
+
+    def say(self, line: str) -> None:
+        """Do nothing."""
+
+    def advance(self, share: float) -> None:
+        """Do nothing."""
+
+    def stop(self, stage: Stage) -> None:
+        """Do nothing."""
+
+    def finish(self, stage: Stage, seconds: float) -> None:
+        """Do nothing."""
+
+
+def onward(advance: Callable[[float], None]) -> Callable[[float], None]:
+    """Return advance for shares that may fall: it is told the largest so far."""
+    furthest = 0.0
+
+    def told(share: float) -> None:
+        nonlocal furthest
+        furthest = max(furthest, share)
+        advance(furthest)
+
+    return told
+
+
+def study_files(
+    study: Study, stages: Collection[str], measured: bool, before: Mapping[str, KeptFile]
+) -> dict[str, KeptFile]:
+    """Return every file but the workflow that a study consists of, itself included, by its name as seen from its folder.
+
+    stages are those whose settings count; where none of them was measured yet, what was known of the measurements stays.
+    """
+    known = {name: one for name, one in before.items() if one.measured}
+    found = {name: _kept(path, False) for name, path in _described(study, {*study.stages, *stages})}
+    return found | ({name: _kept(path, True) for name, path in _measured(study)} if measured else known)
+
+
+def _kept(path: Path, measured: bool) -> KeptFile:
+    return KeptFile(sha256=sha256(path), path=str(path.resolve()), measured=measured)
+
+
+def _described(study: Study, stages: Collection[str]) -> Iterable[tuple[str, Path]]:
+    """The files that say what was asked, each with its name."""
+    folder, robot = study.path.parent, PurePath(study.file.robot)
+    yield study.path.name, study.path
+    yield from ((_named(robot.parent / path.name), path) for path in study.robot_paths)
+    if study.file.workflow.endswith(".toml"):
+        yield _named(PurePath(study.file.workflow)), study.workflow_path
+    for name in sorted(STAGES.keys() & set(stages)):
+        for path in file_hashes(study, STAGES[name]):
+            yield _named(path.relative_to(folder) if path.is_relative_to(folder) else path), path
+
+
+def _measured(study: Study) -> Iterable[tuple[str, Path]]:
+    """The measurements, and all of the study that confirms, each with its name."""
+    for source, path in zip(study.file.sources, study.measurement_paths, strict=True):
+        yield _named(PurePath(source.file)), path
+    if (other := study.confirming) is not None:
+        confirm = PurePath(study.file.confirm)
+        above = confirm.parent if confirm.name == other.path.name else confirm  # a study is named by its folder too
+        for name, path in (*_described(other, ()), *_measured(other)):
+            yield _named(above / name), path
+
+
+def _named(path: PurePath) -> str:
+    return posixpath.normpath(path.as_posix())
+
+
+PARTIAL = ".partial"
+KEY = "key.json"  # in a work folder: what its content was made of
+
+
+def execute(
+    study: Study, folder: Path, step: PlannedStage, settings: Any, results: Results, listener: Listener
+) -> None:
+    """Run one stage, move its files into place and record it; an interruption leaves its work folder to go on from."""
+    stage = step.stage
+    before = _entry(folder, stage)
+    work = _work_folder(folder, step, before)
+    running = StageEntry(
+        status="running",
+        reason=step.reason,
+        key=before.key if before else {},
+        outputs=before.outputs if before else None,
+    )
+    record(study, folder, stage, running)
+    upstream = results.of({*stage.needs, *stage.uses})
+    started = time.monotonic()
+    context = Context(study, settings, upstream, work, folder, listener.say, onward(listener.advance))
+    try:
+        made = stage.run(context)
+    except BaseException as error:
+        listener.stop(stage)
+        status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+        record(study, folder, stage, running.model_copy(update={"status": status}))
+        raise
+    write_results(work, made)
+    files = [path for path in work.rglob("*") if path.is_file() and path.suffix != PART]
+    outputs = sorted(path.relative_to(work).as_posix() for path in files if path != work / KEY)
+    for name in set(running.outputs or {}) - set(outputs):
+        inside(folder, name).unlink(missing_ok=True)
+    hashes = {name: sha256(work / name) for name in outputs}
+    others = {name: (folder / name, digest) for name, digest in _other_outputs(folder, stage).items()}
+    made_here = {name: (work / name, digest) for name, digest in hashes.items()}
+    write_results(work, Results(documents={DATA_PACKAGE: run_package(study.name, others | made_here)}))
+    for name in sorted(outputs, key=lambda name: name in stage.resumes):  # what is dear to make last: see _work_folder
+        target = inside(folder, name)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(work / name, target)
+    os.replace(work / DATA_PACKAGE, inside(folder, DATA_PACKAGE))
+    shutil.rmtree(work)
+    if not any((folder / PARTIAL).iterdir()):
+        (folder / PARTIAL).rmdir()
+    seconds = round(time.monotonic() - started, 3)
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    done = StageEntry(status="done", reason=step.reason, key=step.key, seconds=seconds, finished=now, outputs=hashes)
+    record(study, folder, stage, done)
+
+
+def record_reuse(study: Study, folder: Path, step: PlannedStage) -> None:
+    """Record that a stage's results were reused, and why; why it last ran stays."""
+    entry = _entry(folder, step.stage)
+    assert entry is not None
+    record(study, folder, step.stage, entry.model_copy(update={"reused": step.reason, "key": step.key}))
+
+
+def record(study: Study, folder: Path, stage: Stage, entry: StageEntry) -> None:
+    """Write a stage's entry into the manifest; those of other stages stay."""
+    before = read_manifest(folder)
+    stages = {**(before.stages if before else {}), stage.name: entry}
+    manifest = Manifest(
+        calflow=metadata.version("calflow"),
+        versions=versions(),
+        packages=packages(),
+        code=code_digest(),
+        machine=machine(),
+        environment=environment(),
+        study=study.name,
+        study_file=str(study.path.resolve()),
+        folder=str(folder.resolve()),
+        workflow=study.workflow.name,
+        seed=study.file.seed,
+        inputs=_input_hashes(study, stage, before.inputs if before else {}),
+        files=study_files(study, stages, stage.measured, before.files if before else {}),
+        stages=stages,
+    )
+    write_manifest(folder, manifest)
+
+
+def _other_outputs(folder: Path, stage: Stage) -> dict[str, str]:
+    """The files of a run's other stages, with their SHA-256."""
+    manifest = read_manifest(folder)
+    assert manifest is not None  # which says that the stage is running
+    others = (name for name in manifest.stages if name != stage.name)
+    return {path: digest for name in others for path, digest in manifest.outputs(name).items()}
+
+
+def _entry(folder: Path, stage: Stage) -> StageEntry | None:
+    manifest = read_manifest(folder)
+    return manifest.stages.get(stage.name) if manifest else None
+
+
+def _input_hashes(study: Study, stage: Stage, before: dict[str, str]) -> dict[str, str]:
+    """SHA-256 of every input; a stage that does not read the measurements leaves their entry as it is."""
+    hashes = {str(path): sha256(path) for path in (study.path, *study.robot_paths, study.workflow_path)}
+    hashes |= {str(path): said for path, said in file_hashes(study, stage).items()}
+    if stage.measured:
+        return hashes | {str(path): sha256(path) for path in study.measurement_paths}
+    return hashes | {path: digest for path, digest in before.items() if is_measured(path)}
+
+
+def _work_folder(folder: Path, step: PlannedStage, before: StageEntry | None) -> Path:
+    """Return the stage's work folder: the one an interruption left where only settings differ, else a fresh one."""
+    work = inside(folder, f"{PARTIAL}/{step.stage.name}")
+    key = {name: value for name, value in step.key.items() if not name.startswith("setting ")}
+    forced = step.reason == FORCED
+    if forced or not _holds(work / KEY, key):
+        shutil.rmtree(work, ignore_errors=True)
+        work.mkdir(parents=True)
+        write_whole(work / KEY, json.dumps(key).encode())
+    _clear(work, {KEY, *step.stage.resumes})
+    if before and not forced and all(before.key.get(name) == value for name, value in key.items()):
+        for name in step.stage.resumes:
+            here, digest = inside(folder, name), (before.outputs or {}).get(name)
+            if here.is_file() and not (work / name).exists() and sha256(here) == digest:
+                (work / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(here, work / name)
+    return work
+
+
+def _clear(work: Path, kept: set[str]) -> None:
+    """Remove what an interrupted stage left but for these files: what it goes on from, and nothing that it had begun to write.
+
+    A link goes whatever its name: what is gone on with is written to.
+    """
+    for path in sorted(work.rglob("*"), reverse=True):
+        if path.is_dir() and not path.is_symlink():
+            with suppress(OSError):  # it holds something that is kept
+                path.rmdir()
+        elif path.is_symlink() or path.relative_to(work).as_posix() not in kept:
+            path.unlink()
+
+
+def _holds(path: Path, key: dict[str, str]) -> bool:
+    try:
+        return bool(json.loads(path.read_text(encoding="utf-8")) == key)
+    except (OSError, ValueError, RecursionError):
+        return False
 
 
 @dataclass(frozen=True)

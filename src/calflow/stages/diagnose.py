@@ -52,7 +52,7 @@ def _run(context: Context) -> Results:
     return diagnosed.results.of({"diagnose"})
 
 
-def demand(study: Study, settings: DiagnoseSettings, data: Measurements) -> Demand:
+def _demand(study: Study, settings: DiagnoseSettings, data: Measurements) -> Demand:
     """Foresee what the tests take: a column of residuals for each parameter of the model and of every candidate."""
     train = data.only(data.train)
     places = train.table.drop_duplicates(["pose", "marker"]).index  # repeats are averaged
@@ -75,7 +75,7 @@ STAGE = Stage(
     "name what the model lacks",
     DiagnoseSettings,
     _run,
-    demand=demand,
+    demand=_demand,
     needs=("identify",),
     tables={name: row_type for name, row_type in TABLES.items() if name.startswith("diagnose/")},
     documents={"diagnose/summary.json": DiagnosisSummary},

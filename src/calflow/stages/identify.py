@@ -48,7 +48,7 @@ def _run(context: Context) -> Results:
     ).results  # fmt: skip
 
 
-def problems(study: Study, settings: IdentifySettings, data: Measurements | None) -> list[Problem]:
+def _problems(study: Study, settings: IdentifySettings, data: Measurements | None) -> list[Problem]:
     """Find counts that cannot be, and measurements that are too few or do not tell the noise asked for."""
     found = _wrong_count(study, settings)
     if data is None:
@@ -78,7 +78,7 @@ def _wrong_count(study: Study, settings: IdentifySettings) -> list[Problem]:
     return found
 
 
-def demand(study: Study, settings: IdentifySettings, data: Measurements) -> Demand:
+def _demand(study: Study, settings: IdentifySettings, data: Measurements) -> Demand:
     """Foresee what the fits take: they go through the rows part by part, so that memory is that of reading the table."""
     train, effects = data.only(data.train), study.file.effects
     residuals = sum(len(seen.units) * int(train.of_series(k).sum()) for k, seen in enumerate(observations(train)))
@@ -92,8 +92,8 @@ STAGE = Stage(
     "identify geometry and compliance",
     IdentifySettings,
     _run,
-    demand=demand,
+    demand=_demand,
     tables={name: row_type for name, row_type in TABLES.items() if name.startswith("identify/")},
     documents={"identify/summary.json": IdentifySummary},
-    problems=problems,
+    problems=_problems,
 )

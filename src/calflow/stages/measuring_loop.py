@@ -30,8 +30,8 @@ from calflow.model import build, stated
 from calflow.observations import observations
 from calflow.stages.diagnose import DiagnoseSettings
 from calflow.stages.identify import IdentifySettings
+from calflow.stages.select import by_sides, measured_rows, planned_of, request_of, select_problems
 from calflow.stages.select_settings import SelectSettings
-from calflow.stages.select_study import by_sides, measured_rows, planned_of, problems, request_of
 from calflow.study import Study
 
 
@@ -58,7 +58,7 @@ def next_poses(
         raise refuse(f"expected a tolerance above 0, found {1e3 * tolerance:g} mm", key="tolerance")
     settings = study.validated_settings("select", SelectSettings)
     assert isinstance(settings, SelectSettings)
-    if wrong := problems(study, settings, None):
+    if wrong := select_problems(study, settings, None):
         raise InputError(wrong)
     tolerance = tolerance or settings.tolerance
     unwritten = _unwritten(study)

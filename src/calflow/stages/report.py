@@ -11,7 +11,7 @@ class ReportSettings(FileModel):
     """Settings of report: there are none."""
 
 
-def run(context: Context) -> Results:
+def _run(context: Context) -> Results:
     """Write report.pdf, report.html and figures/*.svg into the stage's folder; the report has no tables of its own."""
     from calflow.reporting.document import write_report
     from calflow.reporting.material import Material  # drawing and typesetting are loaded only where a report is made
@@ -25,7 +25,7 @@ STAGE = Stage(
     "report",
     "write the report",
     ReportSettings,
-    run,
+    _run,
     bases=("identify", "select"),
     uses=("select", "diagnose", "residual_field", "sample"),
     titled=True,

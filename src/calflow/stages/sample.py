@@ -54,7 +54,7 @@ class SampleSettings(FileModel):
     task: WorkSettings | None = Field(default=None, description="a table: where the robot works")
 
 
-def run(context: Context) -> Results:
+def _run(context: Context) -> Results:
     """Sample the posterior with independent ensembles until it is long enough, and say so if it is not."""
     study = context.study
     data = corrected(study.measurements(), context.tables["identify/faults.csv"])
@@ -98,7 +98,7 @@ def _files(study: Study, settings: SampleSettings) -> tuple[Path, ...]:
     return (study.path.parent / named,) if named else ()
 
 
-def problems(study: Study, settings: SampleSettings, data: Measurements | None) -> list[Problem]:
+def _problems(study: Study, settings: SampleSettings, data: Measurements | None) -> list[Problem]:
     """Find fewer walkers than the study's own effects need; causes that are found may need more."""
     message = too_few_walkers(settings.walkers, len(build(study.robot, study.file.effects).parameters) + 1)
     told = settings.task.wrong(study.robot) if settings.task else ()
@@ -108,7 +108,7 @@ def problems(study: Study, settings: SampleSettings, data: Measurements | None) 
     ]
 
 
-def demand(study: Study, settings: SampleSettings, data: Measurements) -> Demand:
+def _demand(study: Study, settings: SampleSettings, data: Measurements) -> Demand:
     """Foresee the walkers' residuals, which take the time, and the draws' predictions of all rows, which take the memory."""
     train = data.only(data.train)
     first = np.unique(conditions(train), return_index=True)[1]  # repeats are averaged
@@ -126,7 +126,7 @@ STAGE = Stage(
     "sample",
     "sample the posterior",
     SampleSettings,
-    run,
+    _run,
     needs=("identify",),
     uses=("diagnose",),
     resumes=("sample/chain.h5",),
@@ -138,7 +138,7 @@ STAGE = Stage(
         "sample/task.csv": TaskPoint,
     },
     documents={"sample/summary.json": ChainSummary, "sample/task_summary.json": TaskSummary},
-    problems=problems,
-    demand=demand,
+    problems=_problems,
+    demand=_demand,
     reads=_files,
 )

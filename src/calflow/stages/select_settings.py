@@ -174,7 +174,7 @@ class CellSettings(FileModel):
             yield "needs masses and rated_torque of joints in the robot file", "torque_share"
 
 
-class Region(FileModel):
+class RegionSettings(FileModel):
     """A box in the measuring frame."""
 
     region_min: Lengths3 | None = Field(
@@ -186,7 +186,7 @@ class Region(FileModel):
     )
 
     @model_validator(mode="after")
-    def _whole_region(self) -> Region:
+    def _whole_region(self) -> RegionSettings:
         if (self.region_min is None) != (self.region_max is None):
             raise ValueError("region_min and region_max go together")
         if (
@@ -203,7 +203,7 @@ class Region(FileModel):
         return None if self.region_min is None else np.array([self.region_min, self.region_max])
 
 
-class TaskSettings(Region):
+class TaskSettings(RegionSettings):
     """The table `[stages.select.task]`: where the robot will work, and what it will carry there.
 
     Without a region of its own the task is where the poses are measured.
@@ -219,7 +219,7 @@ class TaskSettings(Region):
     number: int = Field(default=400, ge=10, description="poses that are drawn in the region")
 
 
-class SelectSettings(Region):
+class SelectSettings(RegionSettings):
     """Settings of select: how many poses of how many candidates, what for, and where the device can see the tool.
 
     Poses are chosen for the study's effects and for also_effects, which may be causes to be told apart, and to be measured as

@@ -17,11 +17,11 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.robot import Robot
 from calflow.sampling.task_points import TaskTolerances
-from calflow.stages.select_settings import Region
+from calflow.stages.select_settings import RegionSettings
 from calflow.study import Study
 
 
-class WorkSettings(Region):
+class WorkSettings(RegionSettings):
     """Poses of a file, or drawn in a region; what is asked of them."""
 
     poses: str = Field(
