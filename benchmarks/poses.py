@@ -20,7 +20,7 @@ import numpy as np
 from calflow import templates as library
 from calflow.design.candidates import candidates
 from calflow.design.exchange import information
-from calflow.design.optimality import Parameters, ToolError, indices
+from calflow.design.optimality import ParameterCriterion, ToolError, indices
 from calflow.design.planned import Planned, Task
 from calflow.design.search import search_poses, search_worst
 from calflow.design.selection import SelectionRequest, select
@@ -119,7 +119,7 @@ def _compared(one: Case, poses: int) -> str:
     rng = np.random.default_rng(2)
     tool, checked = one.task.criterion(one.model), one.check.criterion(one.model)
     found = [
-        search_poses(one.whitened, one.prior, poses, Parameters(len(one.prior)), rng),
+        search_poses(one.whitened, one.prior, poses, ParameterCriterion(len(one.prior)), rng),
         search_poses(one.whitened, one.prior, poses, tool, rng),
         search_worst(one.whitened, one.prior, poses, tool, rng),
     ]
@@ -193,7 +193,9 @@ def figaroh(python: str, number: int, poses: int) -> None:
         path = Path(folder, "candidates.npz")
         np.savez(path, jacobians=base, poses=poses)
         began = time.process_time()
-        found = search_poses(base, 1e-9 * np.eye(len(known)), poses, Parameters(len(known)), np.random.default_rng(1))
+        found = search_poses(
+            base, 1e-9 * np.eye(len(known)), poses, ParameterCriterion(len(known)), np.random.default_rng(1)
+        )
         print(f"{number} candidates of the UR10, {len(known)} identifiable parameters, {poses} poses")
         seconds = time.process_time() - began
         o1 = indices(base[found.chosen].reshape(-1, len(known)), len(known))[0]

@@ -29,7 +29,7 @@ EQUILIBRIUM_TURNS = 3
 BLOCK_ROWS, BLOCK_VALUES = 512, 1 << 15  # rows and values of one output evaluated at once: more take longer to prepare
 
 
-class Prediction(NamedTuple):
+class SymbolicPrediction(NamedTuple):
     """What the graph says of one row.
 
     point (3,) [m] is where the marker is in the measuring frame and rotation (3, 3) how the tool is turned, position (3,) [m] what
@@ -140,7 +140,7 @@ class Model:
         """Length of a packed row."""
         return sum(Row.sizes(self.robot, self.given).values())
 
-    def expression(self, p: ca.SX, c: ca.SX, turns: int = EQUILIBRIUM_TURNS) -> Prediction:
+    def expression(self, p: ca.SX, c: ca.SX, turns: int = EQUILIBRIUM_TURNS) -> SymbolicPrediction:
         """Return one row's prediction for symbols p (n_parameters,) and c (n_conditions,).
 
         turns is how often the loads are evaluated anew at the deflected pose.
@@ -179,10 +179,10 @@ class Model:
         tool = (nominal_turn @ placement(ca.vertcat(0, 0, 0, dims.tool_rotation)))[:3, :3]
         rotation = (stands @ at.flange)[:3, :3] @ tool
         cosine = at.closure.cosine if at.closure else ca.SX(0)
-        return Prediction(point, device(point), rotation, tool, cosine, device, stands, at, dims, loads, now)
+        return SymbolicPrediction(point, device(point), rotation, tool, cosine, device, stands, at, dims, loads, now)
 
     @cached_property
-    def symbols(self) -> tuple[ca.SX, ca.SX, Prediction]:
+    def symbols(self) -> tuple[ca.SX, ca.SX, SymbolicPrediction]:
         """Symbols for the parameters and one row, and the prediction they give."""
         p, c = ca.SX.sym("p", len(self.parameters)), ca.SX.sym("c", self.n_conditions)
         return p, c, self.expression(p, c)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.deployment.compensation import clearance, compensate_rows, not_known
-from calflow.deployment.inverse_kinematics import FrameTable, Targets, targets_in_measuring_frame
+from calflow.deployment.inverse_kinematics import TargetFrameTable, Targets, targets_in_measuring_frame
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
@@ -130,7 +130,7 @@ def test_a_target_may_be_in_the_base_or_in_a_fixture():
     robot = replace(known.model.robot, base=Base(origin=ASKEW.origin, rotation=(0.0, 0.0, np.pi / 2)))
     known = replace(known, model=replace(known.model, robot=robot))
     asked = Targets(np.tile([1.0, 0.0, 0.0], (3, 1)))
-    fixture = {"fixture": FrameTable(origin_m=[0.5, 0.0, 0.0], rotation_deg=[0.0, 0.0, 90.0], within="base")}
+    fixture = {"fixture": TargetFrameTable(origin_m=[0.5, 0.0, 0.0], rotation_deg=[0.0, 0.0, 90.0], within="base")}
     rows = data.rows[:, :3]
     found = targets_in_measuring_frame(asked, ["base", "fixture", ""], fixture, known, rows)
     origin = ASKEW.origin

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.design.optimality import Parameters, ToolError, indices
+from calflow.design.optimality import ParameterCriterion, ToolError, indices
 
 
 def test_indices_follow_their_definitions():
@@ -26,7 +26,7 @@ def test_too_few_poses_observe_nothing():
 def test_losses_are_standard_deviations():
     """Fails if a loss is a variance, or the tool's points do not count as much as their shares say."""
     covariance = np.diag([4.0, 9.0])
-    assert Parameters(2).loss(covariance) == pytest.approx(np.sqrt(6))
+    assert ParameterCriterion(2).loss(covariance) == pytest.approx(np.sqrt(6))
     slopes = np.zeros((2, 3, 2))
     slopes[0, 0, 0] = slopes[1, 2, 1] = 1
     tool = ToolError(slopes, np.array([0.75, 0.25]))

@@ -11,7 +11,7 @@ import pytest
 from calflow.design.candidates import allowed, candidates, packed_conditions
 from calflow.design.cell import Cell, CellStation
 from calflow.design.exchange import information
-from calflow.design.optimality import Parameters
+from calflow.design.optimality import ParameterCriterion
 from calflow.design.planned import Planned, Task
 from calflow.design.refinement import refined_poses
 from calflow.measurements.series import Series
@@ -36,7 +36,7 @@ def test_refined_poses_are_better_and_allowed(model, for_tool):
     planned = Planned(model.observations[0], 5e-5)
     readings, rows = candidates(model, 30, "rated", "E", REGION, np.random.default_rng(2))
     prior = np.eye(len(model.parameters))
-    criterion = Task(rows).criterion(model) if for_tool else Parameters(len(prior))
+    criterion = Task(rows).criterion(model) if for_tool else ParameterCriterion(len(prior))
     found = refined_poses(model, planned, readings, "rated", "E", REGION, prior, criterion)
 
     def loss(poses):
@@ -60,7 +60,7 @@ def test_refined_poses_keep_to_the_cell(model):
     readings, _ = candidates(model, 30, "rated", "E", REGION, np.random.default_rng(2), None, cell)
     prior = np.eye(len(model.parameters))
     free, kept = (
-        refined_poses(model, planned, readings, "rated", "E", REGION, prior, Parameters(len(prior)), one)
+        refined_poses(model, planned, readings, "rated", "E", REGION, prior, ParameterCriterion(len(prior)), one)
         for one in (None, cell)
     )
     assert not allowed(model, free, "rated", "E", REGION, cell).all()
@@ -74,5 +74,5 @@ def test_poses_whose_reports_matter_stay(model):
     readings, _ = candidates(posed, 10, "rated", "E", REGION, np.random.default_rng(2))
     n = len(posed.parameters)
     planned = Planned(posed.observations[0], 5e-5, 1e-4)
-    found = refined_poses(posed, planned, readings, "rated", "E", REGION, np.eye(n), Parameters(n))
+    found = refined_poses(posed, planned, readings, "rated", "E", REGION, np.eye(n), ParameterCriterion(n))
     assert (found == readings).all()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calflow.design.exchange import exchange, greedy, information
-from calflow.design.optimality import Parameters, ToolError
+from calflow.design.optimality import ParameterCriterion, ToolError
 from calflow.design.search import relaxed, search_poses, search_worst
 
 N, CANDIDATES, CHOSEN = 5, 12, 4
@@ -25,7 +25,7 @@ def case(seed, candidates=CANDIDATES):
 
 def criteria(tool):
     """Both kinds of criterion."""
-    return (Parameters(N), tool)
+    return (ParameterCriterion(N), tool)
 
 
 def covariance(jacobians, chosen):

@@ -227,8 +227,8 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.1, -0.05, -0.02)}, 2, "may be chance"),
     (causes.unexplained, {"diagnose/findings.csv": found("unexplained")}, 2,
      "depends on the angle of joint 2 that no cause"),
-    (causes.next_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "the 3 poses of diagnose/next_poses.csv that tell backlash"),
-    (causes.next_poses, {"diagnose/next_poses.csv": poses(3, (("joint-hysteresis", 2), ("link-mass", 3)))}, 3,
+    (causes.advised_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "the 3 poses of diagnose/next_poses.csv that tell backlash"),
+    (causes.advised_poses, {"diagnose/next_poses.csv": poses(3, (("joint-hysteresis", 2), ("link-mass", 3)))}, 3,
      "leave open whether it is friction wind-up of joint 2 or mass error of link 3"),
     (causes.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(
         0.0, "log each joint's travel")}, 3,

@@ -33,7 +33,7 @@ from calflow.deployment.prediction import on_conditions_of
 from calflow.deployment.validation import ELSEWHERE, Station, of_sessions, stands
 from calflow.design.candidates import candidates
 from calflow.design.exchange import exchange, greedy
-from calflow.design.optimality import Parameters
+from calflow.design.optimality import ParameterCriterion
 from calflow.design.t_optimality import TCriterion, propose
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import unexplained
@@ -147,7 +147,7 @@ def settling(
         if own is None:
             return None
         slope = own.slope * own.sd / sigma
-        chosen = greedy(slope, np.diag((own.sd / best.sd) ** 2), FEW, Parameters(len(own.sd)))
+        chosen = greedy(slope, np.diag((own.sd / best.sd) ** 2), FEW, ParameterCriterion(len(own.sd)))
         return Settling(readings[chosen], payload, marker, float("nan"))
     open_ = _left_open(calibrated, data, check, bare, rows, sigma, fitted)
     every = [best, *rivals[:MOST_RIVALS]]
@@ -520,7 +520,7 @@ def check_poses(calibrated: CalibratedModel, data: Measurements, number: int) ->
     there = loaded.only((~loaded.table.duplicated(["pose", "marker"])).to_numpy())
     pose = there.table.groupby("pose", sort=False).ngroup().to_numpy()
     slope = _by_pose(_slopes(calibrated, there), pose)
-    prior, criterion = np.eye(slope.shape[2]), Parameters(slope.shape[2])
+    prior, criterion = np.eye(slope.shape[2]), ParameterCriterion(slope.shape[2])
     chosen = exchange(slope, prior, greedy(slope, prior, min(number, len(slope)), criterion), criterion)
     return there.only(np.isin(pose, chosen))
 

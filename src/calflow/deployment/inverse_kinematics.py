@@ -93,7 +93,7 @@ def features(position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
 MEASURING, BASE = "measuring", "base"
 
 
-class FrameTable(FileModel):
+class TargetFrameTable(FileModel):
     """Where a frame stands, in the measuring frame or in the robot's base."""
 
     origin: Lengths3 = (0.0, 0.0, 0.0)
@@ -104,10 +104,10 @@ class FrameTable(FileModel):
 class FramesFile(FileModel):
     """A file of frames by name: fixtures, work objects."""
 
-    frames: dict[str, FrameTable]
+    frames: dict[str, TargetFrameTable]
 
 
-def read_frames(path: Path) -> dict[str, FrameTable]:
+def read_frames(path: Path) -> dict[str, TargetFrameTable]:
     """Read a file of frames.
 
     Raises:
@@ -123,7 +123,7 @@ def read_frames(path: Path) -> dict[str, FrameTable]:
 def targets_in_measuring_frame(
     targets: Targets,
     names: Sequence[str],
-    frames: Mapping[str, FrameTable],
+    frames: Mapping[str, TargetFrameTable],
     calibrated: CalibratedModel,
     rows: np.ndarray,
 ) -> Targets:
@@ -134,7 +134,7 @@ def targets_in_measuring_frame(
     Raises:
         InputError: a frame is unknown.
     """
-    every = {"": FrameTable(), MEASURING: FrameTable(), BASE: FrameTable(within="base"), **frames}
+    every = {"": TargetFrameTable(), MEASURING: TargetFrameTable(), BASE: TargetFrameTable(within="base"), **frames}
     unknown = sorted(set(names) - set(every))
     if unknown:
         known_names = ", ".join(name for name in every if name)

@@ -51,7 +51,7 @@ class Criterion(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Parameters:
+class ParameterCriterion:
     """D-optimality: the loss is the geometric mean of n parameters' standard deviations, det(C)^(1/2n), the inverse of O1."""
 
     n: int

@@ -16,7 +16,7 @@ from calflow.design.candidates import allowed, candidates, packed_conditions
 from calflow.design.cell import Cell
 from calflow.design.exchange import greedy, information
 from calflow.design.measuring_order import USUAL_DRIFT, DriftPull, Order, drift_pulls, orders, reached, vias
-from calflow.design.optimality import Criterion, Parameters, ToolError, indices
+from calflow.design.optimality import Criterion, ParameterCriterion, ToolError, indices
 from calflow.design.planned import Planned, Task
 from calflow.design.refinement import refined_poses
 from calflow.design.search import SearchResult, search_poses, search_worst
@@ -223,7 +223,7 @@ def select(
     if request.there is not None:
         prior = information(request.whitened(model, request.there), prior)
     tool = (request.task or Task(rows[:, :TASK_POSES])).criterion(model)
-    criterion: Criterion = Parameters(len(prior)) if request.aim == "parameters" else tool
+    criterion: Criterion = ParameterCriterion(len(prior)) if request.aim == "parameters" else tool
     say(f"{len(readings)} candidates, {len(prior)} parameters")
     advance(0.5)
     if request.aim == "worst":

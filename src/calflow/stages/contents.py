@@ -47,7 +47,7 @@ FOLDERS: Mapping[str, Mapping[str, type]] = {
 MARKS = "<!-- {}: written from the code -->", "<!-- end of {} -->"
 
 
-def contents() -> str:
+def file_contents() -> str:
     """Return every table and document of every stage with its columns, and what commands answer, as Markdown."""
     kept = (block for stage in STAGES.values() for block in (*_tables(stage.tables), *_tables(stage.documents)))
     folders = (block for command, own in FOLDERS.items() for block in _tables(own, f"{command}/NAME/"))
@@ -65,7 +65,7 @@ def renewed(text: str) -> str:
         "boxes": keys("[[stages.select.cell.boxes]]", BoxSettings),
         "cylinders": keys("[[stages.select.cell.cylinders]]", CylinderSettings),
         "work": keys("[stages.sample.task]", WorkSettings),
-        "tables": contents(),
+        "tables": file_contents(),
     }
     for name, written in kept.items():
         begin, end = (mark.format(name) for mark in MARKS)
@@ -111,11 +111,11 @@ def _type(column: Column, document: bool) -> str:
     return f"{kind} or null" if document and column.gaps else kind
 
 
-def main() -> None:
+def _main() -> None:
     """Renew a document in place."""
     path = Path(sys.argv[1])
     path.write_text(renewed(path.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main()
+    _main()

@@ -295,7 +295,7 @@ def apart(finding: Finding, results: Results) -> list[str]:
     return list(dict.fromkeys(said))[:RIVALS_TOLD]
 
 
-def next_poses(results: Results) -> list[Advice]:
+def advised_poses(results: Results) -> list[Advice]:
     """Poses that tell a cause from its rival are to be measured."""
     plans: dict[tuple[object, ...], list[NextPose]] = {}
     for pose in results.rows("diagnose/next_poses.csv", NextPose):
@@ -548,5 +548,5 @@ CAUSES_SECTION = Section(
     "What the model lacked: causes",
     (*(f"diagnose/{name}.csv" for name in ("findings", "candidates", "separations", "next_poses")), SUMMARY),
     _causes,
-    (*CAUSE_RULES, unexplained, next_poses, other_means, untested),
+    (*CAUSE_RULES, unexplained, advised_poses, other_means, untested),
 )
