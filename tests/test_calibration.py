@@ -75,6 +75,19 @@ def test_a_fit_says_what_it_is_worth(points):
     assert again.parameters.table.equals(fit.parameters.table)
 
 
+def test_poses_are_chosen_for_a_calibration(points):
+    """Fails if the next campaign cannot be planned from what the last one found, or what it is to tell is left out."""
+    robot = cf.Robot.from_toml("robot.toml")
+    data = cf.Measurements.from_csv("points.csv", robot).split(holdout=0.3, seed=1)
+    calibration = cf.identify(robot, data, effects=["geometry"], starts=1)
+    chosen = calibration.select(25, payload="full", candidates=300)
+    assert len(chosen.poses) == chosen.certificate.n_poses == 25
+    assert chosen.certificate.n_parameters == len(calibration.model.parameters)
+    assert set(chosen.poses["payload"]) == {"full"}
+    again = calibration.select(25, payload="full", candidates=300)
+    assert again.poses.equals(chosen.poses)
+
+
 def test_wrong_requests_are_refused_together(points):
     """Fails if what an effect lacks, a wrong name or a missing split ends in a traceback of NumPy."""
     robot = cf.Robot.from_toml("robot.toml")

@@ -23,6 +23,8 @@ from calflow.deployment import export as exporting
 from calflow.deployment.export import Export, Format
 from calflow.deployment.usability import warning
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
+from calflow.design.planned import Planned
+from calflow.design.selection import Selection, SelectionRequest, select
 from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.findings.curves import CurvePoint, curves
 from calflow.diagnosis.findings.extended_model import (
@@ -42,6 +44,7 @@ from calflow.diagnosis.search.fitted import FAR, Fitted
 from calflow.diagnosis.search.trial import FALSE_ALARM
 from calflow.effects import Effect, effect_ids, effects_given
 from calflow.effects.base import unmet
+from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import (
     CalibratedModel,
@@ -507,6 +510,27 @@ class Calibration(CalibratedModel):
         with TemporaryDirectory() as folder:
             return sample(self, self.data, Path(folder) / "chain.h5", length, rng=draws(seed), say=say)
 
+    def select(self, number: int = 60, *, seed: int | None = None, say: Say = nobody, **asked: Any) -> Selection:
+        """Choose poses that tell its parameters best, measured as its own rows of the first series were.
+
+        Causes that show by the side from which joints come count by that each joint is to come from both sides.
+
+        Args:
+            number: of poses.
+            seed: of all draws; that of the calibration where it is None.
+            say: is told how good the choice is.
+            asked: further fields of a `SelectionRequest`.
+
+        Raises:
+            InputError: hardly any pose reaches what is asked for.
+        """
+        planned = Planned.like(self.model.observations[0], self.noise(self.data), 0)
+        plain = [effect for effect in self.model.effects if not {"approach", "travel"} & set(_needs(effect))]
+        model = replace(self.model, effects=tuple(plain), given=(), observations=(planned.observation,))
+        sided = len(plain) < len(self.model.effects)
+        request = SelectionRequest(number=number, planned=planned, both_sides=sided, **asked)
+        return select(model, request, rng=draws(self.seed if seed is None else seed), say=say)
+
     @property
     def plot(self) -> Plots:
         """Its figures."""
@@ -665,6 +689,10 @@ def diagnose(calibration: Calibration, **settings: Any) -> Calibration:
 def report(calibration: Calibration, path: str | Path) -> Path:
     """Write the report of a calibration, and return its path: see `Calibration.report`."""
     return calibration.report(path)
+
+
+def _needs(effect: Effect) -> tuple[str, ...]:
+    return effect.effect.needs if isinstance(effect, Cause) else effect.needs
 
 
 def _core(model: CalibratedModel) -> dict[str, Any]:
