@@ -160,4 +160,4 @@ def _flat(key: str, value: Any) -> dict[str, Any]:
     members = value.items() if isinstance(value, Mapping) else enumerate(value, 1) if isinstance(value, list) else None
     if members is None:
         return {key: value}
-    return {k: v for name, one in members for k, v in _flat(f"{key}.{name}" if key else str(name), one).items()}
+    return {k: v for name, member in members for k, v in _flat(f"{key}.{name}" if key else str(name), member).items()}

@@ -76,24 +76,26 @@ def draft_4(schema: Schema) -> Schema:
 
 def _older(value: Any) -> Any:
     if isinstance(value, list):
-        return [_older(one) for one in value]
+        return [_older(member) for member in value]
     if not isinstance(value, Mapping):
         return value
-    said = {key: _older(one) for key, one in value.items() if key not in ("$schema", "discriminator", "propertyNames")}
-    if "$defs" in said:
-        said["definitions"] = said.pop("$defs")
-    if isinstance(said.get("$ref"), str):
-        said["$ref"] = said["$ref"].replace("#/$defs/", "#/definitions/")
-        if len(said) > 1:  # what stands beside a reference does not count in draft 4
-            said = {"allOf": [{"$ref": said.pop("$ref")}], **said}
-    if "const" in said and not isinstance(said["const"], Mapping):
-        said["enum"] = [said.pop("const")]
-    if isinstance(said.get("prefixItems"), list):
-        said |= {"items": said.pop("prefixItems"), "additionalItems": False}
+    older = {
+        key: _older(member) for key, member in value.items() if key not in ("$schema", "discriminator", "propertyNames")
+    }
+    if "$defs" in older:
+        older["definitions"] = older.pop("$defs")
+    if isinstance(older.get("$ref"), str):
+        older["$ref"] = older["$ref"].replace("#/$defs/", "#/definitions/")
+        if len(older) > 1:  # what stands beside a reference does not count in draft 4
+            older = {"allOf": [{"$ref": older.pop("$ref")}], **older}
+    if "const" in older and not isinstance(older["const"], Mapping):
+        older["enum"] = [older.pop("const")]
+    if isinstance(older.get("prefixItems"), list):
+        older |= {"items": older.pop("prefixItems"), "additionalItems": False}
     for bound, plain in (("exclusiveMinimum", "minimum"), ("exclusiveMaximum", "maximum")):
-        if isinstance(said.get(bound), int | float) and not isinstance(said[bound], bool):
-            said |= {plain: said[bound], bound: True}
-    return said
+        if isinstance(older.get(bound), int | float) and not isinstance(older[bound], bool):
+            older |= {plain: older[bound], bound: True}
+    return older
 
 
 def _in_unit(schema: Any, unit: str) -> Any:
@@ -104,12 +106,15 @@ def _in_unit(schema: Any, unit: str) -> Any:
 
     def converted(value: Any) -> Any:
         if isinstance(value, list | tuple):
-            return [converted(one) for one in value]
+            return [converted(member) for member in value]
         return float(f"{(value - offset) / factor:.10g}") if isinstance(value, int | float) else value
 
     if isinstance(schema, list):
-        return [_in_unit(one, unit) for one in schema]
+        return [_in_unit(member, unit) for member in schema]
     if not isinstance(schema, Mapping):
         return schema
-    said = {key: converted(one) if key in (*BOUNDS, "default") else _in_unit(one, unit) for key, one in schema.items()}
-    return {key: one for key, one in said.items() if not (key == "default" and one is None)}
+    made = {
+        key: converted(member) if key in (*BOUNDS, "default") else _in_unit(member, unit)
+        for key, member in schema.items()
+    }
+    return {key: member for key, member in made.items() if not (key == "default" and member is None)}

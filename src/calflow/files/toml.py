@@ -356,7 +356,7 @@ def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
     origin = Origin.of_text(path, text)
     unfit = list(beyond_toml(raw))
     if unfit:
-        raise InputError(counted(unfit, lambda one: origin.problem(one[1], *one[0])))
+        raise InputError(counted(unfit, lambda item: origin.problem(item[1], *item[0])))
     return raw, origin
 
 
@@ -401,7 +401,7 @@ def checked(record: Record, kind: type[File], place: str, context: Mapping[str, 
         return made
     except ValidationError as error:
         problems = _problems(error, kind, record, Origin(Path(), (), {}), {}, _EXPECTED | _IN_PYTHON)
-        raise InputError(replace(one, file=None, key=f"{place}: {one.key}") for one in problems) from None
+        raise InputError(replace(problem, file=None, key=f"{place}: {problem.key}") for problem in problems) from None
 
 
 _adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)

@@ -22,7 +22,7 @@ class Element:
 
     def all(self, tag: str) -> Iterator[Element]:
         """Return the elements of a tag directly inside it."""
-        return (one for one in self.inside if one.tag == tag)
+        return (element for element in self.inside if element.tag == tag)
 
 
 def read_xml(path: Path) -> Element:

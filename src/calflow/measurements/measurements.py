@@ -259,11 +259,11 @@ def rotations(table: pd.DataFrame) -> np.ndarray:
     angles = "rx" in table
     stated = table[[*ANGLES] if angles else [*QUATERNION[1:], QUATERNION[0]]].to_numpy(float)
     there = np.isfinite(stated).all(axis=1)
-    found = np.full((len(table), 3, 3), np.nan)
+    turns = np.full((len(table), 3, 3), np.nan)
     if there.any():
         turned = Rotation.from_euler("XYZ", stated[there]) if angles else Rotation.from_quat(stated[there])
-        found[there] = turned.as_matrix()
-    return found
+        turns[there] = turned.as_matrix()
+    return turns
 
 
 DERIVED = ("order", "range", "session")  # conditions that a series may lack, or that are worked out anew
@@ -323,26 +323,26 @@ def continued(parts: Sequence[Measurements]) -> Measurements:
 
 def _named_apart(tables: Sequence[pd.DataFrame], readings: list[str]) -> list[pd.DataFrame]:
     """Give poses of the same name but other readings names of their own, or those of the poses that they are."""
-    found: list[pd.DataFrame] = []
+    named: list[pd.DataFrame] = []
     for k, table in enumerate(tables):
-        for other in found:
+        for other in named:
             both = table.drop_duplicates("pose").merge(
                 other.drop_duplicates("pose"), on="pose", suffixes=("", "_other")
             )
             apart = np.abs(both[readings].to_numpy() - both[[f"{name}_other" for name in readings]].to_numpy())
             if (apart > SAME).any():
                 table = table.assign(pose=[f"{k + 1}:{pose}" for pose in table["pose"]])
-                table = table.assign(pose=_met_again(table, found, readings))
+                table = table.assign(pose=_met_again(table, named, readings))
                 break
-        found.append(table)
-    return found
+        named.append(table)
+    return named
 
 
 def _met_again(table: pd.DataFrame, others: Sequence[pd.DataFrame], readings: list[str]) -> list[str]:
     """Return the poses' names, those of other tables where the very same readings and payload are there."""
     keys = [*readings, "payload"]
-    known = {tuple(row[:-1]): row[-1] for other in others for row in other[[*keys, "pose"]].to_numpy(dtype=object)}
-    return [known.get(tuple(row[:-1]), row[-1]) for row in table[[*keys, "pose"]].to_numpy(dtype=object)]
+    poses = {tuple(row[:-1]): row[-1] for other in others for row in other[[*keys, "pose"]].to_numpy(dtype=object)}
+    return [poses.get(tuple(row[:-1]), row[-1]) for row in table[[*keys, "pose"]].to_numpy(dtype=object)]
 
 
 def sessions_of(data: Measurements) -> tuple[str, ...]:

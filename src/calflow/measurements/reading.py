@@ -43,7 +43,7 @@ def locate(source: MeasurementSource, folder: Path, data: Path | None = None) ->
     Raises:
         InputError: it is nowhere, or its SHA-256 differs from the study's.
     """
-    path, said = None, ""
+    path, reason = None, ""
     for place in _places(source, folder, data):
         try:
             path = regular_file(place)
@@ -51,13 +51,13 @@ def locate(source: MeasurementSource, folder: Path, data: Path | None = None) ->
         except FileNotFoundError:
             continue
         except InputError as error:
-            said = said or f" ({error.problems[0].message})"
+            reason = reason or f" ({error.problems[0].message})"
     here = folder / source.file
     if path is None and source.url:
-        raise refuse(f"is not fetched yet{said}: 'calflow run' fetches it from {source.url}", here)
+        raise refuse(f"is not fetched yet{reason}: 'calflow run' fetches it from {source.url}", here)
     if path is None:
         raise refuse(
-            f"no such measurement file{said}; expected it there, in the folder that CALFLOW_DATA names, or by a url in the "
+            f"no such measurement file{reason}; expected it there, in the folder that CALFLOW_DATA names, or by a url in the "
             "study",
             here,
         )

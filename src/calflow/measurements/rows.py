@@ -96,23 +96,23 @@ def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, co
         unknown.append(f"and {len(wrong) - MOST_TOLD} more columns like these")
     missing: list[str] = []
     for marker in dict.fromkeys([column.marker for column in columns if column.marker] or [""]):
-        own = {column.name: column for column in columns if column.marker in ("", marker)}
-        missing += _missing(own, marker, layout, robot, conditions_only)
+        columns_of = {column.name: column for column in columns if column.marker in ("", marker)}
+        missing += _missing(columns_of, marker, layout, robot, conditions_only)
     names = {column.name: column for column in columns}
     oriented = not conditions_only and layout.reports.measured and bool({"rx", "qw"} & set(names))
-    told = []
+    messages = []
     for name, stated in (("sigma", layout.sigma), ("sigma_rotation", layout.sigma_rotation)):
         if stated is not None and name in names:
-            told.append(f"{names[name]}: the study's [measurements] states {name} too; expected one of them")
+            messages.append(f"{names[name]}: the study's [measurements] states {name} too; expected one of them")
     if oriented and robot.tool_rotation is None:
-        told.append("has measured orientations, but the robot file does not say how the tool is turned: expected "
+        messages.append("has measured orientations, but the robot file does not say how the tool is turned: expected "
                     "tool_rotation_deg (or _rad) = [rx, ry, rz] there")  # fmt: skip
     if oriented and layout.sigma_rotation is None and "sigma_rotation" not in names:
-        told.append("has measured orientations, but not how sure they are: expected a column sigma_rotation_mrad (or _rad, "
+        messages.append("has measured orientations, but not how sure they are: expected a column sigma_rotation_mrad (or _rad, "
                     "_deg), or sigma_rotation_mrad = … in the study's [measurements]")  # fmt: skip
     if "rx" in names and "qw" in names:
-        told.append("has orientations twice, as rx, ry, rz and as a quaternion: expected one of them")
-    return list(dict.fromkeys((*unknown, *missing, *told)))
+        messages.append("has orientations twice, as rx, ry, rz and as a quaternion: expected one of them")
+    return list(dict.fromkeys((*unknown, *missing, *messages)))
 
 
 Columns = Mapping[tuple[str, str], ReadColumn]  # by name and marker
@@ -427,17 +427,17 @@ def filled(table: pd.DataFrame, robot: Robot, path: Path | None) -> tuple[pd.Dat
 
 def _wrong(table: pd.DataFrame, robot: Robot, joint: int, path: Path | None) -> Problem | None:
     """What is wrong with what a table says of a follower, counted from 0."""
-    said = table[f"q{joint + 1}"].to_numpy(dtype=float)
+    stated = table[f"q{joint + 1}"].to_numpy(dtype=float)
     computed = np.zeros(len(table))
     for coupling in robot.couplings:
         if coupling.joint == joint + 1 and f"q{coupling.source}" in table:
             computed += coupling.factor * table[f"q{coupling.source}"].to_numpy(dtype=float)
-    off = said - computed
-    known = np.isfinite(off)
-    if not known.any() or not said[known].any():
+    off = stated - computed
+    compared = np.isfinite(off)
+    if not compared.any() or not stated[compared].any():
         return None
-    apart = np.abs(off - np.median(off[known]))
-    bad = np.flatnonzero(known & (apart > AGREES[robot.joints[joint].unit]))
+    apart = np.abs(off - np.median(off[compared]))
+    bad = np.flatnonzero(compared & (apart > AGREES[robot.joints[joint].unit]))
     if not len(bad):
         return None
     line = int(table["line"].iloc[bad[0]]) if "line" in table and path else None
@@ -580,14 +580,16 @@ def read_rows(
     """
     cells = read_cells(path, layout)
     columns = columns_read(list(map(str, cells)), layout, robot, path)
-    problems = [Problem(told, path, 1) for told in check_header(columns, layout, robot, conditions_only)]
+    problems = [Problem(message, path, 1) for message in check_header(columns, layout, robot, conditions_only)]
     known = column_names(robot, layout.reports)
     read = {
         column: values_of(cells[column.theirs], column, layout, path) for column in columns if _is_told(column, known)
     }
     gone = _without_measurement(read, layout)
     wrong = [
-        problem for column, own in read.items() for problem in (*_empty(column, own, gone, layout, path), *own.problems)
+        problem
+        for column, values in read.items()
+        for problem in (*_empty(column, values, gone, layout, path), *values.problems)
     ]
     if problems:
         raise InputError(problems + wrong)
@@ -626,23 +628,23 @@ def _without_measurement(read: dict[ReadColumn, Values], layout: Layout) -> dict
     """Return for each marker ('' where markers have no columns of their own) which lines are left out for want of values."""
     gone = {}
     for marker in dict.fromkeys([column.marker for column in read if column.marker] or [""]):
-        own = [
+        measured = [
             values.empty
             for column, values in read.items()
             if column.name in layout.reports.values and column.marker in ("", marker)
         ]
-        if not own:
+        if not measured:
             gone[marker] = pd.Series(dtype=bool)
             continue
-        empty = pd.concat(own, axis=1)
+        empty = pd.concat(measured, axis=1)
         left_out = {"whole": empty.all(axis=1), "skip": empty.any(axis=1)}
         gone[marker] = left_out.get(layout.missing, pd.Series(False, empty.index))
     return gone
 
 
-def _empty(column: ReadColumn, own: Values, gone: dict[str, pd.Series], layout: Layout, path: Path) -> list[Problem]:
+def _empty(column: ReadColumn, values: Values, gone: dict[str, pd.Series], layout: Layout, path: Path) -> list[Problem]:
     """Find empty cells, besides those of the device in rows that are left out."""
-    empty = own.empty
+    empty = values.empty
     if column.name in (*layout.reports.values, *SIGMAS):
         left_out = [lines for marker, lines in gone.items() if column.marker in ("", marker)]
         empty = empty & ~pd.concat(left_out, axis=1).all(axis=1).reindex(empty.index, fill_value=False)
@@ -653,8 +655,10 @@ def _assembled(read: dict[ReadColumn, Values], gone: dict[str, pd.Series], layou
     """Return a row for each line, and for each marker where they are measured side by side."""
     blocks = []
     for marker, lines in gone.items():
-        own = {column.name: values.values for column, values in read.items() if column.marker in ("", marker)}
-        block = pd.DataFrame({"line": next(iter(own.values())).index, **{k: v.to_numpy() for k, v in own.items()}})
+        read_values = {column.name: values.values for column, values in read.items() if column.marker in ("", marker)}
+        block = pd.DataFrame(
+            {"line": next(iter(read_values.values())).index, **{k: v.to_numpy() for k, v in read_values.items()}}
+        )
         if marker:
             block["marker"] = marker
         for name, value in (("sigma", layout.sigma), ("sigma_rotation", layout.sigma_rotation)):
@@ -679,8 +683,8 @@ def kept(table: pd.DataFrame, layout: Layout, path: Path | None) -> tuple[pd.Dat
     named = ", ".join(map(str, lines[:MAX_ROWS_TOLD]))
     more = f" and {len(lines) - MAX_ROWS_TOLD} more" if len(lines) > MAX_ROWS_TOLD else ""
     asked = 'missing = "skip": ' if layout.missing == "skip" else ""
-    said = f"{asked}{missing.sum()} of {len(missing)} rows have no measured value and are left out (line {named}{more})"
-    return table[~missing].reset_index(drop=True), [said]
+    note = f"{asked}{missing.sum()} of {len(missing)} rows have no measured value and are left out (line {named}{more})"
+    return table[~missing].reset_index(drop=True), [note]
 
 
 def _to_come(table: pd.DataFrame, robot: Robot) -> pd.DataFrame:

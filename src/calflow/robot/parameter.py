@@ -48,11 +48,11 @@ class Parameter:
 
     def as_expected(self, expected: Mapping[str | tuple[str, str, str, str], Expected]) -> Parameter:
         """Return it with what is stated of it, where anything is, by its identity and then by its name."""
-        found = self
+        parameter = self
         for key in (self.identity, self.name):
             if stated := expected.get(key):
-                found = found._stated(stated)
-        return found
+                parameter = parameter._stated(stated)
+        return parameter
 
     def _stated(self, by: Expected) -> Parameter:
         return replace(

@@ -56,11 +56,11 @@ class Robot(RobotParts):
     @cached_property
     def _hash(self) -> int:
         """Worked out once: what is made of a robot is looked up by it."""
-        return hash(tuple(getattr(self, one.name) for one in dataclasses.fields(self)))
+        return hash(tuple(getattr(self, field.name) for field in dataclasses.fields(self)))
 
     def __getstate__(self) -> dict[str, Any]:
         """Only what it holds is pickled: what was worked out of it, as its hash, is this process's."""
-        return {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
@@ -94,7 +94,7 @@ class Robot(RobotParts):
     @cached_property
     def expectations(self) -> Mapping[str | tuple[str, str, str, str], Expected]:
         """What is stated of its parameters, by their name or identity; of two statements of one the later."""
-        return {one.key: one for one in self.expected}
+        return {expected.key: expected for expected in self.expected}
 
     def canonical(self) -> str:
         """Return all that it holds as JSON, the same for equal robots."""
@@ -183,9 +183,9 @@ class Robot(RobotParts):
     @cached_property
     def angle_matrix(self) -> np.ndarray:
         """Matrix with reading = matrix · q, shape (n_joints, n_joints); a follower's reading is 0 and its angle does not count."""
-        own = np.ix_(self.driven, self.driven)
+        driven = np.ix_(self.driven, self.driven)
         matrix = np.zeros((self.n_joints, self.n_joints))
-        matrix[own] = np.linalg.inv(self.reading_matrix[own])
+        matrix[driven] = np.linalg.inv(self.reading_matrix[driven])
         return matrix
 
     def within_limits(self, q: np.ndarray, by: float = 0.0) -> np.ndarray:
@@ -203,11 +203,11 @@ class Robot(RobotParts):
 def _canonical(value: Any) -> Any:
     """A value as JSON has it: numbers as floats, so that 1 and 1.0 are the same."""
     if dataclasses.is_dataclass(value):
-        return {one.name: _canonical(getattr(value, one.name)) for one in dataclasses.fields(value)}
+        return {member.name: _canonical(getattr(value, member.name)) for member in dataclasses.fields(value)}
     if isinstance(value, Mapping):
         return [[name, _canonical(thing)] for name, thing in value.items()]
     if isinstance(value, tuple):
-        return [_canonical(one) for one in value]
+        return [_canonical(member) for member in value]
     return value + 0.0 if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 

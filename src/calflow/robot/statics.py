@@ -139,10 +139,10 @@ def moment_torques(robot: Robot) -> ca.Function:
     These are the links' and bars' masses [kg] and first moments [kg m], in which torques are linear whatever the masses are
     (Khalil and Dombre 2002); (n_joints, 4 times the number of bodies), without payload.
     """
-    q, known = ca.SX.sym("q", robot.n_joints), nominal_loads(robot)
+    q, nominal = ca.SX.sym("q", robot.n_joints), nominal_loads(robot)
     free = Loads(
-        ca.SX.sym("mass", known.mass.shape), ca.SX.sym("com", known.com.shape), ca.SX.sym("bar", known.bar_mass.shape),
-        ca.SX.sym("bar_com", known.bar_com.shape), 0 * known.payload_mass, known.payload_com,
+        ca.SX.sym("mass", nominal.mass.shape), ca.SX.sym("com", nominal.com.shape), ca.SX.sym("bar", nominal.bar_mass.shape),
+        ca.SX.sym("bar_com", nominal.bar_com.shape), 0 * nominal.payload_mass, nominal.payload_com,
     )  # fmt: skip
     masses = ca.vertcat(free.mass, free.bar_mass)
     places = ca.vertcat(ca.vec(free.com), ca.vec(free.bar_com))

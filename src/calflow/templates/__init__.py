@@ -135,9 +135,9 @@ def _template(name: str) -> str:
     return resources.files(__name__).joinpath(name).read_text(encoding="utf-8")
 
 
-def _filled(text: str, said: Mapping[str, str]) -> str:
+def _filled(text: str, words: Mapping[str, str]) -> str:
     """A text with what is said in the place of each word."""
-    return re.sub("|".join(said), lambda found: said[found[0]], text)
+    return re.sub("|".join(words), lambda match: words[match[0]], text)
 
 
 def library_names() -> list[str]:

@@ -92,7 +92,7 @@ def rigid_chain(robot: Robot) -> RigidChain:
 
 def said_of_variables(robot: Robot) -> list[str]:
     """Say where a chain's variable is not the joint's reading."""
-    said = [
+    notes = [
         f"joint {coupling.joint}'s variable is its own angle: reading {coupling.joint} with {coupling.factor:+g} times reading "
         f"{coupling.source}, which this format cannot state"
         for coupling in robot.couplings
@@ -100,34 +100,34 @@ def said_of_variables(robot: Robot) -> list[str]:
     ]  # fmt: skip
     if robot.ground:
         floor = robot.ground
-        said.append(
+        notes.append(
             f"the chain begins at what joints 1 to {floor} carry: link {floor} stands on the floor, not the base"
         )
     if robot.loop:
         j = robot.loop.joint
-        said.append(
+        notes.append(
             f"joint {j}'s variable is its own angle, which the four-bar loop makes of readings {j - 1} and {j}; this format "
             "cannot hold the loop"
         )
-    return said
+    return notes
 
 
 def _leader(robot: Robot, joint: int, names: Sequence[str]) -> tuple[str, float] | None:
     """The joint that one without drive (from 0) follows, where it follows one alone, whose variable is its own reading."""
-    own = [coupling for coupling in robot.couplings if coupling.joint == joint + 1]
-    if robot.joints[joint].driven or len(own) != 1:
+    couplings = [coupling for coupling in robot.couplings if coupling.joint == joint + 1]
+    if robot.joints[joint].driven or len(couplings) != 1:
         return None
-    source = own[0].source - 1
+    source = couplings[0].source - 1
     coupled = {coupling.joint - 1 for coupling in robot.couplings} | ({robot.loop.joint - 1} if robot.loop else set())
-    return None if source in coupled else (names[source], robot.joints[joint].sign * own[0].factor)
+    return None if source in coupled else (names[source], robot.joints[joint].sign * couplings[0].factor)
 
 
 def plain_names(names: Iterable[str], stem: str) -> list[str]:
     """Return names that every format takes: in letters, digits and _, or where that leaves nothing of its own stem and number."""
-    own = [re.sub(r"\W+", "_", name, flags=re.ASCII) for name in names]
-    usual = [f"{stem}{i + 1}" for i in range(len(own))]
-    told = [bool(name.strip("_")) and own.count(name) == 1 and name not in usual for name in own]
-    return [name if its_own else other for name, other, its_own in zip(own, usual, told, strict=True)]
+    plain = [re.sub(r"\W+", "_", name, flags=re.ASCII) for name in names]
+    usual = [f"{stem}{i + 1}" for i in range(len(plain))]
+    speaking = [bool(name.strip("_")) and plain.count(name) == 1 and name not in usual for name in plain]
+    return [name if speaks else other for name, other, speaks in zip(plain, usual, speaking, strict=True)]
 
 
 def transform_of(steps: Sequence[Step]) -> np.ndarray:

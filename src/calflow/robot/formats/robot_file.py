@@ -336,4 +336,4 @@ def drives(path: Path) -> Mapping[str, Drive]:
         InputError: with all that is wrong in the files.
     """
     _, *stated = files(path)
-    return {name: joint.drive for one in stated for name, joint in read_document(one).joints.items()}
+    return {name: joint.drive for document in stated for name, joint in read_document(document).joints.items()}

@@ -143,35 +143,35 @@ class _Reader:
         """Add a problem."""
         self.problems.append(Problem(message, self.path, element.line, key or None))
 
-    def misspelt(self, element: Element, key: str, known: Sequence[str]) -> None:
+    def misspelt(self, element: Element, key: str, tags: Sequence[str]) -> None:
         """Tell elements that look like a known one: what they state would be missed; others are extensions of other programs."""
-        for one in element.inside:
-            guess = nearest(one.tag, known)
-            if one.tag not in known and guess:
-                self.tell(one, key, f"unknown element <{shortened(one.tag)}>{guess}")
+        for child in element.inside:
+            guess = nearest(child.tag, tags)
+            if child.tag not in tags and guess:
+                self.tell(child, key, f"unknown element <{shortened(child.tag)}>{guess}")
 
-    def attributes(self, element: Element, key: str, known: Sequence[str]) -> None:
+    def attributes(self, element: Element, key: str, names: Sequence[str]) -> None:
         """Tell attributes that are unknown: they would mean something that is not read."""
         for name in element.attributes:
-            if name not in known:
+            if name not in names:
                 self.tell(
                     element,
                     key,
-                    f"unknown attribute '{shortened(name)}'{nearest(name, known)}; expected {', '.join(known)}",
+                    f"unknown attribute '{shortened(name)}'{nearest(name, names)}; expected {', '.join(names)}",
                 )
 
     def named(self, root: Element, tag: str) -> dict[str, Element]:
         """The elements of a tag by their names; those of the same name are told."""
-        found: dict[str, Element] = {}
+        elements: dict[str, Element] = {}
         for element in root.all(tag):
             name = element.attributes.get("name", "")
             if not name:
                 self.tell(element, tag, "missing: expected name")
-            elif name in found:
-                self.tell(element, f"{tag} '{name}'", f"is there twice, first in line {found[name].line}")
+            elif name in elements:
+                self.tell(element, f"{tag} '{name}'", f"is there twice, first in line {elements[name].line}")
             else:
-                found[name] = element
-        return found
+                elements[name] = element
+        return elements
 
     def numbers(self, element: Element, key: str, name: str, default: Vector, unit: str) -> Vector:
         """Three numbers of an attribute."""
@@ -199,20 +199,20 @@ class _Reader:
 
     def origin(self, element: Element, key: str) -> FrameOrigin:
         """The origin inside an element; none is at the same place."""
-        found = self.once(element, key, "origin")
-        if found is None:
+        stated = self.once(element, key, "origin")
+        if stated is None:
             return FrameOrigin()
-        self.attributes(found, f"{key}: origin", ("xyz", "rpy"))
+        self.attributes(stated, f"{key}: origin", ("xyz", "rpy"))
         still = (0.0, 0.0, 0.0)
-        xyz = self.numbers(found, f"{key}: origin", "xyz", still, "length")
-        return FrameOrigin(xyz, self.numbers(found, f"{key}: origin", "rpy", still, "angle"))
+        xyz = self.numbers(stated, f"{key}: origin", "xyz", still, "length")
+        return FrameOrigin(xyz, self.numbers(stated, f"{key}: origin", "rpy", still, "angle"))
 
     def once(self, element: Element, key: str, tag: str) -> Element | None:
         """The one element of a tag inside another."""
-        found = list(element.all(tag))
-        for again in found[1:]:
-            self.tell(again, key, f"<{tag}> is there twice, first in line {found[0].line}")
-        return found[0] if found else None
+        elements = list(element.all(tag))
+        for again in elements[1:]:
+            self.tell(again, key, f"<{tag}> is there twice, first in line {elements[0].line}")
+        return elements[0] if elements else None
 
     def inertia(self, element: Element, key: str) -> Inertia | None:
         """A link's inertia."""
@@ -249,60 +249,60 @@ class _Reader:
 
     def link(self, element: Element, key: str, tag: str) -> str:
         """The name of a joint's parent or child; empty where it has none."""
-        found = self.once(element, key, tag)
-        name = found.attributes.get("link", "") if found else ""
+        stated = self.once(element, key, tag)
+        name = stated.attributes.get("link", "") if stated else ""
         if not name:
-            self.tell(found or element, key, f"missing: expected <{tag} link=…/>")
+            self.tell(stated or element, key, f"missing: expected <{tag} link=…/>")
         return name
 
     def axis(self, element: Element, key: str) -> Vector:
         """A joint's axis, of length 1."""
-        found = self.once(element, key, "axis")
-        if found is None:
+        stated = self.once(element, key, "axis")
+        if stated is None:
             return (1.0, 0.0, 0.0)
-        self.attributes(found, f"{key}: axis", ("xyz",))
-        direction = np.array(self.numbers(found, f"{key}: axis", "xyz", (1.0, 0.0, 0.0), "length"))
+        self.attributes(stated, f"{key}: axis", ("xyz",))
+        direction = np.array(self.numbers(stated, f"{key}: axis", "xyz", (1.0, 0.0, 0.0), "length"))
         length = float(np.linalg.norm(direction))
         if length < 1e-6:
-            self.tell(found, f"{key}: axis", "xyz: expected a direction, found one without length")
+            self.tell(stated, f"{key}: axis", "xyz: expected a direction, found one without length")
             return (1.0, 0.0, 0.0)
         return vector(direction / length)
 
     def limits(self, element: Element, key: str, kind: str) -> tuple[float, float] | None:
         """A joint's limits; those of a continuous joint do not count."""
-        found = self.once(element, key, "limit")
+        stated = self.once(element, key, "limit")
         if kind == "continuous":
             return None
-        if found is None:
+        if stated is None:
             self.tell(element, key, f"missing: expected <limit lower=… upper=…/> of a {kind} joint")
             return None
-        low, high = (self.number(found, f"{key}: limit", name, 0.0) for name in ("lower", "upper"))
+        low, high = (self.number(stated, f"{key}: limit", name, 0.0) for name in ("lower", "upper"))
         if low is None or high is None:
             return None
         if not low < high:
-            self.tell(found, f"{key}: limit", f"expected lower < upper, found {low:g} and {high:g}")
+            self.tell(stated, f"{key}: limit", f"expected lower < upper, found {low:g} and {high:g}")
             return None
         return low, high
 
     def mimic(self, element: Element, key: str) -> Mimic | None:
         """The joint that a joint follows."""
-        found = self.once(element, key, "mimic")
-        if found is None:
+        stated = self.once(element, key, "mimic")
+        if stated is None:
             return None
-        self.attributes(found, f"{key}: mimic", ("joint", "multiplier", "offset"))
-        source = found.attributes.get("joint", "")
+        self.attributes(stated, f"{key}: mimic", ("joint", "multiplier", "offset"))
+        source = stated.attributes.get("joint", "")
         if not source:
-            self.tell(found, f"{key}: mimic", "missing: expected joint")
+            self.tell(stated, f"{key}: mimic", "missing: expected joint")
             return None
-        multiplier = self.number(found, f"{key}: mimic", "multiplier", 1.0)
-        offset = self.number(found, f"{key}: mimic", "offset", 0.0)
+        multiplier = self.number(stated, f"{key}: mimic", "multiplier", 1.0)
+        offset = self.number(stated, f"{key}: mimic", "offset", 0.0)
         return Mimic(source, 1.0 if multiplier is None else multiplier, offset or 0.0)
 
 
 def _drive(element: Element) -> Drive:
     """A joint's drive, in which what is no number above 0 says nothing: calflow itself has no use for it."""
-    said = next((found.attributes for found in element.all("limit")), {})
-    effort, velocity = (_number(said.get(name, "")) for name in ("effort", "velocity"))
+    attributes = next((limit.attributes for limit in element.all("limit")), {})
+    effort, velocity = (_number(attributes.get(name, "")) for name in ("effort", "velocity"))
     return Drive(effort if (effort or 0) > 0 else None, velocity if (velocity or 0) > 0 else None)
 
 
@@ -326,16 +326,16 @@ def _of_the_tree(document: Document) -> Iterator[Problem]:
         key = f"joint '{joint.name}'"
         for tag, link in (("parent", joint.parent), ("child", joint.child)):
             if link and link not in document.links:
-                said = f"{tag}: there is no link '{shortened(link)}'{nearest(link, document.links)}"
-                yield Problem(said, document.path, joint.line, key)
+                message = f"{tag}: there is no link '{shortened(link)}'{nearest(link, document.links)}"
+                yield Problem(message, document.path, joint.line, key)
         if joint.child in carriers:
-            said = f"child: link '{joint.child}' hangs on joint '{carriers[joint.child].name}' already"
-            yield Problem(said, document.path, joint.line, key)
+            message = f"child: link '{joint.child}' hangs on joint '{carriers[joint.child].name}' already"
+            yield Problem(message, document.path, joint.line, key)
         elif joint.child:
             carriers[joint.child] = joint
         if joint.mimic and joint.mimic.joint not in document.joints:
-            said = f"mimic: there is no joint '{shortened(joint.mimic.joint)}'{nearest(joint.mimic.joint, document.joints)}"
-            yield Problem(said, document.path, joint.line, key)
+            message = f"mimic: there is no joint '{shortened(joint.mimic.joint)}'{nearest(joint.mimic.joint, document.joints)}"
+            yield Problem(message, document.path, joint.line, key)
     yield from _circles(document, carriers)
     roots = [link for link in document.links if link not in carriers]
     if len(roots) > 1:
@@ -355,14 +355,14 @@ def _circles(document: Document, carriers: Mapping[str, UrdfJoint]) -> Iterator[
         if link in way:
             circle = way[way.index(link) :]
             joint = carriers[circle[0]]
-            said = f"hangs on itself, by way of links {_several(circle)}"
-            yield Problem(said, document.path, joint.line, f"joint '{joint.name}'")
+            message = f"hangs on itself, by way of links {_several(circle)}"
+            yield Problem(message, document.path, joint.line, f"joint '{joint.name}'")
 
 
 def _several(names: Iterable[str]) -> str:
-    told = list(names)
-    return ", ".join(f"'{shortened(name)}'" for name in told[:10]) + (
-        f" and {len(told) - 10} more" if len(told) > 10 else ""
+    shown = list(names)
+    return ", ".join(f"'{shortened(name)}'" for name in shown[:10]) + (
+        f" and {len(shown) - 10} more" if len(shown) > 10 else ""
     )
 
 
@@ -473,8 +473,8 @@ def find_chain(document: Document, tip: str | None, base: str | None) -> UrdfCha
     names = [joint.name for joint in chain.moving]
     for joint in chain.moving:
         if joint.mimic and joint.mimic.joint not in names:
-            said = f"mimic: expected a joint between base and tip, found '{joint.mimic.joint}'"
-            problems.append(_problem(chain, joint, said))
+            message = f"mimic: expected a joint between base and tip, found '{joint.mimic.joint}'"
+            problems.append(_problem(chain, joint, message))
         elif joint.mimic and document.joints[joint.mimic.joint].mimic:
             problems.append(_problem(chain, joint, f"mimic: joint '{joint.mimic.joint}' follows another itself"))
     if not names:
