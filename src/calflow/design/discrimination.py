@@ -182,9 +182,11 @@ def question(
         planned = planned_like(fitted, share)
         choices = among or _choices(fitted, planned.observation, rng)
         return _asked(verdict.finding, asked, untested, fitted, planned, choices)
-    except Exception as error:  # whatever it is: the causes were found, and only advice is lost
+    except (InputError, np.linalg.LinAlgError) as error:  # no pose to draw, or no model to tell: only advice is lost
         wider = isinstance(error, InputError)
-        reason = error.problems[0].message if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+        reason = (
+            error.problems[0].message if isinstance(error, InputError) else f"the models cannot be told apart: {error}"
+        )
         return Question(cause, tuple(Separation(one, unasked=reason, wider=wider) for one in asked) + untested)
 
 

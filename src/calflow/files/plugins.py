@@ -97,11 +97,18 @@ def package(entry: EntryPoint) -> str:
     return entry.dist.name if entry.dist else entry.module.partition(".")[0]
 
 
+# what another package's code may raise as it is imported: all of the language's own errors but those that end a program
+FAILS_TO_IMPORT = (
+    ArithmeticError, AssertionError, AttributeError, BufferError, EOFError, ImportError, LookupError, MemoryError, NameError,
+    OSError, ReferenceError, RuntimeError, SyntaxError, SystemError, TypeError, ValueError, Warning,
+)  # fmt: skip
+
+
 def _loaded(entry: EntryPoint, base: type[Part]) -> tuple[type[Part] | None, str]:
     """A class that an entry point names, or what is wrong with it."""
     try:
         kind = entry.load()
-    except Exception as error:  # whatever another package's code does as it is imported
+    except FAILS_TO_IMPORT as error:
         return None, f"{entry.value} cannot be imported ({type(error).__name__}: {error})"
     if not (inspect.isclass(kind) and issubclass(kind, base)):
         return None, f"{entry.value} is no subclass of {base.__module__}.{base.__qualname__}"
