@@ -7,7 +7,7 @@ job. A job draws all cases, as they follow from the seed, and works on its own.
 import sys
 from pathlib import Path
 
-from calflow.fleet.jobs import made_by
+from calflow.fleet.calibration import made_by
 
 SCRIPT = Path(config["script"])
 JOBS = range(-(-config["number"] // config["batch"]))

@@ -2,9 +2,9 @@
 
     snakemake -s workflows/fleet.smk --config fleet=plant.toml --cores 2
 
-What it is told, with --config or --configfile: fleet, the fleet file; out, the fleet's folder (runs/<its name>); batch, how
-many robots a job calibrates one after the other (10); allow, a list of folders in which the fleet file may name files besides its
-own. A robot that fails has an outcome that says so: delete that, and it is tried anew.
+What it is told, with --config or --configfile: fleet, the fleet file; out, the fleet's folder (runs/<its name>); allow, a list of
+folders in which the fleet file may name files besides its own. A robot that fails has an outcome that says so: delete that, and
+it is tried anew.
 
 Outputs are named as seen from the fleet's folder, and inputs are told by their state: braces in a folder's name would be
 wildcards to Snakemake.
@@ -13,18 +13,18 @@ wildcards to Snakemake.
 import sys
 from pathlib import Path
 
+from calflow.fleet.calibration import made_by, state
+from calflow.fleet.engine import RETRIES, FleetFolder
 from calflow.fleet.fleet import load_fleet
-from calflow.fleet.fleet_folder import FleetFolder
-from calflow.fleet.jobs import jobs, made_by
 
 ALLOW = [str(Path(folder).resolve()) for folder in config.get("allow", [])]
 FLEET = load_fleet(Path(config["fleet"]).resolve(), ALLOW)
 FOLDER = FleetFolder(Path(config.get("out", Path("runs") / FLEET.name)).resolve())
 HERE = FleetFolder(Path())
-JOBS = jobs(FLEET, int(config.get("batch", 10)))
-OUTCOMES = [outcome for job in JOBS for outcome in job.outputs(HERE)]
+OUTCOMES = [HERE.outcome(robot.name) for robot in FLEET.robots]
 COMMAND = [sys.executable, "-m", "calflow", "fleet"]
 TOLD = ["--out", str(FOLDER.path), *(f"--allow={folder}" for folder in ALLOW), str(FLEET.path)]
+MADE_BY = made_by()
 
 
 workdir: str(FOLDER.path)
@@ -47,22 +47,20 @@ rule report:
     output:
         HERE.results,
     params:
-        made_by=made_by(),
+        made_by=MADE_BY,
     shell:
         "{COMMAND:q} report {TOLD:q}"
 
 
-for number, job in enumerate(JOBS):
-
-    rule:
-        name:
-            f"calibrate_{number}"
-        output:
-            job.outputs(HERE),
-        params:
-            made_by=made_by(),
-            inputs=job.inputs,
-            robots=job.names,
-        retries: 1
-        shell:
-            "{COMMAND:q} work {TOLD:q} {params.robots:q}"
+rule calibrate:
+    output:
+        "outcomes/{robot}.json",
+    params:
+        made_by=MADE_BY,
+        state=lambda wildcards: state(FLEET.robot(wildcards.robot)),
+        minutes=FLEET.file.fleet.minutes_per_robot,
+    retries: RETRIES
+    resources:
+        attempt=lambda wildcards, attempt: attempt,
+    shell:
+        "{COMMAND:q} work {TOLD:q} --minutes {params.minutes} --attempt {resources.attempt} {wildcards.robot:q}"

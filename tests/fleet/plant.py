@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from calflow.files.problems import InputError
+from calflow.fleet.calibration import calibrate
+from calflow.fleet.engine import FleetFolder
+from calflow.fleet.fleet import Fleet
+from calflow.fleet.standing import Outcome, read_outcome
 from conftest import SMALL, Answer, Folder, in_process
 
 ROBOTS = ("A-1", "B-2", "C-3")
@@ -84,3 +91,11 @@ def mended(plant: Plant, robot: str) -> None:
     """Spell the column right."""
     path = plant.measurements(robot)
     path.write_text(path.read_text(encoding="utf-8").replace("y_mmm", "y_mm", 1), encoding="utf-8")
+
+
+def calibrated(fleet: Fleet, folder: FleetFolder, robots: Iterable[str]) -> dict[str, Outcome]:
+    """What comes of robots, calibrated one after the other in this process."""
+    for name in robots:
+        with suppress(InputError):
+            calibrate(fleet.robot(name), folder)
+    return {name: read_outcome(folder.outcome(name)) for name in robots}

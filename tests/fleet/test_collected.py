@@ -6,21 +6,19 @@ import numpy as np
 import pandas as pd
 
 from calflow.files.tables import from_frame
-from calflow.fleet.collected import collected
+from calflow.fleet.engine import FleetFolder
 from calflow.fleet.fleet import load_fleet
-from calflow.fleet.fleet_folder import FleetFolder
-from calflow.fleet.outcome import Outcome
-from calflow.fleet.standing import forget_stale, outcomes
-from calflow.fleet.summary import write_summary
-from calflow.fleet.work import work
+from calflow.fleet.fleet_report import write_summary
+from calflow.fleet.standing import Outcome, forget_stale, outcomes
+from calflow.fleet.types import collected
 from calflow.run_folder import read_manifest, write_manifest
-from fleet.plant import ROBOTS, broken
+from fleet.plant import ROBOTS, broken, calibrated
 
 
 def test_parameters_and_covariances_are_those_of_the_runs(plant):
     """Fails if a figure is another robot's or stands in another order."""
     fleet, folder = load_fleet(plant.file), FleetFolder(plant.out)
-    work(fleet, folder, ["C-3", "A-1"])
+    calibrated(fleet, folder, ["C-3", "A-1"])
     found = [collected(fleet.robot(name), folder) for name in ("A-1", "C-3")]
     assert [(one.robot, one.type) for one in found] == [("A-1", "small"), ("C-3", "small")]
     for one in found:
@@ -36,7 +34,7 @@ def test_parameters_and_covariances_are_those_of_the_runs(plant):
 def test_a_diagnosis_of_another_identification_is_not_taken(plant):
     """Fails if a robot that was identified anew is pooled by what was diagnosed before."""
     fleet, folder = load_fleet(plant.file), FleetFolder(plant.out)
-    work(fleet, folder, ["A-1"])
+    calibrated(fleet, folder, ["A-1"])
     run = folder.run("A-1")
     manifest = read_manifest(run)
     diagnosed = manifest.stages["identify"].model_copy(update={"key": {"after identify": "another"}})
@@ -49,7 +47,7 @@ def test_a_run_that_was_changed_is_told_and_made_anew(plant):
     """Fails if one folder in which somebody wrote keeps all others from a report, or is taken as it is for ever."""
     broken(plant, "B-2")
     fleet, folder = load_fleet(plant.file), FleetFolder(plant.out)
-    work(fleet, folder, ROBOTS)
+    calibrated(fleet, folder, ROBOTS)
     (folder.run("C-3") / "identify" / "parameters.csv").write_text("", encoding="utf-8")
     write_summary(fleet, folder, outcomes(fleet, folder))
     rows = {one.robot: one for one in from_frame(pd.read_csv(plant.out / "fleet.csv"), Outcome)}

@@ -10,7 +10,7 @@ import pytest
 
 from calflow.files.tables import columns
 from calflow.fleet.fleet_file import FleetFile
-from calflow.fleet.outcome import Outcome
+from calflow.fleet.standing import Outcome
 from calflow.fleet.types import CommonCauseRow, TypeParameter, UnlikeRow
 
 PAGE = (Path(__file__).parents[2] / "docs" / "fleet.md").read_text(encoding="utf-8")

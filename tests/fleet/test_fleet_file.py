@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from calflow.fleet.fleet import load_fleet
-from calflow.fleet.pattern import robots_of
+from calflow.fleet.fleet_file import robots_of
 from fleet.plant import FLEET, ROBOTS, Plant
 
 

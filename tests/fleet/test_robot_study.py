@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from calflow.fleet.fleet import load_fleet
-from calflow.fleet.robot_study import write_study
+from calflow.fleet.fleet import load_fleet, write_study
 from calflow.study import load_study
 
 

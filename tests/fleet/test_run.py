@@ -9,25 +9,21 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
-from multiprocessing import active_children
 
 import pandas as pd
+import pytest
 from filelock import FileLock
 
 from calflow.files.tables import from_frame
 from calflow.files.toml import read_toml
 from calflow.fleet import engine
-from calflow.fleet.attempts import attempts
-from calflow.fleet.fleet import load_fleet
-from calflow.fleet.fleet_folder import FleetFolder
-from calflow.fleet.outcome import Outcome
-from calflow.study import StudyFile, load_study, workflow_folder
+from calflow.fleet.engine import FleetFolder
+from calflow.fleet.standing import Outcome, read_outcome
+from calflow.study import StudyFile, workflow_folder
 from conftest import in_process
 from fleet.plant import ROBOTS, broken, mended
 
 SNAKEFILE = workflow_folder() / "fleet.smk"
-MINUTES = 30.0  # that a robot may take
 
 
 def rows(folder) -> dict[str, Outcome]:
@@ -103,8 +99,6 @@ def test_what_was_killed_goes_on_and_what_failed_is_tried_again(ran, plant):
         plant.out,
         "--cores",
         "1",
-        "--batch",
-        "3",
     ]
     apart = subprocess.Popen(called, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while not (plant.out / "outcomes" / "A-1.json").exists():
@@ -115,7 +109,7 @@ def test_what_was_killed_goes_on_and_what_failed_is_tried_again(ran, plant):
     assert not (plant.out / "fleet.csv").exists()
     assert plant.fleet("report").code == 0  # of what there is, which is no reason not to go on
     mended(plant, "B-2")
-    answer = plant.fleet("run", "--cores", 1, "--batch", 3)
+    answer = plant.fleet("run", "--cores", 1)
     assert answer.code == 0
     assert "3 of 3 robots calibrated." in answer.out
     assert "identify: reused" in (plant.out / "logs" / "A-1.log").read_text(encoding="utf-8")
@@ -134,37 +128,52 @@ def test_the_snakefile_is_used_by_hand(ran):
     assert "Nothing to be done" in done.stdout + done.stderr
 
 
-def run_with(befalls: Callable[[], object], monkeypatch, plant, minutes: float) -> list[Outcome]:
-    """What comes of the plant's robots where something befalls the process of the second while it is at work."""
-
-    def read(path):
-        if path.stem == ROBOTS[1]:
-            befalls()
-        return load_study(path)
-
-    monkeypatch.setattr("calflow.fleet.attempts.load_study", read)
-    return list(attempts(load_fleet(plant.file).robots, FleetFolder(plant.out), minutes))
+BEFALLS = """\
+import sys
+if {"calibrate", "B-2"} <= set(sys.orig_argv):
+    import os, signal, time
+    with open(os.environ["BEFALLEN"], "a") as told:
+        told.write(f"{os.getpid()} ")
+    WHAT
+"""
 
 
-def test_a_robot_whose_process_is_killed_is_named_and_harms_no_other(plant, monkeypatch):
-    """Fails if a robot for which the memory does not suffice takes the others of its job with it."""
-    found = run_with(lambda: os.kill(os.getpid(), signal.SIGKILL), monkeypatch, plant, MINUTES)
-    assert [one.robot for one in found] == list(ROBOTS)
-    assert [one.status for one in found] == ["calibrated", "failed", "calibrated"]
-    assert found[1].reason.startswith("its process was ended by SIGKILL")
-    monkeypatch.undo()
-    left = load_fleet(plant.file).robots[1:2]
-    assert [one.status for one in attempts(left, FleetFolder(plant.out), MINUTES)] == ["calibrated"]
+def befalls(what, monkeypatch, folder):
+    """Have something befall every process that calibrates the second robot; return the file that has their ids."""
+    folder.mkdir()
+    (folder / "sitecustomize.py").write_text(BEFALLS.replace("WHAT", what), encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join((str(folder), os.environ.get("PYTHONPATH", ""))))
+    monkeypatch.setenv("BEFALLEN", str(folder / "ids"))
+    return folder / "ids"
 
 
-def test_a_robot_that_never_ends_is_stopped_and_harms_no_other(plant, monkeypatch):
-    """Fails if one robot that hangs keeps those after it from being calibrated, or is left at work."""
-    fleet, folder = load_fleet(plant.file), FleetFolder(plant.out)
-    list(attempts(fleet.robots, folder, MINUTES))  # those that do not hang end at once the next time
-    found = run_with(lambda: time.sleep(3600), monkeypatch, plant, 0.1)
-    assert [one.status for one in found] == ["calibrated", "failed", "calibrated"]
-    assert found[1].reason.startswith("it had not ended after 0.1 minutes and was stopped")
-    assert not active_children()
+def test_a_robot_whose_process_is_killed_is_named_and_harms_no_other(plant, monkeypatch, tmp_path):
+    """Fails if a robot for which the memory does not suffice keeps others from being calibrated, or is not tried once more."""
+    with monkeypatch.context() as patch:
+        ids = befalls("os.kill(os.getpid(), signal.SIGKILL)", patch, tmp_path / "befalls")
+        assert plant.fleet("run", "--cores", 2).code == 3
+    assert len(ids.read_text().split()) == 2
+    found = rows(plant.out)
+    assert [found[name].status for name in ROBOTS] == ["calibrated", "failed", "calibrated"]
+    assert found["B-2"].reason.startswith("its process was ended by SIGKILL")
+    assert plant.fleet("run", "--cores", 1).code == 0
+    assert [found.status for found in rows(plant.out).values()] == ["calibrated"] * 3
+
+
+def test_a_robot_that_never_ends_is_stopped(plant, monkeypatch, tmp_path):
+    """Fails if a robot that hangs is waited for for ever, or is left at work."""
+    called = ("work", "B-2", "--minutes", 0.05, "--attempt")
+    ids = befalls("time.sleep(3600)", monkeypatch, tmp_path / "befalls")
+    folder = FleetFolder(plant.out)
+    assert plant.fleet(*called, 1).code == 1  # it is tried again
+    assert not folder.outcome("B-2").exists()
+    assert plant.fleet(*called, 2).code == 0
+    found = read_outcome(folder.outcome("B-2"))
+    assert (found.status, found.failed_stage) == ("failed", "")
+    assert found.reason.startswith("it had not ended after 0.05 minutes and was stopped")
+    for process in map(int, ids.read_text().split()):
+        with pytest.raises(ProcessLookupError):
+            os.kill(process, 0)
 
 
 def test_a_limit_that_is_no_time_is_refused(plant):
@@ -182,7 +191,8 @@ def test_a_job_waits_for_one_that_outlived_its_command(plant):
     held = FileLock(folder.run("A-1") / ".lock", thread_local=False)
     held.acquire()
     threading.Timer(0.5, held.release).start()
-    assert [one.status for one in attempts(load_fleet(plant.file).robots[:1], folder, MINUTES)] == ["calibrated"]
+    assert plant.fleet("work", "A-1", "--minutes", 30, "--attempt", 1).code == 0
+    assert read_outcome(folder.outcome("A-1")).status == "calibrated"
     assert not held.is_locked
 
 

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import os
 
+from calflow.fleet.engine import FleetFolder
 from calflow.fleet.fleet import load_fleet
-from calflow.fleet.fleet_folder import FleetFolder
 from calflow.fleet.standing import forget_stale
+from fleet.plant import calibrated
 
 
 def test_other_measurements_are_noticed_whatever_their_date(plant):
     """Fails if a file that was copied with its old date, or written after a clock was set back, leaves a robot as it was."""
-    assert plant.fleet("work", "A-1", "B-2").code == 0
     loaded, folder = load_fleet(plant.file), FleetFolder(plant.out)
+    calibrated(loaded, folder, ["A-1", "B-2"])
     forget_stale(loaded, folder)
     assert folder.outcome("A-1").exists()
     measured = plant.measurements("A-1")
@@ -25,7 +26,7 @@ def test_other_measurements_are_noticed_whatever_their_date(plant):
 
 def test_what_was_changed_since_is_told(plant):
     """Fails if a figure of an outcome that was changed is passed on, or a robot of a changed run left out without a word."""
-    assert plant.fleet("work", "A-1", "B-2").code == 0
+    calibrated(load_fleet(plant.file), FleetFolder(plant.out), ["A-1", "B-2"])
     told = plant.fleet("report")
     assert (told.code, "A-1" in told.out) == (0, False)
     table = plant.out / "robots" / "A-1" / "identify" / "parameters.csv"

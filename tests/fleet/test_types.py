@@ -9,9 +9,8 @@ import pytest
 
 import calflow as cf
 from calflow.files.tables import to_frame
-from calflow.fleet.collected import Collected
-from calflow.fleet.type_blocks import type_blocks
-from calflow.fleet.types import CommonCauseRow, TypeFindings, TypeParameter, UnlikeRow, by_type, type_lines
+from calflow.fleet.fleet_report import type_blocks
+from calflow.fleet.types import Collected, CommonCauseRow, TypeFindings, TypeParameter, UnlikeRow, by_type, type_lines
 from calflow.model import build
 from calflow.population.common_causes import Shown
 from calflow.population.likelihood import ParameterEstimates

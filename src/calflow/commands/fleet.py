@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from calflow.commands.console import FILE, NOT_WELL, resumable, say
+from calflow.commands.progress import progress
 
 if TYPE_CHECKING:
+    from calflow.fleet.engine import FleetFolder
     from calflow.fleet.fleet import Fleet
-    from calflow.fleet.fleet_folder import FleetFolder
-    from calflow.fleet.outcome import Outcome
+    from calflow.fleet.standing import Outcome
 
 ALLOW = click.option(
     "--allow",
@@ -38,7 +40,7 @@ def fleet_command() -> None:
 def fleet_plan_command(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
     """Show which robots would be calibrated, and why; writes each one's study, and runs none."""
     from calflow.fleet.engine import check_engine
-    from calflow.fleet.planned import planned
+    from calflow.fleet.standing import planned
 
     check_engine()
     for one in planned(*_opened(fleet_file, out, allow)):
@@ -51,7 +53,7 @@ def fleet_plan_command(fleet_file: Path, out: Path | None, allow: tuple[Path, ..
 @OUT
 @ALLOW
 @click.option("--cores", type=click.IntRange(min=1), help="Of this machine; all by default.")
-@click.option("--batch", type=click.IntRange(min=1), help="Robots that a job calibrates one after the other.")
+@click.option("--batch", type=click.IntRange(min=1), help="Robots that a cluster is given as one job.")
 @click.option("--profile", default="", help="A profile of Snakemake's, which says where jobs run: a cluster, a cloud.")
 def fleet_run_command(
     fleet_file: Path,
@@ -67,10 +69,8 @@ def fleet_run_command(
     Ends with 0 where every robot is calibrated, with 3 where some are not.
     """
     from calflow.fleet.engine import LOG, Where, check_engine, command, running
-    from calflow.fleet.fleet_lines import fleet_lines, why
-    from calflow.fleet.jobs import size_for
-    from calflow.fleet.standing import arriving, forget_stale, outcomes
-    from calflow.fleet.summary import write_summary
+    from calflow.fleet.fleet_report import write_summary
+    from calflow.fleet.standing import arriving, fleet_lines, forget_stale, outcomes, why
     from calflow.runs.lock import locked
     from calflow.study import workflow_folder
 
@@ -80,12 +80,15 @@ def fleet_run_command(
     folder.path.mkdir(parents=True, exist_ok=True)
     with resumable(), locked(folder.path):
         forget_stale(loaded, folder)
-        size = batch or size_for(len(loaded.robots), cores)
         told = {
-            "fleet": str(loaded.path.resolve()), "out": str(folder.path), "batch": size,
+            "fleet": str(loaded.path.resolve()),
+            "out": str(folder.path),
             "allow": [str(one.resolve()) for one in allow],
-        }  # fmt: skip
-        called = command(workflow_folder() / "fleet.smk", told, folder.path, Where(cores, profile, options))
+        }
+        grouped = ("--groups", "calibrate=robots", "--group-components", f"robots={batch}") if batch else ()
+        called = command(
+            workflow_folder() / "fleet.smk", told, folder.path, Where(cores, profile, (*grouped, *options))
+        )
         with running(called, folder.path) as process:
             for one in arriving(loaded, folder, lambda: process.poll() is not None):
                 say(f"{one.robot}: {one.verdict or why(one)}")
@@ -105,8 +108,7 @@ def fleet_run_command(
 @ALLOW
 def fleet_status_command(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
     """Show how far a fleet has come, and what failed."""
-    from calflow.fleet.fleet_lines import fleet_lines
-    from calflow.fleet.standing import outcomes
+    from calflow.fleet.standing import fleet_lines, outcomes
 
     found = outcomes(*_opened(fleet_file, out, allow))
     say(*fleet_lines(found))
@@ -119,8 +121,8 @@ def fleet_status_command(fleet_file: Path, out: Path | None, allow: tuple[Path, 
 @ALLOW
 def fleet_report_command(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
     """Write fleet.csv and the reports anew from what came of the robots so far."""
+    from calflow.fleet.fleet_report import write_summary
     from calflow.fleet.standing import outcomes
-    from calflow.fleet.summary import write_summary
 
     loaded, folder = _opened(fleet_file, out, allow)
     _tell_failed(write_summary(loaded, folder, outcomes(loaded, folder)))
@@ -129,14 +131,44 @@ def fleet_report_command(fleet_file: Path, out: Path | None, allow: tuple[Path, 
 
 @fleet_command.command("work", hidden=True)
 @click.argument("fleet_file", metavar="FLEET.toml", type=FILE)
-@click.argument("robots", metavar="ROBOT…", nargs=-1, required=True)
+@click.argument("robot")
+@click.option("--out", type=FILE, required=True)
+@ALLOW
+@click.option("--minutes", type=float, required=True)
+@click.option("--attempt", type=int, required=True)
+def fleet_work_command(
+    fleet_file: Path, robot: str, out: Path, allow: tuple[Path, ...], minutes: float, attempt: int
+) -> None:
+    """See a robot's calibration through: a job of the workflow. The last attempt of one that fails writes that it did."""
+    from calflow.fleet.engine import RETRIES, FleetFolder, supervise
+
+    began, folder = time.time_ns(), FleetFolder(out)
+    outcome = folder.outcome(robot)
+    outcome.unlink(missing_ok=True)
+    called = [sys.executable, "-m", "calflow", "fleet", "calibrate", str(fleet_file), robot, "--out", str(out)]
+    why = supervise([*called, *(f"--allow={one}" for one in allow)], folder.log(robot), minutes)
+    if why and attempt <= RETRIES:
+        sys.exit(1)
+    if why and not outcome.exists():
+        from calflow.fleet.calibration import failed
+        from calflow.fleet.standing import write_outcome
+
+        loaded, folder = _opened(fleet_file, out, allow)
+        write_outcome(outcome, failed(loaded.robot(robot), folder, why, began))
+
+
+@fleet_command.command("calibrate", hidden=True)
+@click.argument("fleet_file", metavar="FLEET.toml", type=FILE)
+@click.argument("robot")
 @OUT
 @ALLOW
-def fleet_work_command(fleet_file: Path, robots: tuple[str, ...], out: Path | None, allow: tuple[Path, ...]) -> None:
-    """Calibrate some robots of a fleet: a job of the workflow."""
-    from calflow.fleet.work import work
+def fleet_calibrate_command(fleet_file: Path, robot: str, out: Path | None, allow: tuple[Path, ...]) -> None:
+    """Calibrate a robot of a fleet, and write what came of it."""
+    from calflow.fleet.calibration import calibrate
 
-    work(*_opened(fleet_file, out, allow), robots)
+    loaded, folder = _opened(fleet_file, out, allow)
+    with resumable(), progress() as listener:
+        calibrate(loaded.robot(robot), folder, listener)
 
 
 def _opened(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> tuple[Fleet, FleetFolder]:
@@ -148,7 +180,7 @@ def _opened(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> tupl
 
 
 def _tell_failed(found: list[Outcome]) -> None:
-    from calflow.fleet.fleet_lines import why
+    from calflow.fleet.standing import why
 
     for one in found:
         if one.status != "calibrated":

@@ -1,7 +1,8 @@
-"""The fleet file as written: the types of robots, and the robots."""
+"""The fleet file as written: the types of robots, the robots, and patterns of files such as `data/{robot}/measurements.csv`."""
 
 from __future__ import annotations
 
+import glob
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,7 +12,23 @@ from pydantic import BeforeValidator, Field, field_validator
 
 from calflow.files.toml import FileModel
 from calflow.files.writing import is_within
-from calflow.fleet.pattern import ROBOT
+
+ROBOT = "{robot}"  # what stands for a robot's name
+
+
+def filled(pattern: str, robot: str) -> str:
+    """Return a robot's file as its type's pattern has it."""
+    return pattern.replace(ROBOT, robot)
+
+
+def robots_of(pattern: str, folder: Path) -> list[str]:
+    """Return the names that stand for `{robot}` in the files that there are, sorted; a pattern is seen from a folder."""
+    parts = pattern.split(ROBOT)
+    first, *again = (re.escape(part) for part in parts)
+    name = re.compile(f"{first}(?P<robot>[^/]+){'(?P=robot)'.join(again)}")
+    there = glob.glob("*".join(map(glob.escape, parts)), root_dir=folder)
+    return sorted(found["robot"] for path in there if (found := name.fullmatch(path)))
+
 
 NAME = r"\w[\w.-]*"
 

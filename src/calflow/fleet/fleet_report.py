@@ -1,17 +1,71 @@
-"""The report of a fleet: one page for whoever has a minute, and a table of all robots for whoever looks for one."""
+"""The report of a fleet: tables, one page for whoever has a minute, and a table of all robots for whoever looks for one."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
+from calflow.effects.words import amount, cause_name
+from calflow.files.problems import InputError
+from calflow.files.results import Results
 from calflow.files.tables import to_frame
-from calflow.files.words import first_up, listed, plural, ratio
-from calflow.fleet.fleet_lines import error, fleet_lines, why
-from calflow.fleet.outcome import Outcome, worst_first
-from calflow.fleet.type_blocks import type_blocks
-from calflow.fleet.types import TypeFindings, type_lines, unlike_parameters
+from calflow.files.words import chance_figure, first_up, listed, plural, ratio
+from calflow.files.writing import write_whole
+from calflow.fleet.engine import CAUSES, TABLE, TYPES, UNLIKE, FleetFolder
+from calflow.fleet.fleet import Fleet
+from calflow.fleet.standing import (
+    Outcome,
+    error,
+    fleet_lines,
+    reason,
+    why,
+    worst_first,
+)
+from calflow.fleet.types import (
+    Collected,
+    CommonCauseRow,
+    TypeFindings,
+    TypeParameter,
+    UnlikeRow,
+    by_type,
+    collected,
+    type_lines,
+    unlike_parameters,
+)
+from calflow.population.type_prior import FEWEST
 from calflow.reporting.blocks import Block, Gap, Heading, Paragraph, Part, Plot, RestOfPage, Table
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, plain_decades
+from calflow.runs.kept import keep_results
+
+WHOSE = {"type": "the type's", "robot": "each robot's own", "cannot tell": "cannot tell"}
+
+
+def type_blocks(types: Sequence[TypeFindings]) -> Iterator[Block]:
+    """Yield what is to be read of each type."""
+    for one in types:
+        yield Heading(f"Type {one.type}: {plural(one.robots, 'robot')}")
+        yield from (Paragraph(line) for line in type_lines([one], 100))
+        if one.prior is None:
+            yield Paragraph(f"Too few to say how far robots of the type differ: that takes {FEWEST}.")
+            continue
+        if one.unlike:
+            rows = [
+                (odd.robot, odd.parameter.name, f"{odd.spreads:+.1f}", chance_figure(odd.p),
+                 ", ".join(other.name for other in odd.instead)) for odd in one.unlike
+            ]  # fmt: skip
+            yield Table(("robot", "parameter", "off by [spreads]", "p", "or instead"), rows, "llrrl")
+        else:
+            yield Paragraph("No robot is unlike the others.")
+        if one.causes:
+            yield Table(("cause", "variant", "robots", "share, 95 % interval", "size, spread", "whose"), [
+                (cause_name(cause.cause, cause.joint), cause.detail, f"{len(cause.robots)} of {cause.of}",
+                 f"{cause.low:.2f} to {cause.high:.2f}", amount(cause.cause, cause.size, cause.spread, cause.unit),
+                 WHOSE[cause.whose]) for cause in one.causes
+            ], "lllrrl")  # fmt: skip
+        yield Paragraph(
+            f"types/{one.type}.toml is the type's robot file with what these robots let expect of a further one: a study that "
+            "names it needs far fewer poses. type_parameters.csv has the figures."
+        )
+
 
 MOST_TOLD = 18  # robots on the first page
 MOST_ON_TYPES = 3  # sentences on the first page
@@ -120,3 +174,48 @@ def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
     axes.set_xlabel("mean position error of a robot [mm]")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return Plot("fleet", drawn, "Every robot of each type before and after calibration.", data=data)
+
+
+TABLES = {TABLE: Outcome, TYPES: TypeParameter, UNLIKE: UnlikeRow, CAUSES: CommonCauseRow}
+
+
+def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """Write a fleet's tables and reports from what came of its robots, and of each type a robot file that knows it.
+
+    Return the outcomes that these tell of: a robot whose run was changed since counts as failed.
+    """
+    from calflow.reporting import document
+    from calflow.reporting import page as writing
+    from calflow.reporting.style import style
+
+    known, found = _known(fleet, folder, outcomes)
+    types = by_type(known)
+    tables = {
+        TABLE: to_frame(worst_first(found, unlike_parameters(types)), Outcome),
+        TYPES: to_frame([row for one in types for row in one.parameters()], TypeParameter),
+        UNLIKE: to_frame([row for one in types for row in one.odd_ones()], UnlikeRow),
+        CAUSES: to_frame([row for one in types for row in one.common()], CommonCauseRow),
+    }
+    keep_results(folder.path, Results(tables), TABLES, fleet.title)
+    for one in types:
+        expecting = one.expecting(next(type_.study.robot for type_ in fleet.types if type_.name == one.type))
+        if expecting:
+            write_whole(folder.type_robot(one.type), expecting.toml_text().encode())
+    with style():
+        page, *more = fleet_report(fleet.title, found, types)
+        document.write_pdf(fleet.title, [page], folder.path)
+        writing.write_html(fleet.title, [page, *more], folder.path)
+    return found
+
+
+def _known(fleet: Fleet, folder: FleetFolder, found: Sequence[Outcome]) -> tuple[list[Collected], list[Outcome]]:
+    """What was found of every calibrated robot, and the outcomes: a robot whose run was changed since is none of these any more."""
+    known, told = list[Collected](), list[Outcome]()
+    for one in found:
+        try:
+            if one.status == "calibrated":
+                known.append(collected(fleet.robot(one.robot), folder))
+            told.append(one)
+        except InputError as error:
+            told.append(Outcome(robot=one.robot, type=one.type, status="failed", reason=reason(error)))
+    return known, told

@@ -1,18 +1,124 @@
-"""How a fleet stands: what came of each robot so far, and which are still to be calibrated."""
+"""How a fleet stands: what came of each robot so far, in figures and sentences, and what a run would still do."""
 
 from __future__ import annotations
 
+import json
+import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median
+from typing import Literal
 
-from calflow.files.problems import InputError, refuse
-from calflow.files.writing import inside
-from calflow.fleet.fleet import Fleet, FleetRobot
-from calflow.fleet.fleet_folder import PARTS, FleetFolder
-from calflow.fleet.outcome import Outcome, read_outcome
-from calflow.fleet.planned import steps
+from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.results import from_document, is_whole, sealed, to_document
+from calflow.files.tables import column
+from calflow.files.words import first_up, listed, mm, plural
+from calflow.files.writing import inside, write_text
+from calflow.fleet.engine import PARTS, FleetFolder
+from calflow.fleet.fleet import Fleet, FleetRobot, write_study
 from calflow.run_folder import NAME, read_manifest
+from calflow.runs.planning import PlannedStage, plan
+from calflow.study import load_study
+
+Status = Literal["calibrated", "failed", "not run"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What came of a robot of a fleet."""
+
+    robot: str = column("its name")
+    type: str = column("its type")
+    status: Status = column("whether its run came to its end; not run: nothing is known of it yet")
+    usable: bool | None = column("false: its report says not to use the model; empty: there is none", default=None)
+    verdict: str = column("its report's verdict, in words", default="")
+    judged_by: Literal["holdout", "train", ""] = column("poses that the errors are of: held out, or fitted", default="")
+    points: int | None = column("number of measured points among them", default=None)
+    before_mean_mm: float | None = column("mean position error of the robot as its maker states it", "mm", default=None)
+    before_max_mm: float | None = column("largest such error", "mm", default=None)
+    after_mean_mm: float | None = column("mean position error of the calibrated robot", "mm", default=None)
+    after_max_mm: float | None = column("largest such error", "mm", default=None)
+    causes: tuple[str, ...] = column(
+        "what diagnose found that the model lacked, with its size", separator="; ", default=()
+    )
+    failed_stage: str = column("the stage in which it failed; empty: before the first", default="")
+    reason: str = column("why it failed, or was not run", default="")
+
+
+def worst_first(outcomes: Iterable[Outcome], odd: Container[str] = ()) -> list[Outcome]:
+    """Return outcomes in the order in which they need a look: failed, not to be used, odd, and then the largest error first."""
+
+    def rank(one: Outcome) -> tuple[bool, bool, bool, float, str]:
+        error = one.after_mean_mm or 0.0
+        return one.status == "calibrated", one.usable is not False, one.robot not in odd, -error, one.robot
+
+    return sorted(outcomes, key=rank)
+
+
+def write_outcome(path: Path, outcome: Outcome) -> None:
+    """Write an outcome whole."""
+    write_text(path, json.dumps(sealed(to_document(outcome)), indent=2, ensure_ascii=False) + "\n")
+
+
+def read_outcome(path: Path) -> Outcome | None:
+    """Return an outcome that was written; None where there is none.
+
+    Raises:
+        InputError: it was changed, or another version of calflow wrote it.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(content, dict) or not is_whole(content):
+            raise ValueError("it was changed since it was written")
+        return from_document(content, Outcome)
+    except FileNotFoundError:
+        return None
+    except ValueError as error:
+        raise refuse(f"cannot be read ({error}); delete it and run the fleet again", path) from None
+
+
+def reason(error: Exception) -> str:
+    """Return why a robot failed; files are named as whoever wrote the fleet file knows them, not as seen from the robot's study."""
+    problems = [_plainly(one) for one in error.problems] if isinstance(error, InputError) else [repr(error)]
+    return "; ".join(map(str, problems))
+
+
+def _plainly(problem: Problem) -> Problem:
+    return problem if problem.file is None else replace(problem, file=Path(os.path.normpath(problem.file)))
+
+
+def planned(fleet: Fleet, folder: FleetFolder) -> Iterator[str]:
+    """Return a line a robot; each one's study is written on the way, for `calflow check` and the like."""
+    width = max(len(robot.name) for robot in fleet.robots)
+    wide = max(len(one.name) for one in fleet.types)
+    for robot in fleet.robots:
+        yield f"{robot.name:{width}}  {robot.type.name:{wide}}  {_said(robot, folder)}"
+
+
+def steps(robot: FleetRobot, folder: FleetFolder) -> list[PlannedStage]:
+    """Return what a run of a robot would do; its study is written on the way.
+
+    Raises:
+        InputError: its files are at fault.
+    """
+    write_study(robot, folder.study(robot.name))
+    return plan(load_study(folder.study(robot.name)), folder.run(robot.name))
+
+
+def _said(robot: FleetRobot, folder: FleetFolder) -> str:
+    try:
+        planned_steps = steps(robot, folder)
+        again = [step for step in planned_steps if not step.reuse]
+        if again:
+            load_study(folder.study(robot.name)).measurements()  # what is wrong in their rows is told before the night
+    except InputError as error:
+        return f"would fail: {reason(error)}"
+    if not again:
+        return f"reuse  {planned_steps[0].reason}"
+    return f"run    {', '.join(step.stage.name for step in again)}: {again[0].reason}"
+
 
 LOOK = 0.5  # s between looks for outcomes
 
@@ -81,3 +187,40 @@ def _unknown(robot: FleetRobot, folder: FleetFolder) -> Outcome:
     begun = [name for name, entry in manifest.stages.items() if entry.status != "done"] if manifest else []
     said = f"{begun[0]} was begun" if begun else "its outcome is not written yet" if manifest else "was not begun"
     return Outcome(robot=robot.name, type=robot.type.name, status="not run", reason=said)
+
+
+def fleet_lines(found: Sequence[Outcome]) -> list[str]:
+    """Return how a fleet stands in sentences."""
+    lines = [f"{_count(found)}."]
+    after = {one.robot: one.after_mean_mm for one in found if one.after_mean_mm is not None}
+    before = [one.before_mean_mm for one in found if one.before_mean_mm is not None]
+    if after and before:
+        worst = max(after, key=lambda robot: after[robot])
+        lines.append(
+            f"Half of them have a mean position error of {mm(median(after.values()))} mm or less (before: "
+            f"{mm(median(before))} mm); the worst one, {worst}, is left with {mm(after[worst])} mm."
+        )
+    return lines
+
+
+def _count(found: Sequence[Outcome]) -> str:
+    """Say how many robots are calibrated, and how many are not."""
+    failed = [one.robot for one in found if one.status == "failed"]
+    waiting = [one.robot for one in found if one.status == "not run"]
+    useless = [one.robot for one in found if one.usable is False]
+    said = [f"{sum(one.status == 'calibrated' for one in found)} of {plural(len(found), 'robot')} calibrated"]
+    said += [f"{len(failed)} failed ({listed(failed, 6)})"] if failed else []
+    said += [f"{len(waiting)} not run ({listed(waiting, 6)})"] if waiting else []
+    said += [f"{len(useless)} with a model that is not to be used ({listed(useless, 6)})"] if useless else []
+    return "; ".join(said)
+
+
+def why(one: Outcome) -> str:
+    """Say why there is no calibrated robot."""
+    where = f" in {one.failed_stage}" if one.failed_stage else ""
+    return f"{first_up(one.status)}{where}: {one.reason}"
+
+
+def error(value: float | None) -> str:
+    """Return an error as a table shows it."""
+    return "–" if value is None else mm(value)

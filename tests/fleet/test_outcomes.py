@@ -1,28 +1,8 @@
-"""Jobs: all robots, evenly on all cores; and the order in which outcomes need a look."""
+"""Outcomes: the order in which they need a look, and that they read back as they were."""
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
-import pytest
-
-from calflow.fleet.fleet_lines import fleet_lines
-from calflow.fleet.jobs import MOST, jobs, size_for
-from calflow.fleet.outcome import Outcome, read_outcome, worst_first, write_outcome
-
-
-@pytest.mark.parametrize("robots", [1, 2, 3, 20, 99, 200, 201, 300, 1000])
-@pytest.mark.parametrize("cores", [1, 2, 8, 64])
-def test_every_robot_is_in_one_job_and_every_core_has_as_many(robots, cores):
-    """Fails if a robot is left out or done twice, or a core idles while another has a job more than a round."""
-    size = size_for(robots, cores)
-    made = jobs(SimpleNamespace(robots=tuple(range(robots))), size)
-    assert sorted(robot for job in made for robot in job.robots) == list(range(robots))
-    sizes = [len(job.robots) for job in made]
-    assert max(sizes) <= MOST
-    assert max(sizes) - min(sizes) <= 1
-    rounds = -(-len(made) // cores)
-    assert rounds * max(sizes) <= -(-robots // cores) + rounds
+from calflow.fleet.standing import Outcome, fleet_lines, read_outcome, worst_first, write_outcome
 
 
 def outcome(robot: str, status: str = "calibrated", after: float | None = None, usable: bool | None = None) -> Outcome:
