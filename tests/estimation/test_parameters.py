@@ -113,6 +113,7 @@ def test_a_study_states_it_and_every_stage_keeps_to_it(small):
     """Fails if a held parameter is fitted, sampled or chosen poses for, or a run's model is opened without what was stated."""
     with (small / "study.toml").open("a") as file:
         file.write(STATED)
+    small.edit("quick.toml", ('"identify", "sample"]', '"identify", "diagnose", "sample", "report"]'))
     assert small.calflow("run").code == 0
     table = pd.read_csv(small / "runs" / "identify" / "parameters.csv").set_index("parameter")
     held = table.loc["joint2.theta"]
@@ -124,6 +125,12 @@ def test_a_study_states_it_and_every_stage_keeps_to_it(small):
     for name in ("identify/covariance.csv", "sample/posterior.csv"):
         assert "joint2.theta" not in set(pd.read_csv(small / "runs" / name)["parameter"])
     known = Calibration.load(small / "runs")
+    known.save(small / "again")
+    again = Calibration.load(small / "again")
+    assert again.parameters.stated == known.parameters.stated
+    assert again.model.robot == known.model.robot
+    assert known.parameters["joint2.theta"].fixed
+    assert np.array_equal(again.estimate, known.estimate)
     assert known.model.values(known.model.effects[0], known.estimate)[
         [one.name for one in known.model.effects[0].declared].index("joint2.theta")
     ] == pytest.approx(np.deg2rad(0.01))

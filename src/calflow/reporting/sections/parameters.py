@@ -188,6 +188,8 @@ def _place(row: FittedParameter) -> str:
 
 def _line(row: FittedParameter, together: bool) -> tuple[str, ...]:
     factor, unit = readable(row.unit)
+    if row.fixed:
+        return unit, f"{factor * (row.estimate - row.nominal):.4g}", "", "", "held by the study"
     value, deviation = with_sd(factor * (row.estimate - row.nominal), factor * row.sd)
     allowed = interval(factor * (row.lower - row.nominal), factor * (row.upper - row.nominal))
     return unit, value, deviation, allowed, known_from(row.prior_share, row.at_bound, together)
