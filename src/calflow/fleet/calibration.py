@@ -14,9 +14,8 @@ from calflow.fleet.standing import Outcome, reason, write_outcome
 from calflow.reporting.material import findings
 from calflow.reporting.sections.verdict import judgement
 from calflow.run_folder import NAME, code_digest, read_manifest, versions
-from calflow.runs.listener import Listener, Silent
 from calflow.runs.lock import wait_until_free
-from calflow.runs.run import run
+from calflow.runs.run import Listener, Silent, run
 from calflow.study import load_study
 
 SILENT = Silent()
