@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import pandas as pd
+from collections.abc import Sequence
 
 from calflow.deployment.usability import Advice
-from calflow.faults.base import lines_in_words
+from calflow.faults.base import FaultyRow, lines_in_words
 from calflow.files.results import Results
-from calflow.files.words import effect_words, plural
+from calflow.files.words import effect_words, first_up, plural
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -24,42 +24,37 @@ INTRODUCTION = (
 
 def _data_faults(material: Material) -> list[Block]:
     """Tabulate each fault with its rows and what was done, then say what to do."""
-    faults = _faults(material.tables[FAULTS])
-    rows = [
-        (effect_words(str(own["cause"].iloc[0])), str(joint or "–"), _where(own), str(own["action"].iloc[0]))
-        for joint, own in ((int(own["joint"].iloc[0]), own) for own in faults)
-    ]
+    faults = _faults(material.results)
+    rows = [(effect_words(own[0].cause), str(own[0].joint or "–"), _where(own), own[0].action) for own in faults]
     return [
         Paragraph(INTRODUCTION, keep=True),
         Table(("fault", "joint", "where", "what was done"), rows, "lrll", wide=2),
-        *(Paragraph(_sentence(own)) for own in faults),
+        *(Paragraph(f"{first_up(own[0].statement)}.") for own in faults),
     ]
 
 
 def correct_the_file(results: Results) -> list[Advice]:
     """What is wrong in the file is to be corrected there, once and for all."""
-    faults = _faults(results.tables[FAULTS])
-    said = [Advice(2, f"Correct the measurement file: {own['statement'].iloc[0]}.") for own in faults[:TOLD]]
+    faults = _faults(results)
+    advised = [Advice(2, f"Correct the measurement file: {own[0].statement}.") for own in faults[:TOLD]]
     if len(faults) > TOLD:
-        said.append(Advice(2, f"Correct the measurement file: {plural(len(faults) - TOLD, 'further fault')}, see the section on "
-                              "data faults."))  # fmt: skip
-    return said
+        further = plural(len(faults) - TOLD, "further fault")
+        advised.append(Advice(2, f"Correct the measurement file: {further}, see the section on data faults."))
+    return advised
 
 
-def _faults(faults: pd.DataFrame) -> list[pd.DataFrame]:
+def _faults(results: Results) -> list[list[FaultyRow]]:
     """Return the rows of each fault, those of whole columns first, then by how many rows there are."""
-    groups = [own for _, own in faults.groupby(["cause", "joint", "action", "statement"], sort=False)]
-    return sorted(groups, key=lambda own: -len(own) if own["line"].notna().all() else -len(faults) - 1)
+    faults: dict[tuple[str, int, str, str], list[FaultyRow]] = {}
+    for row in results.rows(FAULTS, FaultyRow):
+        faults.setdefault((row.cause, row.joint, row.action, row.statement), []).append(row)
+    most = sum(map(len, faults.values())) + 1
+    return sorted(faults.values(), key=lambda own: -len(own) if all(row.line is not None for row in own) else -most)
 
 
-def _where(own: pd.DataFrame) -> str:
-    lines = own["line"].dropna().astype(int).tolist()
+def _where(own: Sequence[FaultyRow]) -> str:
+    lines = [row.line for row in own if row.line is not None]
     return lines_in_words(lines, SHOWN) if lines else "all rows"
-
-
-def _sentence(own: pd.DataFrame) -> str:
-    said = str(own["statement"].iloc[0])
-    return f"{said[0].upper()}{said[1:]}."
 
 
 FAULTS_SECTION = Section(
