@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calflow.estimation.identification import fit_effects
-from calflow.estimation.noise_doubt import NoiseDoubt, doubts_of_repeats
+from calflow.estimation.lack_of_fit import NoiseDoubt, doubts_of_repeats
 from calflow.model import build
 from estimation.data import SIGMA, measured
 from robots import industrial

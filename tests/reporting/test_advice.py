@@ -20,7 +20,7 @@ from calflow.effects.words import NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.fit_summary import Extrapolation, FitSummary, IdentifySummary, Solver
 from calflow.estimation.identifiability import Statement
-from calflow.estimation.noise_doubt import NoiseDoubt
+from calflow.estimation.lack_of_fit import NoiseDoubt
 from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
 from calflow.reporting.material import ModelAccuracy

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from calflow.estimation.lack_of_fit import SIGNIFICANT
+from calflow.estimation.lack_of_fit import SIGNIFICANT, NoiseDoubt
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import Noise, PerUnit, Source
-from calflow.estimation.noise_doubt import NoiseDoubt
 from calflow.files.tables import column
 from calflow.files.units import METRE, RADIAN
 from calflow.observations import Observation

@@ -17,11 +17,10 @@ from calflow.estimation.fit import Fit, draw_starts
 from calflow.estimation.fit_summary import IdentifySummary, Solver, discrepancies
 from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.intraclass import fit_sharing
-from calflow.estimation.lack_of_fit import LackOfFit
+from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import Noise
-from calflow.estimation.noise_doubt import NoiseDoubt, doubts_of_repeats, doubts_of_residuals
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered
 from calflow.estimation.repeats import NoiseSource, conditions, noise_beside

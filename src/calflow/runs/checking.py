@@ -9,7 +9,7 @@ from functools import partial
 import pandas as pd
 
 from calflow.estimation.accuracy import accuracy, leading_errors
-from calflow.estimation.noise_doubt import NoiseDoubt, doubts_of_repeats
+from calflow.estimation.lack_of_fit import NoiseDoubt, doubts_of_repeats
 from calflow.estimation.registration import registered
 from calflow.faults import Fault, examined
 from calflow.files.problems import InputError, Problem, together

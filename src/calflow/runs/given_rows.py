@@ -14,7 +14,7 @@ from calflow.deployment.attained import TARGET
 from calflow.deployment.compensation import Compensation, compensate_rows
 from calflow.deployment.inverse_kinematics import Targets, read_frames, targets_in_measuring_frame
 from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
-from calflow.estimation.plausibility import plausible
+from calflow.estimation.registration import plausible
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.measurements.columns import FRAME, LABELS, Layout, numbered
 from calflow.measurements.measurements import Measurements

@@ -10,7 +10,7 @@ import pandas as pd
 from pydantic import Field, model_validator
 
 from calflow.design.candidates import candidates
-from calflow.estimation.plausibility import plausible
+from calflow.estimation.registration import plausible
 from calflow.files.problems import nearest
 from calflow.files.toml import Angle, Length
 from calflow.measurements.measurements import Measurements
