@@ -13,7 +13,7 @@ wildcards to Snakemake.
 import sys
 from pathlib import Path
 
-from calflow.fleet.calibration import made_by, state
+from calflow.fleet.calibration import input_state, made_by
 from calflow.fleet.engine import RETRIES, FleetFolder
 from calflow.fleet.fleet import load_fleet
 
@@ -57,7 +57,7 @@ rule calibrate:
         "outcomes/{robot}.json",
     params:
         made_by=MADE_BY,
-        state=lambda wildcards: state(FLEET.robot(wildcards.robot)),
+        state=lambda wildcards: input_state(FLEET.robot(wildcards.robot)),
         minutes=FLEET.file.fleet.minutes_per_robot,
     retries: RETRIES
     resources:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from calflow.fleet.fleet import load_fleet, write_study
+from calflow.fleet.fleet import load_fleet, write_robot_study
 from calflow.study import load_study
 
 
 def written(plant, name="A-1"):
     """A robot's study, written far from its type's and read."""
-    write_study(load_fleet(plant.file).robot(name), plant / "some" / "where" / "study.toml")
+    write_robot_study(load_fleet(plant.file).robot(name), plant / "some" / "where" / "study.toml")
     return load_study(plant / "some" / "where" / "study.toml")
 
 

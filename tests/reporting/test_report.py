@@ -162,11 +162,11 @@ def test_every_section_has_a_place_of_its_own() -> None:
 
 
 def test_the_chain_is_drawn_in_the_parameters_own_units(whole: Context) -> None:
-    from calflow.reporting.sections.posterior import Chain
+    from calflow.reporting.sections.posterior import ThinnedChain
     from calflow.sampling.log_posterior import log_posterior_of
 
     material = Material.of(whole.study, whole.results, whole.run_folder)
-    chain = Chain.read(whole.run_folder / "sample" / "chain.h5", material)
+    chain = ThinnedChain.read(whole.run_folder / "sample" / "chain.h5", material)
     parameters = whole.tables["identify/parameters.csv"]
     k = int(np.flatnonzero(parameters["parameter"] == "joint2.a")[0])
     _, laplace = log_posterior_of(

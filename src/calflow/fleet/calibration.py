@@ -9,8 +9,8 @@ from calflow.deployment.usability import accuracy_steps, is_useless, split_judge
 from calflow.files.problems import InputError
 from calflow.files.results import Results
 from calflow.fleet.engine import FleetFolder
-from calflow.fleet.fleet import FleetRobot, write_study
-from calflow.fleet.standing import Outcome, reason, write_outcome
+from calflow.fleet.fleet import FleetRobot, write_robot_study
+from calflow.fleet.standing import Outcome, failure_reason, write_outcome
 from calflow.reporting.material import findings
 from calflow.reporting.sections.verdict import judgement
 from calflow.run_folder import NAME, code_digest, read_manifest, versions
@@ -29,13 +29,13 @@ def calibrate(robot: FleetRobot, folder: FleetFolder, listener: Listener = SILEN
     """
     study, run_folder, began = folder.study(robot.name), folder.run(robot.name), time.time_ns()
     try:
-        write_study(robot, study)
+        write_robot_study(robot, study)
         wait_until_free(run_folder)  # the process of a job that was killed may still be at work there
         results = run(load_study(study), run_folder, listener=listener).results
     except InputError as error:
-        write_outcome(folder.outcome(robot.name), failed(robot, folder, reason(error), began))
+        write_outcome(folder.outcome(robot.name), failed(robot, folder, failure_reason(error), began))
         raise
-    write_outcome(folder.outcome(robot.name), judged(robot.name, robot.type.name, results))
+    write_outcome(folder.outcome(robot.name), calibrated_outcome(robot.name, robot.type.name, results))
 
 
 def failed(robot: FleetRobot, folder: FleetFolder, why: str, began: int) -> Outcome:
@@ -47,7 +47,7 @@ def failed(robot: FleetRobot, folder: FleetFolder, why: str, began: int) -> Outc
     return Outcome(robot=robot.name, type=robot.type.name, status="failed", failed_stage=stage, reason=why)
 
 
-def judged(robot: str, type_: str, results: Results) -> Outcome:
+def calibrated_outcome(robot: str, type_: str, results: Results) -> Outcome:
     """Return the outcome of a run from its results, which have those of identify."""
     split = split_judged(results)
     steps = [row for row in accuracy_steps(results) if row.split == split]
@@ -60,7 +60,7 @@ def judged(robot: str, type_: str, results: Results) -> Outcome:
     )  # fmt: skip
 
 
-def state(robot: FleetRobot) -> str:
+def input_state(robot: FleetRobot) -> str:
     """Return the state of the files that a robot's study reads, as far as they are there, in a word."""
     files = {path for path in (*robot.type.files, *robot.data) if path.is_file()}
     stats = sorted((str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns) for path in files)

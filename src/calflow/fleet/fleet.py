@@ -14,7 +14,7 @@ import tomli_w
 from calflow.files.problems import InputError, Problem, nearest, together
 from calflow.files.toml import Origin, parse_toml, read_toml
 from calflow.files.writing import write_whole
-from calflow.fleet.fleet_file import FleetFile, TypeTable, beyond_reach, check_name, filled, robots_of
+from calflow.fleet.fleet_file import FleetFile, TypeTable, beyond_reach, check_name, named_file, robots_of
 from calflow.robot.formats import robot_file
 from calflow.robot.robot import Robot
 from calflow.run_folder import beside
@@ -167,7 +167,7 @@ def _check_tables(file: FleetFile, origin: Origin, folders: Sequence[Path]) -> N
     is, and measurements."""
     problems = [*_named_wrongly("types", file.types, origin)]
     for name, shared in file.types.items():
-        said = {beyond_reach(folders[0] / filled(pattern, "x"), folders) for pattern in shared.data}
+        said = {beyond_reach(folders[0] / named_file(pattern, "x"), folders) for pattern in shared.data}
         problems += [origin.problem(one, "types", name, "data") for one in sorted(said) if one]
     for name, table in file.robots.items():
         if table.type not in file.types:
@@ -184,12 +184,12 @@ def _robots(file: FleetFile, folder: Path) -> Iterator[tuple[str, str, tuple[Pat
     """Each robot's name, type and files: those that are named, and of each type those that its pattern finds besides."""
     for name, table in file.robots.items():
         patterns = table.data or file.types[table.type].data
-        yield name, table.type, tuple(folder / filled(pattern, name) for pattern in patterns)
+        yield name, table.type, tuple(folder / named_file(pattern, name) for pattern in patterns)
     for type_, shared in file.types.items():
         found = robots_of(shared.data[0], folder) if shared.data else []
         for name in found:
             if name not in file.robots or file.robots[name].type != type_:
-                yield name, type_, tuple(folder / filled(pattern, name) for pattern in shared.data)
+                yield name, type_, tuple(folder / named_file(pattern, name) for pattern in shared.data)
 
 
 def _named_wrongly(key: str, names: Iterable[str], origin: Origin) -> Iterator[Problem]:
@@ -239,7 +239,7 @@ def _place_of_data(robot: FleetRobot, origin: Origin) -> tuple[str, str, str]:
 FOUND_BY = {"file", "url", "sha256"}  # keys that say which file the measurements are in
 
 
-def write_study(robot: FleetRobot, path: Path) -> None:
+def write_robot_study(robot: FleetRobot, path: Path) -> None:
     """Write a robot's study file."""
     write_whole(path, tomli_w.dumps(study_of(robot, path.parent)).encode())
 

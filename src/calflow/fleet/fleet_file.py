@@ -16,7 +16,7 @@ from calflow.files.writing import is_within
 ROBOT = "{robot}"  # what stands for a robot's name
 
 
-def filled(pattern: str, robot: str) -> str:
+def named_file(pattern: str, robot: str) -> str:
     """Return a robot's file as its type's pattern has it."""
     return pattern.replace(ROBOT, robot)
 

@@ -15,8 +15,8 @@ from calflow.fleet.fleet import Fleet
 from calflow.fleet.standing import (
     Outcome,
     error,
+    failure_reason,
     fleet_lines,
-    reason,
     why,
     worst_first,
 )
@@ -217,5 +217,5 @@ def _known(fleet: Fleet, folder: FleetFolder, found: Sequence[Outcome]) -> tuple
                 known.append(collected(fleet.robot(one.robot), folder))
             told.append(one)
         except InputError as error:
-            told.append(Outcome(robot=one.robot, type=one.type, status="failed", reason=reason(error)))
+            told.append(Outcome(robot=one.robot, type=one.type, status="failed", reason=failure_reason(error)))
     return known, told

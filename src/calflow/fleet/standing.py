@@ -17,7 +17,7 @@ from calflow.files.tables import column
 from calflow.files.words import first_up, listed, mm, plural
 from calflow.files.writing import inside, write_text
 from calflow.fleet.engine import PARTS, FleetFolder
-from calflow.fleet.fleet import Fleet, FleetRobot, write_study
+from calflow.fleet.fleet import Fleet, FleetRobot, write_robot_study
 from calflow.run_folder import NAME, read_manifest
 from calflow.runs.planning import PlannedStage, plan
 from calflow.study import load_study
@@ -79,7 +79,7 @@ def read_outcome(path: Path) -> Outcome | None:
         raise refuse(f"cannot be read ({error}); delete it and run the fleet again", path) from None
 
 
-def reason(error: Exception) -> str:
+def failure_reason(error: Exception) -> str:
     """Return why a robot failed; files are named as whoever wrote the fleet file knows them, not as seen from the robot's study."""
     problems = [_plainly(one) for one in error.problems] if isinstance(error, InputError) else [repr(error)]
     return "; ".join(map(str, problems))
@@ -97,24 +97,24 @@ def planned(fleet: Fleet, folder: FleetFolder) -> Iterator[str]:
         yield f"{robot.name:{width}}  {robot.type.name:{wide}}  {_said(robot, folder)}"
 
 
-def steps(robot: FleetRobot, folder: FleetFolder) -> list[PlannedStage]:
+def steps_of(robot: FleetRobot, folder: FleetFolder) -> list[PlannedStage]:
     """Return what a run of a robot would do; its study is written on the way.
 
     Raises:
         InputError: its files are at fault.
     """
-    write_study(robot, folder.study(robot.name))
+    write_robot_study(robot, folder.study(robot.name))
     return plan(load_study(folder.study(robot.name)), folder.run(robot.name))
 
 
 def _said(robot: FleetRobot, folder: FleetFolder) -> str:
     try:
-        planned_steps = steps(robot, folder)
+        planned_steps = steps_of(robot, folder)
         again = [step for step in planned_steps if not step.reuse]
         if again:
             load_study(folder.study(robot.name)).measurements()  # what is wrong in their rows is told before the night
     except InputError as error:
-        return f"would fail: {reason(error)}"
+        return f"would fail: {failure_reason(error)}"
     if not again:
         return f"reuse  {planned_steps[0].reason}"
     return f"run    {', '.join(step.stage.name for step in again)}: {again[0].reason}"
@@ -162,7 +162,9 @@ def forget_stale(fleet: Fleet, folder: FleetFolder) -> None:
 def _holds(robot: FleetRobot, folder: FleetFolder) -> bool:
     try:
         found = read_outcome(folder.outcome(robot.name))
-        return found is not None and found.status == "calibrated" and all(step.reuse for step in steps(robot, folder))
+        return (
+            found is not None and found.status == "calibrated" and all(step.reuse for step in steps_of(robot, folder))
+        )
     except InputError:
         return False
 

@@ -149,7 +149,7 @@ SHOWN_STEPS = 600
 
 
 @dataclass(frozen=True)
-class Chain:
+class ThinnedChain:
     """Walkers in round coordinates, shape (n_ensembles, n_shown, n_walkers, n_dimensions), at these steps."""
 
     posterior: LogPosterior
@@ -158,7 +158,7 @@ class Chain:
     discard: int
 
     @staticmethod
-    def read(path: Path, material: Material) -> Chain:
+    def read(path: Path, material: Material) -> ThinnedChain:
         """Read the steps that the stage sample used, and rebuild the coordinates in which it sampled them."""
         import h5py
 
@@ -169,7 +169,7 @@ class Chain:
         with h5py.File(path, "r") as file:
             names = sorted(file, key=lambda name: (len(name), name))
             walkers = np.array([file[name]["chain"][:steps:stride] for name in names])
-        return Chain(posterior, walkers, np.arange(0, steps, stride), discard)
+        return ThinnedChain(posterior, walkers, np.arange(0, steps, stride), discard)
 
     def values(self, which: np.ndarray) -> np.ndarray:
         """Return these parameters [SI], the last one being the noise factor, shape (…, n_walkers, n_which)."""
@@ -302,7 +302,7 @@ def _chain(material: Material) -> list[Block]:
     if material.chain is None:
         return []
     posterior = material.tables["sample/posterior.csv"]
-    chain = Chain.read(material.chain, material)
+    chain = ThinnedChain.read(material.chain, material)
     names = posterior["parameter"].astype(str).tolist()
     shown = [*short_names(material.sampled[0].model.parameters), names[-1]]
     units = [readable(str(unit)) for unit in posterior["unit"]]
@@ -333,7 +333,7 @@ def _chain(material: Material) -> list[Block]:
     return blocks
 
 
-def _courses(chain: Chain, which: Sequence[int], labels: Sequence[str], factors: np.ndarray) -> pd.DataFrame:
+def _courses(chain: ThinnedChain, which: Sequence[int], labels: Sequence[str], factors: np.ndarray) -> pd.DataFrame:
     """Return what the traces show: of each parameter and ensemble, at each step, the median and the middle 95 %."""
     quantiles = np.quantile(chain.values(np.array(which)) * factors, [0.025, 0.5, 0.975], axis=2)
     tables = []
