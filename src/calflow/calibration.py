@@ -330,12 +330,12 @@ class Calibration(CalibratedModel):
     @cached_property
     def accuracy(self) -> TypedTable[Accuracy]:
         """The errors of each model on the way, on fitted and on held-out rows."""
-        return TypedTable(self._latest("accuracy"), Accuracy)
+        return self._table("accuracy", Accuracy)
 
     @cached_property
     def residuals(self) -> TypedTable[JudgedResidual]:
         """What the model leaves of each row."""
-        return TypedTable(self._latest("residuals"), JudgedResidual)
+        return self._table("residuals", JudgedResidual)
 
     @property
     def covariance_table(self) -> pd.DataFrame:
@@ -345,42 +345,42 @@ class Calibration(CalibratedModel):
     @cached_property
     def faults(self) -> TypedTable[FaultyRow]:
         """The gross mistakes in the measurements that were put right or left out before any fit."""
-        return TypedTable(self.results.tables["identify/faults.csv"], FaultyRow)
+        return self._table("faults", FaultyRow, "identify")
 
     @cached_property
     def statements(self) -> TypedTable[Statement]:
         """What the data do not tell."""
-        return TypedTable(self.results.tables["identify/identifiability.csv"], Statement)
+        return self._table("identifiability", Statement, "identify")
 
     @cached_property
     def correlations(self) -> TypedTable[Correlation]:
         """The parameters that hang together most."""
-        return TypedTable(self.results.tables["identify/correlations.csv"], Correlation)
+        return self._table("correlations", Correlation, "identify")
 
     @cached_property
     def findings(self) -> TypedTable[Finding]:
         """Faults of the data, causes, and what no cause explains, best first; none where nothing is lacking."""
-        return self._diagnosed("findings", Finding)
+        return self._table("findings", Finding, "diagnose")
 
     @cached_property
     def candidates(self) -> TypedTable[CandidateRow]:
         """Every cause that was tested, and why others were not."""
-        return self._diagnosed("candidates", CandidateRow)
+        return self._table("candidates", CandidateRow, "diagnose")
 
     @cached_property
     def next_poses(self) -> TypedTable[NextPose]:
         """The poses to measure next, so that findings are told from their rivals."""
-        return self._diagnosed("next_poses", NextPose)
+        return self._table("next_poses", NextPose, "diagnose")
 
     @cached_property
     def separations(self) -> TypedTable[SeparationRow]:
         """How far each finding is from each rival, and what to do about it."""
-        return self._diagnosed("separations", SeparationRow)
+        return self._table("separations", SeparationRow, "diagnose")
 
     @cached_property
     def curves(self) -> TypedTable[CurvePoint]:
         """The course of what was found over what it depends on."""
-        return self._diagnosed("curves", CurvePoint)
+        return self._table("curves", CurvePoint, "diagnose")
 
     @cached_property
     def summary(self) -> IdentifySummary:
@@ -568,11 +568,16 @@ class Calibration(CalibratedModel):
         )
 
     def _latest(self, name: str) -> pd.DataFrame:
-        return self.results.tables[f"{'diagnose' if self.diagnosed else 'identify'}/{name}.csv"]
+        return self.results.tables[f"{self._stage}/{name}.csv"]
 
-    def _diagnosed(self, name: str, row_type: type[Any]) -> TypedTable[Any]:
-        path = f"diagnose/{name}.csv"
-        return TypedTable(self.results.tables[path] if path in self.results else to_frame((), row_type), row_type)
+    @property
+    def _stage(self) -> str:
+        return "diagnose" if self.diagnosed else "identify"
+
+    def _table(self, name: str, row_type: type[Any], stage: str = "") -> TypedTable[Any]:
+        """A table of a stage, or of the last one that has it; without rows where the stage never was."""
+        path = f"{stage or self._stage}/{name}.csv"
+        return TypedTable(self.results.tables[path] if path in self.results else to_frame((), row_type), row_type, path)
 
     def __repr__(self) -> str:
         shown = self._accuracy.to_string(index=False)

@@ -198,14 +198,15 @@ def _joined(cells: Mapping[str, Sequence[Any]], row_type: type) -> dict[str, lis
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TypedTable(Sequence[Row]):
-    """The rows of a table as values; `table` is the same as a DataFrame."""
+    """The rows of a table as values; `table` is the same as a DataFrame, name what problems call it."""
 
     table: pd.DataFrame
     row_type: type[Row]
+    name: str = "a table of calflow"
 
     @cached_property
     def _rows(self) -> tuple[Row, ...]:
-        return tuple(from_frame(self.table, self.row_type))
+        return tuple(from_frame(self.table, self.row_type, self.name))
 
     def __getitem__(self, k: Any) -> Any:
         return self._rows[k]
