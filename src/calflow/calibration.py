@@ -170,15 +170,15 @@ class Plots:
 
     def residuals_by_place(self) -> Figure:
         """Draw the errors' size against reach, height and row."""
-        from calflow.reporting.sections.residuals import by_place
+        from calflow.reporting.sections.residuals import residuals_by_place
 
-        return self._drawn(by_place)
+        return self._drawn(residuals_by_place)
 
     def residuals_in_space(self) -> Figure:
         """Draw the errors in the workspace, enlarged."""
-        from calflow.reporting.sections.residuals import in_space
+        from calflow.reporting.sections.residuals import residuals_in_space
 
-        return self._drawn(in_space)
+        return self._drawn(residuals_in_space)
 
     def _drawn(self, draw: Callable[[Material], Figure]) -> Figure:
         from calflow.reporting.style import style

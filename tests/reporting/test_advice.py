@@ -226,7 +226,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
      "0.080 mm against 0.060 mm"),
     (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.01, 0.011, 0.009)}, 1, "Do not use"),
     (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.1, -0.05, -0.02)}, 2, "may be chance"),
-    (causes.unexplained, {"diagnose/findings.csv": found("unexplained")}, 2,
+    (causes.look_for_structure, {"diagnose/findings.csv": found("unexplained")}, 2,
      "depends on the angle of joint 2 that no cause"),
     (causes.advised_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "the 3 poses of diagnose/next_poses.csv that tell backlash"),
     (causes.advised_poses, {"diagnose/next_poses.csv": poses(3, (("joint-hysteresis", 2), ("link-mass", 3)))}, 3,

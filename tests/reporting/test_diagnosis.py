@@ -21,12 +21,12 @@ from calflow.effects.words import amount, cause_name, place_name, place_names
 from calflow.files.results import Results
 from calflow.files.words import chance, chance_figure, sureness
 from calflow.reporting import document
-from calflow.reporting.cause_figures import errors_in_space, evidence, explained, gains, waterfall
-from calflow.reporting.material import Material, ModelAccuracy, findings, gathered, steps
+from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains, waterfall
+from calflow.reporting.material import Material, ModelAccuracy, findings_of, gathered, model_steps
 from calflow.reporting.section import Section, chosen, sections
-from calflow.reporting.sections.causes import gain_words, how_sure, lacked, unsure
+from calflow.reporting.sections.causes import gain_words, lacked, name_certainty, unsure
 from calflow.reporting.sections.parameters import estimates
-from calflow.reporting.sections.search import candidates, untestable
+from calflow.reporting.sections.search import candidate_rows, untestable
 from calflow.reporting.style import style
 from calflow.stages.stage import Context
 from reporting.case import (
@@ -240,7 +240,7 @@ def test_what_could_not_be_tested_is_listed_by_what_it_needs(small: Context) -> 
     _, section = told(with_diagnosis(small))
     assert "bending of links 1 and 2." in section
     assert "Needs a column temperature_degC:" in section
-    groups = untestable(candidates(with_diagnosis(small).results))
+    groups = untestable(candidate_rows(with_diagnosis(small).results))
     assert list(groups) == ["", "a column temperature_degC"]  # nothing: the model's own parameters imitate it
 
 
@@ -356,20 +356,22 @@ def test_a_gain_is_told_as_what_its_interval_allows(
     small: Context, gain: tuple[float, float, float], words: str
 ) -> None:
     """Fails if a gain that may be nothing is told as a gain."""
-    (found,) = findings(with_diagnosis(small, replace(BACKLASH, gain=gain)).results)
+    (found,) = findings_of(with_diagnosis(small, replace(BACKLASH, gain=gain)).results)
     assert words in gain_words(found, None)
     assert ("noise alone" in gain_words(found, 0.06)) == (gain[0] == gain[0] and not gain[2] < 0)
 
 
 def test_sureness_is_told_for_each_status(small: Context) -> None:
     """Fails if a set of causes is told as a single one."""
-    one = [findings(with_diagnosis(small, found).results)[0] for found in (BACKLASH, OR_HYSTERESIS, ORDER_OPEN)]
-    assert "Nothing else" in how_sure(one[0])
-    assert "Its name is less sure" in how_sure(one[1])
-    assert "its order, or finer form, is not. Periodic angle error and angle error curve would do" in how_sure(one[2])
-    coarse = findings(with_diagnosis(small, replace(ORDER_OPEN, rivals="")).results)[0]
+    one = [findings_of(with_diagnosis(small, found).results)[0] for found in (BACKLASH, OR_HYSTERESIS, ORDER_OPEN)]
+    assert "Nothing else" in name_certainty(one[0])
+    assert "Its name is less sure" in name_certainty(one[1])
+    assert "its order, or finer form, is not. Periodic angle error and angle error curve would do" in name_certainty(
+        one[2]
+    )
+    coarse = findings_of(with_diagnosis(small, replace(ORDER_OPEN, rivals="")).results)[0]
     assert coarse.name == "angular transmission error of joint 2"
-    assert "would do as well" not in how_sure(coarse)
+    assert "would do as well" not in name_certainty(coarse)
     assert unsure(with_diagnosis(small, BACKLASH).results) == []
 
 
@@ -402,7 +404,7 @@ def test_units_survive_a_csv(small: Context) -> None:
     given = with_diagnosis(small, Found("named", "gear-ratio-error", 1, 5e-4, 1e-6, "1"), COUPLED)
     table = given.tables["diagnose/findings.csv"]
     table["unit"] = pd.to_numeric(table["unit"])
-    assert findings(given.results)[0].amount == "500.0 ± 1.0 µrad/rad"
+    assert findings_of(given.results)[0].amount == "500.0 ± 1.0 µrad/rad"
 
 
 def test_chances_are_told_in_words_that_do_not_overstate() -> None:
@@ -454,10 +456,10 @@ def _drawings() -> dict[str, Figure]:
     some = np.array([True, False, False])
     with style():
         return {
-            "a line": explained(x, curve + noise, noise, curve, held, "moment across the axis of joint 2", "Nm"),
-            "crosses": explained(x, cloud + noise, noise, cloud, held, "angle of joint 2", "deg"),
-            "groups": explained(side, side + noise, noise, side, held, "approach of joint 2", ""),
-            "none held out": explained(side, side + noise, noise, side, held & False, "payload", "kg"),
+            "a line": explained_figure(x, curve + noise, noise, curve, held, "moment across the axis of joint 2", "Nm"),
+            "crosses": explained_figure(x, cloud + noise, noise, cloud, held, "angle of joint 2", "deg"),
+            "groups": explained_figure(side, side + noise, noise, side, held, "approach of joint 2", ""),
+            "none held out": explained_figure(side, side + noise, noise, side, held & False, "payload", "kg"),
             "waterfall": waterfall(stages, 0.05),
             "waterfall, no floor": waterfall(stages, None),
             "gains": gains(0.2, names[3:], [0.1, 0.12, 0.06], np.array([[0.05, 0.15], [-0.05, 0.01], [0.02, 0.09]]), 0.05),
@@ -527,5 +529,5 @@ def test_effects_with_few_parameters_are_named_apart(sizes: tuple[int, ...]) -> 
 def test_steps_of_the_extended_model_are_labelled_by_their_cause(small: Context) -> None:
     """Fails if the accuracy table or its waterfall shows ids."""
     given = with_diagnosis(small, STEP, BACKLASH)
-    labels = [step.label for step in steps(given.results, "holdout")]
+    labels = [step.label for step in model_steps(given.results, "holdout")]
     assert labels[-2:] == ["+ step of the measuring device", "+ backlash of joint 2"]

@@ -14,7 +14,7 @@ from calflow.estimation.parameters import FittedParameter
 from calflow.files.results import Results
 from calflow.files.tables import from_frame, to_frame
 from calflow.files.words import interval, listed, mm, number, part_words, plural, readable, with_sd
-from calflow.reporting.material import steps
+from calflow.reporting.material import model_steps
 from calflow.reporting.sections.parameters import known_from, lines
 from calflow.reporting.sections.posterior import corner_names, short_names
 from calflow.reporting.style import magnification
@@ -131,13 +131,13 @@ def test_steps_are_named_by_what_they_add() -> None:
         for model, step, effect in (*named, ("other", 1, "other"))
     ]
     results = Results({"identify/accuracy.csv": to_frame(rows, Accuracy)})
-    assert [step.label for step in steps(results, "holdout")] == [
+    assert [step.label for step in model_steps(results, "holdout")] == [
         "nominal robot",
         "geometry",
         "+ joint compliance",
         "other",
     ]
-    assert steps(results, "train") == []
+    assert model_steps(results, "train") == []
 
 
 def test_lack_of_fit_is_a_factor_on_the_noise() -> None:

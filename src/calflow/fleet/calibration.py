@@ -11,7 +11,7 @@ from calflow.files.results import Results
 from calflow.fleet.engine import FleetFolder
 from calflow.fleet.fleet import FleetRobot, write_robot_study
 from calflow.fleet.standing import Outcome, failure_reason, write_outcome
-from calflow.reporting.material import findings
+from calflow.reporting.material import findings_of
 from calflow.reporting.sections.verdict import judgement
 from calflow.run_folder import NAME, code_digest, read_manifest, versions
 from calflow.runs.lock import wait_until_free
@@ -56,7 +56,7 @@ def calibrated_outcome(robot: str, type_: str, results: Results) -> Outcome:
         robot=robot, type=type_, status="calibrated", usable=not is_useless(results), verdict=judgement(results),
         judged_by=split, points=last.n,
         before_mean_mm=first.mean_mm, before_max_mm=first.max_mm, after_mean_mm=last.mean_mm, after_max_mm=last.max_mm,
-        causes=tuple(one.in_short for one in findings(results)),
+        causes=tuple(one.in_short for one in findings_of(results)),
     )  # fmt: skip
 
 

@@ -29,7 +29,7 @@ AROUND = 0.04  # of the space, which is left free around its points
 ROW = 0.19  # inches a bar takes
 
 
-def explained(
+def explained_figure(
     x: np.ndarray, before: np.ndarray, after: np.ndarray, fitted: np.ndarray, held: np.ndarray, label: str, unit: str,
     error_unit: str = METRE.label,
 ) -> Figure:  # fmt: skip

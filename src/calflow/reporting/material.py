@@ -251,7 +251,7 @@ def latest_summary(results: Results) -> FitSummary:
     return results.document(extended if extended in results else "identify/summary.json", FitSummary)
 
 
-def steps(results: Results, split: str) -> list[ModelAccuracy]:
+def model_steps(results: Results, split: str) -> list[ModelAccuracy]:
     """Return the models on the way to the best one, in their order."""
     rows = [row for row in accuracy_steps(results) if row.split == split]
     return [
@@ -262,16 +262,16 @@ def steps(results: Results, split: str) -> list[ModelAccuracy]:
 
 def study_steps(results: Results, split: str) -> list[ModelAccuracy]:
     """Return those of them that the study asks for, before any cause was added."""
-    return steps(results.of({"identify"}), split)
+    return model_steps(results.of({"identify"}), split)
 
 
 def gathered_steps(results: Results) -> list[ModelAccuracy]:
     """Return the models on the split by which they are judged, the causes that were added drawn together."""
     split = split_judged(results)
-    return gathered(steps(results, split), len(study_steps(results, split)))
+    return gathered(model_steps(results, split), len(study_steps(results, split)))
 
 
-def as_table(found: list[ModelAccuracy]) -> pd.DataFrame:
+def accuracy_frame(found: list[ModelAccuracy]) -> pd.DataFrame:
     """Return models with their accuracy as a table for whoever wants a figure's numbers."""
     unit = found[0].unit if found else METRE.label
     return pd.DataFrame(
@@ -297,7 +297,7 @@ def _name(row: Accuracy) -> str:
     return place_name(row.effect, row.joint or 0, row.part) if row.part else effect_words(row.effect)
 
 
-def findings(results: Results) -> list[Finding]:
+def findings_of(results: Results) -> list[Finding]:
     """Return the findings, none where nothing was diagnosed."""
     path = "diagnose/findings.csv"
     return results.rows(path, Finding) if path in results else []

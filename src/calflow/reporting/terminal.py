@@ -14,7 +14,7 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.files.results import Results
 from calflow.files.units import METRE
 from calflow.files.words import mm, number
-from calflow.reporting.material import findings, gathered_steps
+from calflow.reporting.material import findings_of, gathered_steps
 from calflow.reporting.section import advice, sections
 from calflow.reporting.sections.verdict import VERDICT_SECTION as SECTION
 from calflow.reporting.sections.verdict import headline, judgement
@@ -50,7 +50,7 @@ def _accuracy(results: Results) -> list[str]:
 def _findings(results: Results) -> list[str]:
     if "diagnose/findings.csv" not in results:
         return []
-    told = [f"found: {_told(one)}" for one in findings(results)]
+    told = [f"found: {_told(one)}" for one in findings_of(results)]
     unseen = results.document("diagnose/summary.json", DiagnosisSummary).unseen
     return told or [f"found: nothing that the model lacks{f'; {unseen}' if unseen else ''}"]
 

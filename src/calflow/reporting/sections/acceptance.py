@@ -60,7 +60,7 @@ class Judged:
         )
 
 
-def judged(material: Material) -> Judged | None:
+def held_against_tolerance(material: Material) -> Judged | None:
     """Hold the model against the study's tolerance: a pose is within it where all its rows are; None where there is none."""
     asked = material.request.acceptance
     if asked is None or asked.tolerance is None:
@@ -90,7 +90,7 @@ def _acceptance(material: Material) -> list[Block]:
     """State what the study gives, and the verdict."""
     asked = material.request.acceptance
     assert asked is not None
-    verdict = judged(material)
+    verdict = held_against_tolerance(material)
     return [
         *([Paragraph(verdict.verdict, 12, bold=True)] if verdict else []),
         Table(("what", "stated"), _stated(material, asked), "ll", wide=1),

@@ -22,7 +22,15 @@ from calflow.files.units import METRE
 from calflow.files.words import effect_words, first_up, listed, mm, ratio
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.cause_figures import waterfall
-from calflow.reporting.material import Material, ModelAccuracy, as_table, error_axis, findings, latest_summary, steps
+from calflow.reporting.material import (
+    Material,
+    ModelAccuracy,
+    accuracy_frame,
+    error_axis,
+    findings_of,
+    latest_summary,
+    model_steps,
+)
 from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, figure, panels, plain_decades
 
@@ -179,7 +187,7 @@ def _accuracy(material: Material) -> list[Block]:
     results, unit = material.results, material.unit.label
     accuracy, own = accuracy_steps(results), len(results.rows("identify/accuracy.csv", Accuracy))
     words = {"train": "used for the fit", "holdout": "held out"}
-    label = {step.model: step.label for split in words for step in steps(results, split)}
+    label = {step.model: step.label for split in words for step in model_steps(results, split)}
     rows = [
         (effect_words(row.model) if k < own else label[row.model], words[row.split], str(row.n),
          *(f"{value:.3f}" for value in row.figures), row.unit)
@@ -192,7 +200,7 @@ def _accuracy(material: Material) -> list[Block]:
         {"held_out": material.held, f"error_{unit}": material.distance, f"noise_per_axis_{unit}": material.sigma}
     ).iloc[material.drawn]
     draw = waterfall if len(accuracy) > own else budget
-    spent = draw(steps(results, split), material.noise_floor)
+    spent = draw(model_steps(results, split), material.noise_floor)
     name = "noise alone" if known else "normal noise"
     spread = distribution(material.distance, material.held, material.sigma, name, unit)
     return [
@@ -205,7 +213,7 @@ def _accuracy(material: Material) -> list[Block]:
             "error_budget",
             spent,
             f"Where the mean error went ({words[split]} poses; logarithmic scale).{DASHED * known}",
-            as_table(steps(results, split)),
+            accuracy_frame(model_steps(results, split)),
         ),
         Plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if known else NORMAL), errors),
     ]
@@ -227,7 +235,7 @@ def model_lacks(results: Results) -> list[Advice]:
     """A model that leaves more than the noise lacks something."""
     summary = latest_summary(results)
     times = summary.lack_of_fit
-    if not times > LACKS or any(found.status == "unexplained" for found in findings(results)):
+    if not times > LACKS or any(found.status == "unexplained" for found in findings_of(results)):
         return []  # what is known of the structure is told where it was found
     stated = "file" in summary.noise_sources
     doubt = "the noise is larger than stated" if stated else "poses repeat worse than repeats in a row show"
@@ -275,9 +283,9 @@ def nothing_held_out(results: Results) -> list[Advice]:
 
 def does_not_carry_over(results: Results) -> list[Advice]:
     """A model much worse at held-out poses was fitted to too few or too similar poses."""
-    if split_judged(results) == "train" or not steps(results, "train"):
+    if split_judged(results) == "train" or not model_steps(results, "train"):
         return []
-    train, held = steps(results, "train")[-1], steps(results, "holdout")[-1]
+    train, held = model_steps(results, "train")[-1], model_steps(results, "holdout")[-1]
     if held.mean <= WORSE * train.mean:
         return []
     sentence = (

@@ -20,7 +20,7 @@ from calflow.reporting.section import Section
 Facts = list[tuple[str, str]]
 
 
-def identified(found: IdentifySummary, noises: Sequence[DeviceNoise]) -> Facts:
+def identified_facts(found: IdentifySummary, noises: Sequence[DeviceNoise]) -> Facts:
     """Tell how identify ended, with the noise of each series."""
     sigma = np.array([one.sigma for one in noises])
     units = tuple(MeasurementUnit(one.unit, one.unit, 1.0, 1.0) for one in noises)
@@ -48,7 +48,7 @@ def identified(found: IdentifySummary, noises: Sequence[DeviceNoise]) -> Facts:
     ]
 
 
-def diagnosed(found: DiagnosisSummary) -> Facts:
+def diagnosed_facts(found: DiagnosisSummary) -> Facts:
     """Tell how diagnose ended."""
     return [
         *_sigma(found),
@@ -123,14 +123,18 @@ def _identified(material: Material) -> list[tuple[str, str] | str]:
     if path not in results:
         return []
     noises = results.rows("identify/noise.csv", DeviceNoise)
-    return ["found by identify", *identified(results.document(path, IdentifySummary), noises), *_placement(material)]
+    return [
+        "found by identify",
+        *identified_facts(results.document(path, IdentifySummary), noises),
+        *_placement(material),
+    ]
 
 
 def _diagnosed(material: Material) -> list[tuple[str, str] | str]:
     path = "diagnose/summary.json"
     if path not in material.results:
         return []
-    return ["found by diagnose", *diagnosed(material.results.document(path, DiagnosisSummary))]
+    return ["found by diagnose", *diagnosed_facts(material.results.document(path, DiagnosisSummary))]
 
 
 def _settings(settings: Mapping[str, object]) -> str:

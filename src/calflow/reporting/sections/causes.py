@@ -30,10 +30,10 @@ from calflow.files.words import (
     sureness,
 )
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
-from calflow.reporting.cause_figures import errors_in_space, explained, gains
-from calflow.reporting.material import Material, findings, study_steps
+from calflow.reporting.cause_figures import errors_in_space, explained_figure, gains
+from calflow.reporting.material import Material, findings_of, study_steps
 from calflow.reporting.section import Section
-from calflow.reporting.sections.search import candidates, strongest, threshold, untestable
+from calflow.reporting.sections.search import candidate_rows, strongest, threshold, untestable
 from calflow.reporting.style import magnification
 
 GAINS = (
@@ -71,7 +71,7 @@ def gain_cells(finding: Finding) -> tuple[str, str]:
     return _signed(gain), f"{_signed(low)} … {_signed(high)}"
 
 
-def worth(finding: Finding) -> str:
+def gain_of_process(finding: Finding) -> str:
     """Say what a Gaussian process would gain."""
     gain, low, high = finding.gain
     if math.isnan(gain):
@@ -127,7 +127,7 @@ def still_unexplained(left: Sequence[Finding]) -> list[Block]:
     items = [
         ("The model as a whole:", f"{first_up(finding.statement)}.") if finding.is_misfit else
         (f"{first_up(finding.inputs_in_words)}:", f"part of the error depends on it, and no cause of the catalogue explains it. "
-         f"The chance that noise looks like this is {chance(finding.p_family)}.{worth(finding)}")
+         f"The chance that noise looks like this is {chance(finding.p_family)}.{gain_of_process(finding)}")
         for finding in left
     ]  # fmt: skip
     return [
@@ -145,12 +145,12 @@ def structure(results: Results) -> str:
 
 def unexplained_findings(results: Results) -> list[Finding]:
     """Return what stays unexplained and depends on an input."""
-    return [finding for finding in findings(results) if finding.status == "unexplained" and not finding.is_misfit]
+    return [finding for finding in findings_of(results) if finding.status == "unexplained" and not finding.is_misfit]
 
 
-def lack_of_fit(results: Results) -> str:
+def lack_of_fit_words(results: Results) -> str:
     """Say that the extended model leaves more than its noise, and where most; empty where it does not."""
-    p = next((finding.p_family for finding in findings(results) if finding.is_misfit), None)
+    p = next((finding.p_family for finding in findings_of(results) if finding.is_misfit), None)
     if p is None:
         return ""
     summary = results.document("diagnose/summary.json", DiagnosisSummary)
@@ -158,10 +158,10 @@ def lack_of_fit(results: Results) -> str:
     return f"The model leaves {ratio(summary.lack_of_fit)} times the noise (chance of so much: {chance(p)}), {where}."
 
 
-def unexplained(results: Results) -> list[Advice]:
+def look_for_structure(results: Results) -> list[Advice]:
     """Structure without a cause is to be looked for at the robot."""
     if not unexplained_findings(results):
-        return [_look_there(results)] if lack_of_fit(results) else []
+        return [_look_there(results)] if lack_of_fit_words(results) else []
     sentence = (
         f"Something depends on {structure(results)} that no cause of the catalogue explains. Look at the robot for what changes "
         "with it (hoses and cables, loose bolts, collisions, the device's support), and measure again."
@@ -182,8 +182,8 @@ def _look_there(results: Results) -> Advice:
 
 def untested(results: Results) -> list[Advice]:
     """Where something stays unexplained, what would make more causes testable is worth its while."""
-    needs = {lacking: names for lacking, names in untestable(candidates(results)).items() if lacking}
-    if not needs or not unexplained(results):
+    needs = {lacking: names for lacking, names in untestable(candidate_rows(results)).items() if lacking}
+    if not needs or not look_for_structure(results):
         return []
     said = "; ".join(f"{what} ({listed(names, 4)})" for what, names in list(needs.items())[:3])
     return [Advice(3, f"More causes could be tested with {said}.")]
@@ -205,7 +205,7 @@ CURVES = (
 
 def _causes(material: Material) -> list[Block]:
     """Tell each finding in words and figures, then what is left."""
-    found = findings(material.results)
+    found = findings_of(material.results)
     causes = [finding for finding in found if finding.is_cause]
     left = [finding for finding in found if finding.status == "unexplained"]
     return [
@@ -226,7 +226,7 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
     )
     found = [finding for finding in every if finding.status != FAULT]
     if not found:
-        best = strongest(candidates(material.results))
+        best = strongest(candidate_rows(material.results))
         unseen = f" But {summary.unseen}." if summary.unseen else ""
         return [Paragraph(NOTHING + unseen, bold=True), Paragraph(f"{searched}{best}")]
     order = count(1)
@@ -315,7 +315,7 @@ def advised_poses(results: Results) -> list[Advice]:
 
 def other_means(results: Results) -> list[Advice]:
     """Where no pose tells a cause from its rival, something else does."""
-    open_ = {(finding.cause, finding.joint) for finding in findings(results) if finding.status == "one_of"}
+    open_ = {(finding.cause, finding.joint) for finding in findings_of(results) if finding.status == "one_of"}
     means: dict[str, list[str]] = {}
     for row in _separations(results):
         if row.chance_after < ENOUGH and (row.cause, row.joint) in open_:
@@ -350,7 +350,7 @@ def _finding(material: Material, finding: Finding, number: int) -> list[Block]:
         part
         for part in (
             _what(finding),
-            how_sure(finding),
+            name_certainty(finding),
             *apart(finding, material.results),
             _gained_words(material, finding),
         )
@@ -374,7 +374,7 @@ def _what(finding: Finding) -> str:
     return f"{said}: {size} (1 sd)." if size and "±" in size else f"{said}{f': {size}' if size else ''}."
 
 
-def how_sure(finding: Finding) -> str:
+def name_certainty(finding: Finding) -> str:
     """Say how sure it is that there is something, and how sure its name is."""
     said = [f"The chance that noise alone makes any cause look like this is {chance(finding.p_family)}."]
     if finding.of_family:
@@ -434,7 +434,7 @@ def _curve_figure(finding: Finding, rows: pd.DataFrame, number: int, error_unit:
     errors = [f"{name}_mm" if error_unit == METRE else name for name in ("before", "after", "fitted")]
     x, before, after, fitted = rows[["x", *errors]].to_numpy(dtype=float).T
     unit = "" if pd.isna(rows["variable_unit"].iloc[0]) else str(rows["variable_unit"].iloc[0])
-    drawn = explained(
+    drawn = explained_figure(
         x,
         before,
         after,
@@ -480,16 +480,16 @@ CAPPED = (
 def foremost(results: Results) -> list[str]:
     """Say what a reader must know before any cause: a contradicted noise, and that the model leaves more than its noise."""
     doubts = results.document("identify/summary.json", IdentifySummary).noise_doubts
-    said = (*(doubt.statement for doubt in doubts), lack_of_fit(results))
+    said = (*(doubt.statement for doubt in doubts), lack_of_fit_words(results))
     return [sentence for sentence in said if sentence]
 
 
 def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
     """Say for the first page in a line each what the model lacked: what gains most first, what gains nothing last, as such."""
-    causes = [finding for finding in findings(results) if finding.is_cause]
+    causes = [finding for finding in findings_of(results) if finding.is_cause]
     summary = results.document("diagnose/summary.json", DiagnosisSummary)
     if not causes:
-        more = unexplained_findings(results) or lack_of_fit(results)
+        more = unexplained_findings(results) or lack_of_fit_words(results)
         told = "No cause explains what is left" if more else "Nothing was found"
         unseen = f" {first_up(summary.unseen)}." if summary.unseen else ""
         return [f"{told}: {summary.causes_tested} causes were tested.{unseen}"]
@@ -529,7 +529,7 @@ def _line(finding: Finding) -> str:
 def unsure(results: Results) -> list[str]:
     """Say for the first page which names and which structure the data leave open."""
     said = []
-    for finding in findings(results):
+    for finding in findings_of(results):
         if finding.of_family:
             said.append(f"The order, or finer form, of the {finding.name}.")
         if UNEXPLAINED in finding.cannot_tell_from:
@@ -548,5 +548,5 @@ CAUSES_SECTION = Section(
     "What the model lacked: causes",
     (*(f"diagnose/{name}.csv" for name in ("findings", "candidates", "separations", "next_poses")), SUMMARY),
     _causes,
-    (*CAUSE_RULES, unexplained, advised_poses, other_means, untested),
+    (*CAUSE_RULES, look_for_structure, advised_poses, other_means, untested),
 )

@@ -39,7 +39,7 @@ INDICES = ("O1", "O2", "O3", "O4", "O5")
 CURVES = {"expected_sd_mm": "root mean square", "worst_sd_mm": "worst pose"}
 
 
-def observability(table: pd.DataFrame, certificate: Certificate) -> Figure:
+def observability_figure(table: pd.DataFrame, certificate: Certificate) -> Figure:
     """Draw the indices, each relative to its value with all poses, and the tool's expected sd [mm] with its bound."""
     drawn, ((left, right),) = panels(1, 2, 2.3)
     poses = table["n_poses"].to_numpy()
@@ -247,7 +247,7 @@ def _planned_poses(material: Material) -> list[Block]:
             keep=True,
         ),
         Paragraph(_number_words(material.results.document("select/how_many.json", HowMany))),
-        Plot("observability", observability(worth, certificate), NUMBER_CAPTION, worth),
+        Plot("observability", observability_figure(worth, certificate), NUMBER_CAPTION, worth),
         Plot(
             "poses",
             map_of_poses(position),

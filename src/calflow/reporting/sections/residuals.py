@@ -168,10 +168,10 @@ def _residuals(material: Material) -> list[Block]:
     enlarged = f", drawn {_factor(material):,.0f} times enlarged" if directed else " (lengths have no direction: dots)"
     return [
         Paragraph(INTRODUCTION, keep=True),
-        Plot("residuals_place", by_place(material), PLACE + drawn, rows),
+        Plot("residuals_place", residuals_by_place(material), PLACE + drawn, rows),
         Plot(
             "residuals_workspace",
-            in_space(material),
+            residuals_in_space(material),
             f"Errors in the measuring frame{enlarged}; the darker, the larger.{some}",
             rows,
             scene=Scene(shown.tolist(), _factor(material), ("pose", "marker")) if material.unit == METRE else None,
@@ -194,7 +194,7 @@ def by_row(material: Material) -> pd.DataFrame:
     return pd.DataFrame({**named, "held_out": material.held, **place, **readings, **error}).iloc[material.drawn]
 
 
-def by_place(material: Material) -> Figure:
+def residuals_by_place(material: Material) -> Figure:
     """Draw the errors' size against reach, height and row."""
     reach = np.linalg.norm(material.place[:, :2] - np.array(material.data.robot.base.origin[:2]), axis=1)
     return against_place(
@@ -202,7 +202,7 @@ def by_place(material: Material) -> Figure:
     )
 
 
-def in_space(material: Material) -> Figure:
+def residuals_in_space(material: Material) -> Figure:
     """Draw the errors in the workspace."""
     position, shown = 1e3 * material.place, material.drawn[_shown(material)]
     shown = shown[np.isfinite(material.distance[shown])]

@@ -16,7 +16,7 @@ from calflow.files.results import Results
 from calflow.files.words import chance, first_up, listed, two_digits
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
 from calflow.reporting.cause_figures import evidence
-from calflow.reporting.material import Material, findings
+from calflow.reporting.material import Material, findings_of
 from calflow.reporting.section import Section
 
 CANDIDATES_SHOWN = 10  # candidates in the figure
@@ -32,15 +32,15 @@ LIMITS = (
 IMITATED = "the model's own parameters imitate"
 
 
-def candidates(results: Results) -> list[CandidateRow]:
+def candidate_rows(results: Results) -> list[CandidateRow]:
     """Return every place that was tested, and what could not be."""
     return results.rows("diagnose/candidates.csv", CandidateRow)
 
 
 def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
     """Draw the places that spoke most strongly, where any spoke; causes are those in the extended model."""
-    rows = _tested(candidates(material.results))[:CANDIDATES_SHOWN]
-    if not rows or not findings(material.results):
+    rows = _tested(candidate_rows(material.results))[:CANDIDATES_SHOWN]
+    if not rows or not findings_of(material.results):
         return []
     places = {(one.cause, one.joint) for one in causes}
     added = np.array([(row.cause, row.joint) in places for row in rows])
@@ -135,8 +135,8 @@ def _candidate_words(row: CandidateRow) -> str:
 
 def _search(material: Material) -> list[Block]:
     """Draw the strongest places, and tabulate limits and what was not testable."""
-    rows = candidates(material.results)
-    causes = [one for one in findings(material.results) if one.is_cause]
+    rows = candidate_rows(material.results)
+    causes = [one for one in findings_of(material.results) if one.is_cause]
     return [*went(material, causes), *limits(rows), *not_tested(rows)]
 
 

@@ -129,7 +129,7 @@ class Course:
     tolerance: float | None
 
 
-def along(courses: Sequence[Course], groups: Sequence[tuple[str, np.ndarray]]) -> Figure:
+def path_figure(courses: Sequence[Course], groups: Sequence[tuple[str, np.ndarray]]) -> Figure:
     """Draw quantities in the order of a path's points, below each other; groups are as for `task_map`, a line each."""
     drawn = figure(1.9 * len(courses) + 0.2)
     grid = drawn.subplots(len(courses), 1, squeeze=False, sharex=True)[:, 0]
@@ -200,7 +200,7 @@ def _pictures(task: TaskSummary, table: pd.DataFrame) -> list[Block]:
             Course("position [mm]", table["radius95_mm"].to_numpy(dtype=float), task.tolerance_mm),
             Course("turn [mrad]", table["turn95_mrad"].to_numpy(dtype=float), task.turn_tolerance_mrad),
         ]
-        blocks.append(Plot("task_path", along(parts, groups), PATH, table))
+        blocks.append(Plot("task_path", path_figure(parts, groups), PATH, table))
     return blocks
 
 

@@ -16,13 +16,13 @@ from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading
 from calflow.reporting.material import (
     Material,
     ModelAccuracy,
-    as_table,
-    findings,
+    accuracy_frame,
+    findings_of,
     gathered_steps,
     latest_summary,
 )
 from calflow.reporting.section import Section, advice, sections
-from calflow.reporting.sections.acceptance import judged
+from calflow.reporting.sections.acceptance import held_against_tolerance
 from calflow.reporting.sections.accuracy import LACKS, before_after
 from calflow.reporting.sections.causes import foremost, lacked, structure, unsure
 from calflow.reporting.sections.parameters import open_questions
@@ -59,7 +59,7 @@ def _first_page(material: Material) -> list[Block]:
     more = [f"{plural(len(further), 'further step')}, less urgent, under “Further steps”."] if further else []
     lists: list[Listed] = [*_lists(material.results), ("What to do next", [*urgent, *more] or [FINE])]
     first = foremost(material.results)
-    verdict = judged(material)
+    verdict = held_against_tolerance(material)
     return [
         Paragraph("Calibration report", 10),
         Heading(material.title, 0),
@@ -74,7 +74,7 @@ def _first_page(material: Material) -> list[Block]:
         Columns(cards, [1] * len(cards), 8),
         Gap(16),
         Columns(
-            [[Plot("before_after", before_after(found, material.noise_floor), data=as_table(found))],
+            [[Plot("before_after", before_after(found, material.noise_floor), data=accuracy_frame(found))],
              [Heading("How sure is this?"), Bullets(how_sure(material), TEXT)]],
             [1, 1],
         ),
@@ -88,7 +88,7 @@ def judgement(results: Results) -> str:
         return "Do not use this model: see what to do next."
     summary = latest_summary(results)
     times = summary.lack_of_fit
-    if any(found.status == "unexplained" for found in findings(results)):
+    if any(found.status == "unexplained" for found in findings_of(results)):
         return "Usable where it was measured, but something unexplained is left."
     if math.isnan(times):
         return "Usable where it was measured; how much better it could be is not known."
