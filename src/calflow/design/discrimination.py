@@ -160,6 +160,10 @@ def fitted_share(data: Measurements) -> float:
     return float(data.train.sum() / (data.train | data.held_out).sum())
 
 
+# Poses that nothing is to be drawn or weighed for: the causes were found, and only advice is lost.
+UNASKED = (InputError, ArithmeticError, np.linalg.LinAlgError, MemoryError)
+
+
 def question(
     verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Generator, among: Choices | None = None
 ) -> Question:
@@ -182,10 +186,10 @@ def question(
         planned = planned_like(fitted, share)
         choices = among or _choices(fitted, planned.observation, rng)
         return _asked(verdict.finding, asked, untested, fitted, planned, choices)
-    except (InputError, np.linalg.LinAlgError) as error:  # no pose to draw, or no model to tell: only advice is lost
+    except UNASKED as error:
         wider = isinstance(error, InputError)
         reason = (
-            error.problems[0].message if isinstance(error, InputError) else f"the models cannot be told apart: {error}"
+            error.problems[0].message if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
         )
         return Question(cause, tuple(Separation(one, unasked=reason, wider=wider) for one in asked) + untested)
 
