@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from calflow.deployment.export import _between, export
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
+from calflow.estimation.noise import PerUnit
 from calflow.model import build
 from calflow.robot.formats.rigid_chain import properties_text, rigid_chain, urdf_text
 from calflow.robot.formats.robot_file import drives
@@ -42,7 +43,7 @@ def identified(robot, effects=("geometry",)):
     estimate = np.clip(model.nominal + 0.3 * model.prior_sd * rng.standard_normal(len(model.nominal)), *model.bounds.T)
     n = len(estimate)
     return CalibratedModel(
-        model, estimate, 1e-12 * np.eye(n), np.zeros(n, bool), (SeriesNoise(1e-5, "file"),), 0.0, 0.0, "linear"
+        model, estimate, 1e-12 * np.eye(n), np.zeros(n, bool), (SeriesNoise(1e-5, "file"),), PerUnit(), "linear"
     )
 
 

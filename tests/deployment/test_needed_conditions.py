@@ -13,6 +13,7 @@ from calflow.deployment.prediction import predict_rows
 from calflow.deployment.validation import validate
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.needed_conditions import needed_conditions
+from calflow.estimation.noise import PerUnit
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
@@ -35,7 +36,7 @@ def calibrated(effects, values, **conditions):
     n = len(names)
     device = (SeriesNoise(1e-5, "file"),)
     return CalibratedModel(
-        model, estimate, 1e-16 * np.eye(n), np.zeros(n, dtype=bool), device, 0.0, 0.0, "linear"
+        model, estimate, 1e-16 * np.eye(n), np.zeros(n, dtype=bool), device, PerUnit(), "linear"
     ), data
 
 

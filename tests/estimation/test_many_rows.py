@@ -20,7 +20,7 @@ from calflow.estimation.groups import members
 from calflow.estimation.intraclass import Products
 from calflow.estimation.judgement import Studentised
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.noise import Noise
+from calflow.estimation.noise import Noise, PerUnit
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.log_posterior import Laplace, LogPosterior
 from sampling.calibrations import SIGMA, Case, Design
@@ -110,7 +110,7 @@ def test_no_jacobian_of_all_rows_is_there(small, asked: Callable[..., tuple[np.n
 def test_predictions_take_no_jacobian_of_all_rows(small, monkeypatch):
     """Fails if a file of a million rows to predict is refused by the machine's memory, or its parts are not those of the rows."""
     data, result = small
-    known = CalibratedModel(result.model, result.estimate, result.covariance, result.at_bound, (), 0.0, 0.0, "linear")
+    known = CalibratedModel(result.model, result.estimate, result.covariance, result.at_bound, (), PerUnit(), "linear")
     rows = {k: np.tile(data.rows, (1, k)) for k in TIMES}
     monkeypatch.setattr(certainty, "PART_ROWS", ALL)
     whole = parameter_variance(known, rows[TIMES[0]])

@@ -14,6 +14,7 @@ from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.fit import fit
+from calflow.estimation.noise import PerUnit
 from calflow.estimation.rival_models import ModelInReach
 from calflow.model import Model
 from calflow.sampling.log_posterior import Laplace, LogPosterior
@@ -110,7 +111,7 @@ def weighed(given, *models):
     noise = (SeriesNoise(SIGMA, "file"),)
     reached = tuple(ModelInReach(tuple(causes), "found", log_prior, 0.0) for causes, log_prior in models)
     known = CalibratedModel(
-        first, found.estimate, found.covariance, found.at_bound, noise, 0.0, 0.0, "linear", in_reach=reached
+        first, found.estimate, found.covariance, found.at_bound, noise, PerUnit(), "linear", in_reach=reached
     )
     return weighed_models(known, problem(first, given), np.random.default_rng(3), exact=0.01)
 

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
+from calflow.estimation.noise import PerUnit
 from calflow.estimation.rival_models import Alternative
 from calflow.sampling.models import WeighedModels
 from calflow.sampling.posterior import predictive_table
@@ -29,7 +30,7 @@ def test_rivals_of_several_causes_may_all_be_likely():
     final = start(hidden([(ECCENTRIC, (4e-4, -2e-4))])).with_causes([ECCENTRIC])
     fit, data = final.fit, final.data
     noise = (SeriesNoise(SIGMA, "repeats"),)
-    known = CalibratedModel(fit.model, fit.estimate, fit.covariance, fit.at_bound, noise, 0.0, 0.0, "linear")
+    known = CalibratedModel(fit.model, fit.estimate, fit.covariance, fit.at_bound, noise, PerUnit(), "linear")
     bare = replace(fit.model, effects=final.plain)
     other = Alternative(bare, fit.estimate[: len(bare.parameters)], 0.6)
     assert interval(replace(known, alternatives=(other, other)), data) > 1.5 * interval(known, data)

@@ -10,6 +10,7 @@ from scipy.stats import norm
 
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.fit import fit
+from calflow.estimation.noise import PerUnit
 from calflow.model import build
 from calflow.sampling.chain import ChainLength
 from calflow.sampling.posterior import ALPHAS, posterior_table, power_weights, prior_dominates, sensitivity
@@ -85,7 +86,7 @@ def test_what_the_data_do_not_tell_is_the_priors(tmp_path):
     data = measured(model, drawn_truth(model, rng), 50, rng)
     found, _ = fit(problem(model, data))
     noise = (SeriesNoise(SIGMA, "repeats"),)
-    known = CalibratedModel(found.model, found.estimate, found.covariance, found.at_bound, noise, 0.0, 0.0, "linear")
+    known = CalibratedModel(found.model, found.estimate, found.covariance, found.at_bound, noise, PerUnit(), "linear")
     chain = sample(
         known,
         data,

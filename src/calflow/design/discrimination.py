@@ -188,9 +188,7 @@ def question(
         return _asked(verdict.finding, asked, untested, fitted, planned, choices)
     except UNASKED as error:
         wider = isinstance(error, InputError)
-        reason = (
-            error.problems[0].message if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-        )
+        reason = error.problems[0].message if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
         return Question(cause, tuple(Separation(one, unasked=reason, wider=wider) for one in asked) + untested)
 
 
