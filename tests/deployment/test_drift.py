@@ -156,7 +156,7 @@ def test_warm_links_are_conditions_and_no_drift(robot):
     warm = next(one for one in movements(known, data, True) if one.name == "temperature")
     grown = data.position + (warm.slope @ np.array([1.2e-4]))
     found = drift(
-        known, [], replace(data, table=data.table.assign(**dict(zip("xyz", grown.T, strict=True)))), station="known"
+        known, replace(data, table=data.table.assign(**dict(zip("xyz", grown.T, strict=True)))), station="known"
     )
     assert found.summary.status in ("conditions", "cannot be told")
     assert found.moved[0].movement == "temperature"

@@ -114,7 +114,7 @@ def inverted(flange, near):
 
 def truly(corrector, readings):
     """Where the flange is by the calibrated model, in the base that it found, read off where its marker is."""
-    known, model = corrector.known, corrector.known.model
+    known, model = corrector.calibrated, corrector.calibrated.model
     rows = corrector.rows(readings).rows
     parameter = dict(zip([p.name for p in model.parameters], known.estimate, strict=True))
     base = np.eye(4)
@@ -167,7 +167,7 @@ def test_a_controller_shows_the_readings_that_its_configuration_means():
             asked.append(readings)
             return super().corrected(readings, names)
 
-    watched = Watched(corrector.known, (), corrector.rows)
+    watched = Watched(corrector.calibrated, (), corrector.rows)
     done = filtered(parsed(SHOWN.encode(), Path("poses.ls")), watched, FilterSettings({}, {}))
     assert [row.outcome for row in done.rows] == ["unchanged"] * 2
     shown = [(7.962, -5.284, -36.25, 77.661, -51.975, -79.273), (7.962, -5.284, -36.25, -102.339, 51.975, 100.727)]
@@ -207,12 +207,12 @@ def test_flags_of_no_way_are_said():
 def test_joints_that_come_from_either_side_are_told_apart():
     """Fails if play is not made up for by the side from which a joint comes, as the order of the targets has it."""
     plain = calibrated(industrial(), ("geometry", "joint-backlash"))
-    names = [parameter.name for parameter in plain.known.model.parameters]
-    estimate = plain.known.estimate.copy()
+    names = [parameter.name for parameter in plain.calibrated.model.parameters]
+    estimate = plain.calibrated.estimate.copy()
     play = next(k for k, name in enumerate(names) if name.startswith("joint2") and name.endswith(".b"))
     estimate[play] = 1e-3
     given = ("approach", "travel")
-    known = replace(plain.known, estimate=estimate, model=replace(plain.known.model, given=given))
+    known = replace(plain.calibrated, estimate=estimate, model=replace(plain.calibrated.model, given=given))
     needed = NeededCondition(condition="approach", effects=("joint-backlash",), columns="approach1", spread_mm=1.0)
     corrector = CalibratedRobot(replace(known, needed=(needed,)), plain.rows, in_order=True)
     readings = np.tile(usual(plain, 1), (3, 1))

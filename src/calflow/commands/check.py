@@ -160,12 +160,15 @@ def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: S
     """
     from calflow.calibration import Calibration
     from calflow.deployment.drift import TABLES, drift
+    from calflow.files.problems import refuse
     from calflow.files.writing import inside
     from calflow.reporting.drift_report import drift_lines, drift_report
     from calflow.run_folder import run_folder
     from calflow.runs.given_rows import rows_measured
     from calflow.runs.kept import keep
 
+    if not 1e-3 <= false_alarm <= 0.5:  # fewer alarms take more draws than are counted in
+        raise refuse(f"expected 0.001 to 0.5, found {false_alarm:g}", key="false_alarm")
     folder = out or inside(run_folder(study_or_run), f"drift/{rows.stem}")
     calibration = Calibration.load(study_or_run)
     data = rows_measured(calibration, rows)

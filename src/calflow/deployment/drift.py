@@ -340,10 +340,8 @@ def drift(
         seed: of the draws that false alarms are counted in.
 
     Raises:
-        InputError: a frame cannot be fitted, or false_alarm is at fault.
+        InputError: a frame cannot be fitted.
     """
-    if not 1e-3 <= false_alarm <= 0.5:  # fewer alarms take more draws than are counted in
-        raise refuse(f"expected 0.001 to 0.5, found {false_alarm:g}", key="false_alarm")
     given = tuple(one.condition for one in calibrated.needed if one.condition in data.given)
     calibrated = replace(calibrated, model=replace(calibrated.model, given=given))
     attained = Attained.of(calibrated, data)
