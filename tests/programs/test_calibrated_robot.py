@@ -167,7 +167,7 @@ def test_a_controller_shows_the_readings_that_its_configuration_means():
             asked.append(readings)
             return super().corrected(readings, names)
 
-    watched = Watched(corrector.calibrated, (), corrector.rows)
+    watched = Watched(corrector.calibrated, corrector.rows)
     done = filtered(parsed(SHOWN.encode(), Path("poses.ls")), watched, FilterSettings({}, {}))
     assert [row.outcome for row in done.rows] == ["unchanged"] * 2
     shown = [(7.962, -5.284, -36.25, 77.661, -51.975, -79.273), (7.962, -5.284, -36.25, -102.339, 51.975, 100.727)]
