@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from calflow.design.candidates import candidates
 from calflow.design.planned import Planned
+from calflow.files.units import METRE, NEWTON, PIXEL, RADIAN
 from calflow.files.words import first_up
 from calflow.measurements.series import Series, Setting
 from calflow.model import build
@@ -99,7 +100,7 @@ def _picture(kind: type[Observation], names: list[str], known: dict[str, float],
 
 
 def _counted(kind: type[Observation]) -> list[str]:
-    words = {"m": "length", "rad": "angle"}
+    words = {METRE: "length", RADIAN: "angle", PIXEL: "pixel", NEWTON: "force"}
     counts = {unit: kind.units.count(unit) for unit in dict.fromkeys(kind.units)}
     return [f"{n} {words[unit]}{'s' if n > 1 else ''}" for unit, n in counts.items()]
 

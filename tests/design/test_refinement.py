@@ -14,6 +14,8 @@ from calflow.design.exchange import information
 from calflow.design.optimality import ParameterCriterion
 from calflow.design.planned import Planned, Task
 from calflow.design.refinement import refined_poses
+from calflow.estimation.noise import PerUnit
+from calflow.files.units import RADIAN
 from calflow.measurements.series import Series
 from calflow.model import build
 from calflow.observations.pose import Pose
@@ -73,6 +75,6 @@ def test_poses_whose_reports_matter_stay(model):
     posed = replace(model, observations=(Pose.planned(Series()),))
     readings, _ = candidates(posed, 10, "rated", "E", REGION, np.random.default_rng(2))
     n = len(posed.parameters)
-    planned = Planned(posed.observations[0], 5e-5, 1e-4)
+    planned = Planned(posed.observations[0], 5e-5, PerUnit(((RADIAN, 1e-4),)))
     found = refined_poses(posed, planned, readings, "rated", "E", REGION, np.eye(n), ParameterCriterion(n))
     assert (found == readings).all()

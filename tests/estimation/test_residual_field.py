@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.estimation.field_gain import Nodes, blocks, gain_of
+from calflow.estimation.field_gain import Nodes, blocks, field_summary, gain_of
 from calflow.estimation.residual_field import SUMMARY, learnt, pose_table, read_field
 from calflow.files.results import Results, to_document
-from calflow.stages.residual_field import summary
 from robots import hh800
 
 NOISE, POSES = 5e-5, 250
@@ -95,7 +94,7 @@ def test_a_run_folder_keeps_all_of_it():
     q = rng.uniform(-1, 1, (40, robot.n_joints))
     left = 1e-4 * np.stack([np.sin(3 * q[:, 0]), q[:, 1] ** 2, q[:, 2]], axis=1)
     own = learnt(q, left, 1e-5, 0.1, rng)
-    told = to_document(summary(own, gain_of(Nodes(q, left, 1e-5, 0.1), rng)))
+    told = to_document(field_summary(own, gain_of(Nodes(q, left, 1e-5, 0.1), rng)))
     read = read_field(Results({"residual_field/poses.csv": pose_table(own, robot)}, {SUMMARY: told}), robot)
     assert read is not None
     there = rng.uniform(-1.2, 1.2, (50, robot.n_joints))

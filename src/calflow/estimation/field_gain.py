@@ -177,10 +177,10 @@ def field_results(known: CalibratedModel, field: ResidualField | None, gain: Fie
         POSES: pose_table(field, known.model.robot),
         "residual_field/accuracy.csv": _accuracy(known, field, gain, data),
     }
-    return Results(tables, {SUMMARY: to_document(_summary(field, gain))})
+    return Results(tables, {SUMMARY: to_document(field_summary(field, gain))})
 
 
-def _summary(field: ResidualField | None, gain: FieldGain) -> FieldSummary:
+def field_summary(field: ResidualField | None, gain: FieldGain) -> FieldSummary:
     """Return the figures of a field, and what it gains."""
     judged = gain.blocks > 0
     return FieldSummary(
