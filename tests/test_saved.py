@@ -128,7 +128,9 @@ def test_a_diagnosis_is_loaded_with_all_it_found(tmp_path):
     assert (found.findings[0].cause, found.findings[0].joint) == ("joint-backlash", 2)
     loaded = assert_loaded(found, tmp_path / "diagnosed")
     assert len(loaded.in_reach) == len(found.in_reach) > 1
-    assert list(loaded.findings) == list(found.findings)
+    assert list(map(repr, loaded.findings)) == list(
+        map(repr, found.findings)
+    )  # figures that are not known are no numbers
     assert_same(loaded.identified, calibration)
     again = loaded.diagnose(catalogue=wanted)
     assert again.results.tables["diagnose/findings.csv"].equals(found.results.tables["diagnose/findings.csv"])

@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from calflow.files.csv import read_csv
 from calflow.files.data_package import DATA_PACKAGE, data_package
@@ -33,7 +33,15 @@ REMEDY = "delete it to run everything anew"
 INPUTS = "inputs"  # of a run folder: the files that were asked
 LAID_OUT = f"{INPUTS}/files"  # in it, of a packed run: all files of the study
 ABOVE = "above"  # stands for a folder above the study's, where files are laid out again
-Text = Annotated[str, Field(pattern=r"^[^\x00]*$")]  # a zero ends a file's name, for the system
+
+
+def _without_zero(text: str) -> str:
+    if "\0" in text:
+        raise ValueError("a zero ends a file's name, for the system")
+    return text
+
+
+Text = Annotated[str, AfterValidator(_without_zero)]  # a file's name need be no Unicode
 NUMERICAL = ("arviz-stats", "casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "scipy", "typst")
 SAVED = "saved from Python"  # why a stage has results that no run of a study made
 DESCRIBING = (".toml", ".urdf")  # endings of inputs that hold no measurements

@@ -107,7 +107,7 @@ def differences(whole: Unbroken, run: Path) -> list[str]:
     entries = json.loads((run / "manifest.json").read_text(encoding="utf-8"))["stages"]
     outputs = {name for entry in entries.values() for name in entry["outputs"]}
     inputs = {f"inputs/{name}.toml" for name in ("study", "robot", "workflow")}
-    unknown = lying - outputs - inputs - {"manifest.json", ".lock"}
+    unknown = lying - outputs - inputs - {"manifest.json", "datapackage.json", ".lock"}
     wrong += [f"{name} lies about" for name in unknown]
     return wrong + [f"{name}: {entry['status']}" for name, entry in entries.items() if entry["status"] != "done"]
 
