@@ -29,7 +29,7 @@ from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.extension import Extended, extend
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Linearisation
-from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES, Acceptance
+from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES, CauseAcceptance
 from calflow.effects.cause import Cause
 from calflow.effects.link_torsion import LinkTorsion
 from calflow.effects.nonlinear_joint_stiffness import NonlinearJointStiffness
@@ -103,7 +103,7 @@ def diagnosed(case: Case, rng: np.random.Generator) -> tuple[CalibratedModel, Ex
     data = case.data.on(case.known.model.robot)
     catalogue = Catalogue((NonlinearJointStiffness(data.robot), LinkTorsion(data.robot)), {})
     start = Fitted.of(case.known, *averaged(data, case.known.noise(data)))
-    found = extend(start, catalogue, Acceptance(SHARES["causes"] * FALSE_ALARM, 10), rng, lambda line: None)
+    found = extend(start, catalogue, CauseAcceptance(SHARES["causes"] * FALSE_ALARM, 10), rng, lambda line: None)
     final = found.fitted
     reached = models_in_reach(final, found.findings, catalogue)
     extended = CalibratedModel(

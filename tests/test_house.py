@@ -1,4 +1,4 @@
-"""The house: which room may import which, that no file grows a second purpose, and that no import hides."""
+"""The house: which room may import which, that a name and a file stand for one thing each, and that no error hides."""
 
 from __future__ import annotations
 
@@ -33,6 +33,7 @@ FLOORS = (  # an import points to a floor further up this list, or stays within 
     ("__init__", "cli"),
     ("__main__",),
 )
+FEWEST_LINES = 50  # of a file with one importer
 FLOOR = {room: k for k, floor in enumerate(FLOORS) for room in floor}
 
 
@@ -94,6 +95,46 @@ def test_no_name_stands_for_three_files():
         if path.stem not in ("__init__", "base") and room(name) != "commands"
     )
     assert not [name for name, number in names.items() if number > 2]
+
+
+def test_no_public_name_stands_for_two_things():
+    """Fails if a class or a function that others may use is called as another one elsewhere in the house."""
+    names = Counter(
+        node.name
+        for path in modules().values()
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_")
+    )
+    assert not sorted(name for name, number in names.items() if number > 1)
+
+
+def test_what_is_small_lives_with_its_caller():
+    """Fails if a file of a few lines serves a single other one, other than the register of its own folder's parts."""
+    importers = Counter(
+        other
+        for name, path in modules().items()
+        for other in set(imports(name, path))
+        if other.rpartition(".")[0] != name
+    )
+    small = {
+        name
+        for name, path in modules().items()
+        if path.stem != "__init__" and importers[name] == 1 and len(path.read_text().splitlines()) < FEWEST_LINES
+    }
+    assert not small
+
+
+def test_no_error_is_caught_unseen():
+    """Fails if bugs are caught together with what a user, or the machine, can do wrong."""
+    handlers = [
+        f"{name}:{node.lineno}"
+        for name, path in modules().items()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ExceptHandler)
+        and not any(isinstance(inner, ast.Raise) for inner in node.body)
+        and (node.type is None or ast.unparse(node.type) in ("Exception", "BaseException"))
+    ]
+    assert not handlers
 
 
 def test_what_is_said_goes_through_one_place():

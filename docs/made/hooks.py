@@ -19,7 +19,7 @@ from made.observation_page import observation_page
 
 ROOMS = {  # of the catalogue: the folder of its pages, and which of them there are
     "effects": (effect_page, effects.catalogue),
-    "observations": (observation_page, observations.catalogue),
+    "observations": (observation_page, observations.observation_kinds),
 }
 
 

@@ -13,7 +13,7 @@ from calflow.estimation.parameters import contradictions, mistaken
 from calflow.estimation.registration import plausible
 from calflow.files.problems import InputError, Problem, nearest, refuse, together
 from calflow.files.regular import regular_file
-from calflow.files.toml import FileModel, Origin, read_toml, validate
+from calflow.files.toml import FileModel, Origin, read_toml, validate_table
 from calflow.files.units import SUFFIXES, split_unit
 from calflow.measurements.measurements import Measurements, combined, continued
 from calflow.measurements.reading import data_folder, is_to_fetch, locate
@@ -21,8 +21,7 @@ from calflow.measurements.rows import layout_of_further
 from calflow.measurements.series import Series
 from calflow.measurements.source import MeasurementSource
 from calflow.model import Model, build, stated
-from calflow.observations import Observation, observations
-from calflow.observations import catalogue as observation_kinds
+from calflow.observations import Observation, observation_kinds, observations
 from calflow.robot.formats import robot_file
 from calflow.robot.robot import Robot
 from calflow.study_file import StudyFile, WorkflowFile, check_parameters, parameter_location
@@ -62,7 +61,7 @@ def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
         raise InputError([*links, *payloads])
 
 
-def check_stated(study: Study, model: Model) -> None:
+def check_stated_parameters(study: Study, model: Model) -> None:
     """Check that the parameters of which a study states something are there, and can be as it states.
 
     Raises:
@@ -194,7 +193,7 @@ class Study:
         check_columns(self.file.effects, measured, path)
         self._check_names(measured)
         if self.file.parameters:
-            check_stated(self, stated(self.robot, self.file.effects, measured, observations(measured)))
+            check_stated_parameters(self, stated(self.robot, self.file.effects, measured, observations(measured)))
         measured = measured.split(self.file.split.holdout, self.file.seed)
         poses = measured.table.loc[measured.train, "pose"].nunique()
         if poses < FEWEST_POSES:
@@ -249,7 +248,7 @@ class Study:
             message = f"unknown kind '{source.kind}'; there are {', '.join(observation_kinds())}"
             raise InputError([self._source_problem(k, message + nearest(source.kind, observation_kinds()), "kind")])
         kind = observation_kinds()[source.kind or "pose"]
-        told = validate(
+        told = validate_table(
             source.settings, kind.settings, replace(Origin.of(self.path), table=(*self._source(k), "settings"))
         )
         said = {name: value for name, value in told.model_dump().items() if value is not None}
@@ -275,7 +274,7 @@ class Study:
         here = Origin.of(self.path, "stages", stage) if own else there
         settings = self.settings(stage)
         elsewhere = {name: there for key in settings if key not in own for name in (key, _without_unit(key))}
-        return validate(settings, kind, here, elsewhere)
+        return validate_table(settings, kind, here, elsewhere)
 
 
 def check_confirm(file: StudyFile, path: Path) -> None:
@@ -330,7 +329,7 @@ def load_study(path: str | Path) -> Study:
     )
     study = Study(path, file, robot, robot_path, workflow, workflow_path)
     if file.parameters and not file.sources:
-        check_stated(study, build(study.robot, file.effects))
+        check_stated_parameters(study, build(study.robot, file.effects))
     return study
 
 

@@ -16,7 +16,7 @@ from calflow.diagnosis.linear import Block, LinearProblem, diagnose_linear
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.extension import extend
 from calflow.diagnosis.search.linearisation import Linearisation
-from calflow.diagnosis.search.trial import Acceptance
+from calflow.diagnosis.search.trial import CauseAcceptance
 from calflow.files.problems import InputError
 from diagnosis.found import cause, hidden, start
 
@@ -192,7 +192,7 @@ def test_a_robot_is_told_the_same_at_its_first_step():
     begun = start(data)
     catalogue = Catalogue.of(data, ("geometry",), ("joint-eccentricity", "gear-ratio-error", "joint-compliance"))
     looked = Linearisation.at(begun, catalogue)
-    known = extend(begun, catalogue, Acceptance(0.01, 1), np.random.default_rng(1), lambda _: None)
+    known = extend(begun, catalogue, CauseAcceptance(0.01, 1), np.random.default_rng(1), lambda _: None)
     (score,) = (one for one in known.first.scores if one.cause == soft)
     r = looked.regressors
     blocks = [

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from calflow.files.problems import InputError
-from calflow.files.toml import Origin, validate
+from calflow.files.toml import Origin, validate_table
 from calflow.measurements.series import Series
 from calflow.observations.distance import Distance, DistanceSettings
 from observations.graph import error, through_json
@@ -69,6 +69,6 @@ def test_a_setting_that_a_wire_does_not_have_is_refused(tmp_path):
     path = tmp_path / "study.toml"
     path.write_text("[measurements.settings]\nancor_mm = [1, 2, 3]\n")
     with pytest.raises(InputError) as refused:
-        validate({"ancor_mm": [1, 2, 3]}, DistanceSettings, Origin.of(path, "measurements", "settings"))
+        validate_table({"ancor_mm": [1, 2, 3]}, DistanceSettings, Origin.of(path, "measurements", "settings"))
     assert "anchor" in str(refused.value)
     assert "2" in str(refused.value)

@@ -10,7 +10,7 @@ import pytest
 
 from calflow.design.candidates import candidates, packed_conditions
 from calflow.files.problems import InputError
-from calflow.files.toml import Origin, validate
+from calflow.files.toml import Origin, validate_table
 from calflow.measurements.measurements import combined
 from calflow.measurements.series import Series
 from calflow.model import build
@@ -144,4 +144,4 @@ def test_a_plane_without_direction_is_refused(tmp_path):
     path = tmp_path / "study.toml"
     path.write_text("[measurements.settings]\nnormal = [0, 0, 0]\n")
     with pytest.raises(InputError, match="direction"):
-        validate({"normal": [0, 0, 0]}, PlaneSettings, Origin.of(path, "measurements", "settings"))
+        validate_table({"normal": [0, 0, 0]}, PlaneSettings, Origin.of(path, "measurements", "settings"))

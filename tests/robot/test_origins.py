@@ -12,7 +12,7 @@ import robots
 from calflow.effects.geometry import Geometry
 from calflow.robot.chain import Deflection, pose
 from calflow.robot.dimensions import nominal_dimensions, symbols_like
-from calflow.robot.origins import LISTED, Axis, FrameOrigin, about, joint_frame, left_out, rpy_of
+from calflow.robot.origins import LISTED, Axis, FrameOrigin, about, joint_frame, origins_left_out, rpy_of
 from calflow.robot.robot import Robot
 from calflow.robot.transforms import placement
 from robot.formats import urdfs
@@ -53,7 +53,7 @@ def test_parameters_span_all_errors_of_origins_and_none_is_there_twice(seed: int
 def test_what_is_left_out(xyz: tuple[float, ...], axis: tuple[float, ...], expected: tuple[str, ...]) -> None:
     """Fails if a joint's zero gives way to a figure that people think of less, or the wrong figure is left out."""
     frame = joint_frame(FrameOrigin(xyz), Axis(axis), before=Axis((0, 0, 1)))
-    assert left_out(frame) == expected
+    assert origins_left_out(frame) == expected
 
 
 def test_what_is_left_out_is_named(tmp_path: Path) -> None:
@@ -71,9 +71,21 @@ def test_what_is_left_out_is_named(tmp_path: Path) -> None:
 
 def test_the_first_joints_origin_is_the_bases_and_a_slide_has_a_direction_only() -> None:
     """Fails if a parameter stands for what base or a slide do already."""
-    assert left_out(joint_frame(FrameOrigin(), Axis((0, 0, 1)), before=None)) == ("x", "y", "z", "rx", "ry", "theta")
+    assert origins_left_out(joint_frame(FrameOrigin(), Axis((0, 0, 1)), before=None)) == (
+        "x",
+        "y",
+        "z",
+        "rx",
+        "ry",
+        "theta",
+    )
     rail = Axis((1, 0, 0), slides=True)
-    assert left_out(joint_frame(FrameOrigin((0, 0, 0.4)), Axis((0, 0, 1)), before=rail)) == ("x", "y", "z", "rx")
+    assert origins_left_out(joint_frame(FrameOrigin((0, 0, 0.4)), Axis((0, 0, 1)), before=rail)) == (
+        "x",
+        "y",
+        "z",
+        "rx",
+    )
 
 
 @pytest.mark.parametrize("off", [0.0, 1e-13, 3e-12, 1e-9, 1e-6, 0.3])

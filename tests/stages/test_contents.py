@@ -14,14 +14,14 @@ from calflow.files.tables import columns, from_frame, to_frame
 from calflow.measurements.reading import sha256
 from calflow.run_folder import read_manifest
 from calflow.stages import STAGES
-from calflow.stages.contents import renewed
+from made.contents import renewed
 
 FILES = Path(__file__).parents[2] / "docs" / "files.md"
 KNOWN = {path: row_type for stage in STAGES.values() for path, row_type in (stage.tables | stage.documents).items()}
 
 
 def test_the_documents_tell_what_the_code_declares():
-    """Fails if docs/files.md was not renewed: python -m calflow.stages.contents docs/files.md."""
+    """Fails if docs/files.md was not renewed: python docs/made/contents.py docs/files.md."""
     text = FILES.read_text(encoding="utf-8")
     assert renewed(text) == text
 

@@ -17,7 +17,7 @@ from calflow.files.problems import nearest, refuse
 from calflow.files.toml import FileModel
 from calflow.fleet.fleet_file import FleetFile
 from calflow.measurements.source import MeasurementSource
-from calflow.observations import catalogue as observation_kinds
+from calflow.observations import observation_kinds
 from calflow.robot.formats.robot_file import RobotFile, UrdfRobotFile
 from calflow.simulation import Truth
 from calflow.stages import STAGES

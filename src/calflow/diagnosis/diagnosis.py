@@ -12,7 +12,7 @@ from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.extension import extend, weighed_against
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.noise_growth import growth_of_repeats, growth_of_residuals
-from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES, Acceptance
+from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES, CauseAcceptance
 from calflow.diagnosis.search.weighing import weighed
 from calflow.estimation.accuracy import leading_errors
 from calflow.estimation.calibrated_model import CalibratedModel
@@ -58,7 +58,7 @@ def search_causes(
     have = [effect.id for effect in calibrated.model.effects]
     wanted = Catalogue.of(train, have, catalogue, leave_out)
     advance(BEGUN)
-    acceptance = Acceptance(SHARES["causes"] * false_alarm, causes)
+    acceptance = CauseAcceptance(SHARES["causes"] * false_alarm, causes)
     extended = extend(
         start, wanted, acceptance, rng("bootstrap"), say, lambda share: advance(BEGUN + share * (SEARCHED - BEGUN))
     )

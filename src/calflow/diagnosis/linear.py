@@ -31,7 +31,7 @@ from calflow.diagnosis.screening.screening import Family
 from calflow.diagnosis.search.exchange import verified
 from calflow.diagnosis.search.linearisation import Detection, Linearisation
 from calflow.diagnosis.search.stepwise import Stepwise
-from calflow.diagnosis.search.trial import FALSE_ALARM, Acceptance, Trial, bic, relief
+from calflow.diagnosis.search.trial import FALSE_ALARM, CauseAcceptance, Trial, bic, relief
 from calflow.files.problems import InputError, Problem
 
 LACK_OF_FIT = 0.01  # significance from which a model leaves more than noise that is known
@@ -335,7 +335,7 @@ def diagnose_linear(
     group = None if groups is None else np.unique(groups, return_inverse=True)[1]
     problem = LinearProblem(whitened, design, prior, tuple(candidates), matrix, noise is not None, group)
     first = LinearTrial(Family({}, 1.0), problem).linearisation.screened(rng)
-    search = Stepwise(Acceptance(false_alarm, most), first, rng, lambda _: None, lambda _: None)
+    search = Stepwise(CauseAcceptance(false_alarm, most), first, rng, lambda _: None, lambda _: None)
     best, tried = search.best(LinearTrial(first.family, problem))
     return LinearDiagnosis(
         tuple(map(_finding, verified(best, tried))), tuple(dict.fromkeys(block.name for block in first.hidden))

@@ -20,7 +20,7 @@ def catalogue() -> dict[str, type[Effect]]:
     Raises:
         InputError: another package brings what cannot be used.
     """
-    return plugins.catalogue(__name__, plugins.EFFECTS, Effect, _flaw)  # type: ignore[type-abstract]
+    return plugins.catalogue_of(__name__, plugins.EFFECTS, Effect, _flaw)  # type: ignore[type-abstract]
 
 
 def effect_class(effect: str) -> type[Effect] | None:

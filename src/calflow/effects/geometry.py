@@ -13,7 +13,7 @@ from calflow.effects.base import Effect, Words
 from calflow.robot.conditions import Row
 from calflow.robot.dimensions import Dimensions, nominal_dimensions
 from calflow.robot.frames import places
-from calflow.robot.origins import left_out
+from calflow.robot.origins import origins_left_out
 from calflow.robot.parameter import Parameter
 from calflow.robot.robot import Robot
 from calflow.robot.transforms import placement
@@ -100,7 +100,7 @@ class Geometry(Effect):
     def left_out(self) -> tuple[str, ...]:
         """The figures of joints stated by full origins that are no parameters, since others do the same whatever the pose."""
         frames = enumerate(self.robot.frames, start=1)
-        return tuple(f"joint{i}.{symbol}" for i, frame in frames for symbol in left_out(frame))
+        return tuple(f"joint{i}.{symbol}" for i, frame in frames for symbol in origins_left_out(frame))
 
     @cached_property
     def errors(self) -> tuple[DimensionError, ...]:

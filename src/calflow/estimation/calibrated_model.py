@@ -28,8 +28,7 @@ from calflow.files.tables import column, to_frame
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
-from calflow.observations import Observation
-from calflow.observations import catalogue as observation_kinds
+from calflow.observations import Observation, observation_kinds
 from calflow.robot.parts import Base, vector
 from calflow.robot.robot import Robot
 

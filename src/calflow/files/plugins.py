@@ -55,7 +55,7 @@ def found(
     return kinds
 
 
-def catalogue(
+def catalogue_of(
     package: str, group: str, base: type[Part], flaw: Callable[[type[Part]], str] = lambda kind: ""
 ) -> dict[str, type[Part]]:
     """Return every class with an id that a package of calflow's holds, a file each, and what other packages bring, by id.

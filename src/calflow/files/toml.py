@@ -333,7 +333,7 @@ def read_toml(path: Path, kind: type[File]) -> File:
         InputError: the file cannot be read or is not TOML, or with all that is wrong in it.
     """
     raw, origin = parse_toml(path)
-    return validate(raw, kind, origin)
+    return validate_table(raw, kind, origin)
 
 
 def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
@@ -370,7 +370,7 @@ def read_text(path: Path) -> str:
     return regular_file(path).read_text(encoding="utf-8-sig")
 
 
-def validate(
+def validate_table(
     raw: dict[str, Any],
     kind: type[File],
     origin: Origin,

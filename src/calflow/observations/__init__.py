@@ -13,17 +13,17 @@ from calflow.measurements.series import Series
 from calflow.observations.base import Observation, Seen
 from calflow.observations.position import Position
 
-__all__ = ["Observation", "Seen", "catalogue", "leading_units", "observations"]
+__all__ = ["Observation", "Seen", "leading_units", "observation_kinds", "observations"]
 
 
 @lru_cache
-def catalogue() -> dict[str, type[Observation]]:
+def observation_kinds() -> dict[str, type[Observation]]:
     """Return every kind of observation by its id: a new file in this folder is enough, or another package's entry point.
 
     Raises:
         InputError: another package brings what cannot be used.
     """
-    return plugins.catalogue(__name__, plugins.OBSERVATIONS, Observation, _flaw)  # type: ignore[type-abstract]
+    return plugins.catalogue_of(__name__, plugins.OBSERVATIONS, Observation, _flaw)  # type: ignore[type-abstract]
 
 
 def _flaw(kind: type[Observation]) -> str:
@@ -59,4 +59,4 @@ def leading_units(data: Measurements) -> tuple[MeasurementUnit, ...]:
 
 def _kind(series: Series, table: pd.DataFrame) -> type[Observation]:
     """What kind of observation the rows of a series are."""
-    return catalogue()[series.kind or ("pose" if {"rx", "qw"} & set(table) else "position")]
+    return observation_kinds()[series.kind or ("pose" if {"rx", "qw"} & set(table) else "position")]

@@ -98,7 +98,7 @@ def variances(spread: np.ndarray, own: np.ndarray) -> np.ndarray:
     return np.where(own, FREE, spread**2)
 
 
-def pooled(likelihoods: Sequence[ParameterLikelihood], variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def pooled_prior(likelihoods: Sequence[ParameterLikelihood], variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return what each robot tells of the type's mean: information (n_robots, n, n) and pull (n_robots, n).
 
     variance (n_robots, n) is by how much its parameters may differ from the mean.
@@ -114,7 +114,7 @@ def _expectation(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the mean (n,), its covariance (n, n), and the expected squares of the deviations from it (n_robots, n)."""
     variance = variances(spread, own)
-    weight, pull = pooled(likelihoods, variance)
+    weight, pull = pooled_prior(likelihoods, variance)
     covariance = np.linalg.inv(weight.sum(axis=0) + np.eye(len(spread)))
     mean = covariance @ pull.sum(axis=0)
     deviation = variance * (pull - weight @ mean)

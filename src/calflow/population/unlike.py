@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from calflow.population.likelihood import ParameterLikelihood
-from calflow.population.type_prior import FEWEST, NARROWEST, TypePrior, pooled, type_prior, variances
+from calflow.population.type_prior import FEWEST, NARROWEST, TypePrior, pooled_prior, type_prior, variances
 from calflow.robot.parameter import Parameter
 
 FALSE_ALARM = 0.05  # chance that any robot of a type is named where none is unlike it
@@ -104,7 +104,7 @@ class _Others:
 
 def _roughly(prior: TypePrior) -> Iterator[_Shifts]:
     """Yield each robot's shifts, the others' spread being known as far as the robot's own squares tell."""
-    weight, pull = pooled(prior.likelihoods, variances(prior.spread, prior.own))
+    weight, pull = pooled_prior(prior.likelihoods, variances(prior.spread, prior.own))
     whole, total = weight.sum(axis=0) + np.eye(len(prior.mean)), pull.sum(axis=0)
     for robot in range(len(prior.likelihoods)):
         covariance = np.linalg.inv(whole - weight[robot])
@@ -129,7 +129,7 @@ def _spread_without(prior: TypePrior, robot: int) -> np.ndarray:
 def _shifts(prior: TypePrior, robot: int, others: _Others) -> _Shifts:
     """Hold a robot against the others by each parameter's score test."""
     variance = variances(others.spread, prior.own[robot : robot + 1])
-    (information,), (pull,) = pooled(prior.likelihoods[robot : robot + 1], variance)
+    (information,), (pull,) = pooled_prior(prior.likelihoods[robot : robot + 1], variance)
     score = pull - information @ others.mean
     scatter = np.diag(information + information @ others.covariance @ information)
     slope = np.diag(information)

@@ -127,7 +127,7 @@ def joint_frame(
     )
 
 
-def left_out(frame: Frame) -> tuple[str, ...]:
+def origins_left_out(frame: Frame) -> tuple[str, ...]:
     """Return the figures of an origin's frame that are no parameters, since others do the same whatever the pose."""
     return tuple(step.symbol for step in frame.steps if step.symbol in LISTED and not step.free)
 

@@ -9,12 +9,12 @@ from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.extension import extend
 from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.diagnosis.search.stepwise import second_thoughts
-from calflow.diagnosis.search.trial import Acceptance
+from calflow.diagnosis.search.trial import CauseAcceptance
 from calflow.model import Model
 from diagnosis.found import cause, hidden, start
 
 TESTED = ("joint-eccentricity", "gear-ratio-error", "joint-compliance", "base-compliance", "periodic-joint-error")
-GATE = Acceptance(0.01, 4)
+GATE = CauseAcceptance(0.01, 4)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import numpy as np
 from calflow.diagnosis.linear import Block, LinearProblem, LinearTrial
 from calflow.diagnosis.screening.screening import Family
 from calflow.diagnosis.search.stepwise import Stepwise
-from calflow.diagnosis.search.trial import Acceptance, kindred, merged
+from calflow.diagnosis.search.trial import CauseAcceptance, kindred, merged
 
 N = 150
 TIME = np.linspace(0.0, 1.0, N)
@@ -58,7 +58,7 @@ def test_waves_give_way_to_the_curve_that_they_imitate():
     first = next(merged(several))
     assert first == [OTHER, CURVE]
     assert several.with_causes(first).bic < several.bic
-    search = Stepwise(Acceptance(0.01, 10), several.linearisation.screened(np.random.default_rng(1)),
+    search = Stepwise(CauseAcceptance(0.01, 10), several.linearisation.screened(np.random.default_rng(1)),
                       np.random.default_rng(1), lambda _: None, lambda _: None)  # fmt: skip
     better = search.improved(several, [several])
     assert better is not None

@@ -13,7 +13,7 @@ from calflow.diagnosis.screening.screening import Family
 from calflow.diagnosis.search.exchange import COLUMNS
 from calflow.diagnosis.search.linearisation import Screened
 from calflow.diagnosis.search.stepwise import MOST_TRIALS, Stepwise
-from calflow.diagnosis.search.trial import PATIENCE, Acceptance, Trial
+from calflow.diagnosis.search.trial import PATIENCE, CauseAcceptance, Trial
 
 FAMILY = Family({}, 1.0)
 Path = Callable[[int], tuple[tuple[str, ...], float]]
@@ -69,7 +69,7 @@ def search(path: Path) -> tuple[Wandering, int, list[str]]:
     """Return the best model of a search along a path, how many were tried, and what was said."""
     said: list[str] = []
     nothing = Screened((), FAMILY, ())
-    stepwise = Stepwise(Acceptance(0.01, 0), nothing, np.random.default_rng(1), said.append, lambda _: None)
+    stepwise = Stepwise(CauseAcceptance(0.01, 0), nothing, np.random.default_rng(1), said.append, lambda _: None)
     best, tried = stepwise.best(Wandering(FAMILY, path))
     return best, len(tried), said
 

@@ -15,7 +15,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.fitted_trial import FittedTrial, among
 from calflow.diagnosis.search.linearisation import Detection, Linearisation, Screened
 from calflow.diagnosis.search.stepwise import Stepwise
-from calflow.diagnosis.search.trial import Acceptance, Trial
+from calflow.diagnosis.search.trial import CauseAcceptance, Trial
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 
@@ -44,7 +44,7 @@ class Extended:
 def extend(
     start: Fitted,
     catalogue: Catalogue,
-    acceptance: Acceptance,
+    acceptance: CauseAcceptance,
     rng: np.random.Generator,
     say: Callable[[str], None],
     advance: Callable[[float], None] = lambda share: None,

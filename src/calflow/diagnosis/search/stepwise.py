@@ -15,7 +15,7 @@ from calflow.diagnosis.screening.score import Score
 from calflow.diagnosis.screening.screening import Family, by_place
 from calflow.diagnosis.search.exchange import COLUMNS, SPLIT, Exchange, doubted
 from calflow.diagnosis.search.linearisation import Detection, Screened
-from calflow.diagnosis.search.trial import Acceptance, Trial, forget_all_but, is_worth_trying, merged, swapped
+from calflow.diagnosis.search.trial import CauseAcceptance, Trial, forget_all_but, is_worth_trying, merged, swapped
 
 CLEAR = 1e-3  # share of the acceptance below which the cost of the tests need not be worked out anew
 ALONE = Family({}, 1.0)  # the cost of a single test: what does not pass at that passes at none
@@ -40,7 +40,7 @@ class Stepwise(Generic[H]):
     say is told each step in words, advance the share of the search that is done, which never falls.
     """
 
-    acceptance: Acceptance
+    acceptance: CauseAcceptance
     first: Screened[H]
     rng: np.random.Generator
     say: Callable[[str], None]
@@ -128,7 +128,7 @@ class Stepwise(Generic[H]):
 
 
 def _added(
-    trial: Trial[H], first: Screened[H], acceptance: Acceptance, rng: np.random.Generator
+    trial: Trial[H], first: Screened[H], acceptance: CauseAcceptance, rng: np.random.Generator
 ) -> Iterator[Proposal[H]]:
     """The causes with the best one that is accepted."""
     now = trial.linearisation.screened(rng, first.family) if trial.causes else first
@@ -161,7 +161,7 @@ def words(cause: H) -> str:
     return " ".join(filter(None, (cause.id, cause.part, f"({cause.detail})" if cause.detail else "")))
 
 
-def second_thoughts(findings: Sequence[Detection[H]], acceptance: Acceptance) -> list[H]:
+def second_thoughts(findings: Sequence[Detection[H]], acceptance: CauseAcceptance) -> list[H]:
     """Return the causes that stay, a more probable rival in the place of one; one change at a time."""
     causes = [finding.cause for finding in findings]
     weakest = sorted(findings, key=lambda finding: -_own_bic(finding))

@@ -129,7 +129,7 @@ SHARES = {"causes": 0.7, "remainder": 0.2, "noise": 0.1}  # of the false alarms 
 
 
 @dataclass(frozen=True)
-class Acceptance:
+class CauseAcceptance:
     """What a cause must pass: the chance of a false alarm in the whole family, and how many causes there may be."""
 
     false_alarm: float

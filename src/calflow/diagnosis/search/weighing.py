@@ -31,7 +31,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.fitted_trial import FittedTrial
 from calflow.diagnosis.search.linearisation import Detection, Linearisation
 from calflow.diagnosis.search.stepwise import Stepwise, second_thoughts, words
-from calflow.diagnosis.search.trial import Acceptance, Trial, is_new, same
+from calflow.diagnosis.search.trial import CauseAcceptance, Trial, is_new, same
 from calflow.effects.cause import Cause
 
 LEVELS = 3  # of halving: eight blocks of each kind
@@ -221,7 +221,7 @@ def weighed(
     start: Fitted,
     extension: Extended,
     catalogue: Catalogue,
-    acceptance: Acceptance,
+    acceptance: CauseAcceptance,
     rng: np.random.Generator,
     say: Callable[[str], None],
 ) -> Extended:
@@ -271,7 +271,7 @@ def _searched(
     beside: Fitted,
     extension: Extended,
     catalogue: Catalogue,
-    acceptance: Acceptance,
+    acceptance: CauseAcceptance,
     rng: np.random.Generator,
     say: Callable[[str], None],
 ) -> Extended:

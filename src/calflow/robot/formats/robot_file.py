@@ -14,7 +14,17 @@ from pydantic import Field as Rule
 from pydantic import ValidationInfo, field_validator, model_validator
 
 from calflow.files.problems import nearest, refuse
-from calflow.files.toml import Angle, FileModel, Length, Origin, Record, parse_toml, refuse_all, table_of, validate
+from calflow.files.toml import (
+    Angle,
+    FileModel,
+    Length,
+    Origin,
+    Record,
+    parse_toml,
+    refuse_all,
+    table_of,
+    validate_table,
+)
 from calflow.files.units import split_unit
 from calflow.robot.formats import urdf
 from calflow.robot.formats.urdf import Drive, read_document
@@ -271,11 +281,11 @@ class UrdfRobotFile(Surroundings):
 
 def _with_urdf(raw: dict[str, Any], origin: Origin) -> dict[str, Any]:
     """The fields of the robot that a robot file and the URDF that it names state, the file's where both do."""
-    names = validate(raw, UrdfRobotFile, origin).urdf
+    names = validate_table(raw, UrdfRobotFile, origin).urdf
     parts = urdf.read_urdf(origin.path.parent / names.file, names.tip, names.base)
     joints = {joint.name: joint for joint in parts["joints"]}
     context = {"n_joints": len(joints), "kinds": {name: joint.kind for name, joint in joints.items()}}
-    table = validate(raw, UrdfRobotFile, origin, context=context)
+    table = validate_table(raw, UrdfRobotFile, origin, context=context)
     for stating, keys in zip(table.joints, raw.get("joints", ()), strict=True):
         names_of = {(split_unit(key) or (key,))[0] for key in keys}
         more = {name: getattr(stating, name) for name in PROPERTIES if name in names_of}
@@ -314,7 +324,7 @@ def parts_of(raw: dict[str, Any], origin: Origin) -> dict[str, Any]:
         return _with_urdf(raw, origin)
     joints = raw.get("joints")
     context = {"n_joints": len(joints)} if isinstance(joints, list) else None
-    return validate(raw, RobotFile, origin, context=context).parts
+    return validate_table(raw, RobotFile, origin, context=context).parts
 
 
 def files(path: Path) -> tuple[Path, ...]:
@@ -326,7 +336,7 @@ def files(path: Path) -> tuple[Path, ...]:
     raw, origin = parse_toml(path)
     if "urdf" not in raw:
         return (path,)
-    return path, path.parent / validate(raw, UrdfRobotFile, origin).urdf.file
+    return path, path.parent / validate_table(raw, UrdfRobotFile, origin).urdf.file
 
 
 def drives(path: Path) -> Mapping[str, Drive]:

@@ -1,6 +1,6 @@
 """What a study may be signed with and what a run folder holds, in words, from the code: sections of docs/files.md, renewed.
 
-python -m calflow.stages.contents docs/files.md
+python docs/made/contents.py docs/files.md
 """
 
 from __future__ import annotations
