@@ -124,3 +124,11 @@ def test_full_poses_have_a_discrepancy_of_their_own(model):
     settled = fit_reweighted(turning, data, stated(data), turning.nominal[None], "linear")[1]
     assert settled.discrepancy[METRE] == 0
     assert settled.discrepancy[RADIAN] == pytest.approx(np.sqrt(3e-4**2 - 1e-4**2), rel=0.2)
+
+
+def test_orientations_without_their_noise_are_refused(model):
+    """Fails if orientations that a notebook gives without saying how sure they are end in a traceback."""
+    data = measured(model, drawn_truth(model, np.random.default_rng(8)), 4, np.random.default_rng(8))
+    turned = replace(data, table=data.table.assign(**{f"q{axis}": 0.0 for axis in "xyz"}, qw=1.0))
+    with pytest.raises(InputError, match="sigma_rotation: expected how sure the measured orientations are"):
+        measured_noise(turned)

@@ -71,7 +71,13 @@ def noise_beside(error: np.ndarray, data: Measurements, source: NoiseSource = "a
 
 
 def stated_noise(data: Measurements) -> Noise:
-    """Return the noise as file and study state it; sigma is nan where they do not."""
+    """Return the noise as file and study state it; sigma is nan where they do not.
+
+    Raises:
+        InputError: orientations were measured, and it is not stated how surely.
+    """
+    if data.rotation is not None and "sigma_rotation" not in data.table:
+        raise refuse("expected how sure the measured orientations are [rad]", key="sigma_rotation")
     sigma = np.full(len(data), np.nan) if data.sigma is None else data.sigma.copy()
     axes, ratios = np.tile(np.eye(3), (len(data), 1, 1)), np.ones((len(data), 3))
     for k, series in enumerate(data.series):
