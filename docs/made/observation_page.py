@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from calflow.design.candidates import candidates
 from calflow.design.planned import Planned
+from calflow.estimation.noise import PerUnit
 from calflow.files.units import METRE, NEWTON, PIXEL, RADIAN
 from calflow.files.words import first_up
 from calflow.measurements.series import Series, Setting
@@ -69,7 +70,9 @@ def told(kind: type[Observation]) -> dict[str, float]:
     payload, marker = "empty", "tool"
     _, rows = candidates(model, POSES, payload, marker, None, np.random.default_rng(3), observation)
     jacobian = (
-        Planned(observation, SIGMA, TURNED).whitened(model, model.nominal, rows).reshape(-1, len(model.parameters))
+        Planned(observation, SIGMA, PerUnit(((RADIAN, TURNED),)))
+        .whitened(model, model.nominal, rows)
+        .reshape(-1, len(model.parameters))
     )
     covariance = np.linalg.inv(jacobian.T @ jacobian + np.diag(model.prior_sd**-2.0))
     narrowed = np.sqrt(np.diag(covariance)) / model.prior_sd
