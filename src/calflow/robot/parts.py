@@ -12,12 +12,12 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     InstanceOf,
-    ModelWrapValidatorHandler,
     ValidationInfo,
     field_validator,
     model_validator,
 )
 from pydantic import Field as Rule
+from pydantic.functional_validators import ModelWrapValidatorHandler
 from pydantic_core import PydanticCustomError
 
 from calflow.files.problems import shortened
