@@ -15,7 +15,7 @@ from matplotlib.text import Text
 
 from calflow.estimation.progress import Advance, Say, nobody
 from calflow.files.writing import inside, utf8, write_whole
-from calflow.reporting import page as writing
+from calflow.reporting import page
 from calflow.reporting.blocks import (
     Block,
     Bullets,
@@ -275,5 +275,5 @@ def write_report(material: Material, folder: Path, say: Say = nobody, advance: A
             parts.append((section.title, section.write(material)))
             advance(0.7 * (k + 1) / len(there))
         n_figures = write_pdf(material.title, parts, folder)
-        writing.write_html(material.title, parts, folder)
+        page.write_html(material.title, parts, folder)
     say(f"report.pdf, report.html: {n_figures} figures, {len(parts)} sections")
