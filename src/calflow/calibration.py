@@ -42,7 +42,7 @@ from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, candidate
 from calflow.diagnosis.findings.tables import findings as diagnosed_findings
 from calflow.diagnosis.search.fitted import FAR, Fitted
 from calflow.diagnosis.search.trial import FALSE_ALARM
-from calflow.effects import Effect, effect_ids, effects_given
+from calflow.effects import Effect, effect_ids, effects_by_id, effects_given
 from calflow.effects.base import unmet
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy
@@ -226,7 +226,7 @@ class Calibration(CalibratedModel):
             InputError: there is no calibration yet, or what is of it in the folder was changed since, or it has an effect that
                 nobody has defined here.
         """
-        effects_given(effects)
+        effects_by_id(effects)
         read = read_calibrated(study_or_run)
 
         def measured() -> Measurements:
@@ -423,7 +423,7 @@ class Calibration(CalibratedModel):
         """
         before, rng = self.identified, draws(self.seed if seed is None else seed)
         data = before.data
-        only, without = (effect_ids(effects_given(effects)) for effects in (catalogue, leave_out))
+        only, without = (effects_by_id(effects) for effects in (catalogue, leave_out))
         found = search_causes(
             before, data, false_alarm=false_alarm, causes=causes, catalogue=only, leave_out=without,
             rng=rng, say=say, advance=advance,
@@ -660,7 +660,7 @@ def identify(
         raise refuse("say first which poses to hold out: data = data.split(holdout=0.3, seed=1)", key="data")
     given = effects_given(effects)
     _check_effects(given, robot, data)
-    robot = robot if parameters is None else parameters.on(robot, data, given)
+    robot = robot if parameters is None else parameters.on(robot, data, _forms(given, robot, data))
     settings = {"identify": {"starts": starts, "loss": loss, "noise": noise}}
     named = effect_ids(given)
     request = StudyFile(
@@ -671,7 +671,7 @@ def identify(
     for fault in faults:
         say(fault.said)
     found = fit_effects(
-        rows, given, starts=starts, loss=loss, noise=noise, rng=draws(seed), say=say, advance=advance,
+        rows, _forms(given, robot, rows.only(rows.train)), starts=starts, loss=loss, noise=noise, rng=draws(seed), say=say, advance=advance,
         source=paths[0] if paths else None,
     )  # fmt: skip
     results = _identified_tables(found, faults)
@@ -704,7 +704,12 @@ def _core(model: CalibratedModel) -> dict[str, Any]:
     return {one.name: getattr(model, one.name) for one in fields(CalibratedModel)}
 
 
-def _check_effects(effects: Sequence[str | Effect], robot: Robot, data: Measurements) -> None:
+def _forms(effects: Sequence[str | type[Effect] | Effect], robot: Robot, data: Measurements) -> list[str | Effect]:
+    """Return effects with each class in the form that it means for these rows, so that no other of its id is taken for it."""
+    return [one if isinstance(one, str | Effect) else one.stated(robot, data) for one in effects]
+
+
+def _check_effects(effects: Sequence[str | type[Effect] | Effect], robot: Robot, data: Measurements) -> None:
     """Check that a fit can have the effects.
 
     Raises:
@@ -724,7 +729,7 @@ def _check_effects(effects: Sequence[str | Effect], robot: Robot, data: Measurem
         Problem(f"effect '{effect.id}' needs {lacking}")
         for effect in every for lacking in unmet(effect.needs, robot, data.given)
     ]  # fmt: skip
-    problems += [Problem(message, key=f"expected[{k + 1}]") for k, message in mistaken(robot, effects)]
+    problems += [Problem(message, key=f"expected[{k + 1}]") for k, message in mistaken(robot, every)]
     if problems:
         raise InputError(problems)
 

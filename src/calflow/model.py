@@ -311,29 +311,34 @@ class Model:
 
 def build(
     robot: Robot,
-    effects: Sequence[str | Effect],
+    effects: Sequence[str | type[Effect] | Effect],
     given: tuple[str, ...] = (),
     observations: tuple[Observation, ...] = (),
 ) -> Model:
-    """Return the model of a robot with the effects of these ids, and with others as they are."""
-    every = (_class(one)(robot) if isinstance(one, str) else replace(one, robot=robot) for one in effects)
+    """Return the model of a robot with the effects of these ids or classes, and with others as they are."""
+    every = (replace(one, robot=robot) if isinstance(one, Effect) else _class(one)(robot) for one in effects)
     return Model(robot, tuple(every), given, observations)
 
 
 def stated(
-    robot: Robot, effects: Sequence[str | Effect], data: Measurements, observations: tuple[Observation, ...] = ()
+    robot: Robot,
+    effects: Sequence[str | type[Effect] | Effect],
+    data: Measurements,
+    observations: tuple[Observation, ...] = (),
 ) -> Model:
-    """Return the model of a robot with the effects of these ids, in the forms that a study means for these rows."""
-    forms = [_class(one).stated(robot, data) if isinstance(one, str) else one for one in effects]
+    """Return the model of a robot with the effects of these ids or classes, in the forms that a study means for these rows."""
+    forms = [one if isinstance(one, Effect) else _class(one).stated(robot, data) for one in effects]
     return build(robot, forms, data.given, observations)
 
 
-def _class(effect: str) -> type[Effect]:
-    """The effect of an id.
+def _class(effect: str | type[Effect]) -> type[Effect]:
+    """The effect of an id, or itself.
 
     Raises:
         InputError: there is none.
     """
+    if not isinstance(effect, str):
+        return effect
     if kind := effect_class(effect):
         return kind
     raise refuse(f"unknown effect '{effect}'{nearest(effect, catalogue())}", key="effects")

@@ -140,3 +140,33 @@ def test_a_run_with_an_effect_that_nobody_defined_says_what_to_do(measured):
     assert effect_class("again") is second is not first
     del first, second
     gc.collect()
+
+
+def test_two_classes_of_one_id_are_told_apart(measured):
+    """Fails if a class that is given is fitted as the one of its id that was defined last, or that is left out without a word."""
+
+    @dataclass(frozen=True)
+    class First(SpringPull):
+        slack: float = 0.3
+        id: ClassVar[str] = "twice-defined"
+
+    first = First
+
+    @dataclass(frozen=True)
+    class Second(SpringPull):
+        slack: float = 0.9
+        id: ClassVar[str] = "twice-defined"
+
+    robot, data = measured
+    assert effect_class("twice-defined") is Second
+    for kind in (first, Second):
+        asked = ["geometry", kind]
+        assert {one.variant for one in Parameters.of(robot, data, asked).rows if one.effect == "twice-defined"} == {
+            f"slack {kind.slack:g}"
+        }
+        assert type(identify(robot, data, asked, starts=1).model.effects[-1]) is kind
+    plain = identify(robot, data, ["geometry"], starts=1)
+    with pytest.raises(cf.InputError, match=r"effects\[1\]: the id 'twice-defined' of First is taken by"):
+        plain.diagnose(catalogue=[first])
+    del first, First, Second, plain
+    gc.collect()

@@ -30,8 +30,8 @@ def effect_class(effect: str) -> type[Effect] | None:
     return catalogue().get(effect) or next((kind for kind in defined[::-1] if getattr(kind, "id", "") == effect), None)
 
 
-def effects_given(effects: Iterable[object]) -> tuple[str | Effect, ...]:
-    """Return effects that are given by id, as a class or as an object: their ids, and the objects.
+def effects_given(effects: Iterable[object]) -> tuple[str | type[Effect] | Effect, ...]:
+    """Return effects that are given by id, as a class or as an object, as they are.
 
     Raises:
         InputError: with all that is no effect, or cannot be used.
@@ -41,10 +41,25 @@ def effects_given(effects: Iterable[object]) -> tuple[str | Effect, ...]:
         Problem(message, key=f"effects[{k + 1}]") for k, one in enumerate(given) if (message := _unusable(one))
     ]:
         raise InputError(wrong)
-    return tuple(one if isinstance(one, str | Effect) else one.id for one in given)  # type: ignore[attr-defined]
+    return tuple(given)  # type: ignore[arg-type]
 
 
-def effect_ids(effects: Sequence[str | Effect]) -> tuple[str, ...]:
+def effects_by_id(effects: Iterable[object]) -> tuple[str, ...]:
+    """Return the ids of effects that are given as of `effects_given`, by which each is found again.
+
+    Raises:
+        InputError: as of `effects_given`; or an id leads to another class, which was defined later.
+    """
+    given = effects_given(effects)
+    if wrong := [
+        Problem(f"the id '{kind.id}' of {kind.__name__} is taken by {effect_class(kind.id)!r}", key=f"effects[{k + 1}]")
+        for k, kind in enumerate(given) if inspect.isclass(kind) and effect_class(kind.id) is not kind
+    ]:  # fmt: skip
+        raise InputError(wrong)
+    return effect_ids(given)
+
+
+def effect_ids(effects: Sequence[str | type[Effect] | Effect]) -> tuple[str, ...]:
     """Return the effects' ids."""
     return tuple(one if isinstance(one, str) else one.id for one in effects)
 
@@ -60,8 +75,8 @@ def _unusable(given: object) -> str:
         return f"{kind.__name__} lacks {', '.join(lacking)}"
     if lacking := [name for name in ("id", "title") if not isinstance(getattr(kind, name, None), str)]:
         return f"{kind.__name__} lacks {' and '.join(lacking)}: expected texts"
-    if effect_class(kind.id) is not kind:
-        return f"the id '{kind.id}' of {kind.__name__} is taken by {effect_class(kind.id)!r}"
+    if catalogue().get(kind.id, kind) is not kind:
+        return f"the id '{kind.id}' of {kind.__name__} is taken by {catalogue()[kind.id]!r}"
     return "" if kind.id in catalogue() else _flaw(kind)
 
 
