@@ -57,6 +57,10 @@ WRONG = [
     ("study", STUDY + "[stages.selct]\n", "selct"),
     ("study", STUDY + '[measurements]\nfile = "m.csv"\nsigma = 1\n', "sigma"),
     ("study", STUDY + '[measurements]\nfile = "m.csv"\nsigma_mm = -1\n', "sigma_mm"),
+    ("study", STUDY + "[parameters.joint3.theta]\nfixd = true\n", "fixd"),
+    ("study", STUDY + "[parameters.joint3.theta]\nfixed = 1\n", "boolean"),
+    ("study", STUDY + '[parameters.joint3.theta]\nlower_mrad = "-1"\n', "number"),
+    ("study", STUDY + "[parameters.joint3.theta]\nprior_mean_deg = 0\nprior_sd_deg = 0\n", "minimum"),
     ("robot", ROBOT.replace("d_mm", "d_cm", 1), "d_cm"),
     ("robot", ROBOT.replace("[-360, 360]", "[-360]", 1), "items"),
     ("robot", ROBOT.replace('convention = "', 'convention = "x', 1), "convention"),
@@ -85,7 +89,18 @@ file = "b.csv"
 kind = "distance"
 settings = { offset_mm = 1 }
 """
+STATED = """
+[parameters]
+joint1.d = { fixed = true }
+"joint2.joint-error-map[harmonics 3].cos1" = { lower_urad = -50 }
+[parameters.joint3.theta]
+fixed = true
+value_deg = 0.1
+[parameters.joint3.joint-compliance]
+c = { prior_mean_rad_per_Nm = 1e-7, prior_sd_rad_per_Nm = 1e-8, upper_rad_per_Nm = 1e-6 }
+"""
 RIGHT = [
+    ("study", STUDY + STATED),
     ("study", STUDY + "[acceptance]\ndate = 2025-11-20\ntolerance_um = 200\n"),
     ("study", STUDY + SEVERAL),
     ("robot", ROBOT + '\n[payloads.load]\nmass_kg = "unknown"\n'),
@@ -130,6 +145,13 @@ def test_bounds_and_defaults_are_in_the_unit_of_their_key(kind):
     select = schema("study", "2020-12")["$defs"]["SelectSettings"]["properties"]
     assert select["sigma_rotation_mrad"]["default"] == 0.1
     assert select["sigma_rotation_urad"]["default"] == 100
+
+
+def test_the_keys_of_a_stated_parameter_are_completed():
+    """Fails if an editor does not offer a key of a parameter in a unit that a file may use, or says nothing of it."""
+    offered = schema("study", "2020-12")["$defs"]["ParameterTable"]["properties"]
+    assert {"fixed", "value_deg", "lower_mm", "upper_mrad", "prior_mean_um", "prior_sd_rad_per_Nm"} <= set(offered)
+    assert all(key["description"] for key in offered.values())
 
 
 def test_an_unknown_kind_is_told():

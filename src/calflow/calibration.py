@@ -671,8 +671,8 @@ def identify(
     for fault in faults:
         say(fault.said)
     found = fit_effects(
-        rows, _forms(given, robot, rows.only(rows.train)), starts=starts, loss=loss, noise=noise, rng=draws(seed), say=say, advance=advance,
-        source=paths[0] if paths else None,
+        rows, _forms(given, robot, rows.only(rows.train)), starts=starts, loss=loss, noise=noise, rng=draws(seed),
+        say=say, advance=advance, source=paths[0] if paths else None,
     )  # fmt: skip
     results = _identified_tables(found, faults)
     if count:

@@ -8,20 +8,22 @@ from functools import reduce
 from operator import or_
 from typing import Any, Literal
 
-from pydantic import create_model
+from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, create_model
+from pydantic_core import CoreSchema
 
 from calflow.deployment.inverse_kinematics import FramesFile
 from calflow.effects import catalogue
 from calflow.files.json_schema import Schema, draft_4, json_schema
 from calflow.files.problems import nearest, refuse
 from calflow.files.toml import FileModel
+from calflow.files.units import SUFFIXES
 from calflow.fleet.fleet_file import FleetFile
 from calflow.measurements.source import MeasurementSource
 from calflow.observations import observation_kinds
 from calflow.robot.formats.robot_file import RobotFile, UrdfRobotFile
 from calflow.simulation import Truth
 from calflow.stages import STAGES
-from calflow.study_file import StudyFile, WorkflowFile
+from calflow.study_file import FIGURES, StudyFile, WorkflowFile
 
 Draft = Literal["4", "2020-12"]
 
@@ -47,6 +49,38 @@ def schema_text(kind: str, draft: Draft = "4") -> str:
     return f"{json.dumps(schema(kind, draft), indent=2, ensure_ascii=False)}\n"
 
 
+class ParameterTable(BaseModel):
+    """A table `[parameters.NAME]`, or one of such tables: `[parameters.joint3.theta]` is one within another."""
+
+    __pydantic_extra__: dict[str, ParameterTable]
+    model_config = ConfigDict(extra="allow")
+
+    fixed: bool = Field(default=False, description="`true`: it is held at its `value`, or where its effect is absent")
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> Schema:
+        """Return the schema with a key of every figure and unit; parameters may have units that no other key has."""
+        made = handler(core)
+        units = dict.fromkeys(("", *(f"_{suffix}" for suffixes in SUFFIXES.values() for suffix in suffixes)))
+        table = handler.resolve_ref_schema(made)
+        table["properties"] |= {
+            f"{name}{unit}": {"type": "number", "description": said} | ({"exclusiveMinimum": 0} if name == "prior_sd" else {})
+            for name, said in FIGURES_SAID.items() for unit in units
+        }  # fmt: skip
+        table["patternProperties"] = {f"^({'|'.join(FIGURES)})_": {"type": "number"}}
+        table["minProperties"] = 1  # one without any states nothing
+        return made
+
+
+FIGURES_SAID = {
+    "value": "where it is held, with its unit, e.g. `value_deg`; beside `fixed = true`",
+    "lower": "its lower bound, e.g. `lower_mm`",
+    "upper": "its upper bound, e.g. `upper_mm`",
+    "prior_mean": "the mean of its prior, e.g. `prior_mean_deg`; with `prior_sd`",
+    "prior_sd": "the standard deviation of its prior, e.g. `prior_sd_deg`; with `prior_mean`",
+}
+
+
 def _study() -> type[FileModel]:
     """A study's file in which effects, series and stages are those that there are."""
     settings = reduce(or_, dict.fromkeys(one.settings for one in observation_kinds().values()))
@@ -58,7 +92,7 @@ def _study() -> type[FileModel]:
     return create_model(
         "StudyFile", __base__=StudyFile, __doc__=StudyFile.__doc__,
         effects=(_several(catalogue()), StudyFile.model_fields["effects"].default),
-        measurements=(measurements, None), stages=(_settings(), {}),
+        parameters=(dict[str, ParameterTable], {}), measurements=(measurements, None), stages=(_settings(), {}),
     )  # fmt: skip
 
 
