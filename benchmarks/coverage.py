@@ -57,7 +57,7 @@ class Coverage:
 def coverage(known: CalibratedModel, data: Measurements) -> Coverage:
     """Return that of the held-out rows, by their parameters', discrepancy's and device's variance."""
     own = data.only(data.held_out)
-    variance = position_variance(known, own.rows)
+    variance = position_variance(known, own.conditions)
     if known.noise_known:  # else the noise is in already
         variance = variance + known.noise(own).sigma[:, None] ** 2
     return Coverage(errors(known.model, known.estimate, own) / np.sqrt(variance))

@@ -243,7 +243,9 @@ def true_error(cell: Cell, known: CalibratedModel, seed: int) -> float:
     q, sides = cell.fresh(FRESH, np.random.default_rng([seed, 4]))
     rows = cf.Measurements.from_arrays(known.model.robot, q, None, payload="full", marker="E", approach=sides)
     model = replace(known.model, given=rows.given)
-    return float(np.sqrt(np.mean(((model.point(known.estimate, rows.rows) - cell.points(q, sides)) ** 2).sum(axis=1))))
+    return float(
+        np.sqrt(np.mean(((model.point(known.estimate, rows.conditions) - cell.points(q, sides)) ** 2).sum(axis=1)))
+    )
 
 
 def _robot(folder: Path, tables: Mapping[str, object]) -> None:

@@ -93,12 +93,12 @@ def case(name: str, number: int = CANDIDATES) -> Case:
     model = build(arm, effects, (), (planned.observation,))
     load, marker = next(iter(arm.payloads), ""), next(iter(arm.markers))
     rng = np.random.default_rng(1)
-    _, rows = candidates(model, 2000, load, marker, None, rng)
-    point = model.point(model.nominal, rows)
+    _, conditions = candidates(model, 2000, load, marker, None, rng)
+    point = model.point(model.nominal, conditions)
     reach = float(np.quantile(np.hypot(point[:, 0], point[:, 1]), 0.99))
-    _, rows = candidates(model, number, load, marker, SEEN * reach, rng)
+    _, conditions = candidates(model, number, load, marker, SEEN * reach, rng)
     task, check = (Task.within(model, [load], marker, WORK * reach, n, rng) for n in (400, CHECK))
-    return Case(model, planned.whitened(model, model.nominal, rows) * model.prior_sd, task, check)
+    return Case(model, planned.whitened(model, model.nominal, conditions) * model.prior_sd, task, check)
 
 
 def robots() -> None:

@@ -116,8 +116,8 @@ def known(robot: cf.Robot, data: cf.Measurements) -> tuple[CalibratedModel, floa
     held = data.only(~data.train)
     if not len(held):
         return fit, float("nan")
-    rows = held.on(fit.model.robot).rows
-    left = fit.model.position(fit.estimate, rows) - held.position
+    conditions = held.on(fit.model.robot).conditions
+    left = fit.model.position(fit.estimate, conditions) - held.position
     return fit, float(np.linalg.norm(left, axis=1).mean())
 
 

@@ -38,14 +38,16 @@ class Known:
         """Draw a robot and calibrate it."""
         robot = HeavyRobot.drawn(rng)
         q = robot.poses(POSES, rng)
-        rows = robot.measured(q, robot.points(q)).stating(()).rows
+        conditions = robot.measured(q, robot.points(q)).stating(()).conditions
         whole, _ = robot.calibrated(CALIBRATED_BY, rng)
         stiff, _ = robot.calibrated(CALIBRATED_BY, rng, EFFECTS[:1])
         estimates = {
             "calibrated": (whole.model, whole.estimate), "without springs": (stiff.model, stiff.estimate),
             "nominal": (whole.model, whole.model.nominal),
         }  # fmt: skip
-        return Known(robot.points(q)[:, 0], {name: model.point(p, rows) for name, (model, p) in estimates.items()})
+        return Known(
+            robot.points(q)[:, 0], {name: model.point(p, conditions) for name, (model, p) in estimates.items()}
+        )
 
 
 def is_right(known: Known, model: str, poses: int, further: int, fitted: bool, rng: np.random.Generator) -> bool:

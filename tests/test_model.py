@@ -46,12 +46,12 @@ def test_rows_choose_their_marker() -> None:
     """Breaks if markers are mixed up, or all rows get the first one's."""
     robot = robots.ur10(markers=MARKERS)
     model, q = build(robot, ["geometry"]), robots.poses(robot, 9)
-    rows = np.hstack([robots.rows(model, q[k::3], marker=name) for k, name in enumerate(MARKERS)])
-    found = model.position(model.nominal, rows).reshape(3, 3, 3)
+    conditions = np.hstack([robots.rows(model, q[k::3], marker=name) for k, name in enumerate(MARKERS)])
+    found = model.position(model.nominal, conditions).reshape(3, 3, 3)
     for k in range(3):
         assert_allclose(found[k], robots.marker_position(robot, q[k::3], marker=k), atol=1e-12)
     for k, name in enumerate(MARKERS):  # and a marker's own error moves no other
-        moved = np.abs(model.position(model.nominal + 0.01 * is_of(model, name), rows).reshape(3, 3, 3) - found)
+        moved = np.abs(model.position(model.nominal + 0.01 * is_of(model, name), conditions).reshape(3, 3, 3) - found)
         assert [change.max() > 1e-3 for change in moved] == [other == k for other in range(3)]
 
 
@@ -65,8 +65,8 @@ def test_rows_choose_their_payload() -> None:
     loads = {"light": {"mass_kg": 2.0}, "heavy": {"mass_kg": 9.0, "com_m": [0.1, 0, 0.1]}}
     robot, s = robots.ur10(payloads=loads), np.full(6, 2e-5)
     model, q = build(robot, ["joint-compliance"]), robots.poses(robot, 5)
-    rows = np.hstack([robots.rows(model, q, payload) for payload in ("heavy", "", "light")])
-    for found, payload in zip(model.position(s, rows).reshape(3, 5, 3), ("heavy", "", "light"), strict=True):
+    conditions = np.hstack([robots.rows(model, q, payload) for payload in ("heavy", "", "light")])
+    for found, payload in zip(model.position(s, conditions).reshape(3, 5, 3), ("heavy", "", "light"), strict=True):
         bent = q - s * robots.holding_torque(robot, q - s * robots.holding_torque(robot, q, payload), payload)
         assert_allclose(found, robots.marker_position(robot, bent), atol=1e-5)
         others = {"heavy", "", "light"} - {payload}
@@ -77,16 +77,16 @@ def test_many_rows_equal_single_ones() -> None:
     """Breaks if a block's border drops, repeats or reorders rows."""
     robot = robots.ur10()
     model = build(robot, ["joint-compliance"])
-    rows = robots.rows(model, robots.poses(robot, 20_000), "load")
+    conditions = robots.rows(model, robots.poses(robot, 20_000), "load")
     p = np.full(6, 1e-5)
-    found, derivative = model.position(p, rows), model.position_jacobian(p, rows[:, : BLOCK_ROWS + 7])
+    found, derivative = model.position(p, conditions), model.position_jacobian(p, conditions[:, : BLOCK_ROWS + 7])
     assert found.shape == (20_000, 3)
     some = [0, 1, BLOCK_ROWS - 1, BLOCK_ROWS, BLOCK_ROWS + 1, 2 * BLOCK_ROWS - 1, 2 * BLOCK_ROWS, 19_999]
     for k in some:
-        assert np.array_equal(found[k], model.position(p, rows[:, [k]])[0])
-    assert np.array_equal(found, np.vstack([model.position(p, part) for part in np.array_split(rows, 7, axis=1)]))
+        assert np.array_equal(found[k], model.position(p, conditions[:, [k]])[0])
+    assert np.array_equal(found, np.vstack([model.position(p, part) for part in np.array_split(conditions, 7, axis=1)]))
     for k in some[:5]:
-        assert np.array_equal(derivative[k], model.position_jacobian(p, rows[:, [k]])[0])
+        assert np.array_equal(derivative[k], model.position_jacobian(p, conditions[:, [k]])[0])
 
 
 def test_no_rows_have_no_derivatives() -> None:
@@ -103,10 +103,10 @@ def test_no_rows_have_no_derivatives() -> None:
 def test_whole_numbers_are_numbers() -> None:
     """Breaks if parameters that come as integers are read as the bits of floating-point ones."""
     robot = robots.hh800()
-    model, rows = build(robot, ("geometry",)), robots.rows(Model(robot, ()), robots.poses(robot, 3))
+    model, conditions = build(robot, ("geometry",)), robots.rows(Model(robot, ()), robots.poses(robot, 3))
     whole = np.zeros(len(model.parameters), dtype=int)
     whole[0] = 1
-    assert_allclose(model.position(whole, rows), model.position(whole.astype(float), rows), atol=0)
+    assert_allclose(model.position(whole, conditions), model.position(whole.astype(float), conditions), atol=0)
 
 
 def test_closure_is_told_for_each_row() -> None:
@@ -132,8 +132,8 @@ def test_parameters_come_effect_by_effect() -> None:
         assert_allclose(getattr(both, figure), np.concatenate([getattr(model, figure) for model in apart]))
     assert both.bounds.shape == (37, 2)
     assert Model(robot, ()).bounds.shape == (0, 2)
-    rows = robots.rows(both, robots.poses(robot, 5), "rated")
+    conditions = robots.rows(both, robots.poses(robot, 5), "rated")
     swapped = build(robot, ["geometry", "joint-compliance"])
     s, g = np.full(6, 2e-7), np.random.default_rng(12).normal(scale=2e-3, size=31)
-    found = both.position(np.concatenate([s, g]), rows)
-    assert_allclose(found, swapped.position(np.concatenate([g, s]), rows), atol=1e-12)
+    found = both.position(np.concatenate([s, g]), conditions)
+    assert_allclose(found, swapped.position(np.concatenate([g, s]), conditions), atol=1e-12)

@@ -40,13 +40,13 @@ class Case:
         """What the device reports at random poses of a robot with errors drawn from their priors."""
         rng, model = np.random.default_rng(seed), self.model
         payload, marker = next(iter(self.robot.payloads), ""), next(iter(self.robot.markers))
-        q, rows = candidates(model, 70, payload, marker, None, rng)
+        q, conditions = candidates(model, 70, payload, marker, None, rng)
         truth = drawn_truth(model, rng)
-        at = model.position(truth, rows) + SIGMA * rng.standard_normal((len(q), 3))
+        at = model.position(truth, conditions) + SIGMA * rng.standard_normal((len(q), 3))
         at[:, 2] += self.bend * np.sin(2 * q[:, 1])
         more: dict = {"sigma": SIGMA} if self.stated else {}
         if self.kind == "pose":
-            more |= {"rotation": model.rotation(truth, rows), "sigma_rotation": 1e-5}
+            more |= {"rotation": model.rotation(truth, conditions), "sigma_rotation": 1e-5}
         data = cf.Measurements.from_arrays(self.robot, q, at, payload=payload, marker=marker, **more)
         if self.kind == "distance":
             wire = Series.of("wire", "distance", {"anchor": tuple(ANCHOR), "anchor_known": False})

@@ -152,8 +152,8 @@ def test_hh800_poses_reach_more_than_random_ones(hh800):
     settings = study.validated_settings("select", SelectSettings)
     model = build(study.robot, study.file.effects)
     region = np.array([settings.region_min, settings.region_max])
-    _, rows = candidates(model, 500, "rated", "E", region, np.random.default_rng(3))
-    whitened = model.position_jacobian(model.nominal, rows) * model.prior_sd / settings.sigma
+    _, conditions = candidates(model, 500, "rated", "E", region, np.random.default_rng(3))
+    whitened = model.position_jacobian(model.nominal, conditions) * model.prior_sd / settings.sigma
     table = pd.read_csv(hh800 / "select" / "observability.csv").set_index("n_poses").loc[100]
     for start in range(0, 500, 100):
         part = whitened[start : start + 100]

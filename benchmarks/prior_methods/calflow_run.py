@@ -62,7 +62,7 @@ class Calflow:
 
         def positions(rows: Measurements) -> np.ndarray:
             known = on_conditions_of(Calibration.load(folder / "run"), rows)
-            packed = counted(rows, train).on(known.model.robot).rows
+            packed = counted(rows, train).on(known.model.robot).conditions
             return known.model.position(known.estimate, packed) + field_correction(
                 known, packed
             )  # as the device saw it
@@ -99,7 +99,7 @@ class GeometryField:
         known = replace(known, field=gainful_field(known, train.on(known.model.robot))[0])
 
         def positions(rows: Measurements) -> np.ndarray:
-            packed = rows.on(known.model.robot).rows
+            packed = rows.on(known.model.robot).conditions
             return known.model.position(known.estimate, packed) + field_correction(known, packed)
 
         return positions

@@ -54,7 +54,7 @@ def levers(known: Calibrated, rows: Measurements) -> np.ndarray:
     model = replace(known.model, probes=(whole_turn,))
     at = np.append(known.estimate, np.zeros(len(whole_turn.declared)))
     cosines = model.columns(whole_turn)[::2]
-    return model.position_jacobian(at, rows.on(model.robot).rows)[:, :, cosines]
+    return model.position_jacobian(at, rows.on(model.robot).conditions)[:, :, cosines]
 
 
 def regressors(lever: np.ndarray, joints: np.ndarray, order: int) -> np.ndarray:

@@ -23,7 +23,7 @@ class Calibrated:
 
     def positions(self, rows: Measurements) -> np.ndarray:
         """Return where it says that the robot will be, shape (n_rows, 3) [m]."""
-        return self.model.position(self.estimate, rows.on(self.model.robot).rows)
+        return self.model.position(self.estimate, rows.on(self.model.robot).conditions)
 
 
 def calibrated(train: Measurements, *effects: str) -> Calibrated:

@@ -55,7 +55,7 @@ class Bench:
     def response(self, effect: Effect) -> np.ndarray:
         """How the reported position moves by each of an effect's parameters, (rows, 3, parameters)."""
         model = self.model(effect)
-        return model.position_jacobian(self.values(model), self.data.rows)[:, :, model.columns(effect)]
+        return model.position_jacobian(self.values(model), self.data.conditions)[:, :, model.columns(effect)]
 
 
 @lru_cache
@@ -90,4 +90,4 @@ def _measured(robot: Robot) -> Measurements:
     }
     planned = Measurements.from_arrays(robot, q, None, **conditions)
     nominal = build(robot, (), planned.given)
-    return Measurements.from_arrays(robot, q, nominal.point(nominal.nominal, planned.rows), **conditions)
+    return Measurements.from_arrays(robot, q, nominal.point(nominal.nominal, planned.conditions), **conditions)

@@ -68,10 +68,10 @@ def told(kind: type[Observation]) -> dict[str, float]:
     observation = kind.planned(Series.of("", kind.id, STATED.get(kind.id)))
     model = build(robot, ("geometry",), (), (observation,))
     payload, marker = "empty", "tool"
-    _, rows = candidates(model, POSES, payload, marker, None, np.random.default_rng(3), observation)
+    _, conditions = candidates(model, POSES, payload, marker, None, np.random.default_rng(3), observation)
     jacobian = (
         Planned(observation, SIGMA, PerUnit(((RADIAN, TURNED),)))
-        .whitened(model, model.nominal, rows)
+        .whitened(model, model.nominal, conditions)
         .reshape(-1, len(model.parameters))
     )
     covariance = np.linalg.inv(jacobian.T @ jacobian + np.diag(model.prior_sd**-2.0))

@@ -87,7 +87,7 @@ def _against(axes: mpl.axes.Axes, bench: Bench, effect: Effect, what: Shown) -> 
     value = variable.value(predicted.state, Row.unpack(bench.robot, c, model.given))
     readings = ca.jacobian(predicted.position, c[: bench.robot.n_joints])
     graph = ca.Function("drawn", [p, c], [ca.densify(value), ca.densify(readings)])
-    at, turns = over_rows(graph, bench.values(model), bench.data.rows)
+    at, turns = over_rows(graph, bench.values(model), bench.data.conditions)
     error, said = 1e3 * np.linalg.norm(what.error, axis=1), "error of position [mm]"
     if joint:
         turn = turns.T.reshape(len(bench.data), -1, 3)[:, joint - 1]
@@ -112,7 +112,7 @@ def _variable(bench: Bench, effect: Effect, joint: int) -> Variable:
 
 def _arrows(axes: mpl.axes.Axes, bench: Bench, what: Shown) -> None:
     model = bench.model()
-    place = model.point(bench.values(model), bench.data.rows) - np.array(bench.robot.base.origin)
+    place = model.point(bench.values(model), bench.data.conditions) - np.array(bench.robot.base.origin)
     outward = place[:, :2] / np.linalg.norm(place[:, :2], axis=1)[:, None]
     side = np.column_stack([(outward * what.error[:, :2]).sum(axis=1), what.error[:, 2]])
     if (side**2).sum() >= (what.error[:, :2] ** 2).sum():
@@ -148,5 +148,5 @@ def _scatter(bench: Bench, effect: Effect) -> np.ndarray:
     p, c = ca.SX.sym("p", len(effect.declared)), ca.SX.sym("c", bench.model().n_conditions)
     added = effect.scatter(p, Row.unpack(bench.robot, c, bench.data.given))
     return over_rows(
-        ca.Function("scatter", [p, c], [ca.densify(added)]), np.ones(len(effect.declared)), bench.data.rows
+        ca.Function("scatter", [p, c], [ca.densify(added)]), np.ones(len(effect.declared)), bench.data.conditions
     )[0].ravel()

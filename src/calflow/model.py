@@ -210,43 +210,43 @@ class Model:
         )  # fmt: skip
         return reported, observation.error(values, seen, reported)
 
-    def position(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def position(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return what a device in the measuring frame reports [m], shape (n_rows, 3), for rows (n_conditions, n_rows)."""
-        return self._over_rows("position", p, rows)[0].T
+        return self._over_rows("position", p, conditions)[0].T
 
-    def point(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def point(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return where the markers are [m], whatever a device makes of it, shape (n_rows, 3)."""
-        return self._over_rows("point", p, rows)[0].T
+        return self._over_rows("point", p, conditions)[0].T
 
-    def rotation(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def rotation(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return predicted rotations, shape (n_rows, 3, 3)."""
-        return self._over_rows("rotation", p, rows)[0].T.reshape(-1, 3, 3).transpose(0, 2, 1)
+        return self._over_rows("rotation", p, conditions)[0].T.reshape(-1, 3, 3).transpose(0, 2, 1)
 
-    def position_jacobian(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def position_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the positions' derivatives, shape (n_rows, 3, n_parameters)."""
-        stacked = self._over_rows("jacobian", p, rows)[0]
-        return stacked.T.reshape(rows.shape[1], 3, len(p))
+        stacked = self._over_rows("jacobian", p, conditions)[0]
+        return stacked.T.reshape(conditions.shape[1], 3, len(p))
 
-    def point_jacobian(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def point_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the points' derivatives, shape (n_rows, 3, n_parameters)."""
-        return self._over_rows("point_jacobian", p, rows)[0].T.reshape(rows.shape[1], 3, len(p))
+        return self._over_rows("point_jacobian", p, conditions)[0].T.reshape(conditions.shape[1], 3, len(p))
 
-    def rotation_jacobian(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def rotation_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return how the tool turns about its own axes by each parameter, shape (n_rows, 3, n_parameters)."""
-        return self._over_rows("rotation_jacobian", p, rows)[0].T.reshape(rows.shape[1], 3, len(p))
+        return self._over_rows("rotation_jacobian", p, conditions)[0].T.reshape(conditions.shape[1], 3, len(p))
 
     def observed_error(
-        self, observation: Observation, p: np.ndarray, rows: np.ndarray, reported: np.ndarray
+        self, observation: Observation, p: np.ndarray, conditions: np.ndarray, reported: np.ndarray
     ) -> np.ndarray:
         """Return predicted minus reported, shape (n_rows, n_units), of rows and what an observation packs of them."""
-        return self._over_rows(self._observed(observation, "error"), p, rows, reported)[0].T
+        return self._over_rows(self._observed(observation, "error"), p, conditions, reported)[0].T
 
     def observed_jacobian(
-        self, observation: Observation, p: np.ndarray, rows: np.ndarray, reported: np.ndarray
+        self, observation: Observation, p: np.ndarray, conditions: np.ndarray, reported: np.ndarray
     ) -> np.ndarray:
         """Return the derivatives of `observed_error`, shape (n_rows, n_units, n_parameters)."""
-        stacked = self._over_rows(self._observed(observation, "slope"), p, rows, reported)[0]
-        return stacked.T.reshape(rows.shape[1], len(observation.units), len(p))
+        stacked = self._over_rows(self._observed(observation, "slope"), p, conditions, reported)[0]
+        return stacked.T.reshape(conditions.shape[1], len(observation.units), len(p))
 
     def _observed(self, observation: Observation, what: str) -> str:
         """Name the function of (p, conditions, reported) for an observation's error or its derivatives, made when first asked."""
@@ -258,17 +258,17 @@ class Model:
             self._functions[f"{what}{k}"] = ca.Function(f"{what}{k}", inputs, [ca.densify(output)])
         return f"{what}{k}"
 
-    def closure_cosine(self, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def closure_cosine(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the loop's closure cosine of each row, shape (n_rows,); a pose can be closed where it is within ±1."""
-        return self._over_rows("closure", p, rows)[0].ravel()
+        return self._over_rows("closure", p, conditions)[0].ravel()
 
-    def equilibrium_error(self, p: np.ndarray, rows: np.ndarray) -> float:
+    def equilibrium_error(self, p: np.ndarray, conditions: np.ndarray) -> float:
         """Return how far [m] one more evaluation of the loads would move any row, at most."""
         symbols = self.symbols[:2]
         further = self.expression(*symbols, turns=EQUILIBRIUM_TURNS + 1).position - self.symbols[2].position
         if further.nnz() == 0:
             return 0.0
-        moved = over_rows(ca.Function("further", symbols, [ca.densify(further)]), p, rows)[0]
+        moved = over_rows(ca.Function("further", symbols, [ca.densify(further)]), p, conditions)[0]
         return float(np.linalg.norm(moved, axis=0).max())
 
     @cached_property

@@ -243,10 +243,10 @@ def _measure(
         position = np.empty((len(readings), 3))
         for payload in payloads:
             own = carried == payload
-            rows = packed_conditions(model, readings[own], payload, marker)
+            conditions = packed_conditions(model, readings[own], payload, marker)
             if truth.approach:
-                rows[-robot.n_joints :] = approach[own].T
-            position[own] = model.position(values, rows)
+                conditions[-robot.n_joints :] = approach[own].T
+            position[own] = model.position(values, conditions)
         sigma = truth.device.sigma(position)
         for repeat in range(1, truth.repeats + 1):
             seen = position + sigma[:, None] * rng.standard_normal(position.shape)

@@ -32,20 +32,20 @@ def posed():
     """A robot with errors, and the poses that its nominal self has at some readings away from the limits."""
     known, data = calibrated(("geometry",), WRONG)
     data = data.only(np.abs(data.joints).max(axis=1) < 3.0)
-    model, rows = known.model, data.rows
-    return known, data, Targets(model.point(model.nominal, rows), model.rotation(model.nominal, rows))
+    model, conditions = known.model, data.conditions
+    return known, data, Targets(model.point(model.nominal, conditions), model.rotation(model.nominal, conditions))
 
 
 def test_a_pose_is_met_in_place_and_orientation(posed):
     """Fails if the tool lands beside its target, turned otherwise, or what the nominal command misses by is not told."""
     known, data, targets = posed
     found = compensate_rows(known, data, targets, start=data.joints)
-    there = np.vstack([found.readings.T, data.rows[6:]])
+    there = np.vstack([found.readings.T, data.conditions[6:]])
     on = found.reached
     assert on.mean() > 0.9
     np.testing.assert_allclose(known.model.point(known.estimate, there)[on], targets.position[on], atol=2e-6)
     assert angle(known.model.rotation(known.estimate, there), targets.rotation)[on].max() < 1e-5
-    before = known.model.point(known.estimate, data.rows) - targets.position
+    before = known.model.point(known.estimate, data.conditions) - targets.position
     np.testing.assert_allclose(found.nominal_miss, np.linalg.norm(before, axis=1), atol=1e-12)
     assert found.nominal_turned.max() > 1e-3
     assert found.turn_sd.shape == (len(data), 3)
@@ -98,14 +98,14 @@ def test_backlash_is_taken_by_the_direction_of_the_commands():
     known = replace(known, needed=needed_conditions(known.model, known.estimate, measured))
     data = Measurements.from_arrays(robot, measured.joints, None, payload="load")
     model = replace(known.model, given=())
-    targets = Targets(model.point(known.estimate, data.rows))
+    targets = Targets(model.point(known.estimate, data.conditions))
     with pytest.raises(InputError, match="joint-backlash"):
         compensate_rows(known, data, targets, start=data.joints)
     found = compensate_rows(known, data, targets, start=data.joints, in_order=True)
     came = np.vstack([np.zeros(6), np.sign(np.diff(found.readings, axis=0))])
     there = Measurements.from_arrays(robot, found.readings, None, payload="load", approach=came)
     sided = replace(known.model, given=there.given)
-    np.testing.assert_allclose(sided.point(known.estimate, there.rows), targets.position, atol=2e-6)
+    np.testing.assert_allclose(sided.point(known.estimate, there.conditions), targets.position, atol=2e-6)
     assert np.abs(found.readings - data.joints)[1:].max() == pytest.approx(PLAY / 2, rel=0.2)
     assert found.nominal_miss.max() > 1e-3
 
@@ -116,12 +116,12 @@ def test_what_nobody_measured_of_the_orientation_is_said(posed):
     names = [parameter.name for parameter in known.model.parameters]
     free = np.diag(np.where(np.array(names) == "joint6.theta", known.model.prior_sd**2, 1e-12))
     one = replace(known, covariance=free)
-    first, second = not_known(one, data.rows)
+    first, second = not_known(one, data.conditions)
     assert "no orientation was measured" in first
     assert "about its own z is known to 2 mrad only" in second
-    assert len(not_known(known, data.rows)) == 1
+    assert len(not_known(known, data.conditions)) == 1
     seen = replace(one, model=replace(one.model, observations=(Pose(Series()),)))
-    assert not_known(seen, data.rows) == []
+    assert not_known(seen, data.conditions) == []
 
 
 def test_a_target_may_be_in_the_base_or_in_a_fixture():
@@ -131,14 +131,14 @@ def test_a_target_may_be_in_the_base_or_in_a_fixture():
     known = replace(known, model=replace(known.model, robot=robot))
     asked = Targets(np.tile([1.0, 0.0, 0.0], (3, 1)))
     fixture = {"fixture": TargetFrameTable(origin_m=[0.5, 0.0, 0.0], rotation_deg=[0.0, 0.0, 90.0], within="base")}
-    rows = data.rows[:, :3]
-    found = targets_in_measuring_frame(asked, ["base", "fixture", ""], fixture, known, rows)
+    conditions = data.conditions[:, :3]
+    found = targets_in_measuring_frame(asked, ["base", "fixture", ""], fixture, known, conditions)
     origin = ASKEW.origin
     np.testing.assert_allclose(found.position[0], np.add(origin, (0.0, 1.01, 0.0)), atol=1e-12)
     np.testing.assert_allclose(found.position[1], np.add(origin, (-1.0, 0.51, 0.0)), atol=1e-12)
     np.testing.assert_array_equal(found.position[2], asked.position[2])
     with pytest.raises(InputError, match=r"unknown frame 'fixtur'.*did you mean 'fixture'"):
-        targets_in_measuring_frame(asked, ["fixtur"] * 3, fixture, known, rows)
+        targets_in_measuring_frame(asked, ["fixtur"] * 3, fixture, known, conditions)
 
 
 def test_the_distance_to_a_wrist_singularity_is_joint_5_s_angle(posed):
@@ -147,9 +147,9 @@ def test_the_distance_to_a_wrist_singularity_is_joint_5_s_angle(posed):
     q = np.tile([0.3, -1.2, 1.4, -0.9, 0.0, 0.2], (2, 1))
     q[:, 4] = np.deg2rad([3.0, -8.0])
     q[1, 5] = np.pi - 0.01
-    rows = np.vstack([q.T, data.rows[6:, :2]])
+    conditions = np.vstack([q.T, data.conditions[6:, :2]])
     joints = tuple(replace(joint, limits=(-np.pi, np.pi)) for joint in known.model.robot.joints)
-    found = clearance(replace(known.model, robot=replace(known.model.robot, joints=joints)), rows, oriented=True)
+    found = clearance(replace(known.model, robot=replace(known.model.robot, joints=joints)), conditions, oriented=True)
     np.testing.assert_allclose(np.rad2deg(found.singular), [3.0, 8.0], rtol=0.05)
     assert found.joint[1] == 5
     assert found.limit[1] == pytest.approx(0.01)

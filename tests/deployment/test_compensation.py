@@ -23,8 +23,8 @@ def wrong(request):
     model = build(robot, ("geometry", "joint-compliance"))
     rng = np.random.default_rng(3)
     p = np.clip(model.nominal + 0.3 * model.prior_sd * rng.standard_normal(len(model.nominal)), *model.bounds.T)
-    readings, rows = candidates(model, 12, next(iter(robot.payloads)), next(iter(robot.markers)), None, rng)
-    return model, p, readings, rows, model.point(model.nominal, rows)
+    readings, conditions = candidates(model, 12, next(iter(robot.payloads)), next(iter(robot.markers)), None, rng)
+    return model, p, readings, conditions, model.point(model.nominal, conditions)
 
 
 def test_it_lands_where_it_is_told(wrong):
@@ -77,12 +77,12 @@ def test_a_joint_without_limits_turns_on():
     joints = tuple(replace(joint, limits=None if i == 5 else (-3.1, 3.1)) for i, joint in enumerate(ur10().joints))
     model = build(replace(ur10(), joints=joints), ("geometry",))
     start = np.deg2rad([[10.0, -80.0, 90.0, -100.0, -80.0, 250.0], [10.0, -80.0, 90.0, -100.0, -80.0, -900.0]])
-    rows = Measurements.from_arrays(model.robot, start, None, payload="load").stating(()).rows
-    there = Targets(model.point(model.nominal, rows) + 1e-3, model.rotation(model.nominal, rows))
-    found = landing(model, model.nominal, rows, there, start)
+    conditions = Measurements.from_arrays(model.robot, start, None, payload="load").stating(()).conditions
+    there = Targets(model.point(model.nominal, conditions) + 1e-3, model.rotation(model.nominal, conditions))
+    found = landing(model, model.nominal, conditions, there, start)
     assert found.reached.all()
     assert np.abs(found.readings - start).max() < 0.05
-    clear = clearance(model, np.vstack([found.readings.T, rows[6:]]), oriented=True)
+    clear = clearance(model, np.vstack([found.readings.T, conditions[6:]]), oriented=True)
     assert set(clear.joint) <= set(range(5))
     assert np.isfinite(clear.limit).all()
     assert beyond_limits(Measurements.from_arrays(model.robot, start, None, payload="load")) == []
@@ -92,15 +92,15 @@ def test_a_joint_at_its_limit_leaves_the_rest_to_the_others():
     """Fails if a limit makes a target unreachable that other joints could reach."""
     robot = ur10()
     model = build(robot, ("geometry",))
-    readings, rows = candidates(model, 1, "load", "E", None, np.random.default_rng(5))
+    readings, conditions = candidates(model, 1, "load", "E", None, np.random.default_rng(5))
     joints = tuple(
         joint if k else replace(joint, limits=(readings[0, 0] - 1e-3, readings[0, 0]))
         for k, joint in enumerate(robot.joints)
     )
     bound = build(replace(robot, joints=joints), ("geometry",))
     turned = readings + np.array([0.02, 0, 0, 0, 0, 0])  # only beyond joint 1's limit by itself
-    target = model.point(model.nominal, np.vstack([turned.T, rows[6:]]))
-    found = landing(bound, bound.nominal, rows, Targets(target), readings)
+    target = model.point(model.nominal, np.vstack([turned.T, conditions[6:]]))
+    found = landing(bound, bound.nominal, conditions, Targets(target), readings)
     assert found.reached.all()
     assert found.readings[0, 0] <= readings[0, 0] + 1e-8
     assert np.abs(found.readings - turned).max() > 1e-3

@@ -43,7 +43,7 @@ def checked(known, q, seed, shift=None, since=0, dates=("",), wrong=True, **more
     for k in range(len(dates)):
         moved = q + (shift if shift is not None and k >= since else 0.0)
         rows = Measurements.from_arrays(robot, moved, None, payload="load").stating(model.given)
-        blocks.append(model.point(p, rows.rows) + NOISE * rng.standard_normal((len(q), 3)))
+        blocks.append(model.point(p, rows.conditions) + NOISE * rng.standard_normal((len(q), 3)))
     session = {"session": np.repeat(dates, len(q))} if len(dates) > 1 else {}
     labels = {"pose": np.tile(np.arange(len(q)), len(dates)), "repeat": np.repeat(np.arange(len(dates)), len(q))}
     n = len(q) * len(dates)
@@ -91,7 +91,9 @@ def test_a_tool_s_shift_is_in_the_flange_s_axes():
     shift = np.array([2e-4, -1e-4, 3e-4])
     marker = model.robot.markers["E"]
     moved = replace(model.robot, markers={"E": replace(marker, point=tuple(np.add(marker.point, shift)))})
-    there = build(moved, ()).point(np.zeros(0), rows.rows) - build(model.robot, ()).point(np.zeros(0), rows.rows)
+    there = build(moved, ()).point(np.zeros(0), rows.conditions) - build(model.robot, ()).point(
+        np.zeros(0), rows.conditions
+    )
     tool = next(one for one in movements(known, rows, False) if one.name == "tool")
     np.testing.assert_allclose(tool.slope @ shift, there, rtol=0, atol=1e-12)
 
@@ -167,10 +169,10 @@ def test_what_moves_points_is_the_graph_s_derivative(robot):
     known, q = robot
     data = checked(known, q, 8)
     every = {one.name: one for one in movements(known, data, True)}
-    rows, step = data.stating(known.model.given).rows, 1e-6
-    turned = rows.copy()
+    conditions, step = data.stating(known.model.given).conditions, 1e-6
+    turned = conditions.copy()
     turned[3] += step
-    there = known.model.point(known.estimate, rows)
+    there = known.model.point(known.estimate, conditions)
     moved = (known.model.point(known.estimate, turned) - there) / step
     np.testing.assert_allclose(every["joint4.zero"].slope[:, :, 0], moved, atol=1e-5)
     turn = every["station"].slope[:, :, 5]

@@ -61,7 +61,7 @@ def posed(request):
 def as_file(known, packed, folder):
     """The robot that the exported DH file states."""
     path = folder / "robot.toml"
-    path.write_text(export(known, "dh", rows=packed).text, encoding="utf-8")
+    path.write_text(export(known, "dh", conditions=packed).text, encoding="utf-8")
     return Robot.from_toml(path)
 
 
@@ -98,7 +98,7 @@ def test_a_dh_file_reads_back(posed, tmp_path):
 def test_a_urdf_reads_back(posed, tmp_path):
     """Fails if an origin, an axis, a sign or the base is not as calibrated: by pinocchio."""
     known, packed, angles, there = posed
-    found = export(known, "urdf", rows=packed)
+    found = export(known, "urdf", conditions=packed)
     model = pin.buildModelFromXML(found.text)
     data, robot = model.createData(), as_file(known, packed, tmp_path)
     measuring, marker = (model.getFrameId(name) for name in ("measuring_frame", f"marker_{next(iter(robot.markers))}"))
@@ -120,14 +120,14 @@ def test_json_and_xacro_properties_read_back(posed, tmp_path):
     known, packed, angles, there = posed
     robot = as_file(known, packed, tmp_path)
     values = variables(robot, angles)
-    document = json.loads(export(known, "json", rows=packed).text)
+    document = json.loads(export(known, "json", conditions=packed).text)
     origins = [np.array(joint["origin"]) for joint in document["joints"]]
     axes = [joint["axis"] for joint in document["joints"]]
     marker = next(iter(document["markers_in_flange"].values()))
     base, flange = (np.array(document[name]) for name in ("base_in_measuring_frame", "flange_in_last_joint"))
     seen = by_product(origins, axes, base, flange, marker, values)
     np.testing.assert_allclose(seen, there, rtol=0, atol=MICROMETRE)
-    root = ElementTree.fromstring(export(known, "xacro-properties", rows=packed).text)
+    root = ElementTree.fromstring(export(known, "xacro-properties", conditions=packed).text)
     said = {one.get("name"): np.array(one.get("value").split(), dtype=float) for one in root}
 
     def place(name):
@@ -145,7 +145,7 @@ def test_a_controller_s_figures_read_back(posed):
     """Fails if a figure is in another unit than stated, or the base's angles are another maker's."""
     known, packed, angles, there = posed
     robot = known.model.robot
-    table = pd.read_csv(io.StringIO(export(known, "controller", rows=packed).text)).set_index(["part", "figure"])
+    table = pd.read_csv(io.StringIO(export(known, "controller", conditions=packed).text)).set_index(["part", "figure"])
     told, figs = table["calibrated"], figures(robot)
     for i in range(robot.n_joints):
         for name in ("alpha", "theta", "beta"):
@@ -179,7 +179,7 @@ def test_a_controller_s_figures_are_beside_the_maker_s_file():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         packed = rows(known.model, poses(began, 3), marker=next(iter(began.markers)))
-        text = export(known, "controller", rows=packed, maker=maker).text
+        text = export(known, "controller", conditions=packed, maker=maker).text
     table = pd.read_csv(io.StringIO(text)).set_index(["part", "figure"])
     assert table["nominal"]["base", "x"] == pytest.approx(500.0)
     assert table["difference"]["base", "x"] == pytest.approx(100.0)
@@ -215,15 +215,15 @@ def test_what_is_left_out_is_told_with_its_cost():
     stiff = known.estimate.copy()
     stiff[known.model.columns(known.model.effects[1])] = 0.0
     off = known.model.point(known.estimate, packed) - known.model.point(stiff, packed)
-    found = export(known, "dh", rows=packed)
+    found = export(known, "dh", conditions=packed)
     whole, one = found.left_out
     assert (one.effect, one.parts[0]) == ("joint-compliance", "joint1")
     for lost in (whole, one):
         assert lost.max_mm == pytest.approx(1e3 * np.linalg.norm(off, axis=1).max())
     assert [f"joint-compliance (joint1 … joint{robot.n_joints})" in note for note in found.notes] == [True]
     assert f"{one.max_mm:.3f} mm at most" in found.notes[0]
-    assert len(export(known, "controller", rows=packed).left_out) == 3
-    assert export(identified(robot), "dh", rows=packed).left_out == ()
+    assert len(export(known, "controller", conditions=packed).left_out) == 3
+    assert export(identified(robot), "dh", conditions=packed).left_out == ()
     assert (_between(("joint3",)), _between(("joint1", "joint2", "joint6"))) == ("joint3", "joint1 … joint6")
 
 
@@ -233,7 +233,7 @@ def test_markers_have_names_that_xacro_takes():
     robot = replace(robot, markers=dict.fromkeys(("ball 1.5", "ball-1.5", "tip"), next(iter(robot.markers.values()))))
     known = identified(robot)
     packed = rows(known.model, poses(robot, 3), marker="tip")
-    root = ElementTree.fromstring(export(known, "xacro-properties", rows=packed).text)
+    root = ElementTree.fromstring(export(known, "xacro-properties", conditions=packed).text)
     markers = [one.get("name") for one in root if one.get("name", "").startswith("marker_")]
     assert markers == ["marker_1_xyz", "marker_2_xyz", "marker_tip_xyz"]
 
@@ -250,11 +250,11 @@ def test_a_robot_of_a_urdf_reads_back(tmp_path):
     read = as_file(known, packed, tmp_path)
     np.testing.assert_allclose(build(read, ()).point(np.zeros(0), packed), there, rtol=0, atol=MICROMETRE)
     written = tmp_path / "written.urdf"
-    written.write_text(export(known, "urdf", rows=packed).text)
+    written.write_text(export(known, "urdf", conditions=packed).text)
     reference = urdfs.Reference(written, [joint.name for joint in robot.joints])
     seen = [reference.frame(row, "marker_tip", "measuring_frame")[:3, 3] for row in angles]
     np.testing.assert_allclose(seen, there, rtol=0, atol=MICROMETRE)
-    table = pd.read_csv(io.StringIO(export(known, "controller", rows=packed).text)).set_index(["part", "figure"])
+    table = pd.read_csv(io.StringIO(export(known, "controller", conditions=packed).text)).set_index(["part", "figure"])
     for error, value in zip(known.model.effects[0].errors, known.estimate, strict=True):
         if error.field == "steps":
             said = table.loc[error.parameter.part.replace("joint", "joint "), error.parameter.symbol]
@@ -274,7 +274,7 @@ def test_a_planner_can_move_what_it_reads(tmp_path):
     robot = Robot.from_toml(tmp_path / "robot.toml")
     known = identified(robot)
     packed = rows(known.model, poses(robot, 3), marker="E")
-    told = export(known, "urdf", rows=packed, drives=drives(tmp_path / "robot.toml"))
+    told = export(known, "urdf", conditions=packed, drives=drives(tmp_path / "robot.toml"))
     limits = [one.attrib for one in ElementTree.fromstring(told.text).iter("limit")]
     assert [(float(one["effort"]), float(one["velocity"])) for one in limits] == [(150, 2.5)] + 5 * [(1000, 1)]
     said = [note for note in told.notes if "placeholder" in note]

@@ -47,7 +47,10 @@ def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
     step = 1e-3 * known.model.prior_sd
     jacobian = np.stack(
         [
-            (known.model.position(known.estimate + h, data.rows) - known.model.position(known.estimate - h, data.rows))
+            (
+                known.model.position(known.estimate + h, data.conditions)
+                - known.model.position(known.estimate - h, data.conditions)
+            )
             / (2 * s)
             for h, s in zip(np.diag(step), step, strict=True)
         ],

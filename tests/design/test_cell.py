@@ -25,8 +25,8 @@ def test_what_the_cell_allows_is_what_others_find(name):
     make, cell = CASES[name]
     robot = make()
     model, outside = build(robot, ()), Outside(robot, cell)
-    readings, rows = candidates(model, NUMBER, "load", "E", None, np.random.default_rng(5))
-    refusals = cell.refusals(model, rows, "E")
+    readings, conditions = candidates(model, NUMBER, "load", "E", None, np.random.default_rng(5))
+    refusals = cell.refusals(model, conditions, "E")
     rooms = [outside.room(q) for q in readings]
     least = np.array([min(room.values()) for room in rooms])
     sure = np.abs(least) > 1e-5  # coal's own tolerance is about 1e-6
@@ -149,9 +149,9 @@ def test_loads_that_joints_cannot_hold_are_refused():
     rated = 4000.0
     robot = replace(robot, joints=tuple(replace(joint, rated_torque=rated) for joint in robot.joints))
     model, cell = build(robot, ()), Cell(torque_share=0.5, self_collision=False)
-    readings, rows = candidates(model, 200, "load", "E", None, np.random.default_rng(2))
+    readings, conditions = candidates(model, 200, "load", "E", None, np.random.default_rng(2))
     worst = np.abs(holding_torque(robot, readings, "load")).max(axis=1)
-    refusals = cell.refusals(model, rows, "E")
+    refusals = cell.refusals(model, conditions, "E")
     assert np.array_equal(refusals == 0, worst <= 0.5 * rated)
     assert set(np.unique(refusals)) == {0, list(RULES).index("payload") + 1}
     empty = cell.refusals(model, packed_conditions(model, readings, "", "E"), "E")
@@ -162,16 +162,16 @@ def test_stated_poses_keep_to_the_cell():
     """Fails if taught poses are taken that the cell refuses."""
     robot = industrial()
     model = build(robot, ())
-    readings, rows = candidates(model, 100, "load", "E", None, np.random.default_rng(2))
+    readings, conditions = candidates(model, 100, "load", "E", None, np.random.default_rng(2))
     kept = allowed(model, readings, "load", "E", None, BIG)
-    assert np.array_equal(kept, BIG.refusals(model, rows, "E") == 0)
+    assert np.array_equal(kept, BIG.refusals(model, conditions, "E") == 0)
 
 
 def test_sight_begins_where_it_is_said():
     """Fails if what holds the reflector stands in its light although the line is said to begin beyond it, or counts not at all."""
     robot = ur10(markers={"E": {"point_m": [0.0, 0.0, 0.01]}})
     model = build(robot, ())
-    _, rows = candidates(model, 100, "load", "E", None, np.random.default_rng(2))
+    _, conditions = candidates(model, 100, "load", "E", None, np.random.default_rng(2))
     cell = Cell(stations=(CellStation((4.0, 0.0, 1.0)),), self_collision=False)
-    assert not (cell.refusals(model, rows, "E") == 0).any()
-    assert (replace(cell, sight_from=0.15).refusals(model, rows, "E") == 0).sum() > 20
+    assert not (cell.refusals(model, conditions, "E") == 0).any()
+    assert (replace(cell, sight_from=0.15).refusals(model, conditions, "E") == 0).sum() > 20

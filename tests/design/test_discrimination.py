@@ -42,7 +42,7 @@ def fitted():
 def choices():
     """Poses over all the travel."""
     more = measured(MODEL, TRUTH, 300, np.random.default_rng(2))
-    return Choices(more.joints, np.ones(more.joints.shape), ("",) * len(more), more.rows)
+    return Choices(more.joints, np.ones(more.joints.shape), ("",) * len(more), more.conditions)
 
 
 def explanations(fitted, *rivals):
@@ -52,14 +52,14 @@ def explanations(fitted, *rivals):
     return [Explanation(score, score.delta_bic - scores[0].delta_bic) for score in scores]
 
 
-def separation(fitted, true, rival, rows):
+def separation(fitted, true, rival, conditions):
     """What a rival's best fit leaves of the true cause's effect in the data and at further rows, by plain least squares."""
     true, rival = true.score, rival.score
     base = Model(ROBOT, (*MODEL.effects[:-1], true.cause, rival.cause))
     known = np.delete(fitted.fit.estimate, MODEL.columns(RATIO))
-    rows = np.hstack([fitted.data.rows, rows])
+    conditions = np.hstack([fitted.data.conditions, conditions])
     point = np.append(known, np.zeros(len(true.estimate) + len(rival.estimate)))
-    jacobian = base.position_jacobian(point, rows).reshape(3 * rows.shape[1], -1) / SIGMA
+    jacobian = base.position_jacobian(point, conditions).reshape(3 * conditions.shape[1], -1) / SIGMA
     own = base.columns(true.cause)
     others = np.delete(np.arange(jacobian.shape[1]), own)
     whole = np.vstack([jacobian[:, others], np.diag(1 / base.prior_sd[others])])
@@ -81,10 +81,12 @@ def test_proposed_poses_separate_more_than_random_ones(fitted, choices):
     assert len(set(chosen)) == POSES
     for pair in ((0, 1), (1, 0)):
         one, other = (scores[k] for k in pair)
-        assert criteria[pair].separation == pytest.approx(separation(fitted, one, other, choices.rows[:, :0]), rel=0.02)
-    assert after == pytest.approx(nearest(fitted, scores, choices.rows[:, chosen]), rel=0.02)
-    assert after > 1.5 * nearest(fitted, scores, choices.rows[:, :0])
-    assert after > 1.1 * nearest(fitted, scores, choices.rows[:, :POSES])
+        assert criteria[pair].separation == pytest.approx(
+            separation(fitted, one, other, choices.conditions[:, :0]), rel=0.02
+        )
+    assert after == pytest.approx(nearest(fitted, scores, choices.conditions[:, chosen]), rel=0.02)
+    assert after > 1.5 * nearest(fitted, scores, choices.conditions[:, :0])
+    assert after > 1.1 * nearest(fitted, scores, choices.conditions[:, :POSES])
 
 
 def test_poses_for_all_serve_the_closest_pair(fitted, choices):
@@ -96,9 +98,9 @@ def test_poses_for_all_serve_the_closest_pair(fitted, choices):
     chosen, ends = propose(criteria, pairs, POSES)
     together = min(criterion.separation for criterion in ends.values())
     assert together > 0.8 * min(after[pair].separation for pair, (_, after) in alone.items())
-    assert together == pytest.approx(nearest(fitted, scores, choices.rows[:, chosen]), rel=0.02)
+    assert together == pytest.approx(nearest(fitted, scores, choices.conditions[:, chosen]), rel=0.02)
     for pair in ((0, 1), (0, 2)):
-        assert together > nearest(fitted, scores, choices.rows[:, alone[pair][0]])
+        assert together > nearest(fitted, scores, choices.conditions[:, alone[pair][0]])
 
 
 def test_a_rival_is_excluded_as_often_as_is_said():

@@ -59,7 +59,7 @@ def compared(benches: dict[str, Bench]) -> Callable[[str], tuple[dict[str, Twin]
                 names = [f"{parameter.part}.{parameter.symbol}" for parameter in effects[k].declared]
                 for parameter, value in twins[key].values.items():
                     values[sum(sizes[:k]) + names.index(parameter)] = value
-            return over_rows(position, values, bench.table.rows)[0].T
+            return over_rows(position, values, bench.table.conditions)[0].T
 
         return twins, points
 
@@ -142,15 +142,15 @@ def conventions() -> Callable[[str], list[np.ndarray]]:
         p, c = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("c", model.n_conditions)
         position = ca.Function("position", [p, c], [ca.densify(model.expression(p, c).position)])
         found.append((model, position))
-    rows = packed_conditions(found[0][0], q, "load", "E")
+    conditions = packed_conditions(found[0][0], q, "load", "E")
     rest = [rng.choice([-1.0, 1.0], (6, 20)), rng.uniform(0, 1, (6, 20)), rng.uniform(0, 7e3, (1, 20)),
             rng.uniform(290, 310, (1, 20)), np.arange(20.0)[None]]  # fmt: skip
-    rows[-15:] = np.vstack(rest)
+    conditions[-15:] = np.vstack(rest)
 
     def points(name: str) -> list[np.ndarray]:
         share = {"joint-compliance": 0.1} | {name: 1.0}
         return [
-            over_rows(position, model.prior_sd * [share.get(p.effect, 0.0) for p in model.parameters], rows)[0].T
+            over_rows(position, model.prior_sd * [share.get(p.effect, 0.0) for p in model.parameters], conditions)[0].T
             for model, position in found
         ]
 
@@ -176,12 +176,14 @@ def test_gravity_deflection_stands_for_springs(benches: dict[str, Bench], name: 
     real, plain = bench.points(), bench.points(soft=False)
     seen = np.arange(len(real)) % 4 != 1
     assert {0, 1, 2} == set(bench.rows.payload[seen]) == set(bench.rows.payload[~seen])
-    rows, p = bench.table.rows, np.zeros(len(model.parameters))
+    conditions, p = bench.table.conditions, np.zeros(len(model.parameters))
     for _ in range(2):
-        slope = model.position_jacobian(p, rows[:, seen]).reshape(-1, len(p)) * model.prior_sd
-        left = (real[seen] - model.position(p, rows[:, seen])).ravel()
+        slope = model.position_jacobian(p, conditions[:, seen]).reshape(-1, len(p)) * model.prior_sd
+        left = (real[seen] - model.position(p, conditions[:, seen])).ravel()
         p = p + model.prior_sd * np.linalg.lstsq(slope, left, rcond=1e-9)[0]
-    apart, effect = (np.linalg.norm(shift[~seen], axis=1) for shift in (model.position(p, rows) - real, real - plain))
+    apart, effect = (
+        np.linalg.norm(shift[~seen], axis=1) for shift in (model.position(p, conditions) - real, real - plain)
+    )
     assert effect.max() > 2e-3
     assert apart.max() < 0.01 * effect.max()
 
@@ -244,7 +246,7 @@ def test_range_noise_grows_with_distance(benches: dict[str, Bench], name: str) -
     p, c = ca.SX.sym("p"), ca.SX.sym("c", model.n_conditions)
     row = Row.unpack(bench.robot, c, bench.data.given)
     scatter = ca.Function("scatter", [p, c], [ca.densify(ca.SX(model.effects[0].scatter(p, row)))])
-    found = over_rows(scatter, np.array([2.5e-5]), bench.table.rows)[0].ravel()
+    found = over_rows(scatter, np.array([2.5e-5]), bench.table.conditions)[0].ravel()
     assert_allclose(found, 2.5e-5 * np.linalg.norm(bench.table.position, axis=1), rtol=1e-12)
     assert model.effects[0].scatter(p, Row.unpack(bench.robot, c)) == 0  # of rows whose distance nobody knows
     assert not ca.jacobian(model.expression(p, c).position, p).nnz()

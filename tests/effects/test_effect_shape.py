@@ -192,10 +192,10 @@ def test_joint_deflection_turns_joints(robot: Robot, q: np.ndarray) -> None:
     """Breaks if a joint's deflection is lost, or the row's approach does not reach the effect."""
     model = Model(robot, (Backlash(robot),), given=("approach",))
     approach = np.random.default_rng(8).choice([-1.0, 0.0, 1.0], q.shape)
-    rows = robots.rows(model, q)
-    rows[-6:] = approach.T
+    conditions = robots.rows(model, q)
+    conditions[-6:] = approach.T
     wanted = robots.marker_position(robot, q + 0.01 * approach)
-    assert_allclose(model.position(np.array([0.01]), rows), wanted, atol=1e-12)
+    assert_allclose(model.position(np.array([0.01]), conditions), wanted, atol=1e-12)
 
 
 @pytest.mark.parametrize("make", [robots.ur10, robots.industrial, robots.hh800])
@@ -249,9 +249,9 @@ def test_structure_balances_what_it_carries(make: type, softness: float, effect:
 def test_device_changes_only_what_is_reported(robot: Robot, q: np.ndarray) -> None:
     """Breaks if a device's error is applied before the base is, or turns the tool."""
     model = Model(replace(robot, base=robots.ASKEW), (StretchedScale(robot),))
-    rows, p = robots.rows(model, q), np.array([0.001])
-    assert_allclose(model.position(p, rows), 1.001 * robots.marker_position(model.robot, q), atol=1e-12)
-    assert_allclose(model.rotation(p, rows), robots.tool_rotation(model.robot, q), atol=1e-12)
+    conditions, p = robots.rows(model, q), np.array([0.001])
+    assert_allclose(model.position(p, conditions), 1.001 * robots.marker_position(model.robot, q), atol=1e-12)
+    assert_allclose(model.rotation(p, conditions), robots.tool_rotation(model.robot, q), atol=1e-12)
 
 
 def test_toys_stay_out_of_the_catalogue() -> None:

@@ -112,8 +112,8 @@ def test_only_the_last_joint_trades_against_the_marker(name: str) -> None:
     What remains is the last joint's theta and d against the marker's own coordinates.
     """
     model = build(ROBOTS[name], ["geometry"])
-    rows = robots.rows(model, robots.poses(model.robot, 80))
-    singular = np.linalg.svd(model.position_jacobian(model.nominal, rows).reshape(240, -1), compute_uv=False)
+    conditions = robots.rows(model, robots.poses(model.robot, 80))
+    singular = np.linalg.svd(model.position_jacobian(model.nominal, conditions).reshape(240, -1), compute_uv=False)
     n = len(model.parameters)
     assert singular[n - 3] > 1e-6 * singular[0]
     assert (singular[n - 2 :] < 1e-12 * singular[0]).all()
@@ -150,10 +150,10 @@ def test_zero_errors_change_nothing(name: str) -> None:
     """Breaks if the effect shifts anything by itself: the model without it, to the last bit."""
     robot = ROBOTS[name]
     with_it, without = build(robot, ["geometry"]), Model(robot, ())
-    rows = robots.rows(without, robots.poses(robot, 20), marker=next(iter(robot.markers)))
+    conditions = robots.rows(without, robots.poses(robot, 20), marker=next(iter(robot.markers)))
     p = np.zeros(len(with_it.parameters))
-    assert (with_it.position(p, rows) == without.position(np.zeros(0), rows)).all()
-    assert (with_it.rotation(p, rows) == without.rotation(np.zeros(0), rows)).all()
+    assert (with_it.position(p, conditions) == without.position(np.zeros(0), conditions)).all()
+    assert (with_it.rotation(p, conditions) == without.rotation(np.zeros(0), conditions)).all()
 
 
 @pytest.fixture(scope="module")
@@ -171,11 +171,11 @@ def test_each_error_is_a_wrong_figure(models: dict[str, Model], name: str, param
     q = robots.poses(robot, 6)
     moved = 0.0
     for k, marker in enumerate(robot.markers):
-        rows = robots.rows(model, q, marker=marker)
-        position = model.position(p, rows)
+        conditions = robots.rows(model, q, marker=marker)
+        position = model.position(p, conditions)
         assert_allclose(position, robots.marker_position(robot, q, figs, k), atol=1e-12)
         moved = max(moved, np.abs(position - robots.marker_position(robot, q, marker=k)).max())
-        assert_allclose(model.rotation(p, rows), robots.tool_rotation(robot, q, figs), atol=1e-12)
+        assert_allclose(model.rotation(p, conditions), robots.tool_rotation(robot, q, figs), atol=1e-12)
     assert (moved > 1e-4) == (not parameter.startswith("tool."))  # a tool's rotation turns it about the flange
 
 
@@ -189,8 +189,8 @@ def test_all_errors_act_together(models: dict[str, Model]) -> None:
             for kind, wrong in perturbed(robot, parameter.name, value).items():
                 figs[kind] = figs[kind] + wrong - nominal[kind]
         q = robots.poses(robot, 10)
-        rows = robots.rows(model, q, marker=next(iter(robot.markers)))
-        assert_allclose(model.position(p, rows), robots.marker_position(robot, q, figs), atol=1e-12)
+        conditions = robots.rows(model, q, marker=next(iter(robot.markers)))
+        assert_allclose(model.position(p, conditions), robots.marker_position(robot, q, figs), atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -198,9 +198,11 @@ def test_derivatives_equal_central_differences(models: dict[str, Model], name: s
     """Breaks if a Jacobian's column is not that parameter's derivative, or rows and columns are swapped."""
     model, step = models[name], 3e-6
     p = np.random.default_rng(6).normal(scale=2e-3, size=len(model.parameters))
-    rows = robots.rows(model, robots.poses(model.robot, 5), marker=next(iter(model.robot.markers)))
-    jacobian = model.position_jacobian(p, rows)
+    conditions = robots.rows(model, robots.poses(model.robot, 5), marker=next(iter(model.robot.markers)))
+    jacobian = model.position_jacobian(p, conditions)
     assert jacobian.shape == (5, 3, len(p))
     for k, unit in enumerate(np.eye(len(p))):
-        wanted = (model.position(p + step * unit, rows) - model.position(p - step * unit, rows)) / (2 * step)
+        wanted = (model.position(p + step * unit, conditions) - model.position(p - step * unit, conditions)) / (
+            2 * step
+        )
         assert_allclose(jacobian[:, :, k], wanted, atol=1e-6 * max(np.abs(wanted).max(), 1e-3))

@@ -77,9 +77,9 @@ def test_measured_torques_wind_the_springs_up() -> None:
     model = build(robot, ["joint-compliance"], given=("torque",))
     q = robots.poses(robot, 10)
     measured = np.random.default_rng(7).normal(scale=50, size=q.shape)
-    rows = packed_conditions(model, q, payload, "E")
-    rows[-6:] = measured.T
-    assert_allclose(model.position(s, rows), robots.marker_position(robot, q - s * measured), atol=1e-12)
+    conditions = packed_conditions(model, q, payload, "E")
+    conditions[-6:] = measured.T
+    assert_allclose(model.position(s, conditions), robots.marker_position(robot, q - s * measured), atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -100,8 +100,8 @@ def test_derivatives_equal_central_differences(name: str) -> None:
     """Breaks if the derivative forgets that the loads change with the deflected pose."""
     robot, payload, s = ROBOTS[name]
     model = build(robot, ["joint-compliance"])
-    rows = robots.rows(model, robots.poses(robot, 5), payload)
-    jacobian = model.position_jacobian(s, rows)
+    conditions = robots.rows(model, robots.poses(robot, 5), payload)
+    jacobian = model.position_jacobian(s, conditions)
     for k, step in enumerate(np.diag(np.full(6, 1e-3 * s.max()))):
-        wanted = (model.position(s + step, rows) - model.position(s - step, rows)) / (2 * step.max())
+        wanted = (model.position(s + step, conditions) - model.position(s - step, conditions)) / (2 * step.max())
         assert_allclose(jacobian[:, :, k], wanted, atol=1e-6 * max(np.abs(wanted).max(), np.abs(jacobian).max() * 1e-2))

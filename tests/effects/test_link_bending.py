@@ -38,16 +38,16 @@ def test_an_oblique_link_that_is_round_bends_as_a_straight_one() -> None:
     straight, oblique = LinkBending(robot), LinkBending(robot, oblique=True)
     (first, *_) = [parameter.part for parameter in straight.parameters()]
     model = build(robot, ())
-    rows = robots.rows(model, robots.poses(robot, 20), "load")
+    conditions = robots.rows(model, robots.poses(robot, 20), "load")
     size = 1e-7
 
     def points(effect: LinkBending, values: dict[str, float]) -> np.ndarray:
         whole = Model(robot, (effect,))
         p, c = ca.SX.sym("p", len(whole.parameters)), ca.SX.sym("c", whole.n_conditions)
         at = ca.Function("at", [p, c], [ca.densify(whole.expression(p, c).position)])
-        return over_rows(at, np.array([values.get(q.symbol, 0.0) * (q.part == first) for q in effect.declared]), rows)[
-            0
-        ]
+        return over_rows(
+            at, np.array([values.get(q.symbol, 0.0) * (q.part == first) for q in effect.declared]), conditions
+        )[0]
 
     span = spans(robot)[0]
     u = np.array(span.span).ravel() / span.length

@@ -85,12 +85,12 @@ def test_hysteresis_says_its_travel_in_the_units_of_the_joints():
 def test_a_slides_backlash_moves_it_by_metres():
     """Fails if a slide's play does not shift what it carries by half of it."""
     model = build(GANTRY, ["joint-backlash"], given=("approach",))
-    rows = packed_conditions(model, np.array([[0.5, 0.5, 0.1, 0.2, 0.3, 0.4]]), "", "tool")
-    rows[-6:, 0] = [1, -1, 1, 1, 1, 1]
-    at = model.position(np.zeros(6), rows)
+    conditions = packed_conditions(model, np.array([[0.5, 0.5, 0.1, 0.2, 0.3, 0.4]]), "", "tool")
+    conditions[-6:, 0] = [1, -1, 1, 1, 1, 1]
+    at = model.position(np.zeros(6), conditions)
     for joint, sign in ((0, 1.0), (1, -1.0)):
         p = 2e-3 * (np.arange(6) == joint)
-        ahead = rows.copy()
+        ahead = conditions.copy()
         ahead[joint] += sign * 1e-3
-        np.testing.assert_allclose(model.position(p, rows), model.position(np.zeros(6), ahead), atol=1e-15)
-        assert np.linalg.norm(model.position(p, rows) - at) == pytest.approx(1e-3)
+        np.testing.assert_allclose(model.position(p, conditions), model.position(np.zeros(6), ahead), atol=1e-15)
+        assert np.linalg.norm(model.position(p, conditions) - at) == pytest.approx(1e-3)

@@ -77,7 +77,7 @@ def test_effects_are_drawn_against_what_explains_them(benches: dict[str, Bench],
     shown = [found.variable(joint) for joint in joints]
     values = ca.vertcat(*(variable.value(loads, row) for variable in shown))
     found_at = over_rows(
-        ca.Function("variables", [model.symbols[0], c], [ca.densify(values)]), np.zeros(0), bench.table.rows
+        ca.Function("variables", [model.symbols[0], c], [ca.densify(values)]), np.zeros(0), bench.table.conditions
     )
     unit, expected = AGAINST[effect]
     for joint, variable, value in zip(joints, shown, found_at[0], strict=True):

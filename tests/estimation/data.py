@@ -21,10 +21,10 @@ def measured(
     """Random poses of a model with true values, with noise, all to be fitted."""
     robot = model.robot
     payload = next(iter(robot.payloads), "")
-    readings, rows = candidates(model, poses, payload, next(iter(robot.markers)), None, rng)
+    readings, conditions = candidates(model, poses, payload, next(iter(robot.markers)), None, rng)
     blocks = []
     for repeat in range(1, repeats + 1):
-        position = model.position(truth, rows) + sigma * rng.standard_normal((poses, 3))
+        position = model.position(truth, conditions) + sigma * rng.standard_normal((poses, 3))
         block = pd.DataFrame(readings, columns=[f"q{i + 1}" for i in range(robot.n_joints)])
         block[["x", "y", "z"]] = position
         blocks.append(block.assign(pose=np.arange(poses), repeat=repeat))

@@ -22,7 +22,7 @@ def seen():
     q = poses(robot, 12)
     model = build(robot, ("geometry",))
     data = Measurements.from_arrays(robot, q, np.zeros((12, 3)))
-    position = model.position(model.nominal, data.rows)
+    position = model.position(model.nominal, data.conditions)
     rng = np.random.default_rng(1)
     position += 1e-4 * rng.standard_normal(position.shape)
     data = Measurements.from_arrays(robot, q, position)
@@ -43,7 +43,7 @@ def test_residuals_are_whitened_by_the_covariance(seen):
     model, data = seen
     problem = LeastSquares.of(model, data, stated_noise(data))
     residual, _ = problem.reduced(model.nominal)
-    error = model.position(model.nominal, data.rows) - data.position
+    error = model.position(model.nominal, data.conditions) - data.position
     whitened = np.array(
         [np.linalg.solve(np.linalg.cholesky(covariance(x)), e) for x, e in zip(data.position, error, strict=True)]
     )

@@ -28,7 +28,7 @@ def data():
 def test_what_the_model_leaves_is_in_its_certainty(data):
     """Fails if positions are said to be certain to the parameters alone where the fit leaves ten times the noise."""
     known = fit_effects(replace(data, table=data.table.assign(sigma=SIGMA)), ("geometry",), starts=1).known
-    sd = np.sqrt(position_variance(known, data.rows))
+    sd = np.sqrt(position_variance(known, data.conditions))
     assert known.discrepancy[METRE] == pytest.approx(2e-4, rel=0.2)
     assert (sd > known.discrepancy[METRE]).all()
     assert (sd < 2 * known.discrepancy[METRE]).all()
@@ -37,4 +37,4 @@ def test_what_the_model_leaves_is_in_its_certainty(data):
 def test_a_noise_that_only_the_fit_tells_is_in_it_too(data):
     """Fails if an incomplete model looks certain because its errors pass for noise."""
     known = fit_effects(data, ("geometry",), starts=1).known
-    assert (np.sqrt(position_variance(known, data.rows)) > 1.5e-4).all()
+    assert (np.sqrt(position_variance(known, data.conditions)) > 1.5e-4).all()

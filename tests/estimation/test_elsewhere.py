@@ -33,7 +33,7 @@ def without(found, data, pose):
     """The errors of one pose, all others fitted anew."""
     model, rest = found.model, data.only(np.arange(len(data)) != pose)
     again, _ = fit(LeastSquares.of(model, rest, stated(rest)))
-    return (model.point(again.estimate, data.rows) - data.position)[pose]
+    return (model.point(again.estimate, data.conditions) - data.position)[pose]
 
 
 def test_it_is_what_refits_without_each_pose_err_by():
@@ -42,7 +42,7 @@ def test_it_is_what_refits_without_each_pose_err_by():
     missed = np.array([without(found, data, pose) for pose in range(POSES)])
     covered = []
     for pose in range(POSES):
-        jacobian = found.model.point_jacobian(found.estimate, data.rows[:, [pose]])[0] / SIGMA
+        jacobian = found.model.point_jacobian(found.estimate, data.conditions[:, [pose]])[0] / SIGMA
         covered.append(np.trace(np.linalg.inv(np.eye(3) - jacobian @ found.covariance @ jacobian.T)) / 3)
     more = (missed**2).mean() / (SIGMA**2 * np.mean(covered)) - 1
     expected = SIGMA * np.sqrt(more * np.median(covered))

@@ -52,7 +52,7 @@ def test_data_almost_without_noise_are_fitted_as_fast(model, sigma):
         result, _ = fit(problem(model, data := measured(model, truth, 80, rng, sigma=sigma), sigma))
         assert result.converged
         assert result.iterations < 50
-        left = model.position(result.estimate, data.rows) - model.position(truth, data.rows)
+        left = model.position(result.estimate, data.conditions) - model.position(truth, data.conditions)
         assert np.abs(left).max() < 3 * sigma
 
 
@@ -93,7 +93,7 @@ def test_robust_losses_withstand_outliers(model, loss):
     probe = measured(model, truth, 50, rng, sigma=0.0)
 
     def error(result):
-        return np.linalg.norm(model.position(result.estimate, probe.rows) - probe.position, axis=1).mean()
+        return np.linalg.norm(model.position(result.estimate, probe.conditions) - probe.position, axis=1).mean()
 
     plain, robust = fit(problem(model, data))[0], fit(problem(model, data), loss=loss)[0]
     assert error(robust) < 3 * SIGMA
@@ -107,13 +107,13 @@ def test_a_full_pose_fixes_the_tools_orientation():
     model = build(robot, ("geometry",))
     truth = drawn_truth(model, rng)
     data = measured(model, truth, 40, rng)
-    turned = Rotation.from_matrix(model.rotation(truth, data.rows)) * Rotation.from_rotvec(
+    turned = Rotation.from_matrix(model.rotation(truth, data.conditions)) * Rotation.from_rotvec(
         1e-4 * rng.standard_normal((40, 3))
     )
     data.table[["rx", "ry", "rz"]] = turned.as_euler("XYZ")
     data.table["sigma_rotation"] = 1e-4
     result, _ = fit(problem(model, data))
-    fresh = measured(model, truth, 30, rng).rows
+    fresh = measured(model, truth, 30, rng).conditions
     off = Rotation.from_matrix(model.rotation(result.estimate, fresh)).inv() * Rotation.from_matrix(
         model.rotation(truth, fresh)
     )

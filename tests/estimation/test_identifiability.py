@@ -55,7 +55,7 @@ def test_a_joint_that_never_moves_is_told():
     truth = drawn_truth(model, rng)
     data = measured(model, truth, 60, rng)
     data.table["q5"] = 0.5
-    data.table[["x", "y", "z"]] = model.position(truth, data.rows)
+    data.table[["x", "y", "z"]] = model.position(truth, data.conditions)
     found = identifiability(fit(problem(model, data))[0])
     assert found.rank < 29
     assert found.statements["parameters"].str.contains("joint5").any()

@@ -111,12 +111,12 @@ def test_predictions_take_no_jacobian_of_all_rows(small, monkeypatch):
     """Fails if a file of a million rows to predict is refused by the machine's memory, or its parts are not those of the rows."""
     data, result = small
     known = CalibratedModel(result.model, result.estimate, result.covariance, result.at_bound, (), PerUnit(), "linear")
-    rows = {k: np.tile(data.rows, (1, k)) for k in TIMES}
+    conditions = {k: np.tile(data.conditions, (1, k)) for k in TIMES}
     monkeypatch.setattr(certainty, "PART_ROWS", ALL)
-    whole = parameter_variance(known, rows[TIMES[0]])
+    whole = parameter_variance(known, conditions[TIMES[0]])
     monkeypatch.setattr(certainty, "PART_ROWS", FEW)
-    assert_allclose(parameter_variance(known, rows[TIMES[0]]), whole, rtol=1e-9)
-    assert growth(lambda k: parameter_variance(known, rows[k]), len(data)) < 8 * 3 * len(result.estimate) / 2
+    assert_allclose(parameter_variance(known, conditions[TIMES[0]]), whole, rtol=1e-9)
+    assert growth(lambda k: parameter_variance(known, conditions[k]), len(data)) < 8 * 3 * len(result.estimate) / 2
 
 
 def growth(done: Callable[[int], object], n_rows: int) -> float:

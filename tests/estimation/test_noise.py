@@ -55,7 +55,7 @@ def test_p_values_of_a_true_model_are_uniform(model):
         data = measured(model, drawn_truth(model, rng), 40, rng, repeats=2)
         means, level = averaged(data, stated(data))
         result, _ = fit(LeastSquares.of(model, means, level))
-        error = model.position(result.estimate, means.rows) - means.position
+        error = model.position(result.estimate, means.conditions) - means.position
         p.append(lack_of_fit(error.ravel(), np.repeat(level.sigma, 3), result.effective_parameters).p)
     assert kstest(p, "uniform").pvalue > 1e-3
 
@@ -71,7 +71,7 @@ def test_the_discrepancy_of_a_model_is_found(model):
     assert len(means) == 120
     for _ in range(3):
         result, _ = fit(LeastSquares.of(model, means, level))
-        error = model.position(result.estimate, means.rows) - means.position
+        error = model.position(result.estimate, means.conditions) - means.position
         lack = lack_of_fit(error.ravel(), np.repeat(level.sigma, 3), result.effective_parameters)
         level = replace(level, discrepancy=PerUnit().having(METRE, lack.discrepancy))
     assert lack.p < 1e-6
@@ -99,7 +99,7 @@ def test_moving_a_little_between_repeats_is_not_noise(model):
     rng = np.random.default_rng(22)
     data = measured(model, model.nominal, 40, rng, repeats=4, sigma=0.0)
     data.table[[f"q{i + 1}" for i in range(6)]] += 1e-3 * rng.standard_normal((160, 6))
-    data.table[["x", "y", "z"]] = model.position(model.nominal, data.rows) + SIGMA * rng.standard_normal((160, 3))
+    data.table[["x", "y", "z"]] = model.position(model.nominal, data.conditions) + SIGMA * rng.standard_normal((160, 3))
     assert measured_noise(data).sigma[0] == pytest.approx(SIGMA, rel=0.15)
 
 
@@ -119,7 +119,9 @@ def test_full_poses_have_a_discrepancy_of_their_own(model):
     truth = drawn_truth(turning, rng)
     data = measured(turning, truth, 80, rng)
     off = Rotation.from_rotvec(3e-4 * rng.standard_normal((80, 3)))
-    data.table[["rx", "ry", "rz"]] = (Rotation.from_matrix(turning.rotation(truth, data.rows)) * off).as_euler("XYZ")
+    data.table[["rx", "ry", "rz"]] = (Rotation.from_matrix(turning.rotation(truth, data.conditions)) * off).as_euler(
+        "XYZ"
+    )
     data.table["sigma_rotation"] = 1e-4
     settled = fit_reweighted(turning, data, stated(data), turning.nominal[None], "linear")[1]
     assert settled.discrepancy[METRE] == 0

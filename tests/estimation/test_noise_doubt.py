@@ -18,7 +18,7 @@ def repeated(stated, seed=61, poses=40, repeats=3):
     rng = np.random.default_rng(seed)
     data = measured(model, model.nominal, poses, rng, repeats=repeats)
     data.table["sigma"] = stated
-    return data, model.position(model.nominal, data.rows) - data.position
+    return data, model.position(model.nominal, data.conditions) - data.position
 
 
 @pytest.mark.parametrize("times", [1000.0, 2.0, 0.5, 0.02])

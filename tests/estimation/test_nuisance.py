@@ -53,7 +53,7 @@ def test_a_placement_held_out_is_placed_by_its_own_rows(arm):
     assert {name: new[name] for name in old} == old
     assert len(new) == len(old) + 5
     held = distances(errors(fit.model, fit.estimate, data))[data.held_out]
-    points = model.point(estimate, data.rows)
+    points = model.point(estimate, data.conditions)
     for socket in ("0", "1"):
         own = points[(table["placement"] == "far") & (table["socket"] == socket)]
         apart = np.linalg.norm(own - own.mean(axis=0), axis=1)

@@ -58,10 +58,10 @@ def through_csv(table: pd.DataFrame) -> pd.DataFrame:
     return pd.read_csv(io.StringIO(csv_text(table)), **EXACT)
 
 
-def with_rows(data: Measurements, rows: np.ndarray, aside: np.ndarray) -> Measurements:
+def with_rows(data: Measurements, conditions: np.ndarray, aside: np.ndarray) -> Measurements:
     """The data with the positions of some rows moved aside [m]."""
     table = data.table.copy()
-    table.loc[rows, ["x", "y", "z"]] += aside
+    table.loc[conditions, ["x", "y", "z"]] += aside
     return Measurements(data.robot, table, data.notes)
 
 

@@ -73,7 +73,9 @@ def test_orientations_tell_which_axis(measured):
     robot = replace(measured.robot, base=NOWHERE, tool_rotation=(0.0, 0.0, 0.0))
     model = build(measured.robot, (), measured.given)
     seen = (
-        turn * Rotation.from_matrix(model.rotation(model.nominal, measured.rows)) * Rotation.from_rotvec([0.5, 1.0, 0])
+        turn
+        * Rotation.from_matrix(model.rotation(model.nominal, measured.conditions))
+        * Rotation.from_rotvec([0.5, 1.0, 0])
     )
     place = turn.apply(measured.position.copy())
     rx, ry, rz = seen.as_euler("XYZ").T

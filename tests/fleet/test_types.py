@@ -74,11 +74,11 @@ def test_the_types_robot_file_needs_fewer_poses(findings, tmp_path):
         truth[where[one.key]] = np.clip(one.mean, *model.bounds[where[one.key]])
     few, further = measured(model, truth, 14, rng), measured(model, truth, 60, rng)
     few = replace(few, table=few.table.assign(sigma=3e-5))
-    where_it_is = model.position(truth, further.rows)
+    where_it_is = model.position(truth, further.conditions)
     errors = []
     for robot in (hh800(), expecting):
         known = cf.identify(robot, few, EFFECTS, starts=1)
-        left = known.model.position(known.estimate, further.on(known.model.robot).rows) - where_it_is
+        left = known.model.position(known.estimate, further.on(known.model.robot).conditions) - where_it_is
         errors.append(np.linalg.norm(left, axis=1).mean())
     assert errors[1] < 0.8 * errors[0]
 

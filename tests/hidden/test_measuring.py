@@ -44,7 +44,7 @@ def measured(folder, background):
         known.model.robot, world.rows.q[MEASURED:], None, payload="full", marker="E", approach=sides
     )
     model = replace(known.model, given=rows.given)
-    off = model.point(known.estimate, rows.rows) - point[MEASURED:]
+    off = model.point(known.estimate, rows.conditions) - point[MEASURED:]
     return asked, float(np.sqrt((off**2).sum(axis=1).mean()))
 
 

@@ -59,8 +59,11 @@ def tool_error(nominal: Robot, observe: Callable[[Arm, np.random.Generator], Mea
     arm = Arm.drawn(nominal, rng)
     found = calibrated(observe(arm, rng), ("geometry",)).fit
     q = arm.random(TASK, rng)
-    rows = packed_conditions(found.model, q, "", next(iter(nominal.markers)))
-    said, jacobian = found.model.point(found.estimate, rows), found.model.point_jacobian(found.estimate, rows)
+    conditions = packed_conditions(found.model, q, "", next(iter(nominal.markers)))
+    said, jacobian = (
+        found.model.point(found.estimate, conditions),
+        found.model.point_jacobian(found.estimate, conditions),
+    )
     return Error(aligned(said, arm.tool(q)), promised(said, jacobian, found.covariance))
 
 
@@ -192,7 +195,7 @@ def left_out_in_turn(data: Measurements, effects: tuple[str, ...]) -> LeftOut:
         choices = (effects,) if effects else (("geometry",), ("geometry", "gravity-deflection"))
         found = min((calibrated(train, choice) for choice in choices), key=_bic).fit
         seconds.append(_processor() - begin)
-        points = found.model.point(found.estimate, own.on(found.model.robot).rows)
+        points = found.model.point(found.estimate, own.on(found.model.robot).conditions)
         for socket in own.table["socket"].unique():
             there = points[(own.table["socket"] == socket).to_numpy()]
             distances.append(np.linalg.norm(there - there.mean(axis=0), axis=1))

@@ -100,7 +100,7 @@ def test_other_units_are_converted(small, read):
     np.testing.assert_allclose(data.joints, np.deg2rad(q), rtol=1e-12)
     np.testing.assert_allclose(data.position, x / 1e3, rtol=1e-12)
     assert data.given == ("wrench", "torque", "time", "temperature", "order")
-    np.testing.assert_allclose(data.rows[-12:, 0], [1, 2000, 3, 4, 5000, 6, 1000, 2000, 3000, 0, 293.15, 1])
+    np.testing.assert_allclose(data.conditions[-12:, 0], [1, 2000, 3, 4, 5000, 6, 1000, 2000, 3000, 0, 293.15, 1])
 
 
 def test_a_slide_is_read_in_millimetres(small, read):
@@ -131,7 +131,7 @@ def test_names_stay_names(small, read, name):
     rows = small.rows.assign(payload=[name, ""] * 40, repeat=range(80))
     data = read(rows, robot=[("[payloads.heavy]", f'[payloads."{name}"]')])
     assert list(data.table["payload"]) == [name, ""] * 40
-    assert data.rows[3:5].sum(axis=1).tolist() == [0, 40]
+    assert data.conditions[3:5].sum(axis=1).tolist() == [0, 40]
 
 
 def test_what_may_be_left_out_is_filled_in_and_said(small, read):

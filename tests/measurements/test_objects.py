@@ -36,7 +36,7 @@ def test_arrays_make_what_a_file_makes(data, robot):
     """Fails if a column goes astray, a unit is converted again, or a label is filled in otherwise."""
     built = Measurements.from_arrays(robot, data.joints, data.position, marker="tool", **arrays(data))
     pd.testing.assert_frame_equal(built.table[list(data.table.columns)], data.table.assign(line=range(1, 81)))
-    np.testing.assert_array_equal(built.rows, data.rows)
+    np.testing.assert_array_equal(built.conditions, data.conditions)
     bare = Measurements.from_arrays(robot, data.joints.tolist(), data.position.tolist())
     assert bare.table["pose"].nunique() == 40
     assert len(bare.notes) == 2
@@ -55,7 +55,9 @@ def test_every_condition_can_be_given_as_an_array(data, robot):
     )
     assert built.given == ("approach", "travel", "wrench", "torque", "time", "temperature", "order", "range")
     expected = np.column_stack([*(more[name] for name in ("approach", "travel", "wrench", "torque")), np.arange(n)])
-    np.testing.assert_allclose(built.rows[6:-3].T, np.column_stack([expected, np.full(n, 293.0)])[:, : -1 or None])
+    np.testing.assert_allclose(
+        built.conditions[6:-3].T, np.column_stack([expected, np.full(n, 293.0)])[:, : -1 or None]
+    )
     np.testing.assert_allclose(built.rotation, turns, atol=1e-12)
     np.testing.assert_allclose(built.table["range"], np.linalg.norm(data.position - [3.0, 0.0, 1.0], axis=1))
     assert built.time_origin == 100.0

@@ -114,9 +114,9 @@ def test_planned_poses_touch_the_plane_that_is_stated():
     plane = Plane.planned(stated())
     robot = replace(ur10(), base=Base(fixed=True))
     model = build(robot, ("geometry",), (), (plane,))
-    readings, rows = candidates(model, 30, "", "E", None, np.random.default_rng(1), plane)
+    readings, conditions = candidates(model, 30, "", "E", None, np.random.default_rng(1), plane)
     assert len(readings) == 30
-    np.testing.assert_allclose(model.point(model.nominal, rows)[:, 2], -0.2, atol=2e-6)
+    np.testing.assert_allclose(model.point(model.nominal, conditions)[:, 2], -0.2, atol=2e-6)
     with pytest.raises(ValueError, match="point_mm"):
         Plane.planned(Series("plate", "plane"))
 
@@ -134,8 +134,8 @@ def test_touches_of_a_plane_and_a_wire_calibrate_a_robot():
     squared = float((found.residual**2).sum()) / (found.residual.size - found.effective_parameters)
     assert 0.6 < squared < 1.5
     q = arm.random(300, rng)
-    rows = packed_conditions(found.model, q, "", "E")
-    said, slope = found.model.point(found.estimate, rows), found.model.point_jacobian(found.estimate, rows)
+    conditions = packed_conditions(found.model, q, "", "E")
+    said, slope = found.model.point(found.estimate, conditions), found.model.point_jacobian(found.estimate, conditions)
     assert aligned(said, arm.tool(q)) < 1.5 * promised(said, slope, found.covariance)
 
 

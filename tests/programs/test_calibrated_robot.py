@@ -115,7 +115,7 @@ def inverted(flange, near):
 def truly(corrector, readings):
     """Where the flange is by the calibrated model, in the base that it found, read off where its marker is."""
     known, model = corrector.calibrated, corrector.calibrated.model
-    rows = corrector.rows(readings).rows
+    conditions = corrector.rows(readings).conditions
     parameter = dict(zip([p.name for p in model.parameters], known.estimate, strict=True))
     base = np.eye(4)
     base[:3, 3] = [parameter[f"base.{axis}"] for axis in "xyz"]
@@ -125,8 +125,8 @@ def truly(corrector, readings):
     marker = np.array(corrector.robot.markers["E"].point)
     marker = marker + [parameter[f"E.{axis}"] for axis in "xyz"]
     flange = np.tile(np.eye(4), (len(readings), 1, 1))
-    flange[:, :3, :3] = model.rotation(known.estimate, rows)
-    flange[:, :3, 3] = model.point(known.estimate, rows) - flange[:, :3, :3] @ marker
+    flange[:, :3, :3] = model.rotation(known.estimate, conditions)
+    flange[:, :3, 3] = model.point(known.estimate, conditions) - flange[:, :3, :3] @ marker
     return inverse(stands @ base) @ flange
 
 

@@ -402,8 +402,8 @@ def _measure(folder: Path, case: Case) -> pd.DataFrame:
     payload = next(iter(robot.payloads), "")
     blocks = []
     for marker in case.markers:
-        readings, rows = candidates(model, case.poses, payload, marker, None, np.random.default_rng(7))
-        exact, rotation = model.position(truth, rows), model.rotation(truth, rows)
+        readings, conditions = candidates(model, case.poses, payload, marker, None, np.random.default_rng(7))
+        exact, rotation = model.position(truth, conditions), model.rotation(truth, conditions)
         for repeat in range(1, case.repeats + 1):
             block = pd.DataFrame(readings, columns=["q1_rad", "q2_rad", "q3_rad"])
             block[["x_m", "y_m", "z_m"]] = exact + SIGMA * rng.standard_normal(exact.shape)

@@ -48,7 +48,7 @@ def test_the_figures_make_the_calibrated_robot(material: Material) -> None:
                 turned = np.deg2rad(own[symbol]) + (reading if symbol == "theta" else 0.0)
                 chain = chain @ moved(Rotation.from_euler(AXES[symbol], turned), np.zeros(3))
             chain = chain @ moved(Rotation.identity(), np.array([0, 0, own["d"] / 1e3]))
-        seen = material.calibrated.model.point(material.calibrated.estimate, material.data.rows)[k]
+        seen = material.calibrated.model.point(material.calibrated.estimate, material.data.conditions)[k]
         np.testing.assert_allclose((chain @ [*place, 1.0])[:3], seen, atol=1e-9)
     assert marker in material.calibrated.model.robot.markers
 

@@ -51,7 +51,7 @@ def test_a_follower_is_where_pinocchio_has_it(arm: Robot, csv: Path) -> None:
     assert reference.nq == 2
     there, tool = reference.createData(), reference.getFrameId("tool")
     model = build(arm, (), data.given)
-    for own, place in zip(data.joints, model.point(np.zeros(0), data.rows), strict=True):
+    for own, place in zip(data.joints, model.point(np.zeros(0), data.conditions), strict=True):
         pin.framesForwardKinematics(reference, there, own[:2])
         assert_allclose(place, there.oMf[tool].translation, atol=1e-12)
     assert not data.joints[:, 2].any()
@@ -76,18 +76,18 @@ def test_what_a_file_says_of_a_follower_is_compared(arm: Robot, csv: Path) -> No
 def test_planned_and_commanded_readings_leave_a_follower_out(arm: Robot) -> None:
     """Fails if a pose is planned or a target reached by moving a joint that has no drive."""
     model = build(arm, ())
-    readings, rows = candidates(model, 64, "", "tool", None, np.random.default_rng(1))
+    readings, conditions = candidates(model, 64, "", "tool", None, np.random.default_rng(1))
     assert not readings[:, 2].any()
     angles = readings @ arm.reading_matrix.T
     assert_allclose(angles[:, 2], MULTIPLIER * angles[:, 1])
     assert arm.within_limits(angles, 1e-6).all()
     assert reading_columns(arm) == ["q1_deg", "q2_deg"]
-    targets = Targets(model.point(np.zeros(0), rows))
+    targets = Targets(model.point(np.zeros(0), conditions))
     for start in (
         readings + np.array([0.05, -0.04, 0.0]),
-        nominal_readings(model, rows, targets, np.random.default_rng(2)),
+        nominal_readings(model, conditions, targets, np.random.default_rng(2)),
     ):
-        found = landing(model, np.zeros(0), rows, targets, start)
+        found = landing(model, np.zeros(0), conditions, targets, start)
         assert found.reached.mean() > 0.9
         assert not found.readings[:, 2].any()
 
@@ -103,7 +103,9 @@ def test_a_follower_is_exported_as_one(arm: Robot, sign: int) -> None:
     assert reference.nq == 2
     model, there = build(robot, ()), reference.createData()
     q = np.random.default_rng(1).uniform(-1, 1, (5, 2))
-    places = model.point(np.zeros(0), Measurements.from_arrays(robot, q, None, pose=np.arange(5)).stating(()).rows)
+    places = model.point(
+        np.zeros(0), Measurements.from_arrays(robot, q, None, pose=np.arange(5)).stating(()).conditions
+    )
     for own, place in zip(q, places, strict=True):
         pin.framesForwardKinematics(reference, there, own)
         assert_allclose(place, there.oMf[reference.getFrameId("marker_tool")].translation, atol=1e-12)

@@ -232,16 +232,16 @@ def test_model_stays_finite_where_the_loop_cannot_close(rod: float, rocker: floa
     robot = replace(robot, joints=joints)
     model = build(robot, ["geometry", "joint-compliance"])
     q = np.random.default_rng(4).uniform(*robot.limits.T, (300, 6))
-    rows = robots.rows(model, q, "rated")
+    conditions = robots.rows(model, q, "rated")
     p = np.concatenate([np.zeros(31), np.full(6, 1e-7)])
     crank = robot.loop.crank.length
     distance = np.abs(1.6 * np.exp(1j * q[:, 1]) - crank * np.exp(1j * q[:, 2]))
     closable = (abs(rod - rocker) < distance) & (distance < rod + rocker)
     assert not closable.all()
-    assert_allclose(np.abs(model.closure_cosine(np.zeros(37), rows)) < 1, closable)
-    assert np.isfinite(model.position(p, rows)).all()
-    assert np.isfinite(model.rotation(p, rows)).all()
-    assert np.isfinite(model.position_jacobian(p, rows)).all()
+    assert_allclose(np.abs(model.closure_cosine(np.zeros(37), conditions)) < 1, closable)
+    assert np.isfinite(model.position(p, conditions)).all()
+    assert np.isfinite(model.rotation(p, conditions)).all()
+    assert np.isfinite(model.position_jacobian(p, conditions)).all()
 
 
 @pytest.mark.parametrize("crank_angle", [-0.3, -1e-6, 0.0, 1e-6, 0.3])

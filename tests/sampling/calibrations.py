@@ -145,14 +145,14 @@ def told(case: Case, design: Design, rng: np.random.Generator) -> Told:
     further = case.data.only(case.data.held_out)
     first = further.only(further.table["marker"].to_numpy() == "E")
     for k in range(min(2, len(first))):
-        rows = first.rows[:, k : k + 1]
-        values.append(np.array([case.model.point(one, rows)[0] for one in chosen[:, :-1]]))
-        truth.append(case.model.point(case.truth, rows)[0])
+        conditions = first.conditions[:, k : k + 1]
+        values.append(np.array([case.model.point(one, conditions)[0] for one in chosen[:, :-1]]))
+        truth.append(case.model.point(case.truth, conditions)[0])
         names += [f"further pose {k + 1} {axis}" for axis in AXES]
     ranks = rank(np.hstack(values), np.concatenate(truth))
     sd = np.sqrt(np.diag(known.covariance))
     free = ~known.at_bound
-    variance = position_variance(known, further.rows)
+    variance = position_variance(known, further.conditions)
     if known.noise_known:
         variance = variance + known.noise(further).sigma[:, None] ** 2
     return Told(

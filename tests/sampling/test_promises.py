@@ -63,5 +63,5 @@ def test_the_band_holds_as_often_as_it_says():
 def test_noise_is_that_of_the_data():
     """Fails if what is drawn is not what is claimed: residuals of the true parameters have the stated noise."""
     case = Case.drawn(Design(level=0.0), np.random.default_rng(7))
-    left = case.data.position - case.model.position(case.truth, case.data.rows)
+    left = case.data.position - case.model.position(case.truth, case.data.conditions)
     assert left.std() == pytest.approx(SIGMA, rel=0.15)

@@ -58,7 +58,9 @@ def calibrations(tmp_path_factory):
         chain = tmp_path_factory.mktemp("chains") / f"{k}.h5"
         sampled = sample(known, data, Path(chain), ChainLength(max_steps=80, block=80), rng=draws(k))
         task = data.only(data.held_out)
-        found.append((case, sampled, known, task, point_errors(sampled, known, task.rows, np.random.default_rng(k))))
+        found.append(
+            (case, sampled, known, task, point_errors(sampled, known, task.conditions, np.random.default_rng(k)))
+        )
     return found
 
 
@@ -66,7 +68,7 @@ def test_true_errors_are_as_large_as_was_said(calibrations):
     """Fails if what is told is 20 % too small: in twelve poses of ten robots errors, by axis, have then an rms of 1.25."""
     z, below = [], []
     for case, _, known, task, found in calibrations:
-        error = case.model.point(case.truth, task.rows) - known.model.point(known.estimate, task.rows)
+        error = case.model.point(case.truth, task.conditions) - known.model.point(known.estimate, task.conditions)
         z.append(error / found.position.sd)
         below.append(np.linalg.norm(error, axis=1) < found.position.radius)
     assert 0.75 < np.sqrt(np.mean(np.square(z))) < 1.15
@@ -76,9 +78,9 @@ def test_true_errors_are_as_large_as_was_said(calibrations):
 def test_draws_and_the_fits_covariance_agree(calibrations):
     """Fails if what the model lacks is left out of either, or orientations are not the draws': errors here are nearly normal."""
     for _, _, known, task, found in calibrations[:4]:
-        expected = np.sqrt(position_variance(known, task.rows))
+        expected = np.sqrt(position_variance(known, task.conditions))
         np.testing.assert_allclose(found.position.sd, expected, rtol=0.25)
-        np.testing.assert_allclose(np.median(found.turn.sd / turn_sd(known, task.rows)), 1.0, atol=0.15)
+        np.testing.assert_allclose(np.median(found.turn.sd / turn_sd(known, task.conditions)), 1.0, atol=0.15)
 
 
 def test_what_was_not_measured_is_said(calibrations):

@@ -44,12 +44,12 @@ def test_a_robust_fit_stays_robust(model):
     result, level, *_ = fit_reweighted(model, data, stated(data), model.nominal[None], "cauchy")
     assert level.discrepancy[METRE] < SIGMA
     probe = measured(model, truth, 50, rng, sigma=0.0)
-    assert np.linalg.norm(model.position(result.estimate, probe.rows) - probe.position, axis=1).mean() < 2 * SIGMA
+    assert np.linalg.norm(model.position(result.estimate, probe.conditions) - probe.position, axis=1).mean() < 2 * SIGMA
     weighed = LeastSquares.of(model, data, level).reweighted(result.estimate, "cauchy")
     sampled = Laplace.of(weighed, result.estimate, result.at_bound)
     assert sampled.variance < 2
     again, _ = fit(weighed)
-    assert np.linalg.norm(model.position(again.estimate, probe.rows) - probe.position, axis=1).mean() < 2 * SIGMA
+    assert np.linalg.norm(model.position(again.estimate, probe.conditions) - probe.position, axis=1).mean() < 2 * SIGMA
 
 
 def test_residuals_are_whitened_by_the_noise_that_is_returned(model):

@@ -40,8 +40,8 @@ def differences(path: Path, tip: str, robot: Robot, rng: np.random.Generator) ->
     places = np.array([_frame(chain, row) @ np.append(point, 1) for row in q])[:, :3]
     if robot.base.known and not any(robot.base.origin):
         model = build(robot, ())
-        rows = Measurements.from_arrays(robot, q, None, payload="").rows
-        off = np.abs(model.position(model.nominal, rows) - places).max() / max(1.0, np.abs(places).max())
+        conditions = Measurements.from_arrays(robot, q, None, payload="").conditions
+        off = np.abs(model.position(model.nominal, conditions) - places).max() / max(1.0, np.abs(places).max())
         if off > 1e-9:
             yield f"the marker is {off:g} m off"
 

@@ -186,7 +186,7 @@ class Attained:
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements) -> Attained:
         """Bring rows together; the nominal model is the robot as its maker says, placed where the calibration had it."""
-        rows = data.stating(calibrated.model.given).on(calibrated.model.robot).rows
+        rows = data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
         group = np.unique(conditions(data), return_inverse=True)[1]
         count = np.bincount(group)
         first = np.unique(group, return_index=True)[1]
@@ -298,10 +298,10 @@ class AttainedTurns:
         calibrated: CalibratedModel,
         estimates: Mapping[str, np.ndarray],
         data: Measurements,
-        rows: np.ndarray,
+        conditions: np.ndarray,
         own: Sequence[np.ndarray],
     ) -> AttainedTurns | None:
-        """Bring rows (packed, (n_conditions, n_rows)) together, own holding those of each point; None without orientations."""
+        """Bring packed conditions (n_conditions, n_rows) together, own holding those of each point; None without orientations."""
         if data.rotation is None or not np.isfinite(data.rotation).all():
             return None
         seen = Rotation.from_matrix(data.rotation)
@@ -309,7 +309,7 @@ class AttainedTurns:
         about = [(seen[k] * mean.inv()).as_rotvec() for k, mean in zip(own, means, strict=True)]
         expected = {}
         for name, p in estimates.items():
-            every = Rotation.from_matrix(calibrated.model.rotation(p, rows))
+            every = Rotation.from_matrix(calibrated.model.rotation(p, conditions))
             expected[name] = np.stack([every[k].mean().as_matrix() for k in own])
         return AttainedTurns(
             np.stack([mean.as_matrix() for mean in means]), expected, np.stack([angle_repeatability(a) for a in about])

@@ -38,16 +38,16 @@ MOST = 0.5  # share of the variance of a turn that no measurement told of, from 
 ROWS = 100  # of which that is worked out
 
 
-def turn_sd(calibrated: CalibratedModel, rows: np.ndarray) -> np.ndarray:
+def turn_sd(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the standard deviations of the tool's turn about its own axes (n_rows, 3) [rad]."""
-    return np.sqrt(rotation_variance(calibrated, rows))
+    return np.sqrt(rotation_variance(calibrated, conditions))
 
 
-def not_known(calibrated: CalibratedModel, rows: np.ndarray) -> list[str]:
+def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
     """Say what nobody measured of the orientation in rows (n_conditions, n_rows)."""
     if any(isinstance(observation, Pose) for observation in calibrated.model.observations):
         return []
-    few = rows[:, np.unique(np.linspace(0, rows.shape[1] - 1, ROWS).astype(int))]
+    few = conditions[:, np.unique(np.linspace(0, conditions.shape[1] - 1, ROWS).astype(int))]
     typical = np.sqrt((turn_sd(calibrated, few) ** 2).mean(axis=0))
     robot = calibrated.model.robot
     turned = "turned by tool_rotation_deg of the robot file" if robot.tool_rotation else "as it is"
@@ -77,7 +77,7 @@ class Clearance:
     singular: np.ndarray
 
 
-def clearance(model: Model, rows: np.ndarray, oriented: bool) -> Clearance:
+def clearance(model: Model, conditions: np.ndarray, oriented: bool) -> Clearance:
     """Return the clearance of packed rows (n_conditions, n) by the nominal robot.
 
     The distance to a singularity is that to first order: the least singular value of the tool's Jacobian over its steepest
@@ -85,15 +85,15 @@ def clearance(model: Model, rows: np.ndarray, oriented: bool) -> Clearance:
     only the Jacobian of the tool's point counts.
     """
     robot = model.robot
-    q = rows[: robot.n_joints].T @ robot.reading_matrix.T
+    q = conditions[: robot.n_joints].T @ robot.reading_matrix.T
     share = room(robot, q)
     joint = share.argmin(axis=1)
     low, high = robot.stops.T
     limit = np.take_along_axis(np.minimum(q - low, high - q), joint[:, None], axis=1)[:, 0]
-    return Clearance(joint, limit, _to_singularity(Model(robot, (), model.given), rows, oriented))
+    return Clearance(joint, limit, _to_singularity(Model(robot, (), model.given), conditions, oriented))
 
 
-def _to_singularity(rigid: Model, rows: np.ndarray, oriented: bool) -> np.ndarray:
+def _to_singularity(rigid: Model, conditions: np.ndarray, oriented: bool) -> np.ndarray:
     p, c, predicted = rigid.symbols
     readings = c[: rigid.robot.n_joints]
     moved = np.where(np.isin(np.arange(rigid.robot.n_joints), rigid.robot.external), 0.0, 1.0)
@@ -106,10 +106,10 @@ def _to_singularity(rigid: Model, rows: np.ndarray, oriented: bool) -> np.ndarra
     jacobian = ca.Function("jacobian", [p, c], [ca.densify(slope.T)])
     change = ca.Function("change", [p, c, ca.vertcat(u, v)], [ca.densify(steepest.T)])
     none = np.zeros(0)
-    found = over_rows(jacobian, none, rows)[0].T.reshape(rows.shape[1], *slope.shape)
+    found = over_rows(jacobian, none, conditions)[0].T.reshape(conditions.shape[1], *slope.shape)
     left, sizes, right = np.linalg.svd(found, full_matrices=False)
     directions = np.hstack([left[:, :, -1], right[:, -1]])
-    slopes = np.linalg.norm(over_rows(change, none, rows, directions.T)[0], axis=0)
+    slopes = np.linalg.norm(over_rows(change, none, conditions, directions.T)[0], axis=0)
     return np.asarray(np.divide(sizes[:, -1], slopes, out=np.full(len(slopes), np.inf), where=slopes > 0))
 
 
@@ -118,28 +118,32 @@ ROUNDS = 4  # each leaves of the field what it changes by over its own correctio
 
 
 def field_landing(
-    calibrated: CalibratedModel, rows: np.ndarray, targets: Targets, start: np.ndarray, begun: np.ndarray | None = None
+    calibrated: CalibratedModel,
+    conditions: np.ndarray,
+    targets: Targets,
+    start: np.ndarray,
+    begun: np.ndarray | None = None,
 ) -> Landing:
     """Return the readings nearest to a start that land on targets, by the model and its residual field (see `landing`)."""
-    found = landing(calibrated.model, calibrated.estimate, rows, targets, start, begun)
+    found = landing(calibrated.model, calibrated.estimate, conditions, targets, start, begun)
     if calibrated.field is None:
         return found
     for _ in range(ROUNDS):
         aims = replace(targets, position=targets.position - calibrated.field.correction(found.readings))
-        found = landing(calibrated.model, calibrated.estimate, rows, aims, start, found.readings)
+        found = landing(calibrated.model, calibrated.estimate, conditions, aims, start, found.readings)
     return found
 
 
 def landing_from_elsewhere(
-    calibrated: CalibratedModel, rows: np.ndarray, targets: Targets, rng: np.random.Generator
+    calibrated: CalibratedModel, conditions: np.ndarray, targets: Targets, rng: np.random.Generator
 ) -> tuple[Landing, np.ndarray]:
     """Return the best landing of each target from starts anywhere within the limits, and the nominal robot's readings beside it."""
     rigid = Model(calibrated.model.robot, (), calibrated.model.given)
-    starts = near(rigid, rows, targets, rng)[:, :ELSEWHERE_TRIED]
+    starts = near(rigid, conditions, targets, rng)[:, :ELSEWHERE_TRIED]
     every = np.repeat(np.arange(len(targets)), starts.shape[1])
-    landed = field_landing(calibrated, rows[:, every], targets.only(every), starts.reshape(len(every), -1))
+    landed = field_landing(calibrated, conditions[:, every], targets.only(every), starts.reshape(len(every), -1))
     found = landed.only(best_of(calibrated.model.robot, landed, starts.shape[1]))
-    return found, landing(rigid, np.zeros(0), rows, targets, found.readings).readings
+    return found, landing(rigid, np.zeros(0), conditions, targets, found.readings).readings
 
 
 SAME_TRAVEL = 1e-4  # rad or m
@@ -246,13 +250,15 @@ def compensate_rows(
     ways = ways and bool({"approach", "travel"} & set(stated.data.given))
     rng, free = np.random.default_rng(seed), start is None
     if start is None:
-        start = nominal_readings(stated.calibrated.model, stated.data.rows, targets, rng)
+        start = nominal_readings(stated.calibrated.model, stated.data.conditions, targets, rng)
     stated = _led(stated, start, ways)
-    found = field_landing(stated.calibrated, stated.data.rows, targets, start)
+    found = field_landing(stated.calibrated, stated.data.conditions, targets, start)
     elsewhere = np.zeros(len(data), dtype=bool)
     if not found.reached.all():
         left = np.flatnonzero(~found.reached)
-        other, nominal = landing_from_elsewhere(stated.calibrated, stated.data.rows[:, left], targets.only(left), rng)
+        other, nominal = landing_from_elsewhere(
+            stated.calibrated, stated.data.conditions[:, left], targets.only(left), rng
+        )
         got = left[other.reached]
         if free:
             found, start = found.with_rows(got, other.only(other.reached)), start.copy()
@@ -264,8 +270,8 @@ def compensate_rows(
         settled = _same_way(before.data, stated.data)
         if settled.all():
             break
-        rows, aims = stated.data.rows[:, ~settled], targets.only(~settled)
-        again = field_landing(stated.calibrated, rows, aims, start[~settled], found.readings[~settled])
+        conditions, aims = stated.data.conditions[:, ~settled], targets.only(~settled)
+        again = field_landing(stated.calibrated, conditions, aims, start[~settled], found.readings[~settled])
         found = found.with_rows(~settled, again)
     return _judged(stated, targets, start, found, ways, settled, elsewhere)
 
@@ -313,15 +319,15 @@ def _judged(
     calibrated, model = stated.calibrated, stated.calibrated.model
     oriented = targets.rotation is not None
 
-    def misses(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        rotation = model.rotation(calibrated.estimate, rows) if oriented else None
-        lacking = targets.lacking(expected_point(calibrated, rows), rotation)
+    def misses(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        rotation = model.rotation(calibrated.estimate, conditions) if oriented else None
+        lacking = targets.lacking(expected_point(calibrated, conditions), rotation)
         return np.linalg.norm(lacking[:, :3], axis=1), np.linalg.norm(lacking[:, 3:], axis=1)
 
     data = _led(stated, found.readings, ways).data
-    remaining, turned = misses(data.rows)
-    nominal_miss, nominal_turned = misses(_led(stated, start, ways).data.rows)
-    clear = clearance(model, data.rows, oriented)
+    remaining, turned = misses(data.conditions)
+    nominal_miss, nominal_turned = misses(_led(stated, start, ways).data.conditions)
+    clear = clearance(model, data.conditions, oriented)
     names, lost = data.table["pose"].astype(str).to_numpy(), ~found.reached
     notes = [
         *_of_rows(f"not reached within the joint limits, from {ELSEWHERE_TRIED} other starts neither", lost & ~elsewhere, names),
@@ -335,15 +341,15 @@ def _judged(
         ),
         *_of_rows("a joint moves there by so little that its side of approach hangs on the correction itself", ~settled, names),
         *stated.notes,
-        *of_field(calibrated, data.rows),
-        *(not_known(calibrated, data.rows) if oriented else ()),
+        *of_field(calibrated, data.conditions),
+        *(not_known(calibrated, data.conditions) if oriented else ()),
     ]  # fmt: skip
     return Compensation(
         found.readings, remaining, turned, found.reached,
-        np.sqrt(position_variance(calibrated, data.rows) + stated.widened),
-        turn_sd(calibrated, data.rows) if oriented else None,
+        np.sqrt(position_variance(calibrated, data.conditions) + stated.widened),
+        turn_sd(calibrated, data.conditions) if oriented else None,
         start, nominal_miss, nominal_turned, clear, data, tuple(notes),
-        field_correction(calibrated, data.rows) if calibrated.field else None,
+        field_correction(calibrated, data.conditions) if calibrated.field else None,
     )  # fmt: skip
 
 

@@ -135,7 +135,7 @@ def settling(
     payload, marker = (str(data.table[name].iloc[0]) for name in ("payload", "marker"))
     bare = replace(calibrated, model=replace(calibrated.model, given=()), alternatives=())
     try:
-        readings, rows = candidates(bare.model, CANDIDATES, payload, marker, None, rng)
+        readings, conditions = candidates(bare.model, CANDIDATES, payload, marker, None, rng)
     except InputError:
         return None
     model = bare.model
@@ -149,7 +149,7 @@ def settling(
         slope = own.slope * own.sd / sigma
         chosen = greedy(slope, np.diag((own.sd / best.sd) ** 2), FEW, ParameterCriterion(len(own.sd)))
         return Settling(readings[chosen], payload, marker, float("nan"))
-    open_ = _left_open(calibrated, data, check, bare, rows, sigma, fitted)
+    open_ = _left_open(calibrated, data, check, bare, conditions, sigma, fitted)
     every = [best, *rivals[:MOST_RIVALS]]
     criteria, pairs = {}, []
     for k, rival in enumerate(every[1:], start=1):
@@ -168,19 +168,19 @@ def _left_open(
     data: Measurements,
     check: CheckProblem,
     bare: CalibratedModel,
-    rows: np.ndarray,
+    conditions: np.ndarray,
     sigma: float,
     fitted: bool,
 ) -> _Slopes:
     """The parameters in units of what the calibration knows of them, and the device's frame where it is fitted."""
     values, vectors = np.linalg.eigh(calibrated.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    before = data.stating(calibrated.model.given).on(calibrated.model.robot).rows
+    before = data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
     slope = np.einsum("nm,mai->nai", check.share, calibrated.model.point_jacobian(calibrated.estimate, before)) @ root
     seen = slope.reshape(len(check.error), -1) / np.sqrt(np.repeat(check.own, 3))[:, None]
-    new = bare.model.point_jacobian(calibrated.estimate, rows) @ root / sigma
+    new = bare.model.point_jacobian(calibrated.estimate, conditions) @ root / sigma
     if fitted:  # the further poses are measured in a frame of their own
-        frame = rigid_slope(bare.model.point(calibrated.estimate, rows)) * ANYWHERE / sigma
+        frame = rigid_slope(bare.model.point(calibrated.estimate, conditions)) * ANYWHERE / sigma
         seen = np.hstack([seen, np.zeros((len(seen), 6))])
         new = np.concatenate([new, frame], axis=2)
     return _Slopes(seen, new)
@@ -530,8 +530,8 @@ def unmoved(calibrated: CalibratedModel, data: Measurements) -> Measurements:
     """
     at_once = {name: data.table[name].iloc[0] for name in ("session", "time") if name in data.table}
     data = replace(data, table=data.table.assign(**at_once))
-    rows = data.stating(calibrated.model.given).on(calibrated.model.robot).rows
-    there = calibrated.model.point(calibrated.estimate, rows)
+    conditions = data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
+    there = calibrated.model.point(calibrated.estimate, conditions)
     return replace(data, table=data.table.assign(**dict(zip(POSITION, there.T, strict=True))))
 
 

@@ -68,24 +68,24 @@ class Exported:
     without: tuple[NotExported, ...]
 
 
-def exported(calibrated: CalibratedModel, rows: np.ndarray) -> Exported:
+def exported(calibrated: CalibratedModel, conditions: np.ndarray) -> Exported:
     """Return a calibrated model's robot, and what leaving the other effects out costs at packed rows (n_conditions, n)."""
     model, p = calibrated.model, calibrated.estimate
     kept = [effect for effect in model.effects if is_of_figures(effect)]
     others = [effect for effect in model.effects if effect not in kept]
     robot = _with(model.robot, _dimensions(model, kept, p))
-    every = expected_point(calibrated, rows)
-    bare = Model(robot, (), model.given).point(np.zeros(0), rows)
+    every = expected_point(calibrated, conditions)
+    bare = Model(robot, (), model.given).point(np.zeros(0), conditions)
     costs = [cost_without(EVERYTHING, (), every, bare)]
     for name in dict.fromkeys(effect.id for effect in others):
         own = [effect for effect in others if effect.id == name]
         rest = [effect for effect in model.effects if effect not in own]
         lean = replace(model, effects=tuple(rest))
-        without = lean.point(np.concatenate([p[:0], *(p[model.columns(part)] for part in lean.parts)]), rows)
+        without = lean.point(np.concatenate([p[:0], *(p[model.columns(part)] for part in lean.parts)]), conditions)
         parts = dict.fromkeys(one.part for effect in own for one in effect.declared)
-        costs.append(cost_without(name, tuple(parts), model.point(p, rows), without))
+        costs.append(cost_without(name, tuple(parts), model.point(p, conditions), without))
     if calibrated.field:
-        costs.append(cost_without(f"residual field ({NOT_PHYSICAL})", (), every, model.point(p, rows)))
+        costs.append(cost_without(f"residual field ({NOT_PHYSICAL})", (), every, model.point(p, conditions)))
     lost = tuple(one for one in costs if one.max_mm > 0)  # what only the measuring device does costs nothing
     return Exported(robot, model.robot, lost if others or calibrated.field else ())
 
@@ -253,7 +253,7 @@ class Export:
 
 
 def export(
-    calibrated: CalibratedModel, to: Format, *, rows: np.ndarray | None = None, maker: Robot | None = None,
+    calibrated: CalibratedModel, to: Format, *, conditions: np.ndarray | None = None, maker: Robot | None = None,
     drives: Mapping[str, Drive] | None = None,
 ) -> Export:  # fmt: skip
     """Return a calibrated model in a format; notes say what the format cannot hold, and what that costs in mm.
@@ -261,23 +261,23 @@ def export(
     Args:
         calibrated: the calibrated model.
         to: the format; dh is a robot file with the calibrated figures in the place of the maker's.
-        rows: packed conditions (n_conditions, n) of the measured rows, over which costs are told; those of random poses within the
-            joint limits where it is None.
+        conditions: packed conditions (n_conditions, n) of the measured rows, over which costs are told; those of random poses
+            within the joint limits where it is None.
         maker: the robot as its file has it, where the calibration placed base, tool or markers elsewhere before it began.
         drives: of a URDF, what moves each joint, by its name in the robot.
 
     Raises:
         InputError: the robot's frames cannot be stated in it.
     """
-    if rows is None:
+    if conditions is None:
         calibrated = replace(calibrated, model=replace(calibrated.model, given=()))
-        rows = _anywhere(calibrated.model)
-    found = exported(calibrated, rows)
+        conditions = _anywhere(calibrated.model)
+    found = exported(calibrated, conditions)
     if to == "dh":
         notes, lost = _said(found.without), found.without
         return Export(found.robot.toml_text(), notes, lost)
     if to == "controller":
-        lost = (*found.without, _zeros_alone(calibrated, found, rows))
+        lost = (*found.without, _zeros_alone(calibrated, found, conditions))
         table = to_frame(controller_figures(maker or found.nominal, found.robot), ControllerFigure)
         return Export(csv_text(table), _said(lost), lost)
     chain = rigid_chain(found.robot)
@@ -293,8 +293,8 @@ def _anywhere(model: Model) -> np.ndarray:
     """Packed rows (n_conditions, n) at random poses under the heaviest payload."""
     payloads = model.robot.payloads
     heaviest = max(payloads, key=lambda name: payloads[name].mass or 0.0, default="")
-    _, rows = candidates(model, POSES, heaviest, next(iter(model.robot.markers)), None, np.random.default_rng(1))
-    return rows
+    _, conditions = candidates(model, POSES, heaviest, next(iter(model.robot.markers)), None, np.random.default_rng(1))
+    return conditions
 
 
 def _written(chain: RigidChain, calibrated: CalibratedModel, found: Exported, notes: Sequence[str], to: Format) -> str:
@@ -315,7 +315,7 @@ def _heading(notes: Sequence[str]) -> str:
     return "; ".join(("calibrated figures, SI units", *notes))
 
 
-def _zeros_alone(calibrated: CalibratedModel, found: Exported, rows: np.ndarray) -> NotExported:
+def _zeros_alone(calibrated: CalibratedModel, found: Exported, conditions: np.ndarray) -> NotExported:
     """What is lost where a controller takes joint zeros, base and tool, and has its own lengths and twists."""
     joints = tuple(
         replace(mine, frame=replace(mine.frame, turn=theirs.frame.turn))
@@ -323,12 +323,15 @@ def _zeros_alone(calibrated: CalibratedModel, found: Exported, rows: np.ndarray)
     )
     zeros = replace(found.robot, joints=joints, loop=found.nominal.loop)
     return cost_without(
-        ALL_BUT_ZEROS, (), _points(calibrated.model, found.robot, rows), _points(calibrated.model, zeros, rows)
+        ALL_BUT_ZEROS,
+        (),
+        _points(calibrated.model, found.robot, conditions),
+        _points(calibrated.model, zeros, conditions),
     )
 
 
-def _points(model: Model, robot: Robot, rows: np.ndarray) -> np.ndarray:
-    return Model(robot, (), model.given).point(np.zeros(0), rows)
+def _points(model: Model, robot: Robot, conditions: np.ndarray) -> np.ndarray:
+    return Model(robot, (), model.given).point(np.zeros(0), conditions)
 
 
 def _said(lost: Sequence[NotExported]) -> tuple[str, ...]:

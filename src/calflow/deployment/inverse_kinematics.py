@@ -125,7 +125,7 @@ def targets_in_measuring_frame(
     names: Sequence[str],
     frames: Mapping[str, TargetFrameTable],
     calibrated: CalibratedModel,
-    rows: np.ndarray,
+    conditions: np.ndarray,
 ) -> Targets:
     """Return targets, each stated in the frame of a name, in the measuring frame.
 
@@ -148,19 +148,19 @@ def targets_in_measuring_frame(
     placed[:, :3, :3], placed[:, :3, 3] = turn, [frame.origin for frame in stated]
     of_base = np.array([frame.within == BASE for frame in stated])
     if of_base.any():
-        placed[of_base] = base_placement(calibrated, rows[:, of_base]) @ placed[of_base]
+        placed[of_base] = base_placement(calibrated, conditions[:, of_base]) @ placed[of_base]
     turn, origin = placed[:, :3, :3], placed[:, :3, 3]
     position = np.einsum("nij,nj->ni", turn, targets.position) + origin
     return Targets(position, None if targets.rotation is None else turn @ targets.rotation)
 
 
-def base_placement(calibrated: CalibratedModel, rows: np.ndarray) -> np.ndarray:
+def base_placement(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return where the calibration found the robot's base in the measuring frame, shape (n_rows, 4, 4)."""
     p, c, predicted = calibrated.model.symbols
     base = calibrated.model.robot.base
     stands = placement(ca.DM([*base.origin, *base.rotation])) @ placement(predicted.dims.base)
     function = ca.Function("base", [p, c], [ca.densify(ca.vec(stands))])
-    return over_rows(function, calibrated.estimate, rows)[0].T.reshape(-1, 4, 4).transpose(0, 2, 1)
+    return over_rows(function, calibrated.estimate, conditions)[0].T.reshape(-1, 4, 4).transpose(0, 2, 1)
 
 
 LANDED = 1e-6  # m, and rad: what is as near as this is there
@@ -199,7 +199,12 @@ class Landing:
 
 
 def landing(
-    model: Model, p: np.ndarray, rows: np.ndarray, targets: Targets, start: np.ndarray, near: np.ndarray | None = None
+    model: Model,
+    p: np.ndarray,
+    conditions: np.ndarray,
+    targets: Targets,
+    start: np.ndarray,
+    near: np.ndarray | None = None,
 ) -> Landing:
     """Return the readings nearest to a start that land on the targets.
 
@@ -211,7 +216,7 @@ def landing(
     Args:
         model: the calibrated model.
         p: its parameters (n_parameters,).
-        rows: packed conditions (n_conditions, n), whose readings are replaced.
+        conditions: packed conditions (n_conditions, n), whose readings are replaced.
         targets: where to land.
         start: readings (n, n_joints) [rad, or m] that should change least.
         near: readings from which the rounds begin, where better ones than start are known.
@@ -223,7 +228,7 @@ def landing(
     graph = _tool(model, mixed, targets.rotation is not None)
 
     def at(q: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        pose, slope = over_rows(graph, p, np.vstack([(q @ mixed.T).T, rows[n:, which]]))
+        pose, slope = over_rows(graph, p, np.vstack([(q @ mixed.T).T, conditions[n:, which]]))
         rotation = pose[3:].T.reshape(-1, 3, 3).transpose(0, 2, 1) if len(pose) > 3 else None
         return targets.only(which).lacking(pose[:3].T, rotation), slope.T.reshape(len(q), -1, n)
 
@@ -312,16 +317,16 @@ TRIED = (0, 4, 12, 28)  # how many of the nearest of them a target is approached
 BLOCK = 500  # targets whose distances from all poses are worked out at once
 
 
-def nominal_readings(model: Model, rows: np.ndarray, targets: Targets, rng: np.random.Generator) -> np.ndarray:
+def nominal_readings(model: Model, conditions: np.ndarray, targets: Targets, rng: np.random.Generator) -> np.ndarray:
     """Return readings (n, n_joints) with which the nominal robot lands on the targets, or comes nearest to them.
 
     It approaches each target from the nearest of many poses drawn within the limits, and takes what lands there furthest
-    from the limits. rows are packed conditions (n_conditions, n), of whose readings only those of external axes count: these
+    from the limits. conditions (n_conditions, n) are packed, of whose readings only those of external axes count: these
     stay.
     """
     robot = model.robot
     rigid, none = Model(robot, (), model.given), np.zeros(0)
-    close = near(rigid, rows, targets, rng)
+    close = near(rigid, conditions, targets, rng)
     found = close[:, 0].copy()
     left = np.arange(len(targets))
     for first, last in pairwise(TRIED):
@@ -329,24 +334,24 @@ def nominal_readings(model: Model, rows: np.ndarray, targets: Targets, rng: np.r
         if not tried.size:
             break
         every = np.repeat(left, tried.shape[1])
-        landed = landing(rigid, none, rows[:, every], targets.only(every), tried.reshape(len(every), -1))
+        landed = landing(rigid, none, conditions[:, every], targets.only(every), tried.reshape(len(every), -1))
         best = best_of(robot, landed, tried.shape[1])
         found[left], reached = landed.readings[best], landed.reached[best]
         left = left[~reached]
     return np.asarray(found)
 
 
-def near(rigid: Model, rows: np.ndarray, targets: Targets, rng: np.random.Generator) -> np.ndarray:
+def near(rigid: Model, conditions: np.ndarray, targets: Targets, rng: np.random.Generator) -> np.ndarray:
     """Return readings at which the tool is near each target, the nearest first, shape (n, most tried, n_joints)."""
     robot = rigid.robot
     places, of = np.zeros((1, 0)), np.zeros(len(targets), dtype=int)
     if robot.external:
-        places, of = np.unique(rows[robot.external].T, axis=0, return_inverse=True)
+        places, of = np.unique(conditions[robot.external].T, axis=0, return_inverse=True)
     number = int(np.clip(MOST_DRAWN // len(places), LEAST_DRAWN, DRAWN))
     found = np.empty((len(targets), TRIED[-1], robot.n_joints))
     for place, own in zip(places, members(of.ravel()), strict=True):
         readings = _drawn(robot, place, number, rng)
-        nearest = _nearest(rigid, readings, rows[:, own], targets.only(own))
+        nearest = _nearest(rigid, readings, conditions[:, own], targets.only(own))
         found[own] = readings[np.resize(nearest.T, (TRIED[-1], len(own))).T]
     return found
 
@@ -371,15 +376,15 @@ def room(robot: Robot, q: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(high - low), np.minimum(q - low, high - q) / travel, 0.5)
 
 
-def _nearest(rigid: Model, readings: np.ndarray, rows: np.ndarray, targets: Targets) -> np.ndarray:
+def _nearest(rigid: Model, readings: np.ndarray, conditions: np.ndarray, targets: Targets) -> np.ndarray:
     """Which of the poses are nearest to each target, the nearest first, shape (n, most tried)."""
     n = rigid.robot.n_joints
     first = n + len(rigid.robot.payloads)
-    marker = rows[first : first + len(rigid.robot.markers)].argmax(axis=0)
+    marker = conditions[first : first + len(rigid.robot.markers)].argmax(axis=0)
     found = np.empty((len(targets), min(TRIED[-1], len(readings))), dtype=int)
     for own in np.unique(marker):
         which = np.flatnonzero(marker == own)
-        there = np.vstack([readings.T, np.repeat(rows[n:, which[:1]], len(readings), axis=1)])
+        there = np.vstack([readings.T, np.repeat(conditions[n:, which[:1]], len(readings), axis=1)])
         turned = None if targets.rotation is None else rigid.rotation(np.zeros(0), there)
         place = features(rigid.point(np.zeros(0), there), turned)
         for block in np.array_split(which, len(which) // BLOCK + 1):

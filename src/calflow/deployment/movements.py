@@ -74,34 +74,34 @@ def movements(calibrated: CalibratedModel, data: Measurements, station: bool) ->
         data: the rows.
         station: whether the device's place, or the base's, is among them; not where it was fitted.
     """
-    rows = data.stating(calibrated.model.given).on(calibrated.model.robot).rows
-    found = [*_zeros(calibrated, rows), *_tool(calibrated, data, rows)]
+    conditions = data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
+    found = [*_zeros(calibrated, conditions), *_tool(calibrated, data, conditions)]
     if station:
-        found.append(_station(calibrated.model.point(calibrated.estimate, rows)))
-    found += [one for one in _parameters(calibrated, rows) if not any(_same(one, other) for other in found)]
+        found.append(_station(calibrated.model.point(calibrated.estimate, conditions)))
+    found += [one for one in _parameters(calibrated, conditions) if not any(_same(one, other) for other in found)]
     return (*found, *_conditions(calibrated, data))
 
 
-def _zeros(calibrated: CalibratedModel, rows: np.ndarray) -> Iterator[Movement]:
+def _zeros(calibrated: CalibratedModel, conditions: np.ndarray) -> Iterator[Movement]:
     """The zero of each joint's reading, which couplings and loops carry on to where they lead."""
     model, n = calibrated.model, calibrated.model.robot.n_joints
     if ZEROS not in model.made:
         p, c, predicted = model.symbols
         model.made[ZEROS] = ca.Function("zeros", [p, c], [ca.densify(ca.jacobian(predicted.point, c[:n]).T)])
-    slope = over_rows(model.made[ZEROS], calibrated.estimate, rows)[0].T.reshape(rows.shape[1], 3, n)
+    slope = over_rows(model.made[ZEROS], calibrated.estimate, conditions)[0].T.reshape(conditions.shape[1], 3, n)
     for i in model.robot.driven:
         unit = model.robot.joints[i].unit
         yield Movement(f"joint{i + 1}.zero", "zero", f"zero of joint {i + 1}", i + 1, (unit,), ("zero",), slope[:, :, i : i + 1],
                        np.array([ZERO_SD]))  # fmt: skip
 
 
-def _tool(calibrated: CalibratedModel, data: Measurements, rows: np.ndarray) -> Iterator[Movement]:
+def _tool(calibrated: CalibratedModel, data: Measurements, conditions: np.ndarray) -> Iterator[Movement]:
     """The place of all markers on the tool, in the flange's axes, and of each alone where there are several."""
     model = calibrated.model
     if FLANGE not in model.made:
         p, c, predicted = model.symbols
         model.made[FLANGE] = ca.Function("flange", [p, c], [ca.densify(predicted.tool @ predicted.rotation.T)])
-    turn = over_rows(model.made[FLANGE], calibrated.estimate, rows)[0].T.reshape(-1, 3, 3)
+    turn = over_rows(model.made[FLANGE], calibrated.estimate, conditions)[0].T.reshape(-1, 3, 3)
     names = list(dict.fromkeys(data.table["marker"]))
     sd, told = np.full(3, PLACED_SD), ("m",) * 3
     yield Movement("tool", "tool", "tool on its flange", 0, told, ("x", "y", "z"), turn, sd)
@@ -128,10 +128,10 @@ def _station(points: np.ndarray) -> Movement:
     )
 
 
-def _parameters(calibrated: CalibratedModel, rows: np.ndarray) -> Iterator[Movement]:
+def _parameters(calibrated: CalibratedModel, conditions: np.ndarray) -> Iterator[Movement]:
     """Every dimension of a link, and every cause that the model has; where robot and tool stand is told otherwise."""
     model = calibrated.model
-    slope = model.point_jacobian(calibrated.estimate, rows)
+    slope = model.point_jacobian(calibrated.estimate, conditions)
     devices = [k for effect in model.effects if effect.of_device() for k in model.columns(effect)]
     observed = [k for observation in model.observations for k in model.columns(observation)]
     parts: dict[tuple[str, str, str], list[int]] = {}
@@ -171,7 +171,9 @@ def _conditions(calibrated: CalibratedModel, data: Measurements) -> Iterator[Mov
         slopes = ca.jacobian(predicted.point, p[n:]).T
         calibrated.model.made[CONDITIONS] = ca.Function("conditions", [p, c], [ca.densify(slopes)])
     nominal = [parameter.nominal for probe in probes for parameter in probe.declared]
-    values = over_rows(calibrated.model.made[CONDITIONS], np.concatenate([calibrated.estimate, nominal]), rows.rows)[0]
+    values = over_rows(
+        calibrated.model.made[CONDITIONS], np.concatenate([calibrated.estimate, nominal]), rows.conditions
+    )[0]
     slope = values.T.reshape(len(data), 3, len(nominal))
     yield Movement("temperature", "condition", "temperature of all links", 0, ("1",), ("growth",), slope[:, :, :1] / WARMER,
                    np.array([EXPANSION_SD]))  # fmt: skip
@@ -223,7 +225,7 @@ class CheckProblem:
             InputError: a frame cannot be fitted.
         """
         model = calibrated.model
-        rows = data.stating(model.given).on(model.robot).rows
+        rows = data.stating(model.given).on(model.robot).conditions
         date, names = _sessions(data.table)
         group = np.unique(date * len(data) + conditions(data), return_inverse=True)[1]
         first = np.unique(group, return_index=True)[1]

@@ -92,20 +92,20 @@ def predict_rows(calibrated: CalibratedModel, data: Measurements, missing: Missi
         InputError: a needed condition is missing.
     """
     stated = as_stated(calibrated, data, missing)
-    rows = stated.data.rows
-    position = expected_point(stated.calibrated, rows)
-    variance = position_variance(stated.calibrated, rows) + stated.widened
-    notes = (*standing(calibrated), *stated.notes, *of_field(stated.calibrated, rows), *beyond_limits(data))
-    field = field_correction(calibrated, rows) if calibrated.field else None
+    conditions = stated.data.conditions
+    position = expected_point(stated.calibrated, conditions)
+    variance = position_variance(stated.calibrated, conditions) + stated.widened
+    notes = (*standing(calibrated), *stated.notes, *of_field(stated.calibrated, conditions), *beyond_limits(data))
+    field = field_correction(calibrated, conditions) if calibrated.field else None
     return Prediction(position, np.sqrt(variance), notes, field)
 
 
-def of_field(calibrated: CalibratedModel, rows: np.ndarray) -> list[str]:
+def of_field(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
     """Say what a residual field does at packed rows (n_conditions, n_rows); nothing where the model has none."""
     if calibrated.field is None:
         return []
-    size = 1e3 * np.linalg.norm(field_correction(calibrated, rows), axis=1)
-    faded = int((calibrated.field.share(readings(calibrated, rows)) < 1).sum())
+    size = 1e3 * np.linalg.norm(field_correction(calibrated, conditions), axis=1)
+    faded = int((calibrated.field.share(readings(calibrated, conditions)) < 1).sum())
     beyond = (
         f"; {faded} of {len(size)} rows are beyond the measured joint ranges, where it fades to nothing"
         if faded

@@ -274,7 +274,7 @@ def validate(
     given = data.stating([one.condition for one in calibrated.needed]).given
     stated = replace(calibrated, model=replace(calibrated.model, given=given))
     attained = Attained.of(stated, data)
-    field_notes = of_field(stated, data.stating(given).on(stated.model.robot).rows)
+    field_notes = of_field(stated, data.stating(given).on(stated.model.robot).conditions)
     judged: Judged = "commanded" if COMMANDED in attained.expected else "calibrated"
     fitted, frames = stands(attained, station)
     error = {model: attained.errors(model, fitted) for model in attained.expected}

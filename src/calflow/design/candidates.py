@@ -24,11 +24,11 @@ LONGEST_STEP = 0.3  # rad, or m
 
 
 def brought(
-    model: Model, observation: Observation, readings: np.ndarray, rows: np.ndarray
+    model: Model, observation: Observation, readings: np.ndarray, conditions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return readings (n, n_joints) near those given at which the nominal robot touches, and which of them do, (n,).
 
-    rows (n_conditions, n) are the packed conditions, the readings first. Gauss-Newton with the least motion of the joints,
+    conditions (n_conditions, n) are packed, the readings first. Gauss-Newton with the least motion of the joints,
     things touched in turn (see `Observation.touched`).
     """
     y, error = model.error(observation)
@@ -36,16 +36,16 @@ def brought(
     slope = ca.jacobian(error, c)[:, : readings.shape[1]]
     function = ca.Function("contact", [p, c, y], [ca.densify(error), ca.densify(slope.T)])
     point = model.nominal
-    reported = observation.touched(model.point(point, rows), model.rotation(point, rows))
-    rows, n = rows.copy(), readings.shape[1]
+    reported = observation.touched(model.point(point, conditions), model.rotation(point, conditions))
+    conditions, n = conditions.copy(), readings.shape[1]
     for _ in range(ROUNDS):
-        left, slopes = over_rows(function, point, rows, reported)
-        jacobian = slopes.T.reshape(rows.shape[1], len(observation.units), n)
+        left, slopes = over_rows(function, point, conditions, reported)
+        jacobian = slopes.T.reshape(conditions.shape[1], len(observation.units), n)
         step = -np.einsum("rnu,ru->rn", np.linalg.pinv(jacobian, rcond=1e-4), left.T)
         largest = np.maximum(np.abs(step).max(axis=1), 1e-12)
-        rows[:n] += (step * np.minimum(1.0, LONGEST_STEP / largest)[:, None]).T
-    left = over_rows(function, point, rows, reported)[0]
-    return rows[:n].T, np.linalg.norm(left, axis=0) < MET
+        conditions[:n] += (step * np.minimum(1.0, LONGEST_STEP / largest)[:, None]).T
+    left = over_rows(function, point, conditions, reported)[0]
+    return conditions[:n].T, np.linalg.norm(left, axis=0) < MET
 
 
 LARGEST_DRAW = 1 << 15  # poses drawn at once
@@ -83,12 +83,12 @@ def candidates(
     for _ in range(rounds):
         drawn = qmc.scale(sobol.random(size), *model.robot.limits.T)
         readings = drawn @ model.robot.angle_matrix.T
-        rows = packed_conditions(model, readings, payload, marker)
+        conditions = packed_conditions(model, readings, payload, marker)
         angles = readings @ model.robot.reading_matrix.T
         good = model.robot.within_limits(angles, ROUNDING)
         if observation is not None and observation.touches:
-            readings, touching = brought(model, observation, readings, rows)
-            rows = packed_conditions(model, readings, payload, marker)
+            readings, touching = brought(model, observation, readings, conditions)
+            conditions = packed_conditions(model, readings, payload, marker)
             angles = readings @ model.robot.reading_matrix.T
             low, high = model.robot.limits.T  # of a joint that nobody limits one turn, as drawn
             good &= touching & ((angles >= low) & (angles <= high)).all(axis=1)
@@ -97,7 +97,7 @@ def candidates(
             good &= ((position > region[0]) & (position < region[1])).all(axis=1)
         good[good] = reachable(model.robot, angles[good])
         if cell is not None:
-            refusals.append(cell.refusals(model, rows[:, good], marker))
+            refusals.append(cell.refusals(model, conditions[:, good], marker))
             good[good] = refusals[-1] == 0
         kept.append(readings[good])
         if sum(map(len, kept)) >= number:
@@ -120,13 +120,13 @@ def allowed(
 ) -> np.ndarray:  # fmt: skip
     """Return which of stated joint readings (n, n_joints) are within limits and region, and allowed by the cell, shape (n,)."""
     angles = readings @ model.robot.reading_matrix.T
-    rows = packed_conditions(model, readings, payload, marker)
+    conditions = packed_conditions(model, readings, payload, marker)
     good = model.robot.within_limits(angles) & reachable(model.robot, angles)
     if region is not None:
-        position = model.position(model.nominal, rows)
+        position = model.position(model.nominal, conditions)
         good &= ((position > region[0]) & (position < region[1])).all(axis=1)
     if cell is not None:
-        refusals = cell.refusals(model, rows[:, good], marker)
+        refusals = cell.refusals(model, conditions[:, good], marker)
         say(f"of those stated within joint limits and region {refused_words(refusals)}")
         good[good] = refusals == 0
     return np.asarray(good)

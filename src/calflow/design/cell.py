@@ -190,14 +190,14 @@ class Cell:
     like: tuple[float, ...] | None = None
     torque_share: float | None = None
 
-    def refusals(self, model: Model, rows: np.ndarray, marker: str) -> np.ndarray:
+    def refusals(self, model: Model, conditions: np.ndarray, marker: str) -> np.ndarray:
         """Return which of RULES is the first to refuse each of packed rows (n_conditions, n), from 1; 0 where none does."""
-        refusal = np.zeros(rows.shape[1], dtype=int)
+        refusal = np.zeros(conditions.shape[1], dtype=int)
         for begin in range(0, len(refusal), BLOCK):
             left = np.arange(begin, min(begin + BLOCK, len(refusal)))
-            at = Skeleton.of(model.robot, rows[: model.robot.n_joints, left].T, marker)
+            at = Skeleton.of(model.robot, conditions[: model.robot.n_joints, left].T, marker)
             for number, rule in enumerate(RULES.values(), start=1):
-                good = rule(self, model, rows[:, left], at)
+                good = rule(self, model, conditions[:, left], at)
                 refusal[left[~good]] = number
                 left, at = left[good], at.part(good)
         return refusal
@@ -289,24 +289,26 @@ def _obstacles(cell: Cell, start: np.ndarray, end: np.ndarray) -> Iterator[np.nd
         yield between_segments(start, end, *ends) - cylinder.radius
 
 
-def _like(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+def _like(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
     if cell.like is None:
         return np.ones(len(at.marker), dtype=bool)
     kept = configuration(model.robot, Skeleton.of(model.robot, np.array([cell.like]), next(iter(model.robot.markers))))
     return np.asarray((configuration(model.robot, at) == kept).all(axis=1))
 
 
-def _carried(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+def _carried(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
     if cell.torque_share is None:
         return np.ones(len(at.marker), dtype=bool)
     rigid = Model(model.robot, (), model.given)
     p, c, predicted = rigid.symbols
-    torque = over_rows(ca.Function("torque", [p, c], [ca.densify(predicted.state.torque)]), rigid.nominal, rows)[0]
+    torque = over_rows(ca.Function("torque", [p, c], [ca.densify(predicted.state.torque)]), rigid.nominal, conditions)[
+        0
+    ]
     rated = np.array([np.inf if joint.rated_torque is None else joint.rated_torque for joint in model.robot.joints])
     return np.asarray((np.abs(torque.T) <= cell.torque_share * rated).all(axis=1))
 
 
-def _in_range(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+def _in_range(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
     good = np.ones(len(at.marker), dtype=bool)
     for station, way in _views(cell, model.robot, at):
         distance = np.linalg.norm(way, axis=1)
@@ -314,7 +316,7 @@ def _in_range(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.nd
     return good
 
 
-def _at_elevation(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+def _at_elevation(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
     good = np.ones(len(at.marker), dtype=bool)
     up = _stands(model.robot)[2, :3]
     for station, way in _views(cell, model.robot, at):
@@ -323,7 +325,7 @@ def _at_elevation(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> n
     return good
 
 
-def _accepted(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+def _accepted(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
     good = np.ones(len(at.marker), dtype=bool)
     if cell.acceptance is not None:
         axis = at.flange @ (np.array(cell.reflector_axis) / np.linalg.norm(cell.reflector_axis))
@@ -332,7 +334,7 @@ def _accepted(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.nd
     return good
 
 
-def _apart(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+def _apart(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
     good = np.ones(len(at.marker), dtype=bool)
     if cell.self_collision:
         chain, radii = _chain(cell, at), _radii(cell, model.robot)
@@ -342,7 +344,7 @@ def _apart(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarr
     return good
 
 
-def _clear(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+def _clear(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
     good = np.ones(len(at.marker), dtype=bool)
     robot, first = model.robot, free_links(model.robot)
     for k, (start, end, radius) in enumerate(_capsules(cell, robot, _chain(cell, at), at.bars)):
@@ -356,7 +358,7 @@ def _clear(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarr
     return good
 
 
-def _seen(cell: Cell, model: Model, rows: np.ndarray, at: Skeleton) -> np.ndarray:
+def _seen(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
     good = np.ones(len(at.marker), dtype=bool)
     for _, way in _views(cell, model.robot, at) if cell.line_of_sight else ():
         length = np.linalg.norm(way, axis=1, keepdims=True).clip(1e-12)

@@ -329,7 +329,7 @@ def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator)
         InputError: hardly any pose is there.
     """
     data, model = fitted.data, fitted.model
-    points = model.point(fitted.fit.estimate, data.rows)
+    points = model.point(fitted.fit.estimate, data.conditions)
     region = np.array([points.min(axis=0), points.max(axis=0)])
     thin = np.maximum(0.0, THINNEST - np.ptp(region, axis=0)) / 2
     region += np.array([-thin, thin])
@@ -343,7 +343,7 @@ def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator)
         readings.append(drawn)
         approach.append(came)
         payloads += [str(payload)] * len(drawn)
-        packed.append(table.rows)
+        packed.append(table.conditions)
     return Choices(np.vstack(readings), np.vstack(approach), tuple(payloads), np.hstack(packed))
 
 

@@ -119,8 +119,8 @@ def drift_pulls(
 def displacements(plan: PlanInformation) -> dict[Drifting, np.ndarray]:
     """Return in which ways each pose's point would move by 1 m (of the robot: on average), (n, 3, n_ways)."""
     model = plan.model
-    rows = packed_conditions(model, plan.readings, plan.payload, plan.marker)
-    out = model.point(model.nominal, rows) - model.robot.base.origin
+    conditions = packed_conditions(model, plan.readings, plan.payload, plan.marker)
+    out = model.point(model.nominal, conditions) - model.robot.base.origin
     grown = out / np.linalg.norm(out, axis=1).mean()
     return {"device": np.tile(np.eye(3), (len(out), 1, 1)), "robot": grown[:, :, None]}
 

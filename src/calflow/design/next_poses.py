@@ -80,7 +80,7 @@ def doubts(
     known = dict(zip((p.identity for p in whole.parameters), fitted.fit.estimate, strict=True))
     estimate = np.array([known.get(p.identity, p.nominal) for p in model.parameters])
     effects = [effect for lack in asked for effect in lack.form.effects]
-    problem = planned.problem(model, estimate, choices.rows)
+    problem = planned.problem(model, estimate, choices.conditions)
     _, slopes = probed(problem, estimate, effects)
     slopes = slopes.reshape(len(choices.readings), -1, slopes.shape[1])
     place = {p.identity: k for k, p in enumerate(model.parameters)}
@@ -99,8 +99,8 @@ def doubts(
         start += len(columns)
     for k, one in enumerate(alternatives, start=1):
         rival, size = replace(one.model, given=whole.given), np.sqrt(one.probability)
-        apart = rival.point(one.estimate, choices.rows) - whole.point(fitted.fit.estimate, choices.rows)
-        there = rival.point(one.estimate, site.rows) - whole.point(fitted.fit.estimate, site.rows)
+        apart = rival.point(one.estimate, choices.conditions) - whole.point(fitted.fit.estimate, choices.conditions)
+        there = rival.point(one.estimate, site.conditions) - whole.point(fitted.fit.estimate, site.conditions)
         if planned.observation.units == (METRE,) * 3:
             found.append(Doubt(f"rival {k}", size / planned.sigma * apart[:, :, None], size * there[:, :, None]))
     return found
@@ -357,7 +357,7 @@ def _choices(
         raise refuse("no pose of candidates_file is within limits and region, and allowed by the cell")
     came = rng.choice([-1.0, 1.0], readings.shape)
     payloads = (payload,) * len(readings)
-    return Choices(readings, came, payloads, rows_like(data, readings, came, payloads, rng).rows)
+    return Choices(readings, came, payloads, rows_like(data, readings, came, payloads, rng).conditions)
 
 
 def _table(

@@ -43,25 +43,25 @@ class Planned:
         }
         return Planned(observation, sizes[observation.units[0]], PerUnit(tuple(sizes.items())))
 
-    def whitened(self, model: Model, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def whitened(self, model: Model, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the whitened Jacobian (n_rows, n_units, n_parameters) of packed conditions (n_conditions, n_rows) at p.
 
         The model's observations hold the planned one.
         """
-        reported = self.observation.expected(model.point(p, rows), model.rotation(p, rows))
-        jacobian = model.observed_jacobian(self.observation, p, rows, reported)
+        reported = self.observation.expected(model.point(p, conditions), model.rotation(p, conditions))
+        jacobian = model.observed_jacobian(self.observation, p, conditions, reported)
         return jacobian / self.sd[:, None]
 
-    def problem(self, model: Model, p: np.ndarray, rows: np.ndarray) -> LeastSquares:
+    def problem(self, model: Model, p: np.ndarray, conditions: np.ndarray) -> LeastSquares:
         """Return the least squares problem of packed conditions (n_conditions, n_rows) that report what the model says at p.
 
         The planned observation is the model's only one.
         """
-        reported = self.observation.expected(model.point(p, rows), model.rotation(p, rows))
-        sigma = np.tile(self.sd[:, None], rows.shape[1])
-        every = np.arange(rows.shape[1])
+        reported = self.observation.expected(model.point(p, conditions), model.rotation(p, conditions))
+        sigma = np.tile(self.sd[:, None], conditions.shape[1])
+        every = np.arange(conditions.shape[1])
         return LeastSquares(
-            model, (SeriesBlock(model, self.observation, every, rows, reported, 1 / sigma, sigma, sigma),)
+            model, (SeriesBlock(model, self.observation, every, conditions, reported, 1 / sigma, sigma, sigma),)
         )
 
     @property
@@ -120,7 +120,7 @@ def _joint_columns(there: list[str], robot: Robot, file: Path) -> list[ReadColum
 class Task:
     """Where the tool must be right: packed conditions (n_conditions, n_points), all points alike."""
 
-    rows: np.ndarray
+    conditions: np.ndarray
 
     @staticmethod
     def within(
@@ -142,5 +142,5 @@ class Task:
 
     def criterion(self, model: Model) -> ToolError:
         """Return the tool's error over the task, of a model whose parameters are scaled by their priors."""
-        slopes = model.point_jacobian(model.nominal, self.rows) * model.prior_sd
+        slopes = model.point_jacobian(model.nominal, self.conditions) * model.prior_sd
         return ToolError(slopes, np.full(len(slopes), 1 / len(slopes)))

@@ -194,9 +194,9 @@ class SelectionRequest:
         """Return packed conditions (n_conditions, n) of poses, of a request that names a marker."""
         return packed_conditions(model, readings, self.payload, self.marker)
 
-    def whitened(self, model: Model, rows: np.ndarray) -> np.ndarray:
+    def whitened(self, model: Model, conditions: np.ndarray) -> np.ndarray:
         """Return what rows tell of the parameters in units of their priors (n_rows, n_axes, n_parameters)."""
-        return self.planned.whitened(model, model.nominal, rows) * model.prior_sd
+        return self.planned.whitened(model, model.nominal, conditions) * model.prior_sd
 
 
 def select(
@@ -217,12 +217,12 @@ def select(
     request = replace(request, marker=request.marker or next(iter(model.robot.markers)))
     if not model.observations:
         model = replace(model, observations=(request.planned.observation,))
-    readings, rows = _candidates(model, request, rng, say)
+    readings, conditions = _candidates(model, request, rng, say)
     advance(0.3)
-    whitened, prior = request.whitened(model, rows), np.eye(len(model.parameters))
+    whitened, prior = request.whitened(model, conditions), np.eye(len(model.parameters))
     if request.there is not None:
         prior = information(request.whitened(model, request.there), prior)
-    tool = (request.task or Task(rows[:, :TASK_POSES])).criterion(model)
+    tool = (request.task or Task(conditions[:, :TASK_POSES])).criterion(model)
     criterion: Criterion = ParameterCriterion(len(prior)) if request.aim == "parameters" else tool
     say(f"{len(readings)} candidates, {len(prior)} parameters")
     advance(0.5)

@@ -79,7 +79,7 @@ class Visits:
         }
         planned = Measurements.from_arrays(self.robot, q, None, **conditions)
         nominal = build(self.robot, (), planned.given)
-        return Measurements.from_arrays(self.robot, q, nominal.point(nominal.nominal, planned.rows), **conditions)
+        return Measurements.from_arrays(self.robot, q, nominal.point(nominal.nominal, planned.conditions), **conditions)
 
     def additions(self, more: np.ndarray) -> Iterator[tuple[str, Visits]]:
         """Yield in words what could be added, the cheapest first, and the visits with it; more are further poses' readings."""
@@ -162,7 +162,7 @@ def screened(
     train = data.only(data.train)
     catalogue = Catalogue.of(train, effects)
     model = stated(data.robot, effects, train, (planned.observation,))
-    return Screening(_regressors(model, planned, train.rows, catalogue.effects, rng)), catalogue
+    return Screening(_regressors(model, planned, train.conditions, catalogue.effects, rng)), catalogue
 
 
 def chances(
@@ -225,7 +225,7 @@ def amplitudes(
 
 
 def _regressors(
-    model: Model, planned: Planned, rows: np.ndarray, effects: Sequence[Effect], rng: np.random.Generator
+    model: Model, planned: Planned, conditions: np.ndarray, effects: Sequence[Effect], rng: np.random.Generator
 ) -> Regressors[Cause]:
     """What every candidate would do to whitened rows (n_conditions, n_rows); the residual is noise, drawn once.
 
@@ -235,7 +235,7 @@ def _regressors(
     sd = np.array([parameter.prior_sd for parameter in model.parameters])
     soft = np.array([p.prior_sd if p.effect == "joint-compliance" else 0.0 for p in model.parameters])
     point = model.nominal + soft
-    _, matrix = probed(planned.problem(model, point, rows), point, effects)
+    _, matrix = probed(planned.problem(model, point, conditions), point, effects)
     jacobian, held, candidates = matrix[:, :n], Held(matrix[:, n:]), candidates_of(effects)
     residual, precision = rng.standard_normal(len(matrix)), sd**-2.0
     products = RegressorProducts.of(residual, jacobian, held, candidates)

@@ -30,13 +30,13 @@ class Choices:
     readings: np.ndarray
     approach: np.ndarray
     payloads: tuple[str, ...]
-    rows: np.ndarray
+    conditions: np.ndarray
 
     def only(self, which: Sequence[int]) -> Choices:
         """Return some of the poses."""
         chosen = list(which)
         payloads = tuple(self.payloads[k] for k in chosen)
-        return Choices(self.readings[chosen], self.approach[chosen], payloads, self.rows[:, chosen])
+        return Choices(self.readings[chosen], self.approach[chosen], payloads, self.conditions[:, chosen])
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class TCriterion:
         point = np.concatenate([fit.estimate, both.nominal[len(fit.estimate) :]])
         sd = both.prior_sd
         seen = LeastSquares.of(both, fitted.data, fitted.noise).screened(point)[1] * sd
-        new = planned.whitened(both, point, choices.rows) * sd
+        new = planned.whitened(both, point, choices.conditions) * sd
         effects = [score.estimate / sd[span] for score, span in zip(scores, columns, strict=True)]
         products = seen.T @ seen
         information = products + np.eye(len(sd))

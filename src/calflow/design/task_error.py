@@ -255,7 +255,7 @@ class Site:
     """
 
     fitted: Fitted
-    rows: np.ndarray
+    conditions: np.ndarray
     slopes: np.ndarray
 
     @staticmethod
@@ -264,16 +264,18 @@ class Site:
         robot, data = fitted.data.robot, fitted.data
         n = robot.n_joints
         names = np.array([*robot.payloads, ""])
-        carried = np.vstack([task.rows[n : n + len(names) - 1], 0.5 * np.ones(task.rows.shape[1])]).argmax(axis=0)
-        readings = task.rows[:n].T
+        carried = np.vstack([task.conditions[n : n + len(names) - 1], 0.5 * np.ones(task.conditions.shape[1])]).argmax(
+            axis=0
+        )
+        readings = task.conditions[:n].T
         came = rng.choice([-1.0, 1.0], readings.shape)
-        rows = rows_like(data, readings, came, list(names[carried]), rng).rows
-        return Site(fitted, rows, fitted.model.point_jacobian(fitted.fit.estimate, rows))
+        conditions = rows_like(data, readings, came, list(names[carried]), rng).conditions
+        return Site(fitted, conditions, fitted.model.point_jacobian(fitted.fit.estimate, conditions))
 
     def moved(self, effects: tuple[Effect, ...]) -> np.ndarray:
         """Return by how much effects at nothing move the tool's points, (n_points, 3, n_columns) [m]."""
         model, estimate, seen = self._seen
-        _, slopes = probed(seen.problem(model, estimate, self.rows), estimate, effects)
+        _, slopes = probed(seen.problem(model, estimate, self.conditions), estimate, effects)
         return np.asarray(slopes.reshape(*self.slopes.shape[:2], -1)[:, :, len(estimate) :])
 
     @property
@@ -311,7 +313,7 @@ def task_error(
     of_choice = [one.probability for one in alternatives]
     chosen = rng.choice(len(of_choice) + 1, DRAWS, p=[*of_choice, 1 - sum(of_choice)])
     for k, other in enumerate(alternatives):
-        lacking[chosen == k] += _apart(fitted, other, site.rows)
+        lacking[chosen == k] += _apart(fitted, other, site.conditions)
     forms = list({id(one.form): one.form for one, _ in drawn}.values())
     slopes = dict(zip(map(id, forms), site.left(lacks, forms), strict=True))
     for one, draws in drawn:
@@ -346,10 +348,10 @@ def _levels(fitted: Fitted, rng: np.random.Generator) -> np.ndarray:
     return np.ones(DRAWS) if not np.isfinite(freedom) else np.sqrt(freedom / rng.chisquare(max(freedom, 1.0), DRAWS))
 
 
-def _apart(fitted: Fitted, other: Alternative, rows: np.ndarray) -> np.ndarray:
+def _apart(fitted: Fitted, other: Alternative, conditions: np.ndarray) -> np.ndarray:
     """How far another model's tool is from the calibrated one's, (n_points, 3) [m]."""
-    there = replace(other.model, given=fitted.model.given).point(other.estimate, rows)
-    return there - fitted.model.point(fitted.fit.estimate, rows)
+    there = replace(other.model, given=fitted.model.given).point(other.estimate, conditions)
+    return there - fitted.model.point(fitted.fit.estimate, conditions)
 
 
 def _rms(error: np.ndarray) -> np.ndarray:

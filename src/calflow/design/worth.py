@@ -83,8 +83,8 @@ class PlanInformation:
         return self._whitened(self.model, payload, marker)
 
     def _whitened(self, model: Model, payload: str, marker: str) -> np.ndarray:
-        rows = packed_conditions(model, self.readings, payload, marker)
-        return self.planned.whitened(model, model.nominal, rows) * model.prior_sd
+        conditions = packed_conditions(model, self.readings, payload, marker)
+        return self.planned.whitened(model, model.nominal, conditions) * model.prior_sd
 
     @property
     def informations(self) -> Iterator[tuple[str, int, int, np.ndarray]]:
@@ -123,9 +123,9 @@ class PlanInformation:
         station = Station(SECOND)
         second = Position(Series(station=station), Frames(station, ("",), ((0.0,) * 6,)))
         model = replace(self.model, observations=(*self.model.observations, second))
-        rows = packed_conditions(model, self.readings, self.payload, self.marker)
-        reported = np.vstack([model.point(model.nominal, rows).T, np.ones(len(self.readings))])
-        jacobian = model.observed_jacobian(second, model.nominal, rows, reported)
+        conditions = packed_conditions(model, self.readings, self.payload, self.marker)
+        reported = np.vstack([model.point(model.nominal, conditions).T, np.ones(len(self.readings))])
+        jacobian = model.observed_jacobian(second, model.nominal, conditions, reported)
         return self._shared(model, jacobian * model.prior_sd / self.planned.sigma)
 
     def _shared(self, model: Model, whitened: np.ndarray) -> np.ndarray:

@@ -95,7 +95,7 @@ def leading_errors(model: Model, estimate: np.ndarray, measured: Measurements) -
     for k, observation in enumerate(model.observations):
         rows, own = np.flatnonzero(measured.of_series(k)), _leading(observation)
         error = model.observed_error(
-            observation, estimate, measured.rows[:, rows], observation.reported(measured.table.iloc[rows])
+            observation, estimate, measured.conditions[:, rows], observation.reported(measured.table.iloc[rows])
         )
         turned = _turned(observation, model, estimate, measured.table.iloc[rows], error[:, own, None])
         found[rows[:, None], np.arange(len(own))] = turned[:, :, 0]
@@ -109,7 +109,7 @@ def error_jacobian(model: Model, estimate: np.ndarray, measured: Measurements) -
     for k, observation in enumerate(model.observations):
         rows, own = np.flatnonzero(measured.of_series(k)), _leading(observation)
         reported = observation.reported(measured.table.iloc[rows])
-        slope = model.observed_jacobian(observation, estimate, measured.rows[:, rows], reported)
+        slope = model.observed_jacobian(observation, estimate, measured.conditions[:, rows], reported)
         turned = _turned(observation, model, estimate, measured.table.iloc[rows], slope[:, own])
         found[rows[:, None], np.arange(len(own))] = turned
     return np.nan_to_num(_masked(found, measured))

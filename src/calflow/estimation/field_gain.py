@@ -210,9 +210,9 @@ def _accuracy(known: CalibratedModel, field: ResidualField | None, gain: FieldGa
 
 def _judged(correction: str, known: CalibratedModel, data: Measurements, error: np.ndarray) -> FieldAccuracy:
     """How far a model with or without its field is from held-out rows; error (n, 3) [m] is the model's alone."""
-    off = error + field_correction(known, data.rows)
+    off = error + field_correction(known, data.conditions)
     noise = known.noise(data).sigma if known.noise_known else np.zeros(len(data))
-    sd = np.sqrt(position_variance(known, data.rows) + np.nan_to_num(noise)[:, None] ** 2)
+    sd = np.sqrt(position_variance(known, data.conditions) + np.nan_to_num(noise)[:, None] ** 2)
     covered = float((np.abs(off) < CERTAIN * sd).mean())
     return _row(correction, "holdout", np.linalg.norm(off, axis=1), covered)
 

@@ -100,7 +100,7 @@ class FittedEffects:
             training_poses=data.table.loc[data.train, "pose"].nunique(),
             heldout_poses=data.table.loc[data.held_out, "pose"].nunique(),
             converged=fit.converged,
-            equilibrium_error_um=1e6 * fit.model.equilibrium_error(fit.estimate, used.rows[:, :EQUILIBRIUM_ROWS]),
+            equilibrium_error_um=1e6 * fit.model.equilibrium_error(fit.estimate, used.conditions[:, :EQUILIBRIUM_ROWS]),
             starts=self.starts,
             starts_agreeing=self.agreeing,
             extrapolation=extrapolation(data),
@@ -195,5 +195,5 @@ def _of_single_rows(noise: Noise, fitted: Noise) -> np.ndarray:
 
 def _spread(model: Model, estimate: np.ndarray, data: Measurements) -> float:
     """Mean distance of the points from their middle [m]."""
-    points = model.point(estimate, data.rows)
+    points = model.point(estimate, data.conditions)
     return float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())

@@ -256,7 +256,7 @@ class LeastSquares:
                 continue
             own, units = noise.only(rows), observation.units
             reported = observation.reported(data.table.iloc[rows])
-            block = SeriesBlock(model, observation, rows, data.rows[:, rows], reported, own.whitening(units),
+            block = SeriesBlock(model, observation, rows, data.conditions[:, rows], reported, own.whitening(units),
                                 own.principal(units), own.about_model(units),
                                 shared_by(observation, own, data.only(data.of_series(k))))  # fmt: skip
             blocks.append(block.together(block.sharing.standstill) if block.sharing else block)

@@ -72,7 +72,7 @@ def _points(model: Model, estimate: np.ndarray, rows: Measurements) -> np.ndarra
     """Where the markers are by what the model is given alone, shape (n_rows, 3) [m]; not compiled: it is asked once."""
     p, c, predicted = model.symbols
     point = ca.Function("point", [p, c], [ca.densify(predicted.point)])
-    return over_rows(point, estimate, rows.stating(model.given).rows)[0].T
+    return over_rows(point, estimate, rows.stating(model.given).conditions)[0].T
 
 
 def _depended_on(model: Model) -> list[str]:

@@ -29,8 +29,8 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
     further = tuple(more for effect in model.effects for more in effect.completing(data))
     if not any(lacking) and not further:
         return model, estimate
-    points = model.point(estimate, data.rows)
-    turned = model.rotation(estimate, data.rows)
+    points = model.point(estimate, data.conditions)
+    turned = model.rotation(estimate, data.conditions)
     every = list[Observation]()
     for k, (observation, new) in enumerate(zip(model.observations, lacking, strict=True)):
         own = data.of_series(k)
@@ -68,9 +68,9 @@ def _linearised(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the errors of a series' rows (n,), and their derivatives by some parameters (n, n_columns)."""
     observation, own = model.observations[series], data.of_series(series)
-    rows, reported = data.rows[:, own], observation.reported(data.table[own])
-    error = model.observed_error(observation, point, rows, reported).ravel()
-    slope = model.observed_jacobian(observation, point, rows, reported)[:, :, columns]
+    conditions, reported = data.conditions[:, own], observation.reported(data.table[own])
+    error = model.observed_error(observation, point, conditions, reported).ravel()
+    slope = model.observed_jacobian(observation, point, conditions, reported)[:, :, columns]
     return error, slope.reshape(len(error), len(columns))
 
 

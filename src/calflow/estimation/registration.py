@@ -47,8 +47,8 @@ def with_markers(robot: Robot, train: Measurements) -> Robot:
     bare = replace(robot, base=Base(), tool_rotation=None,
                    markers={name: replace(marker, point=(0.0, 0.0, 0.0)) for name, marker in robot.markers.items()})  # fmt: skip
     model = build(bare, (), train.given)
-    rows = train.on(bare).rows
-    flange, turned = model.point(model.nominal, rows), model.rotation(model.nominal, rows)
+    conditions = train.on(bare).conditions
+    flange, turned = model.point(model.nominal, conditions), model.rotation(model.nominal, conditions)
     names = list(robot.markers)
     which = np.array([names.index(name) for name in train.table["marker"]])
     stated = np.array([marker.point for marker in robot.markers.values()])
@@ -126,7 +126,7 @@ def registered(
     else:
         robot = replace(robot, base=Base(fixed=True))
     nominal = build(robot, (), train.given)
-    points, turned = (of(nominal.nominal, train.rows) for of in (nominal.point, nominal.rotation))
+    points, turned = (of(nominal.nominal, train.conditions) for of in (nominal.point, nominal.rotation))
     placed = []
     for k, observation in enumerate(observed):
         own = train.of_series(k)
@@ -146,7 +146,7 @@ def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements)
         return robot
     at_origin = replace(robot, base=Base(known=False))
     nominal = build(at_origin, (), train.given)
-    points = nominal.position(nominal.nominal, train.on(at_origin).rows)
+    points = nominal.position(nominal.nominal, train.on(at_origin).conditions)
     centre, measured_centre = points.mean(axis=0), train.position.mean(axis=0)
     if np.linalg.matrix_rank(train.position - measured_centre, tol=1e-6) < 2:
         raise refuse("base.known = false: the measured points lie on one line or in one place, so nothing says where the robot "
@@ -156,7 +156,7 @@ def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements)
 
     if train.rotation is not None:
         oriented = np.isfinite(train.rotation).all(axis=(1, 2))
-        seen = Rotation.from_matrix(nominal.rotation(nominal.nominal, train.rows[:, oriented]))
+        seen = Rotation.from_matrix(nominal.rotation(nominal.nominal, train.conditions[:, oriented]))
         tool = ((turn * seen).inv() * Rotation.from_matrix(train.rotation[oriented])).mean()
         placed = replace(placed, tool_rotation=_angles(_tool(placed) * tool))
 
@@ -276,9 +276,11 @@ def _disagreement(measured: Measurements, turn: float, stretch: float) -> float:
     """
     nominal = build(measured.robot, (), measured.given)
     chosen = np.unique(np.linspace(0, len(measured) - 1, SHAPE_ROWS).astype(int))
-    rows = measured.rows[:, chosen]
-    rows[: measured.robot.n_joints] *= [[turn if joint.kind == "revolute" else 1.0] for joint in measured.robot.joints]
-    both = (stretch * measured.position[chosen], nominal.position(nominal.nominal, rows))
+    conditions = measured.conditions[:, chosen]
+    conditions[: measured.robot.n_joints] *= [
+        [turn if joint.kind == "revolute" else 1.0] for joint in measured.robot.joints
+    ]
+    both = (stretch * measured.position[chosen], nominal.position(nominal.nominal, conditions))
     points, expected = (np.linalg.norm(places[:, None] - places[None], axis=2) for places in both)
     share = np.median(np.abs(points - expected)) / (np.median(points) + np.median(expected))
     return float(share) if np.isfinite(share) else 1.0
@@ -289,5 +291,5 @@ def check_loop(measured: Measurements, path: Path) -> list[Problem]:
     if measured.robot.loop is None:
         return []
     nominal = build(measured.robot, (), measured.given)
-    open_ = np.abs(nominal.closure_cosine(nominal.nominal, measured.rows)) >= 1
+    open_ = np.abs(nominal.closure_cosine(nominal.nominal, measured.conditions)) >= 1
     return at_rows(open_, measured.table, path, "the four-bar loop cannot be closed at these joint readings")

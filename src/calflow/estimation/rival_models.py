@@ -44,16 +44,16 @@ class Alternative:
 
 
 def choice_variance(
-    alternatives: Sequence[Alternative], model: Model, estimate: np.ndarray, rows: np.ndarray
+    alternatives: Sequence[Alternative], model: Model, estimate: np.ndarray, conditions: np.ndarray
 ) -> np.ndarray:
     """Return the variance of each row's position (n_rows, 3) [m²] because another model may be the right one.
 
     The mean square distance of their predictions from this model's (Hoeting et al. 1999, Bayesian model averaging).
     """
     if not alternatives:
-        return np.zeros((rows.shape[1], 3))
-    here = model.point(estimate, rows)
-    others = [replace(one.model, given=model.given).point(one.estimate, rows) for one in alternatives]
+        return np.zeros((conditions.shape[1], 3))
+    here = model.point(estimate, conditions)
+    others = [replace(one.model, given=model.given).point(one.estimate, conditions) for one in alternatives]
     return np.asarray(
         sum(one.probability * (there - here) ** 2 for one, there in zip(alternatives, others, strict=True))
     )

@@ -50,11 +50,13 @@ class Linear:
         """Linearise at the fit of a reference, at the rows whose errors a step [m] may explain."""
         fit = reference.fit
         here = np.flatnonzero(chosen_rows(np.flatnonzero(data.train), FIT_ROWS, len(data)))
-        predicted = fit.predicted(data.rows[:, here])
+        predicted = fit.predicted(data.conditions[:, here])
         error = data.position[here] - predicted
         usable = lengths(error) < FAR * step
         here, predicted, error = here[usable], predicted[usable], error[usable]
-        jacobian = np.einsum("ij,njk->nik", fit.turn, fit.model.position_jacobian(fit.estimate, data.rows[:, here]))
+        jacobian = np.einsum(
+            "ij,njk->nik", fit.turn, fit.model.position_jacobian(fit.estimate, data.conditions[:, here])
+        )
         prior = fit.prior
         jacobian = (jacobian * prior).reshape(-1, len(prior)) / LEAST_GROSS
         at_nominal = error.ravel() / LEAST_GROSS + jacobian @ ((fit.estimate - fit.model.prior_mean) / prior)

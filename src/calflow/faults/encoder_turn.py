@@ -111,7 +111,9 @@ class EncoderTurn(Check):
             if again is None:
                 return None
             fit = again.fit
-            before, after = (lengths(data.position - fit.predicted(conditions)) for conditions in (data.rows, read))
+            before, after = (
+                lengths(data.position - fit.predicted(conditions)) for conditions in (data.conditions, read)
+            )
             needed = states(np.stack([state_cost(before, fit.scale), state_cost(after, fit.scale)]), CHANGE) == 1
             # Nearly all rows may need a turn that the fit has followed: the others must be right without it.
             if not all(
@@ -144,7 +146,9 @@ def _size(data: Measurements, reference: Reference, joint: int, step: float) -> 
     few = np.flatnonzero(chosen_rows(np.arange(len(data)), FEW_ROWS, len(data)))
     read = rows_with_reading(data, joint, data.joints[few, joint] + step, few)
     return float(
-        np.nanmedian(np.linalg.norm(reference.fit.predicted(read) - reference.fit.predicted(data.rows[:, few]), axis=1))
+        np.nanmedian(
+            np.linalg.norm(reference.fit.predicted(read) - reference.fit.predicted(data.conditions[:, few]), axis=1)
+        )
     )
 
 

@@ -43,13 +43,13 @@ class PlacedRobot:
     @staticmethod
     def of(few: Measurements, models: Models, signs: Signs = (), mirror: np.ndarray = RIGHT) -> PlacedRobot:
         """Place it with the signs of some joints (index from 0) turned, at positions that are mirrored (3, 3)."""
-        rows, position = few.rows.copy(), few.position @ mirror.T
-        rows[list(signs)] *= -1
-        turn, shift, _ = motion(models.nominal.position(models.nominal.nominal, rows), position)
-        fit = rough(models.placed, rows, position, turn, shift)
+        conditions, position = few.conditions.copy(), few.position @ mirror.T
+        conditions[list(signs)] *= -1
+        turn, shift, _ = motion(models.nominal.position(models.nominal.nominal, conditions), position)
+        fit = rough(models.placed, conditions, position, turn, shift)
         markers = {name for name, marker in few.robot.markers.items() if marker.known}
         moved = [value for p, value in zip(fit.model.parameters, fit.estimate, strict=True) if p.part in markers]
-        error = float(level(lengths(position - fit.predicted(rows))))
+        error = float(level(lengths(position - fit.predicted(conditions))))
         return PlacedRobot(error, turn, float(np.abs(moved).max(initial=0.0)))
 
 
@@ -114,7 +114,7 @@ def _expected(few: Measurements, models: Models) -> np.ndarray:
     if few.rotation is not None:
         there = np.flatnonzero(np.isfinite(few.rotation).all(axis=(1, 2)))
         if len(there) > 3:
-            predicted = Rotation.from_matrix(models.nominal.rotation(models.nominal.nominal, few.rows[:, there]))
+            predicted = Rotation.from_matrix(models.nominal.rotation(models.nominal.nominal, few.conditions[:, there]))
             seen = Rotation.from_matrix(few.rotation[there])
             axes, wanted = ((turns[1:] * turns[:-1].inv()).as_rotvec() for turns in (predicted, seen))
             clear = np.linalg.norm(axes, axis=1) < LARGEST

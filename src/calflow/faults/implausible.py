@@ -32,9 +32,9 @@ def nominal_misfit(data: Measurements) -> str:
         return ""
     models = Models.of(train)
     nominal = models.nominal
-    points = nominal.position(nominal.nominal, train.rows)
+    points = nominal.position(nominal.nominal, train.conditions)
     turn, shift, _ = motion(points, train.position)
-    placed = rough(models.placed, train.rows, train.position, turn, shift)
+    placed = rough(models.placed, train.conditions, train.position, turn, shift)
     far = float(np.median(placed.miss(train)))
     reach = float(np.nanmax(np.linalg.norm(points, axis=1)))
     limit = min(FAR, SHARE * reach)
@@ -58,9 +58,9 @@ def base_elsewhere(data: Measurements) -> str:
     if not base.known or base.fixed or train.table["pose"].nunique() < FEWEST:
         return ""
     models = Models.of(train)
-    points = models.nominal.position(models.nominal.nominal, train.rows)
+    points = models.nominal.position(models.nominal.nominal, train.conditions)
     turn, shift, _ = motion(points, train.position)
-    placed = rough(models.placed, train.rows, train.position, turn, shift)
+    placed = rough(models.placed, train.conditions, train.position, turn, shift)
     as_stated = Rotation.from_euler("XYZ", base.rotation)
     angle = float((as_stated.inv() * Rotation.from_matrix(placed.turn)).magnitude())
     distance = float(np.linalg.norm(placed.shift - base.origin))

@@ -88,11 +88,13 @@ def likely(data: Measurements, reference: Reference) -> dict[Signs, float]:
     few = data.only(chosen_rows(np.flatnonzero(data.train), ROWS, len(data)))
     n = data.robot.n_joints
     every = [turned for k in range(n + 1 if n <= EVERY else 3) for turned in combinations(range(n), k)]
-    rows = np.repeat(few.rows[None], len(every), axis=0)
+    conditions = np.repeat(few.conditions[None], len(every), axis=0)
     for k, turned in enumerate(every):
-        rows[k, list(turned)] *= -1
+        conditions[k, list(turned)] *= -1
     nominal, model = reference.models.nominal, reference.models.placed
-    points = nominal.position(nominal.nominal, np.concatenate(list(rows), axis=1)).reshape(len(every), len(few), 3)
+    points = nominal.position(nominal.nominal, np.concatenate(list(conditions), axis=1)).reshape(
+        len(every), len(few), 3
+    )
     turn, shift, error = motion(points, few.position)
     miss = level(error)
     single = np.array([len(turned) == 1 for turned in every])
@@ -105,8 +107,8 @@ def likely(data: Measurements, reference: Reference) -> dict[Signs, float]:
         return {}
     placed = {}
     for k in (0, *worth):
-        fit = rough(model, rows[k], few.position, turn[k], shift[k])
-        placed[k] = float(level(lengths(few.position - fit.predicted(rows[k]))))
+        fit = rough(model, conditions[k], few.position, turn[k], shift[k])
+        placed[k] = float(level(lengths(few.position - fit.predicted(conditions[k]))))
     best = min(placed.values())
     left = sorted((k for k in placed if k and placed[k] < min(placed[0], NEARLY * best)), key=placed.__getitem__)
     return {every[k]: placed[k] for k in left}

@@ -25,7 +25,7 @@ class MarkerSwap(Check):
         gross, miss = np.flatnonzero(reference.gross), reference.miss
         if len(gross) < 2 or data.table["marker"].nunique() < 2:
             return ()
-        predicted, position = fit.predicted(data.rows), data.position
+        predicted, position = fit.predicted(data.conditions), data.position
         corrections: list[Correction] = []
         for _, group in data.table.iloc[gross].assign(row=gross).groupby(["pose", "repeat"], sort=False):
             pairs = [np.array(pair) for pair in combinations(group["row"], 2)]

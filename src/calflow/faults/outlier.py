@@ -56,7 +56,7 @@ class Outlier(Check):
     def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         """Return one fault with all outliers."""
         fit = reference.fit
-        error = data.position - fit.predicted(data.rows)
+        error = data.position - fit.predicted(data.conditions)
         miss, used = reference.miss, data.train | data.held_out
         limit = limit_of(miss[used], fit.scale, fit.gross)
         off = used & (miss > limit)
@@ -103,7 +103,10 @@ def _of_a_joint(data: Measurements, fit: Rough, error: np.ndarray, rows: np.ndar
     """Whether nearly all these rows err in the direction in which one and the same joint moves the tool."""
     if len(data.table["pose"].iloc[rows].unique()) < RUN:
         return False
-    here, wrong = fit.predicted(data.rows[:, rows]), error[rows] / np.linalg.norm(error[rows], axis=1, keepdims=True)
+    here, wrong = (
+        fit.predicted(data.conditions[:, rows]),
+        error[rows] / np.linalg.norm(error[rows], axis=1, keepdims=True),
+    )
     for joint in range(data.robot.n_joints):
         moved = fit.predicted(rows_with_reading(data, joint, data.joints[rows, joint] + SMALL, rows)) - here
         along = np.abs((moved * wrong).sum(axis=1)) > ALONG * np.linalg.norm(moved, axis=1)

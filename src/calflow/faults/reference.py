@@ -108,19 +108,19 @@ class Rough:
         """How far the robot is from its nominal: its parameters' squares in standard deviations."""
         return float((((self.estimate - self.model.prior_mean) / self.prior) ** 2).sum())
 
-    def predicted(self, rows: np.ndarray) -> np.ndarray:
+    def predicted(self, conditions: np.ndarray) -> np.ndarray:
         """Return positions (n_rows, 3) [m] for packed conditions; nan where a loop cannot be closed."""
-        return self.model.position(self.estimate, rows) @ self.turn.T + self.shift
+        return self.model.position(self.estimate, conditions) @ self.turn.T + self.shift
 
     def miss(self, data: Measurements) -> np.ndarray:
         """Return how far each row's position is from where the others say it should be, shape (n_rows,) [m].
 
         A gross row counts less where the fit itself is unsure, as it is far from the rows that were fitted.
         """
-        miss = lengths(data.position - self.predicted(data.rows))
+        miss = lengths(data.position - self.predicted(data.conditions))
         far = np.isfinite(miss) & (miss > self.gross)
         if far.any():
-            jacobian = self.model.position_jacobian(self.estimate, data.rows[:, far])
+            jacobian = self.model.position_jacobian(self.estimate, data.conditions[:, far])
             variance = ((jacobian @ self.covariance) * jacobian).sum(axis=2).max(axis=1)
             miss[far] /= np.sqrt(1 + variance / self.scale**2)
         return miss
@@ -146,7 +146,7 @@ class Reference:
         model = models.richest(3 * len(np.unique(conditions(train))))
         if model is None:
             return None
-        nominal, rows, position = models.nominal, train.rows, train.position
+        nominal, rows, position = models.nominal, train.conditions, train.position
         turn, shift, _ = motion(nominal.position(nominal.nominal, rows), position)
         spread = float(np.median(lengths(position - np.median(position, axis=0))))
         return Reference(data, models, rough(model, rows, position, turn, shift), spread)
@@ -162,7 +162,7 @@ class Reference:
         return self.miss > self.fit.gross
 
 
-def rough(model: Model, rows: np.ndarray, position: np.ndarray, turn: np.ndarray, shift: np.ndarray) -> Rough:
+def rough(model: Model, conditions: np.ndarray, position: np.ndarray, turn: np.ndarray, shift: np.ndarray) -> Rough:
     """Fit a model to positions (n_rows, 3) by least squares in which wrong rows weigh little (Cauchy).
 
     The robot's base is near where turn and shift say. The noise is the scale of the errors themselves, taken anew with the
@@ -172,8 +172,8 @@ def rough(model: Model, rows: np.ndarray, position: np.ndarray, turn: np.ndarray
     prior = _prior(model)
     estimate, n = model.prior_mean.copy(), len(model.parameters)
     for _ in range(LINEARISED):
-        jacobian = model.position_jacobian(estimate, rows)
-        left = measured - model.position(estimate, rows)
+        jacobian = model.position_jacobian(estimate, conditions)
+        left = measured - model.position(estimate, conditions)
         there = np.isfinite(left).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
         jacobian, left = jacobian[there], left[there]
         scaled = _blocks((jacobian * prior).reshape(left.size, n))
@@ -251,7 +251,7 @@ def rows_with_reading(
     data: Measurements, column: int, values: np.ndarray, rows: Sequence[int] | np.ndarray
 ) -> np.ndarray:
     """Return the packed conditions (n_conditions, n) of some rows with other readings of a joint (index from 0)."""
-    packed = data.rows[:, rows].copy()
+    packed = data.conditions[:, rows].copy()
     packed[column] = values
     return packed
 

@@ -83,7 +83,7 @@ class LostRows(Check):
         fit = reference.fit
         if fit.scale > FAR_OFF * reference.spread:
             return ()
-        predicted, position, pose = fit.predicted(data.rows), data.position, data.table["pose"].to_numpy()
+        predicted, position, pose = fit.predicted(data.conditions), data.position, data.table["pose"].to_numpy()
         far = reference.miss > max(FAR_ROW * reference.spread, fit.gross)
         rows: list[int] = []
         for block in np.split(np.arange(len(far)), np.flatnonzero(far[1:] != far[:-1]) + 1):
@@ -116,7 +116,7 @@ def _realigning(data: Measurements, fit: Rough, lags: list[int]) -> Iterator[tup
     miss = fit.miss(data)
     if (miss > fit.gross).sum() < FEWEST:
         return
-    predicted, position = fit.predicted(data.rows), data.position
+    predicted, position = fit.predicted(data.conditions), data.position
     costs = np.stack(
         [state_cost(np.linalg.norm(position - _later(predicted, lag), axis=1), fit.scale) for lag in (0, *lags)]
     )
@@ -163,7 +163,7 @@ def _guess(data: Measurements, nominal: Model, lags: list[int]) -> np.ndarray | 
     Every row is tried at once: the error of the best rigid motion follows from sums over the rows before and after it.
     Held-out rows count too, but they say no more than which rows belong together.
     """
-    points, measured = nominal.position(nominal.nominal, data.rows), data.position
+    points, measured = nominal.position(nominal.nominal, data.conditions), data.position
     middle = np.median(measured, axis=0)
     points, measured = points - np.nanmedian(points, axis=0), measured - middle
     plain = _sums(points, measured)

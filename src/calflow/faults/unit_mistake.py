@@ -49,7 +49,7 @@ class UnitMistake(Check):
 
 def _tried(data: Measurements, fit: Rough, rows: np.ndarray) -> Iterator[tuple[int, float, str, np.ndarray]]:
     """Yield joint (0: positions), factor, the mistake in words, and the rows' errors (n_rows,) [m] without it."""
-    position, predicted = data.position[rows], fit.predicted(data.rows[:, rows])
+    position, predicted = data.position[rows], fit.predicted(data.conditions[:, rows])
     for factor, what in LENGTHS:
         yield 0, factor, what, lengths(factor * position - predicted)
     for i, joint in enumerate(data.robot.joints):

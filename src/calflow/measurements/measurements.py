@@ -199,7 +199,7 @@ class Measurements:
         return tuple(name for name in OPTIONAL if condition_columns(name, self.robot)[0] in self.table)
 
     @cached_property
-    def rows(self) -> np.ndarray:
+    def conditions(self) -> np.ndarray:
         """Packed conditions, shape (n_conditions, n_rows), as `conditions.Row` orders them."""
         parts = []
         for name in Row.sizes(self.robot, self.given):

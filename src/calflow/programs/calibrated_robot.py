@@ -273,8 +273,8 @@ class CalibratedRobot:
 
     def flange(self, readings: np.ndarray) -> np.ndarray:
         """Return where the controller takes the flange to be, (n, 4, 4), at readings (n, n_joints)."""
-        rows = self.rows(readings).stating(()).rows
-        seen, tool = _frames(self._rigid, np.zeros(0), rows)
+        conditions = self.rows(readings).stating(()).conditions
+        seen, tool = _frames(self._rigid, np.zeros(0), conditions)
         return inverse(self._stands) @ seen @ inverse(tool)
 
     def solutions(
@@ -326,8 +326,8 @@ class CalibratedRobot:
         if not len(of):
             return begun, of
         aims = (self._stands @ flanges @ self._nominal_tool)[of]
-        rows = self.rows(begun).stating(()).rows
-        landed = landing(self._rigid, np.zeros(0), rows, Targets(aims[:, :3, 3], aims[:, :3, :3]), begun)
+        conditions = self.rows(begun).stating(()).conditions
+        landed = landing(self._rigid, np.zeros(0), conditions, Targets(aims[:, :3, 3], aims[:, :3, :3]), begun)
         return landed.readings[landed.reached], of[landed.reached]
 
     def posture(self, readings: np.ndarray) -> ArmPosture:
@@ -340,8 +340,8 @@ class CalibratedRobot:
         data = replace(data, table=data.table.assign(pose=list(names)))
         # of where base and tool are: the sides of approach come later
         stated = as_stated(self.calibrated, data, "widen")
-        _, tool = _frames(stated.calibrated.model, self.calibrated.estimate, stated.data.rows)
-        aims = base_placement(stated.calibrated, stated.data.rows) @ self.flange(readings) @ tool
+        _, tool = _frames(stated.calibrated.model, self.calibrated.estimate, stated.data.conditions)
+        aims = base_placement(stated.calibrated, stated.data.conditions) @ self.flange(readings) @ tool
         oriented = len(self.axes.arm) >= FREE
         asked = Targets(aims[:, :3, 3], aims[:, :3, :3] if oriented else None)
         found = compensate_rows(
@@ -374,8 +374,8 @@ class CalibratedRobot:
 
     @cached_property
     def _nominal_tool(self) -> np.ndarray:
-        rows = self.rows(np.zeros((1, self.n_joints))).stating(()).rows
-        return _frames(self._rigid, np.zeros(0), rows)[1][0]
+        conditions = self.rows(np.zeros((1, self.n_joints))).stating(()).conditions
+        return _frames(self._rigid, np.zeros(0), conditions)[1][0]
 
     def _all_turns(self, readings: np.ndarray) -> np.ndarray:
         """The same ways with whole turns of revolute joints more or less, within the limits."""
@@ -390,14 +390,14 @@ class CalibratedRobot:
         return _different(every @ robot.angle_matrix.T)
 
 
-def _frames(model: Model, p: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _frames(model: Model, p: np.ndarray, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where the measured tool frame is in the measuring frame, and in the flange's, (n, 4, 4) each."""
     symbol, c, predicted = model.symbols
     first = model.robot.n_joints + len(model.robot.payloads)
     marker = predicted.dims.markers @ c[first : first + len(model.robot.markers)]
     outputs = [predicted.point, ca.vec(predicted.rotation), marker, ca.vec(predicted.tool)]
     function = ca.Function("frames", [symbol, c], [ca.densify(ca.SX(one)) for one in outputs])
-    point, rotation, shift, turned = over_rows(function, p, rows)
+    point, rotation, shift, turned = over_rows(function, p, conditions)
     return _transforms(point, rotation), _transforms(shift, turned)
 
 

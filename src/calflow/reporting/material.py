@@ -186,7 +186,7 @@ class Material:
         """Where the marker was: as measured, or as predicted where no position was, shape (n_rows, 3) [m]."""
         model = self.calibrated.model
         here = in_measuring_frame(model.observations, self.data)
-        place = model.point(self.calibrated.estimate, self.data.rows)
+        place = model.point(self.calibrated.estimate, self.data.conditions)
         if here.any():
             place[here] = self.data.position[here]
         return place
@@ -209,13 +209,13 @@ class Material:
     @cached_property
     def model_sd(self) -> float:
         """How sure the parameters make the model's position: root mean square over the judged rows [mm]."""
-        variance = parameter_variance(self.calibrated, self.data.rows[:, self.judged])
+        variance = parameter_variance(self.calibrated, self.data.conditions[:, self.judged])
         return 1e3 * float(np.sqrt(variance.sum(axis=1).mean()))
 
     @property
     def prediction_sd(self) -> float:
         """How sure predicted positions are, with the choice of the model and its own error: see `predict_positions` [mm]."""
-        variance = position_variance(self.calibrated, self.data.rows[:, self.judged])
+        variance = position_variance(self.calibrated, self.data.conditions[:, self.judged])
         return 1e3 * float(np.sqrt(variance.sum(axis=1).mean()))
 
 

@@ -100,7 +100,7 @@ def compensate_file(
         data = plausible(data, path)
     names = data.table[FRAME].astype(str) if FRAME in data.table else [""] * len(data)
     aims = Targets(data.position, data.rotation)
-    asked = targets_in_measuring_frame(aims, list(names), stated, on_conditions_of(calibration, data), data.rows)
+    asked = targets_in_measuring_frame(aims, list(names), stated, on_conditions_of(calibration, data), data.conditions)
     found = compensate_rows(
         calibration, data, asked, start=data.joints if started else None, in_order=in_order, missing=missing, seed=seed
     )

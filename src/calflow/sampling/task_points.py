@@ -88,7 +88,11 @@ class PointErrors:
 
 
 def point_errors(
-    posterior: Posterior, calibrated: CalibratedModel, rows: np.ndarray, rng: np.random.Generator, widened: float = 0.0
+    posterior: Posterior,
+    calibrated: CalibratedModel,
+    conditions: np.ndarray,
+    rng: np.random.Generator,
+    widened: float = 0.0,
 ) -> PointErrors:
     """Return what draws say of the robot's errors at a task's points, against the model as it was fitted.
 
@@ -96,7 +100,7 @@ def point_errors(
         posterior: the sampled one.
         calibrated: the whole model, of which the posterior may hold some causes at their estimates, for conditions that the rows
             state.
-        rows: packed conditions (n_conditions, n_points).
+        conditions: packed conditions (n_conditions, n_points).
         rng: draws.
         widened: further variance of positions [m²].
     """
@@ -109,24 +113,26 @@ def point_errors(
     factor = np.exp(2 * draws[:, -1])[:, None, None]  # of the noise's variance
 
     def errors(quantity: Quantity, slope: Quantity, left: np.ndarray) -> ErrorDraws:
-        here = quantity(calibrated.model, calibrated.estimate, rows)
-        drawn = np.array([quantity(lean.model, draw[:-1], rows) for draw in draws]) - here
+        here = quantity(calibrated.model, calibrated.estimate, conditions)
+        drawn = np.array([quantity(lean.model, draw[:-1], conditions) for draw in draws]) - here
         for other, acts in zip(calibrated.alternatives, chosen.T, strict=True):
-            there = quantity(replace(other.model, given=calibrated.model.given), other.estimate, rows)
+            there = quantity(replace(other.model, given=calibrated.model.given), other.estimate, conditions)
             drawn += acts[:, None, None] * (there - here)
-        size = np.sqrt(left + _held(calibrated, lean, rows, slope))
+        size = np.sqrt(left + _held(calibrated, lean, conditions, slope))
         alike = rng.standard_normal((len(draws), 1, 3))
         return ErrorDraws(drawn, size * rng.standard_normal(drawn.shape), size * alike)
 
     return PointErrors(
-        errors(Model.point, Model.point_jacobian, factor * left_variance(calibrated, rows) + widened),
-        errors(_turn_from(calibrated, rows), Model.rotation_jacobian, factor * calibrated.discrepancy[RADIAN] ** 2),
+        errors(Model.point, Model.point_jacobian, factor * left_variance(calibrated, conditions) + widened),
+        errors(
+            _turn_from(calibrated, conditions), Model.rotation_jacobian, factor * calibrated.discrepancy[RADIAN] ** 2
+        ),
     )
 
 
-def _turn_from(calibrated: CalibratedModel, rows: np.ndarray) -> Quantity:
+def _turn_from(calibrated: CalibratedModel, conditions: np.ndarray) -> Quantity:
     """Return how a model's tool is turned from the fitted one's, about its own axes (n_points, 3) [rad]; small."""
-    fitted = calibrated.model.rotation(calibrated.estimate, rows)
+    fitted = calibrated.model.rotation(calibrated.estimate, conditions)
 
     def turn(model: Model, estimate: np.ndarray, of: np.ndarray) -> np.ndarray:
         apart = np.einsum("nji,njk->nik", fitted, model.rotation(estimate, of))
@@ -136,12 +142,12 @@ def _turn_from(calibrated: CalibratedModel, rows: np.ndarray) -> Quantity:
     return turn
 
 
-def _held(calibrated: CalibratedModel, lean: CalibratedModel, rows: np.ndarray, slope: Quantity) -> np.ndarray:
+def _held(calibrated: CalibratedModel, lean: CalibratedModel, conditions: np.ndarray, slope: Quantity) -> np.ndarray:
     """Variance (n_points, 3) of what was held at its estimate while the rest was sampled."""
     if len(calibrated.estimate) == len(lean.estimate):
-        return np.zeros((rows.shape[1], 3))
-    whole = of_parameters(slope(calibrated.model, calibrated.estimate, rows), calibrated.covariance)
-    return np.maximum(whole - of_parameters(slope(lean.model, lean.estimate, rows), lean.covariance), 0.0)
+        return np.zeros((conditions.shape[1], 3))
+    whole = of_parameters(slope(calibrated.model, calibrated.estimate, conditions), calibrated.covariance)
+    return np.maximum(whole - of_parameters(slope(lean.model, lean.estimate, conditions), lean.covariance), 0.0)
 
 
 LIKELY = 0.95  # probability from which a point counts as within
@@ -221,8 +227,8 @@ def task_table(
     calibrated: CalibratedModel, task: Measurements, measured: Measurements, errors: PointErrors, asked: TaskTolerances
 ) -> pd.DataFrame:
     """Return a row a point of the task; measured are the rows that were fitted."""
-    place = expected_point(calibrated, task.rows)
-    nominal = calibrated.model.point(calibrated.model.nominal, task.rows)
+    place = expected_point(calibrated, task.conditions)
+    nominal = calibrated.model.point(calibrated.model.nominal, task.conditions)
     within = errors.within(asked.tolerance, asked.turn_tolerance).mean(axis=0)
     position, turn, table = errors.position, errors.turn, task.table
     strange = _strange(task, measured)

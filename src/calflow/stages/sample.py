@@ -86,9 +86,11 @@ def _task(
     time_origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
     task = settings.points(context.study, known.model, measured, time_origin, context.rng("task")).on(known.model.robot)
     stated = as_stated(known, task, "widen")
-    errors = point_errors(posterior, stated.calibrated, stated.data.rows, context.rng("task errors"), stated.widened)
+    errors = point_errors(
+        posterior, stated.calibrated, stated.data.conditions, context.rng("task errors"), stated.widened
+    )
     table = task_table(stated.calibrated, stated.data, measured, errors, asked)
-    notes = (*stated.notes, *not_known(stated.calibrated, stated.data.rows), *beyond_limits(task))
+    notes = (*stated.notes, *not_known(stated.calibrated, stated.data.conditions), *beyond_limits(task))
     return table, task_summary(stated.calibrated, table, errors, asked, notes)
 
 

@@ -114,7 +114,7 @@ def measured_rows(data: Measurements) -> np.ndarray:
     """Return the packed conditions of the poses that are fitted, a row a marker and payload of each, without optional ones."""
     own = data.table.loc[data.train].drop_duplicates(["pose", "marker", "payload"]).index
     fixed = data.robot.n_joints + len(data.robot.payloads) + len(data.robot.markers)
-    return np.asarray(data.rows[:fixed, data.table.index.get_indexer(own)])
+    return np.asarray(data.conditions[:fixed, data.table.index.get_indexer(own)])
 
 
 def named_files(study: Study, settings: SelectSettings) -> tuple[Path, ...]:

@@ -69,11 +69,11 @@ def test_they_are_read_as_they_were_written(final):
 
 def test_a_prediction_is_wider_by_what_the_others_say(final):
     """Fails if the choice of the model does not reach a prediction's variance, or not by its probability."""
-    rows = final.data.rows
+    conditions = final.data.conditions
     bare = replace(final.model, effects=final.plain)
     estimate = final.fit.estimate[: len(bare.parameters)]
     other = Alternative(bare, estimate, 0.25)
-    apart = bare.point(estimate, rows) - final.model.point(final.fit.estimate, rows)
+    apart = bare.point(estimate, conditions) - final.model.point(final.fit.estimate, conditions)
     assert np.abs(apart).max() > 1e-5
-    assert choice_variance([other], final.model, final.fit.estimate, rows) == pytest.approx(0.25 * apart**2)
-    assert not choice_variance([], final.model, final.fit.estimate, rows).any()
+    assert choice_variance([other], final.model, final.fit.estimate, conditions) == pytest.approx(0.25 * apart**2)
+    assert not choice_variance([], final.model, final.fit.estimate, conditions).any()

@@ -44,7 +44,7 @@ def drawn(*names, q, approach):
     split = np.where(np.arange(len(q)) % 3, "train", "holdout")
     table = table.assign(pose=np.arange(len(q)), marker="E", payload="load", split=split)
     noise = NOISE * np.random.default_rng(1).standard_normal((len(q), 3))
-    table[["x", "y", "z"]] = model.position(estimate, Measurements(ROBOT, table).rows) + noise
+    table[["x", "y", "z"]] = model.position(estimate, Measurements(ROBOT, table).conditions) + noise
     data = Measurements(ROBOT, table)
     level = Noise(np.full(len(q), NOISE), ("file",))
     problem = LeastSquares.of(model, data, level)

@@ -45,7 +45,7 @@ def test_the_process_is_the_gaussian_process_of_its_covariance():
     model, fit, decoy = known.model, known.fit, by_joint1(known)
     both = Model(model.robot, (*model.effects, decoy), model.given)
     n = len(fit.estimate)
-    slopes = both.position_jacobian(np.append(fit.estimate, np.zeros(len(decoy.declared))), known.data.rows)
+    slopes = both.position_jacobian(np.append(fit.estimate, np.zeros(len(decoy.declared))), known.data.conditions)
     own, waves = (part.reshape(len(known.data) * 3, -1) / SIGMA for part in (slopes[:, :, :n], slopes[:, :, n:]))
     pull = own @ (model.nominal - fit.estimate)
     left = errors(model, fit.estimate, known.data).ravel() / SIGMA + pull

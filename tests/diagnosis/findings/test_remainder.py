@@ -71,9 +71,11 @@ def test_what_goes_with_the_payload_is_told():
     data = measured(model, model.nominal, 100, rng)
     bare = rng.permutation(100) < 50
     data.table.loc[bare, "payload"] = ""
-    turned = data.rows.copy()
+    turned = data.conditions.copy()
     turned[1, ~bare] += 2e-4 * np.cos(turned[1, ~bare])
-    data.table[["x", "y", "z"]] += model.position(model.nominal, turned) - model.position(model.nominal, data.rows)
+    data.table[["x", "y", "z"]] += model.position(model.nominal, turned) - model.position(
+        model.nominal, data.conditions
+    )
     fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
     left = remainder(Fitted(fit, data, noise, lack, "linear", noise), 0.01, np.random.default_rng(1), lambda _: None)
     assert "payload" in left[0].inputs

@@ -124,4 +124,4 @@ def _values(model: Model, cause: Effect, variable: Variable, data: Measurements)
     now = state(robot, nominal_dimensions(robot), nominal_loads(robot), row, Deflection.zero(robot.n_joints))
     p = ca.SX.sym("p")
     function = ca.Function("variable", [p, c], [ca.densify(ca.SX(variable.value(now, row)))])
-    return over_rows(function, np.zeros(1), data.rows)[0].ravel() * variable.factor
+    return over_rows(function, np.zeros(1), data.conditions)[0].ravel() * variable.factor

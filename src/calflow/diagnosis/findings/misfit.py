@@ -195,7 +195,7 @@ def _inputs(fitted: Fitted) -> list[_Input]:
     for i, joint in enumerate(data.robot.joints):
         shown, factor = joint.shown
         inputs.append(_Input(f"q{i + 1}", factor * angles[:, i], shown))
-    place = 1e3 * fitted.model.point(fitted.fit.estimate, data.rows)
+    place = 1e3 * fitted.model.point(fitted.fit.estimate, data.conditions)
     inputs += [_Input(axis, place[:, i], "mm") for i, axis in enumerate("xyz")]
     for name, unit in (("time", "s"), ("order", "")):
         if name in data.given:

@@ -259,7 +259,7 @@ def under_payloads(fitted: Fitted) -> list[UnderPayload]:
 
 def placed_decoys(fitted: Fitted) -> InPlace:
     """Return the smooth functions of place where a fitted model's rows are."""
-    place = fitted.model.point(fitted.fit.estimate, fitted.data.rows)
+    place = fitted.model.point(fitted.fit.estimate, fitted.data.conditions)
     centre = place.mean(axis=0)
     return InPlace(fitted.data.robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0)
 
