@@ -28,7 +28,7 @@ from calflow.estimation.progress import draws
 from calflow.measurements.series import Series
 from calflow.model import Model, build
 from calflow.observations.position import Position
-from calflow.robot.conditions import reading_columns, shown_readings
+from calflow.robot.mechanism import reading_columns, shown_readings
 from calflow.robot.robot import Robot
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))

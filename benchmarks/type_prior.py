@@ -29,7 +29,7 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.model import build
 from calflow.population.likelihood import Calibration, ParameterLikelihood, shared_parameters
 from calflow.population.unlike import unlike
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 from hidden.case import COMPLIANCE, Case, draw_poses, robot_file, stated_tables, toml
 from hidden.causes import PAYLOADS, measured_points
 from hidden.simulator import Robot, Rows, placed, read, worn

@@ -17,8 +17,7 @@ from calflow.files.words import first_up
 from calflow.measurements.series import Series, Setting
 from calflow.model import build
 from calflow.observations import Observation, Position
-from calflow.robot.parameter import Parameter
-from calflow.robot.parts import Base
+from calflow.robot.parts import Base, Parameter
 from made.bench import benches
 from made.effect_page import COLUMNS, paragraphs, table
 from made.pictures import COLOURS, STYLE, svg

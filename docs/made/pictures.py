@@ -15,7 +15,7 @@ from calflow.effects import Effect
 from calflow.effects.base import Variable, joint_variable
 from calflow.effects.cause import parts
 from calflow.model import over_rows
-from calflow.robot.conditions import Row
+from calflow.robot.mechanism import Row
 from made.bench import Bench
 from made.rivals import places
 

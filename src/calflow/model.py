@@ -16,13 +16,22 @@ from calflow.effects import Effect, catalogue, effect_class
 from calflow.files.problems import nearest, refuse
 from calflow.measurements.measurements import Measurements
 from calflow.observations import Observation, Seen
-from calflow.robot.chain import Deflection, Posture, marker_point, pose
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads
-from calflow.robot.parameter import Parameter
+from calflow.robot.frames import apply, placement, turning
+from calflow.robot.mechanism import (
+    Deflection,
+    Dimensions,
+    Loads,
+    Posture,
+    Row,
+    State,
+    marker_point,
+    nominal_dimensions,
+    nominal_loads,
+    pose,
+    state,
+)
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State, state
-from calflow.robot.transforms import apply, placement, turning
 
 # Each turn shrinks the distance to equilibrium by about the wind-up angle (some 1e-3), so three reach nanometres.
 EQUILIBRIUM_TURNS = 3

@@ -18,7 +18,7 @@ from calflow.files.problems import InputError, Problem, nearest, shortened, toge
 from calflow.files.toml import FileModel, Length, Lengths3, Origin, Unit, read_toml
 from calflow.files.units import LARGEST, spellings
 from calflow.model import Model, build
-from calflow.robot.conditions import reading_columns, shown_readings
+from calflow.robot.mechanism import reading_columns, shown_readings
 from calflow.robot.robot import Robot
 from calflow.study import check_effects
 from calflow.study_file import known_effects

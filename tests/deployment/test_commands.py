@@ -7,8 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.deployment.compensation import clearance, compensate_rows, not_known
-from calflow.deployment.inverse_kinematics import TargetFrameTable, Targets, targets_in_measuring_frame
+from calflow.deployment.compensation import (
+    TargetFrameTable,
+    Targets,
+    clearance,
+    compensate_rows,
+    not_known,
+    targets_in_measuring_frame,
+)
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements

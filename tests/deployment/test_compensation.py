@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.deployment.compensation import clearance
-from calflow.deployment.inverse_kinematics import Targets, landing, nominal_readings
+from calflow.deployment.compensation import Targets, clearance, landing, nominal_readings
 from calflow.deployment.prediction import beyond_limits
 from calflow.design.candidates import candidates
 from calflow.measurements.measurements import Measurements

@@ -13,8 +13,8 @@ import calflow as cf
 from calflow.files.problems import InputError
 from calflow.model import build
 from calflow.robot.frames import modified_dh
+from calflow.robot.mechanism import gravity_torque
 from calflow.robot.parts import Base, Joint, Marker
-from calflow.robot.statics import gravity_torque
 from calflow.runs.given_rows import check_external
 from robot.formats.urdfs import Reference
 from robots import industrial, marker_position, rows

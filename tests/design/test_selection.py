@@ -8,7 +8,7 @@ import numpy as np
 
 from calflow.design.selection import SelectionRequest, select
 from calflow.model import build
-from calflow.robot.conditions import reading_columns, shown_readings
+from calflow.robot.mechanism import reading_columns, shown_readings
 from calflow.robot.parts import Coupling
 from robots import industrial
 

@@ -10,9 +10,8 @@ import numpy as np
 
 from calflow.effects import Effect, catalogue
 from calflow.measurements.measurements import Measurements
-from calflow.robot.conditions import Row
+from calflow.robot.mechanism import Row, State, rated_torques
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State, rated_torques
 from hidden import simulator
 from hidden.causes import Hidden, measured_points, response
 from hidden.simulator import Rows, equilibrium

@@ -22,12 +22,10 @@ from calflow.faults import checks, plain_checks
 from calflow.files.toml import Origin
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
-from calflow.robot.conditions import Row
 from calflow.robot.formats.robot_file import parts_of
-from calflow.robot.frames import modified_dh
+from calflow.robot.frames import modified_dh, rot_x
+from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
-from calflow.robot.transforms import rot_x
 from effects.bench import BASE, EVERYTHING, ROBOTS, Bench, made, waves
 from effects.twins import SHARED, TWINS, Twin
 from hidden.case import Case, robot_file, stated_tables

@@ -14,12 +14,9 @@ import robots
 from calflow.effects import Effect, catalogue
 from calflow.effects.joint_compliance import JointCompliance
 from calflow.model import Model, build
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import Dimensions, Loads
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
 
 SPRINGS = np.array([1.0, 2.0, 3.0, 8.0, 8.0, 8.0]) * 1e-5
 TWIST = np.array([2e-3, -1e-3, 3e-3, 0.01, -0.02, 0.015])

@@ -132,7 +132,7 @@ def test_a_study_may_have_a_found_effect_from_the_start(shop):
 
 TOY = """\
 from calflow.effects import Effect
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 
 
 class Toy(Effect):

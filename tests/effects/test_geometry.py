@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 import robots
 from calflow.effects.geometry import Geometry
 from calflow.model import Model, build
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import nominal_dimensions
+from calflow.robot.mechanism import Row, nominal_dimensions
 from calflow.robot.parts import Base
 from calflow.robot.robot import Robot
 

@@ -13,8 +13,7 @@ from calflow.effects.gravity_compensator import GravityCompensator
 from calflow.effects.warming import REFERENCE
 from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
-from calflow.robot.conditions import Row
-from calflow.robot.statics import State
+from calflow.robot.mechanism import Row, State
 
 DISTANCE = 0.5  # m, of the hinge on the column
 Q = np.linspace(-1.5, 1.5, 40)

@@ -10,8 +10,8 @@ import robots
 from calflow.design.candidates import packed_conditions
 from calflow.effects.joint_compliance import JointCompliance
 from calflow.model import build
+from calflow.robot.mechanism import rated_torques
 from calflow.robot.robot import Robot
-from calflow.robot.statics import rated_torques
 
 PAPER = np.array([0, 1.792e-7, 1.915e-7, 1.959e-7, 1.820e-7, 0])  # rad/Nm, the paper's s2 to s5
 ROBOTS = {

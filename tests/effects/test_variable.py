@@ -11,10 +11,7 @@ from numpy.testing import assert_allclose
 
 from calflow.effects import catalogue
 from calflow.model import Model, over_rows
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import nominal_dimensions, nominal_loads
-from calflow.robot.statics import state
+from calflow.robot.mechanism import Deflection, Row, nominal_dimensions, nominal_loads, state
 from effects.bench import ROBOTS, Bench, made
 from effects.twins import SHARED
 

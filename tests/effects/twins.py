@@ -12,8 +12,7 @@ import numpy as np
 
 import robots
 from calflow.effects import Effect
-from calflow.robot.conditions import Row
-from calflow.robot.statics import State
+from calflow.robot.mechanism import Row, State
 from effects.bench import SESSIONS, Bench, made
 from hidden import forms
 from hidden.causes import ARM, COLUMN, WARM_UP, Hidden, base_tilt, gravity_compensator

@@ -15,7 +15,7 @@ from calflow.files.units import RADIAN, MeasurementUnit
 from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import Observation, Seen
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 
 SD, BOUND = 0.02, 0.5  # rad: by which it may be screwed on askew, and the base may lean
 OWN = {

@@ -17,8 +17,8 @@ from calflow.files.units import PIXEL, MeasurementUnit
 from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
-from calflow.robot.parameter import Parameter
-from calflow.robot.transforms import placement
+from calflow.robot.frames import placement
+from calflow.robot.parts import Parameter
 
 Image = Annotated[float, Unit("image")]
 Six = tuple[float, float, float, float, float, float]

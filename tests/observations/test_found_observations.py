@@ -20,7 +20,7 @@ import numpy as np
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.columns import Reported
 from calflow.observations.base import Observation
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 
 
 @dataclass(frozen=True)

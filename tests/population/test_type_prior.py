@@ -11,7 +11,7 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.population.likelihood import ParameterEstimates, ParameterLikelihood, shared_parameters
 from calflow.population.type_prior import FEWEST, type_prior
 from calflow.population.unlike import unlike
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 
 N, ROWS, NOISE = 12, 20, 0.05
 UNSEEN = N - 1  # the last parameter, of which nobody is told

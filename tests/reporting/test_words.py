@@ -18,7 +18,7 @@ from calflow.reporting.material import model_steps
 from calflow.reporting.sections.parameters import known_from, lines
 from calflow.reporting.sections.posterior import corner_names, short_names
 from calflow.reporting.style import magnification
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,9 @@ from numpy.testing import assert_allclose
 
 import robots
 from calflow.model import Model, build
-from calflow.robot.chain import Deflection, marker_point, pose
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import nominal_dimensions
+from calflow.robot.mechanism import Deflection, Row, gravity_torque, marker_point, nominal_dimensions, pose
 from calflow.robot.parts import Coupling
 from calflow.robot.robot import Robot
-from calflow.robot.statics import gravity_torque
 
 SERIAL = {"ur10": robots.ur10(), "industrial": robots.industrial()}
 

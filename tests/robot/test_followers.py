@@ -12,13 +12,13 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from calflow.deployment.inverse_kinematics import Targets, landing, nominal_readings
+from calflow.deployment.compensation import Targets, landing, nominal_readings
 from calflow.design.candidates import candidates
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
-from calflow.robot.conditions import reading_columns
 from calflow.robot.formats.rigid_chain import rigid_chain, said_of_variables, urdf_text
+from calflow.robot.mechanism import reading_columns
 from calflow.robot.parts import Coupling
 from calflow.robot.robot import Robot
 from robot.formats.test_urdf import ARM

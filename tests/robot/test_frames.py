@@ -9,9 +9,8 @@ from numpy.testing import assert_allclose
 
 from calflow.effects.geometry import Geometry
 from calflow.model import build
-from calflow.robot.chain import Deflection, assembly_side, pose, reachable, span
-from calflow.robot.dimensions import nominal_dimensions
 from calflow.robot.frames import CONVENTIONS, Frame, Step, convention_of, dh, modified_dh
+from calflow.robot.mechanism import Deflection, assembly_side, nominal_dimensions, pose, reachable, span
 from calflow.robot.parts import Bar, FourBar, Joint, Marker
 from calflow.robot.robot import Robot
 

@@ -14,12 +14,18 @@ from scipy.optimize import root
 
 import robots
 from calflow.model import build
-from calflow.robot.chain import Deflection, assembly_side, close, pose
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import nominal_dimensions, nominal_loads
 from calflow.robot.frames import CONVENTIONS
+from calflow.robot.mechanism import (
+    Deflection,
+    Row,
+    assembly_side,
+    close,
+    nominal_dimensions,
+    nominal_loads,
+    pose,
+    state,
+)
 from calflow.robot.robot import Robot
-from calflow.robot.statics import state
 
 LENGTH = st.floats(0.2, 3.0)
 ANGLE = st.floats(-np.pi, np.pi)

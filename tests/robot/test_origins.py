@@ -10,11 +10,9 @@ import pytest
 
 import robots
 from calflow.effects.geometry import Geometry
-from calflow.robot.chain import Deflection, pose
-from calflow.robot.dimensions import nominal_dimensions, symbols_like
-from calflow.robot.origins import LISTED, Axis, FrameOrigin, about, joint_frame, origins_left_out, rpy_of
+from calflow.robot.frames import LISTED, Axis, FrameOrigin, about, joint_frame, origins_left_out, placement, rpy_of
+from calflow.robot.mechanism import Deflection, nominal_dimensions, pose, symbols_like
 from calflow.robot.robot import Robot
-from calflow.robot.transforms import placement
 from robot.formats import urdfs
 
 

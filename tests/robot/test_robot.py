@@ -14,9 +14,9 @@ import robots
 from calflow.effects import catalogue
 from calflow.files.problems import InputError
 from calflow.robot.frames import Frame, Step, dh, modified_dh
+from calflow.robot.mechanism import rated_torques
 from calflow.robot.parts import Bar, Base, Coupling, Expected, FourBar, Joint, Marker, Payload
 from calflow.robot.robot import Robot
-from calflow.robot.statics import rated_torques
 
 FILE = """name = "slider"
 notes = "two joints"

@@ -13,11 +13,16 @@ from numpy.testing import assert_allclose
 
 import robots
 from calflow.files.problems import InputError
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import nominal_dimensions, nominal_loads
+from calflow.robot.mechanism import (
+    Deflection,
+    Row,
+    gravity_torque,
+    nominal_dimensions,
+    nominal_loads,
+    rated_torques,
+    state,
+)
 from calflow.robot.robot import Robot
-from calflow.robot.statics import gravity_torque, rated_torques, state
 
 LOOPS = {
     "hh800": robots.hh800(),

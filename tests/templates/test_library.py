@@ -12,10 +12,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calflow.files.problems import InputError
-from calflow.robot.chain import Deflection, pose
-from calflow.robot.dimensions import nominal_dimensions
+from calflow.robot.mechanism import Deflection, gravity_torque, nominal_dimensions, pose
 from calflow.robot.robot import Robot
-from calflow.robot.statics import gravity_torque
 from calflow.simulation import simulate
 from calflow.study import load_study
 from calflow.templates import library_file, library_listing, library_names, write_study

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, create_model
 from pydantic_core import CoreSchema
 
-from calflow.deployment.inverse_kinematics import FramesFile
+from calflow.deployment.compensation import FramesFile
 from calflow.effects import catalogue
 from calflow.files.json_schema import Schema, draft_4, json_schema
 from calflow.files.problems import nearest, refuse

@@ -42,7 +42,7 @@ from calflow.files.results import Results, to_document
 from calflow.files.tables import column, to_frame
 from calflow.measurements.columns import POSITION
 from calflow.measurements.measurements import Measurements
-from calflow.robot.conditions import READINGS, reading_columns, shown_readings
+from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
 
 
 def mistaken_poses(

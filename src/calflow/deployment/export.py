@@ -24,9 +24,6 @@ from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.csv import csv_text
 from calflow.files.tables import column, to_frame
 from calflow.model import Model
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import OPTIONAL, Row
-from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads
 from calflow.robot.formats.rigid_chain import (
     RigidChain,
     json_text,
@@ -37,11 +34,18 @@ from calflow.robot.formats.rigid_chain import (
     urdf_text,
 )
 from calflow.robot.formats.urdf import Drive
-from calflow.robot.frames import Frame, Step
-from calflow.robot.parts import Vector, vector
+from calflow.robot.frames import Frame, Step, Vector, angles, placement, vector
+from calflow.robot.mechanism import (
+    OPTIONAL,
+    Deflection,
+    Dimensions,
+    Loads,
+    Row,
+    State,
+    nominal_dimensions,
+    nominal_loads,
+)
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
-from calflow.robot.transforms import angles, placement
 
 EVERYTHING = "everything that is not a figure of the robot"
 

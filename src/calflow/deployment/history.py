@@ -18,7 +18,7 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.difference import Alone, Difference, comparable
 from calflow.files.results import Results
 from calflow.files.tables import column, to_frame
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 
 DRAWS = 20_000  # of calibrations in which nothing moves
 

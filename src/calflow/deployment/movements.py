@@ -27,7 +27,7 @@ from calflow.estimation.repeats import conditions
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import over_rows
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 
 Kind = Literal["zero", "station", "tool", "dimension", "cause", "condition"]
 ZERO_SD = 1e-3  # rad or m: what a joint's zero is off by after a collision, or a new motor

@@ -16,7 +16,7 @@ from calflow.estimation.progress import Say, nobody
 from calflow.files.problems import refuse
 from calflow.model import Model, over_rows
 from calflow.observations import Observation
-from calflow.robot.chain import reachable
+from calflow.robot.mechanism import reachable
 
 ROUNDS = 30
 MET = 1e-6  # m: how near counts as touching

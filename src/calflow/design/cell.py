@@ -15,11 +15,9 @@ import casadi as ca
 import numpy as np
 
 from calflow.model import Model, over_rows
-from calflow.robot.chain import Deflection, pose
-from calflow.robot.dimensions import nominal_dimensions
-from calflow.robot.parts import Vector
+from calflow.robot.frames import Vector, apply, placement
+from calflow.robot.mechanism import Deflection, nominal_dimensions, pose
 from calflow.robot.robot import Robot
-from calflow.robot.transforms import apply, placement
 
 SHORT = 1e-18  # m² (m⁴): a segment's squared length, or that of two segments' cross product, that counts as zero
 

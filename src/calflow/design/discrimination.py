@@ -26,7 +26,7 @@ from calflow.files.tables import column, to_frame, typed
 from calflow.measurements.columns import condition_columns
 from calflow.measurements.measurements import Measurements
 from calflow.observations import Observation
-from calflow.robot.conditions import READINGS, reading_columns, shown_readings
+from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
 
 POSES = 20
 THINNEST = 0.1  # m: a measured region is widened to it, since poses are drawn at random

@@ -16,9 +16,9 @@ from calflow.design.exchange import information
 from calflow.design.optimality import Criterion
 from calflow.design.planned import Planned
 from calflow.model import Model
-from calflow.robot.chain import DEAD_POINT
+from calflow.robot.frames import placement
+from calflow.robot.mechanism import DEAD_POINT
 from calflow.robot.robot import Robot
-from calflow.robot.transforms import placement
 
 
 def bounded(cell: Cell, robot: Robot, marker: str, q: ca.SX) -> tuple[list[ca.SX], list[np.ndarray]]:

@@ -28,7 +28,7 @@ from calflow.files.tables import column, to_frame, typed
 from calflow.measurements.series import Series
 from calflow.model import Model
 from calflow.observations.position import Position
-from calflow.robot.conditions import READINGS, VIAS, reading_columns, shown_readings
+from calflow.robot.mechanism import READINGS, VIAS, reading_columns, shown_readings
 
 CURVE = 30  # numbers of poses of which the worth is told
 

@@ -12,11 +12,9 @@ import numpy as np
 from calflow.effects.base import Effect, Words, joint_variable
 from calflow.effects.smooth_curve import RMS, Wave, waves
 from calflow.measurements.measurements import Measurements
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Deflection, Row, State
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
 
 SHIFT_SD, TURN_SD = 1e-4, 5e-5  # m and rad rms, of each axis
 BOUND = 0.02  # m and rad

@@ -15,12 +15,9 @@ import casadi as ca
 import numpy as np
 
 from calflow.measurements.measurements import Measurements
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import Dimensions, Loads
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
 
 
 @dataclass(frozen=True)
@@ -83,6 +80,7 @@ def unmet(needs: tuple[str, ...], robot: Robot, given: tuple[str, ...]) -> list[
 
 
 Readable = Mapping[str, tuple[float, str]]  # SI unit -> factor and unit in which an effect's size is easy to read
+WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad (a slide: m) of a spring at its joint's rated torque
 NOTHING = 1e-300  # keeps the slope of a length finite where the length is zero
 
 

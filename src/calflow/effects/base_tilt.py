@@ -12,13 +12,10 @@ import numpy as np
 
 from calflow.effects.base import Effect, Variable, Words
 from calflow.measurements.measurements import Measurements
-from calflow.robot.chain import Deflection, Posture, pose
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import nominal_dimensions, nominal_loads
-from calflow.robot.parameter import Parameter
+from calflow.robot.frames import apply
+from calflow.robot.mechanism import Deflection, Posture, Row, State, nominal_dimensions, nominal_loads, pose
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
-from calflow.robot.transforms import apply
 
 TILT_SD, TILT_BOUND = 1e-4, 5e-3  # rad under the arm's own largest moment
 LIGHTER = 0.5  # a link's mass over that of the link before, where nobody knows it

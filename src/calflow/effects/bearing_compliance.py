@@ -9,11 +9,9 @@ import casadi as ca
 
 from calflow.effects.base import Effect, Variable, Words
 from calflow.measurements.measurements import Measurements
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Deflection, Row, State, rated_torques
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State, rated_torques
 
 ASIDE = 0.3  # m: usual distance of a bearing from the frame of its joint
 TILT_SD, TILT_BOUND = 2e-3, 20e-3  # rad at the largest rated torque of all joints

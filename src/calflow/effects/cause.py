@@ -12,11 +12,8 @@ import numpy as np
 
 from calflow.effects.base import Effect
 from calflow.measurements.measurements import Measurements
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import Dimensions, Loads
-from calflow.robot.parameter import Parameter
-from calflow.robot.statics import State
+from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State
+from calflow.robot.parts import Parameter
 
 
 @dataclass(frozen=True)

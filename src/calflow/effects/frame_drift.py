@@ -10,8 +10,8 @@ import casadi as ca
 from calflow.effects.base import Effect, Variable, Words, displaced
 from calflow.effects.smooth_curve import RMS, waves
 from calflow.measurements.measurements import Measurements, sessions_of
-from calflow.robot.conditions import Row, session_number
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Row, session_number
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 OF_THE_FRAME = (

@@ -11,8 +11,8 @@ import numpy as np
 from calflow.effects.base import Effect, Words, displaced
 from calflow.effects.frame_drift import OF_THE_FRAME
 from calflow.measurements.measurements import Measurements, borders
-from calflow.robot.conditions import Row
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Row
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 MOMENTS, TURNING_MOMENTS = 120, 40  # at most, that are looked at: without turning, and with

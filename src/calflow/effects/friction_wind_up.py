@@ -10,8 +10,7 @@ import casadi as ca
 
 from calflow.effects.base import Variable, Words, torque_variable
 from calflow.effects.joint_error import JointError, Term
-from calflow.robot.conditions import Row
-from calflow.robot.statics import State
+from calflow.robot.mechanism import Row, State
 
 
 @dataclass(frozen=True)

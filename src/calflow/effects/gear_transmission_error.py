@@ -9,9 +9,8 @@ from typing import ClassVar, Self
 from calflow.effects.base import Words
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
 from calflow.measurements.measurements import Measurements
-from calflow.robot.conditions import Row
+from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
 
 
 @dataclass(frozen=True)

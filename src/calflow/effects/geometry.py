@@ -10,13 +10,10 @@ from typing import ClassVar
 import casadi as ca
 
 from calflow.effects.base import Effect, Words
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import Dimensions, nominal_dimensions
-from calflow.robot.frames import places
-from calflow.robot.origins import origins_left_out
-from calflow.robot.parameter import Parameter
+from calflow.robot.frames import origins_left_out, placement, places
+from calflow.robot.mechanism import Dimensions, Row, nominal_dimensions
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.transforms import placement
 
 # m and rad alike: what machining and assembly leave on a link, and what is a mistake rather than an error
 LINK_SD, LINK_BOUND = 2e-3, 20e-3

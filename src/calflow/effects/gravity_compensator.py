@@ -12,12 +12,9 @@ import numpy as np
 from calflow.effects.base import Effect, Variable, Words, around, joint_variable
 from calflow.effects.warming import REFERENCE, SPREAD
 from calflow.measurements.measurements import Measurements
-from calflow.robot.chain import Deflection, pose
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import nominal_dimensions
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, pose, rated_torques
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State, rated_torques
 
 SD, BOUND = 0.3, 2.0  # times joint 2's rated torque
 RATIO = 0.3  # lever on the arm over the hinge's distance, of a short cylinder

@@ -9,15 +9,21 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Words, joint_variable
-from calflow.effects.joint_compliance import WINDUP_BOUND, WINDUP_SD
-from calflow.robot.chain import Deflection, Posture, pose
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import nominal_dimensions, nominal_loads
-from calflow.robot.parameter import Parameter
+from calflow.effects.base import WINDUP_BOUND, WINDUP_SD, Effect, Words, joint_variable
+from calflow.robot.frames import apply
+from calflow.robot.mechanism import (
+    Deflection,
+    Posture,
+    Row,
+    State,
+    nominal_dimensions,
+    nominal_loads,
+    pose,
+    potential_energy,
+    rated_torques,
+)
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State, potential_energy, rated_torques
-from calflow.robot.transforms import apply
 
 NEAR_SD, FAR_SD, BOUND = (
     2e-3,

@@ -11,10 +11,9 @@ from calflow.effects.base import Readable, Words
 from calflow.effects.link_bending import SHORTEST
 from calflow.effects.warming import Warming
 from calflow.measurements.measurements import Measurements
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import Dimensions
 from calflow.robot.frames import places
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Dimensions, Row
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 EXPANSION_SD, GROWTH_SD, BOUND = 1e-5, 1e-4, 50.0  # m/K, m when warm, and standard deviations

@@ -8,8 +8,7 @@ from typing import ClassVar
 
 from calflow.effects.base import Variable, Words
 from calflow.effects.joint_error import REVERSALS, JointError, Term
-from calflow.robot.conditions import Row
-from calflow.robot.statics import State
+from calflow.robot.mechanism import Row, State
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,10 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Words, torque_variable
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.parameter import Parameter
+from calflow.effects.base import WINDUP_BOUND, WINDUP_SD, Effect, Words, torque_variable
+from calflow.robot.mechanism import Deflection, Row, State, rated_torques
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State, rated_torques
-
-WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad (a slide: m) at the joint's rated torque
 
 
 @dataclass(frozen=True)

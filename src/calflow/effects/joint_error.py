@@ -11,11 +11,9 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Effect, joint_variable
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Deflection, Row, State, rated_torques
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State, rated_torques
 
 TRANSMISSION = "angular transmission error"
 REVERSALS = "vary the travel since the last reversal, from tenths of a degree (a slide: of a millimetre) to many"

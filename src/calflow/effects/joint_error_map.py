@@ -13,9 +13,8 @@ from calflow.effects.base import Words
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term
 from calflow.effects.smooth_curve import RMS, waves
 from calflow.measurements.measurements import Measurements
-from calflow.robot.conditions import Row
+from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
 
 AMPLITUDE = 2e-4  # rad rms, before any data
 LENGTHS = (0.06, 0.15, 0.5)  # rad: how far along the travel neighbouring errors are alike

@@ -12,9 +12,8 @@ import numpy as np
 from calflow.effects.base import Variable, Words
 from calflow.effects.joint_error import REVERSALS, JointError, Term
 from calflow.measurements.measurements import Measurements
-from calflow.robot.conditions import Row
+from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
 
 LENGTHS = np.deg2rad([1.0, 2.0, 4.0, 8.0, 16.0])  # rad (a slide: m) of travel to look for, over which friction develops
 

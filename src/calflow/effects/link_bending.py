@@ -9,12 +9,9 @@ import casadi as ca
 
 from calflow.effects.base import Effect, Variable, Words
 from calflow.measurements.measurements import Measurements
-from calflow.robot.chain import Deflection, span
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import nominal_dimensions
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, rated_torques, span
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State, rated_torques
 
 SOFT_SD, SOFT_BOUND = 2e-3, 40e-3  # rad of slope per metre at the largest rated torque
 SHORTEST = 0.2  # m: stubs do not bend

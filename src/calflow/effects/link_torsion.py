@@ -9,10 +9,8 @@ import casadi as ca
 
 from calflow.effects.base import Effect, Variable, Words
 from calflow.effects.link_bending import SOFT_BOUND, SOFT_SD, spans
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.parameter import Parameter
-from calflow.robot.statics import State, rated_torques
+from calflow.robot.mechanism import Deflection, Row, State, rated_torques
+from calflow.robot.parts import Parameter
 
 
 @dataclass(frozen=True)

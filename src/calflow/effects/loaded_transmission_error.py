@@ -12,9 +12,8 @@ from calflow.effects.base import Words, unmet
 from calflow.effects.joint_error import TRANSMISSION, JointError, Term, phases
 from calflow.effects.warming import REFERENCE, temperature_measured
 from calflow.measurements.measurements import Measurements
-from calflow.robot.conditions import Row
+from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
 
 ORDERS = (1, 2)  # a turn of the joint, to look for
 MULTIPLES = 2  # of a turn of the motor, at most

@@ -11,9 +11,8 @@ import casadi as ca
 from calflow.effects.base import Words, around, torque_variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.measurements.measurements import Measurements
-from calflow.robot.conditions import Row
+from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
 
 BREAKS = (0.05, 0.2, 0.35, 0.5, 0.65)  # shares of the rated torque at which a stiffer branch may begin
 REACH = 0.15  # about a break, to its neighbours

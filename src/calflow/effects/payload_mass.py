@@ -8,9 +8,8 @@ from typing import ClassVar
 import casadi as ca
 
 from calflow.effects.base import Effect, Words, payload_variable
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import Loads
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Loads, Row
+from calflow.robot.parts import Parameter
 
 
 @dataclass(frozen=True)

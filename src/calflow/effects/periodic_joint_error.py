@@ -11,9 +11,8 @@ import numpy as np
 from calflow.effects.base import Words, around
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
 from calflow.measurements.measurements import Measurements
-from calflow.robot.conditions import Row
+from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
 
 LOWEST, HIGHEST = 2.5, 30.0  # orders looked for; lower ones are eccentricity
 PHASE = 0.8  # rad at the ends of a joint's travel by which neighbouring orders may differ

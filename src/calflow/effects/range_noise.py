@@ -8,8 +8,8 @@ from typing import ClassVar
 import casadi as ca
 
 from calflow.effects.base import Effect, Words
-from calflow.robot.conditions import Row
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Row
+from calflow.robot.parts import Parameter
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import casadi as ca
 
 from calflow.effects.base import Effect, Words, displaced
 from calflow.measurements.measurements import Measurements, borders, sessions_of
-from calflow.robot.conditions import Row, session_number
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Row, session_number
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 SHIFT_SD, TURN_SD = 2e-3, 1e-3  # m and rad: what setting up anew by the old marks leaves

@@ -12,9 +12,8 @@ from calflow.effects.base import Readable, Words
 from calflow.effects.link_bending import spans
 from calflow.effects.warming import Warming
 from calflow.measurements.measurements import Measurements
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import Dimensions
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Dimensions, Row
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 EXPANSION_SD, GROWTH_SD = 2e-5, 2e-4  # 1/K, and share of the length when warm

@@ -11,11 +11,9 @@ import casadi as ca
 from calflow.effects.base import Effect, Readable, Words, payload_variable
 from calflow.effects.cause import parts
 from calflow.measurements.measurements import Measurements
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Deflection, Row, State
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
 
 GIVES_SD, GIVES_BOUND = 3e-7, 1e-5  # m/N
 TURNS_SD, TURNS_BOUND = 1e-6, 4e-5  # rad/N

@@ -13,11 +13,9 @@ import numpy as np
 from calflow.effects.base import Effect, Variable, Words
 from calflow.effects.cause import parts
 from calflow.measurements.measurements import Measurements
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Deflection, Row, State
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
 
 SAG_SD, SAG_BOUND = 1e-4, 5e-3  # m
 TURN_SD, TURN_BOUND = 3e-4, 20e-3  # rad

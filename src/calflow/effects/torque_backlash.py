@@ -12,9 +12,8 @@ import numpy as np
 from calflow.effects.base import Words, torque_variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.measurements.measurements import Measurements
-from calflow.robot.conditions import Row
+from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
 
 CROSSING = 0.01  # share of the rated torque within which a gear crosses its play
 CROSSINGS = (0.002, 0.02)  # to look for

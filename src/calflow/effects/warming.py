@@ -10,7 +10,7 @@ import numpy as np
 
 from calflow.effects.base import Effect, Variable, around
 from calflow.measurements.measurements import Measurements
-from calflow.robot.conditions import Row
+from calflow.robot.mechanism import Row
 from calflow.robot.robot import Robot
 
 REFERENCE = 293.15  # K, at which drawings hold (ISO 1)

@@ -29,7 +29,8 @@ from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations import Observation, observation_kinds
-from calflow.robot.parts import Base, vector
+from calflow.robot.frames import vector
+from calflow.robot.parts import Base
 from calflow.robot.robot import Robot
 
 MANY = 20  # parameters of one cause, beyond which sampling them would take days and say nothing new

@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 from scipy.stats import chi2
 
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 
 TELLING = 1e-7  # share of both variances that a difference has, below which two calibrations say the same: nothing
 

@@ -14,7 +14,7 @@ from calflow.files.units import SUFFIXES
 from calflow.measurements.columns import column_names, condition_columns
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
-from calflow.robot.conditions import Row
+from calflow.robot.mechanism import Row
 from calflow.robot.robot import Robot
 
 HOW_TO_GO_ON = 'missing = "widen" (--without-conditions) goes on with a wider standard deviation'

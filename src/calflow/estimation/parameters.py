@@ -16,8 +16,7 @@ from calflow.files.tables import column, from_frame, to_frame, typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.observations import observations
-from calflow.robot.parameter import Parameter
-from calflow.robot.parts import Expected
+from calflow.robot.parts import Expected, Parameter
 from calflow.robot.robot import Robot
 
 UNIT = "as `unit` says"

@@ -20,12 +20,9 @@ from calflow.compiled import compiled
 from calflow.effects import Effect
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.model import over_rows
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import Dimensions, Loads, nominal_dimensions, nominal_loads
-from calflow.robot.parameter import Parameter
+from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State, nominal_dimensions, nominal_loads
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
-from calflow.robot.statics import State
 
 ROWS = 256  # whose columns are worked out at once
 

@@ -24,11 +24,10 @@ from calflow.measurements.rows import at_rows
 from calflow.model import Model, build
 from calflow.observations import Observation
 from calflow.observations.position import Position
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import nominal_dimensions
-from calflow.robot.parts import Base, Vector, vector
+from calflow.robot.frames import Vector, angles, vector
+from calflow.robot.mechanism import Row, nominal_dimensions
+from calflow.robot.parts import Base
 from calflow.robot.robot import Robot
-from calflow.robot.transforms import angles
 
 ROUNDS = 8  # of weights with which rows that are far off hardly count
 NEAR = 1e-3  # m: below it rows count alike

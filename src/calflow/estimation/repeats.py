@@ -17,7 +17,7 @@ from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations import leading_units
-from calflow.robot.transforms import angles
+from calflow.robot.frames import angles
 
 MIN_REPEATS = 10  # degrees of freedom below which repeats say too little
 

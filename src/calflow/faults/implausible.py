@@ -15,7 +15,7 @@ from calflow.effects.geometry import PLACED_BOUND
 from calflow.faults.base import lines_in_words
 from calflow.faults.reference import Models, chosen_rows, lengths, motion, rough
 from calflow.measurements.measurements import Measurements
-from calflow.robot.transforms import angles
+from calflow.robot.frames import angles
 
 FAR, SHARE = 0.1, 0.1  # m, and of its reach: no robot is built so far from what its maker says
 FEWEST = 8  # poses: fewer are met by placing base and tool

@@ -10,8 +10,7 @@ import numpy as np
 from calflow.faults.base import Correction, Fault, PlainCheck, fault
 from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
-from calflow.robot.chain import reachable
-from calflow.robot.statics import gravity_torque, moment_torques
+from calflow.robot.mechanism import gravity_torque, moment_torques, reachable
 
 FEWEST = 12  # rows more than figures that are fitted to a joint's torques
 LOADED = 0.02  # of the most loaded joint's gravity load: less says nothing

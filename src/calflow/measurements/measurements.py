@@ -28,7 +28,7 @@ from calflow.measurements.columns import (
 )
 from calflow.measurements.rows import Rows, read_rows, rows_of
 from calflow.measurements.series import Series
-from calflow.robot.conditions import OPTIONAL, Row, session_number
+from calflow.robot.mechanism import OPTIONAL, Row, session_number
 from calflow.robot.robot import Robot
 
 

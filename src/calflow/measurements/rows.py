@@ -35,8 +35,8 @@ from calflow.measurements.columns import (
     numbered,
     split_column,
 )
+from calflow.robot.frames import angles
 from calflow.robot.robot import Robot
-from calflow.robot.transforms import angles
 
 
 @dataclass(frozen=True)

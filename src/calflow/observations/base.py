@@ -16,7 +16,7 @@ from calflow.files.toml import FileModel
 from calflow.files.units import MeasurementUnit
 from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 
 UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # m and rad: of what nobody wrote down, about its registered place
 

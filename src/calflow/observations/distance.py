@@ -15,7 +15,7 @@ from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 
 OFFSET_SD, OFFSET_BOUND = 0.02, 0.5  # m: where a wire's scale begins
 SCALE_SD, SCALE_BOUND = 1e-3, 0.05  # of a drum's circumference

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from calflow.measurements.series import Station
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Placement
-from calflow.robot.parameter import Parameter
-from calflow.robot.transforms import angles, placement
+from calflow.robot.frames import angles, placement
+from calflow.robot.parts import Parameter
 
 SYMBOLS = ("x", "y", "z", "rx", "ry", "rz")
 Six = tuple[float, float, float, float, float, float]

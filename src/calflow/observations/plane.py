@@ -16,8 +16,8 @@ from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
-from calflow.robot.parameter import Parameter
-from calflow.robot.transforms import angles, placement
+from calflow.robot.frames import angles, placement
+from calflow.robot.parts import Parameter
 
 NOWHERE = (0.0,) * 6
 LAID = 10  # turns in which feet and normal settle: heights of millimetres tilt a plane of a metre by little

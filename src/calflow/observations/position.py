@@ -14,7 +14,7 @@ from calflow.measurements.columns import POSITION, Reported
 from calflow.measurements.series import Series, Station
 from calflow.observations.base import Observation, Placement, Seen
 from calflow.observations.frames import Frames
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 
 HERE = Frames(Station())  # the measuring frame itself
 

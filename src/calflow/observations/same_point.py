@@ -15,7 +15,7 @@ from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.columns import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 
 APART_BOUND = 20.0  # standard deviations of a known distance
 SHORTEST = 1e-6  # m

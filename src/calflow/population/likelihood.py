@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from calflow.population.likelihood import ParameterLikelihood
-from calflow.robot.parameter import Parameter
-from calflow.robot.parts import Expected
+from calflow.robot.parts import Expected, Parameter
 
 FEWEST = 5  # robots, of which fewer say nothing of a spread
 ROUNDS = 400

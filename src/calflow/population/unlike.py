@@ -15,7 +15,7 @@ from scipy.stats import t as student
 
 from calflow.population.likelihood import ParameterLikelihood
 from calflow.population.type_prior import FEWEST, NARROWEST, TypePrior, pooled_prior, type_prior, variances
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 
 FALSE_ALARM = 0.05  # chance that any robot of a type is named where none is unlike it
 MOST = 0.2  # share of the robots' parameters that may be unlike, beyond which there is no type

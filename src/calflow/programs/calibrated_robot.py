@@ -14,9 +14,8 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from calflow.deployment.compensation import compensate_rows
+from calflow.deployment.compensation import Targets, base_placement, compensate_rows, features, landing
 from calflow.deployment.conventions import inverse
-from calflow.deployment.inverse_kinematics import Targets, base_placement, features, landing
 from calflow.deployment.prediction import Missing, as_stated
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.groups import members
@@ -24,10 +23,9 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.programs.configuration import ArmPosture
 from calflow.programs.target import Program, Target
-from calflow.robot.chain import Deflection, pose, reachable
-from calflow.robot.dimensions import nominal_dimensions
+from calflow.robot.frames import placement
+from calflow.robot.mechanism import Deflection, nominal_dimensions, pose, reachable
 from calflow.robot.robot import Robot
-from calflow.robot.transforms import placement
 
 SCALES = {"mm": 1e-3, "deg": np.pi / 180}
 TURNING = (0, 3, 5)  # joints of an arm, from 0, that can turn more than once around

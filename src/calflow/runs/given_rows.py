@@ -11,8 +11,13 @@ import pandas as pd
 
 from calflow.calibration import Calibration
 from calflow.deployment.attained import TARGET
-from calflow.deployment.compensation import Compensation, compensate_rows
-from calflow.deployment.inverse_kinematics import Targets, read_frames, targets_in_measuring_frame
+from calflow.deployment.compensation import (
+    Compensation,
+    Targets,
+    compensate_rows,
+    read_frames,
+    targets_in_measuring_frame,
+)
 from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
 from calflow.estimation.registration import plausible
 from calflow.files.problems import InputError, Problem, refuse
@@ -21,7 +26,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import sha256
 from calflow.measurements.rows import read_cells
 from calflow.measurements.source import MeasurementSource
-from calflow.robot.conditions import reading_columns
+from calflow.robot.mechanism import reading_columns
 from calflow.run_folder import is_measured
 from calflow.study import Study
 

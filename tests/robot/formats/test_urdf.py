@@ -10,11 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calflow.files.problems import InputError
-from calflow.robot.chain import Deflection, pose
-from calflow.robot.dimensions import nominal_dimensions
+from calflow.robot.mechanism import Deflection, gravity_torque, nominal_dimensions, pose
 from calflow.robot.parts import Base, Coupling, Marker
 from calflow.robot.robot import Robot
-from calflow.robot.statics import gravity_torque
 from robot.formats import urdfs
 
 ARM = """<?xml version="1.0"?>

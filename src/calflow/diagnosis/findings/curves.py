@@ -21,10 +21,7 @@ from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.observations import leading_units
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.dimensions import nominal_dimensions, nominal_loads
-from calflow.robot.statics import State, state
+from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, nominal_loads, state
 
 PARALLEL = 0.02  # share of an effect off its joint's lever below which it counts as that joint's
 

@@ -23,8 +23,7 @@ from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations import observations
-from calflow.robot.conditions import Row
-from calflow.robot.statics import State
+from calflow.robot.mechanism import Row, State
 
 GRID = 400  # angles at which two curves are compared
 NAN = float("nan")

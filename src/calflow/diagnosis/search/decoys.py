@@ -13,10 +13,8 @@ import numpy as np
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import Effect
 from calflow.effects.joint_error import JointError, Term
-from calflow.robot.chain import Deflection
-from calflow.robot.conditions import Row
-from calflow.robot.parameter import Parameter
-from calflow.robot.statics import State
+from calflow.robot.mechanism import Deflection, Row, State
+from calflow.robot.parts import Parameter
 
 SIZE = 3e-4  # rad or m, of a decoy before any data
 ORDERS = 6  # of a function of one joint

@@ -15,8 +15,8 @@ from calflow.files.words import effect_words, listed, mm, number
 from calflow.reporting.blocks import Block, Heading, Paragraph, Table
 from calflow.reporting.material import Material, latest_parameters
 from calflow.reporting.section import Section
+from calflow.robot.frames import angles
 from calflow.robot.parts import Base
-from calflow.robot.transforms import angles
 
 BY_PRIOR = 0.5  # prior share from which a figure is left to the prior
 SHOWN = {"m": 1e3, "rad": float(np.rad2deg(1.0))}  # mm and degrees

@@ -32,7 +32,7 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.sections.isolability import ISOLABILITY_TABLE as ISOLABILITY
 from calflow.reporting.style import ACCENT, ALONE, DARK, MANY, MIDDLE, figure, panels, same_scale
-from calflow.robot.conditions import reading_columns, reading_labels
+from calflow.robot.mechanism import reading_columns, reading_labels
 from calflow.robot.robot import Robot
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")

@@ -23,7 +23,7 @@ from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, T
 from calflow.reporting.material import Material, latest_parameters
 from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, MIDDLE, WIDTH, figure, panels, turned
-from calflow.robot.parameter import Parameter
+from calflow.robot.parts import Parameter
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
 from calflow.sampling.posterior import ChainSummary, prior_dominates, shared
 

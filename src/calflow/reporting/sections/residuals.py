@@ -23,7 +23,7 @@ from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Scene, Tab
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Section
 from calflow.reporting.style import DARK, MANY, crowded, dots, figure, magnification, panels, same_scale
-from calflow.robot.conditions import reading_columns, reading_labels, shown_readings
+from calflow.robot.mechanism import reading_columns, reading_labels, shown_readings
 
 BINS = 12  # of the running mean
 

@@ -16,10 +16,8 @@ import casadi as ca
 import numpy as np
 
 from calflow.robot.formats.urdf import Drive
-from calflow.robot.frames import Motion, Step
-from calflow.robot.origins import rpy_of
+from calflow.robot.frames import Motion, Step, elementary, placement, rpy_of
 from calflow.robot.robot import Robot
-from calflow.robot.transforms import elementary, placement
 
 AXES: dict[str, tuple[float, float, float]] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 

@@ -18,8 +18,8 @@ import numpy as np
 from calflow.files.problems import InputError, Problem, nearest, refuse, shortened
 from calflow.files.units import LARGEST
 from calflow.files.xml import Element, read_xml
-from calflow.robot.origins import Axis, FrameOrigin, joint_frame
-from calflow.robot.parts import STANDARD_GRAVITY, Coupling, Joint, Marker, Vector, vector
+from calflow.robot.frames import Axis, FrameOrigin, Vector, joint_frame, vector
+from calflow.robot.parts import STANDARD_GRAVITY, Coupling, Joint, Marker
 
 MOVING = ("revolute", "continuous", "prismatic")
 KINDS = (*MOVING, "fixed", "floating", "planar")

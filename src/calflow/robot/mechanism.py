@@ -1,0 +1,623 @@
+"""The mechanism: where a row's pose puts every joint, link end and marker, and what loads them there.
+
+It is given dimensions and masses, the conditions of a row, and small elastic motions of each part. A four-bar loop PQRS turns
+two motors' angles into its driven joint's; it is closed exactly for any lengths. Loads are the gradient of one potential energy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from hashlib import sha256
+from typing import Any, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from calflow.files.problems import refuse
+from calflow.robot.frames import Step, apply, elementary, placement, rot_z, translation
+from calflow.robot.parts import FourBar
+from calflow.robot.robot import Robot
+
+Parts = TypeVar("Parts", bound=Any)
+
+
+@dataclass(frozen=True)
+class Dimensions:
+    """Every length and angle of a robot and its tool.
+
+    base (6,) and tool_rotation (3,) are errors in the base's and the tool's own frame (see `transforms.placement`); steps
+    are the values of the frames' steps, joint by joint (see `Robot.step_index`); bars (crank, rod, rocker) is (3,); markers
+    is (3, n_markers); markers_turn (3,) turns the markers whose places beside the first are known about it. SI units.
+    """
+
+    base: ca.SX
+    steps: ca.SX
+    bars: ca.SX
+    tool_rotation: ca.SX
+    markers: ca.SX
+    markers_turn: ca.SX
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Every mass that gravity acts on.
+
+    mass is (n_joints,) and com (3, n_joints) in the links' frames; bar_mass (2,) and bar_com (3, 2) are the crank's and
+    the rod's; payload_mass (n_payloads,) and payload_com (3, n_payloads) are in the flange's frame.
+    """
+
+    mass: ca.SX
+    com: ca.SX
+    bar_mass: ca.SX
+    bar_com: ca.SX
+    payload_mass: ca.SX
+    payload_com: ca.SX
+
+
+def nominal_dimensions(robot: Robot) -> Dimensions:
+    """Return the dimensions that the maker states."""
+    loop = robot.loop
+    return Dimensions(
+        base=_column([0.0] * 6),
+        steps=_column([step.value for step in robot.steps]),
+        bars=_column([loop.crank.length, loop.rod.length, loop.rocker] if loop else []),
+        tool_rotation=_column([0.0] * 3),
+        markers=_points([marker.point for marker in robot.markers.values()]),
+        markers_turn=_column([0.0] * 3),
+    )
+
+
+def nominal_loads(robot: Robot) -> Loads:
+    """Return the masses that the maker states; a missing mass counts as zero."""
+    bars = [robot.loop.crank, robot.loop.rod] if robot.loop else []
+    payloads = robot.payloads.values()
+    return Loads(
+        mass=_column([joint.mass or 0.0 for joint in robot.joints]),
+        com=_points([joint.com for joint in robot.joints]),
+        bar_mass=_column([bar.mass or 0.0 for bar in bars]),
+        bar_com=_points([bar.com for bar in bars]),
+        payload_mass=_column([payload.mass or 0.0 for payload in payloads]),
+        payload_com=_points([payload.com for payload in payloads]),
+    )
+
+
+def symbols_like(parts: Parts) -> Parts:
+    """Return symbols in the place of what a data class of expressions has, each of the same shape."""
+    return replace(parts, **{name: ca.SX.sym(name, *value.shape) for name, value in vars(parts).items()})
+
+
+def _column(values: object) -> ca.SX:
+    return ca.SX(ca.DM(np.array(values, dtype=float).reshape(-1, 1)))
+
+
+def _points(points: object) -> ca.SX:
+    return ca.SX(ca.DM(np.array(points, dtype=float).reshape(-1, 3).T))
+
+
+OPTIONAL = ("approach", "travel", "wrench", "torque", "time", "temperature", "order", "range", "session")
+
+
+def session_number(name: str) -> float:
+    """Return a whole number that stands for a session's name in whatever rows; 0, which no name has, is no session.
+
+    It is 52 bits of the name's SHA-256, so that no two names ever meet.
+    """
+    return 1.0 + int(sha256(name.encode()).hexdigest()[:13], 16)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Symbols of one row's conditions, in SI units; an optional one that the data lack is structurally zero.
+
+    reading are the joint readings and q the joint angles they mean (signs and couplings resolved); payload and marker are
+    one-hot over the robot's names; approach is the direction each joint came from (-1, 0, +1) and travel how far since it
+    last turned back; wrench (force, moment) acts at the marker, in the base frame; torque are measured motor torques, which
+    replace the computed ones; time counts from the first row, order is the row's place in measuring order, range the
+    distance from the measuring device; session is a number that stands for the session's name (see `session_number`).
+    """
+
+    reading: ca.SX
+    payload: ca.SX
+    marker: ca.SX
+    approach: ca.SX
+    travel: ca.SX
+    wrench: ca.SX
+    torque: ca.SX
+    time: ca.SX
+    temperature: ca.SX
+    order: ca.SX
+    range: ca.SX
+    session: ca.SX
+    q: ca.SX
+
+    @staticmethod
+    def sizes(robot: Robot, given: tuple[str, ...] = ()) -> dict[str, int]:
+        """Length of each condition in a packed row, in order; given names the optional ones that the data have."""
+        n = robot.n_joints
+        fixed = {"reading": n, "payload": len(robot.payloads), "marker": len(robot.markers)}
+        optional = {"approach": n, "travel": n, "wrench": 6, "torque": n} | dict.fromkeys(OPTIONAL[4:], 1)
+        return fixed | {name: size for name, size in optional.items() if name in given}
+
+    @staticmethod
+    def symbols(robot: Robot, given: tuple[str, ...] = OPTIONAL) -> Row:
+        """Return a row of symbols."""
+        return Row.unpack(robot, ca.SX.sym("c", sum(Row.sizes(robot, given).values())), given)
+
+    @staticmethod
+    def unpack(robot: Robot, packed: ca.SX, given: tuple[str, ...] = ()) -> Row:
+        """Split a packed row."""
+        parts = {name: ca.SX(size, 1) for name, size in Row.sizes(robot, OPTIONAL).items()}
+        start = 0
+        for name, size in Row.sizes(robot, given).items():
+            parts[name] = packed[start : start + size]
+            start += size
+        return Row(**parts, q=ca.sparsify(ca.DM(robot.reading_matrix)) @ parts["reading"])
+
+
+READINGS = "q{joint}_{deg|mm}"  # the columns of joint readings
+VIAS = "via{joint}_{deg|mm}"  # the same of a pose on the way
+
+
+def reading_columns(robot: Robot) -> list[str]:
+    """Return the columns of joint readings by their names, e.g. q1_deg; joints that follow others have none."""
+    return [f"q{i + 1}_{robot.joints[i].shown[0]}" for i in robot.driven]
+
+
+def reading_labels(robot: Robot) -> list[str]:
+    """Return the same for people, e.g. q1 [deg]."""
+    return [f"q{i + 1} [{robot.joints[i].shown[0]}]" for i in robot.driven]
+
+
+def shown_readings(robot: Robot, readings: np.ndarray) -> np.ndarray:
+    """Return readings (n, n_joints) [rad, or m] as these columns have them, shape (n, number of columns)."""
+    return np.asarray(readings[:, robot.driven] * [robot.joints[i].shown[1] for i in robot.driven])
+
+
+Figures = Mapping[str, ca.SX]
+
+
+def figures(robot: Robot, dims: Dimensions, joint: int) -> dict[str, ca.SX]:
+    """Return the values of a joint's steps (its index from 0) by symbol [rad and m]."""
+    return {step.symbol: dims.steps[robot.step_index(joint, step.symbol)] for step in robot.frames[joint].steps}
+
+
+def along(at: ca.SX, steps: Iterable[Step], values: Figures) -> ca.SX:
+    """Return the frame (4, 4) to which steps lead from a frame."""
+    for step in steps:
+        at = at @ elementary(step.motion, values[step.symbol])
+    return at
+
+
+def to_axis(at: ca.SX, robot: Robot, dims: Dimensions, joint: int) -> ca.SX:
+    """Return the frame on a joint's axis, before it turns, from that at the end of the link before (the base's for joint 0)."""
+    frame = robot.frames[joint]
+    return along(at, frame.mount if joint else (*frame.reach, *frame.mount), figures(robot, dims, joint))
+
+
+def to_end(at: ca.SX, robot: Robot, dims: Dimensions, joint: int) -> ca.SX:
+    """Return the frame at the end of a joint's link, from the link's own."""
+    following = joint + 1
+    if following == robot.n_joints:
+        return at
+    return along(at, robot.frames[following].reach, figures(robot, dims, following))
+
+
+def span(robot: Robot, dims: Dimensions, joint: int) -> ca.SX:
+    """Return the transform (4, 4) from a joint's axis to the end of its link; that of a slide at zero."""
+    link = along(ca.SX.eye(4), robot.frames[joint].body, figures(robot, dims, joint))
+    return to_end(link, robot, dims, joint)
+
+
+DEAD_POINT = 0.97  # |cosine| of the closure from which a loop is too near its dead point to go there
+WAY_POINTS = 21
+
+
+@dataclass(frozen=True)
+class Closure:
+    """The closed loop at one pose; angles in rad from the ground's x axis in the loop's plane.
+
+    The loop can be closed where |cosine| < 1 (the cosine of the angle at S between the diagonal SQ and the rocker).
+    """
+
+    rocker_angle: ca.SX
+    rod_angle: ca.SX
+    cosine: ca.SX
+
+
+def assembly_side(robot: Robot) -> int:
+    """Return +1 or -1: which of the two closures a robot's loop is assembled in.
+
+    An open loop has P and R on different sides of the diagonal QS, a crossed one on the same side. Moving, a loop keeps its
+    side; it is told in the middle of the two joints' ranges.
+    """
+    loop = robot.loop
+    if loop is None:
+        return 1
+    link, crank = robot.joints[loop.joint - 2], robot.joints[loop.joint - 1]
+    x, y = _pin(robot, loop)
+    between = np.mean(crank.range) - np.mean(link.range) - link.frame.turn.value - np.arctan2(y, x)
+    return (1 if np.sin(between) > 0 else -1) * (1 if loop.assembly == "open" else -1)
+
+
+def reachable(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Return which joint angles (n_poses, n_joints) a robot's loop can go to without passing a dead point.
+
+    Every pose is approached in a straight line from the middle of the joints' ranges.
+    """
+    loop = robot.loop
+    if loop is None or not len(q):
+        return np.ones(len(q), dtype=bool)
+    j = loop.joint - 1
+    symbols = ca.SX.sym("link_angle"), ca.SX.sym("crank_angle")
+    bars = ca.SX([loop.crank.length, loop.rod.length, loop.rocker])
+    pin = rot_z(symbols[0])[:2, :2] @ ca.DM(_pin(robot, loop))
+    cosine = ca.Function("cosine", symbols, [close(assembly_side(robot), pin, bars, symbols[1]).cosine])
+    middle = robot.limits.mean(axis=1)
+    ways = middle + np.linspace(0, 1, WAY_POINTS)[:, None, None] * (q - middle)
+    angles = ways[..., j - 1].ravel() + robot.frames[j - 1].turn.value, ways[..., j].ravel()
+    along = np.array(cosine.map(len(angles[0]))(*angles)).reshape(WAY_POINTS, len(q))
+    return np.asarray((np.abs(along) < DEAD_POINT).all(axis=0))
+
+
+def _pin(robot: Robot, loop: FourBar) -> np.ndarray:
+    """Place (2,) of the pin S of the nominal robot in the loop's plane, from P, where the arm's joint has not turned."""
+    end = span(robot, nominal_dimensions(robot), loop.joint - 2)
+    return np.array(ca.DM(ca.evalf(end[:2, 3]))).ravel()
+
+
+def close(side: int, pin: ca.SX, bars: ca.SX, crank_angle: ca.SX) -> Closure:
+    """Solve the loop for its bar lengths, S's place (2,) in its plane and the crank's angle; side is `assembly_side`'s.
+
+    With Q = crank e^{i·crank_angle} and D = S - Q, the rocker's direction e^{iφ} follows from |D + rocker e^{iφ}| = rod
+    (equation 5 of Model based robot calibration, 2021, solved without its parallelogram assumption).
+    """
+    crank, rod, rocker = bars[0], bars[1], bars[2]
+    dx = pin[0] - crank * ca.cos(crank_angle)
+    dy = pin[1] - crank * ca.sin(crank_angle)
+    squared = dx**2 + dy**2
+    cosine = (rod**2 - squared - rocker**2) / (2 * rocker * ca.sqrt(squared))
+    # Past the end of its travel the loop has no solution; the clamp keeps derivatives finite and `cosine` tells.
+    reachable = ca.fmin(ca.fmax(cosine, -1 + 1e-9), 1 - 1e-9)
+    rocker_angle = ca.atan2(dy, dx) + side * ca.acos(reachable)
+    rod_angle = ca.atan2(dy + rocker * ca.sin(rocker_angle), dx + rocker * ca.cos(rocker_angle))
+    return Closure(rocker_angle, rod_angle, cosine)
+
+
+@dataclass(frozen=True)
+class Deflection:
+    """Small motions that load or wear adds to the nominal mechanism.
+
+    joint is added to the driven joint angles, (n_joints,). bearing holds a twist (dx, dy, dz, rx, ry, rz) at each joint's
+    frame, (6, n_joints); link the same at each link's far end, where the next joint is, (6, n_joints + 1), where column 0 is
+    the base and the last the flange. Units m and rad.
+    """
+
+    joint: ca.SX
+    bearing: ca.SX
+    link: ca.SX
+
+    @staticmethod
+    def zero(n_joints: int) -> Deflection:
+        """No motion at all."""
+        return Deflection(ca.SX(n_joints, 1), ca.SX(6, n_joints), ca.SX(6, n_joints + 1))
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether no entry can differ from zero."""
+        return all(part.nnz() == 0 for part in (self.joint, self.bearing, self.link))
+
+    def __add__(self, other: Deflection) -> Deflection:
+        return Deflection(self.joint + other.joint, self.bearing + other.bearing, self.link + other.link)
+
+
+@dataclass(frozen=True)
+class Posture:
+    """The frames of one pose, 4x4 each, in the robot's base frame.
+
+    joints has each joint's frame after its rotation, ends each link's far end (ends[0] the base, the last the flange),
+    links each link's own frame, bars the crank's and the rod's. closure is None without a loop.
+    """
+
+    joints: tuple[ca.SX, ...]
+    ends: tuple[ca.SX, ...]
+    links: tuple[ca.SX, ...]
+    bars: tuple[ca.SX, ...]
+    closure: Closure | None
+
+    def grounded(self, robot: Robot, point: ca.SX) -> ca.SX:
+        """Return a point (3,) of the base's frame as the link that stands on the floor sees it."""
+        if not robot.ground:
+            return point
+        floor = self.links[robot.ground - 1]
+        return floor[:3, :3].T @ (point - floor[:3, 3])
+
+    def down(self, robot: Robot) -> ca.SX:
+        """Return gravity's direction in the base's frame, (3,)."""
+        if not robot.ground:
+            return ca.SX(ca.DM(robot.down))
+        return self.links[robot.ground - 1][:3, :3] @ ca.DM(robot.down)
+
+    @property
+    def flange(self) -> ca.SX:
+        """The flange's frame."""
+        return self.ends[-1]
+
+
+def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Posture:
+    """Return all frames at driven joint angles q (n_joints,) [rad, or m].
+
+    A joint's own frame is the one just after it has turned about its axis (see `frames.Frame`).
+    A loop is closed at the place to which its pin S has moved in the loop's plane.
+    """
+    found = [ca.sparsify(one) for one in _graph(robot)(*vars(dims).values(), q, *vars(deflection).values())]
+    n = robot.n_joints
+    joints, ends, links, rest = found[:n], found[n : 2 * n + 1], found[2 * n + 1 : 3 * n + 1], found[3 * n + 1 :]
+    closure = Closure(*rest[2:]) if robot.loop else None
+    return Posture(tuple(joints), tuple(ends), tuple(links), tuple(rest[:2]), closure)
+
+
+@lru_cache(maxsize=16)
+def _graph(robot: Robot) -> ca.Function:
+    """Return the function of (dimensions, q, deflection) that gives all frames: calling it takes a tenth of building them."""
+    dims, still = symbols_like(nominal_dimensions(robot)), symbols_like(Deflection.zero(robot.n_joints))
+    q = ca.SX.sym("q", robot.n_joints)
+    at = _frames(robot, dims, q, still)
+    frames = (*at.joints, *at.ends, *at.links, *at.bars)
+    closure = vars(at.closure).values() if at.closure else ()
+    return ca.Function("pose", [*vars(dims).values(), q, *vars(still).values()], [*frames, *closure])
+
+
+def _frames(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Posture:
+    """The frames as `pose` has them, built step by step."""
+    driven = q + deflection.joint
+    angles, closure = _chain_angles(robot, dims, driven, deflection)
+    end = _twist(deflection.link[:, 0])
+    joints: list[ca.SX] = []
+    ends, links = [end], list[ca.SX]()
+    bars: tuple[ca.SX, ...] = ()
+    for i, joint in enumerate(robot.joints):
+        before = to_axis(end, robot, dims, i)
+        if robot.loop and i == robot.loop.joint - 2 and closure:
+            bars = _bar_frames(before, dims, driven[robot.loop.joint - 1], closure)
+        values, frame = figures(robot, dims, i), joint.frame
+        moving = frame.turn if joint.kind == "revolute" else frame.slide
+        if moving:
+            values[moving.symbol] += angles[i]
+        moved = along(before, (frame.turn,), values) @ _twist(deflection.bearing[:, i])
+        link = along(moved, frame.body, values)
+        end = to_end(link, robot, dims, i) @ _twist(deflection.link[:, i + 1])
+        joints.append(moved)
+        links.append(link)
+        ends.append(end)
+    return Posture(tuple(joints), tuple(ends), tuple(links), bars, closure)
+
+
+def marker_point(dims: Dimensions, pose: Posture, choice: ca.SX) -> ca.SX:
+    """Return the chosen marker's position in the robot's base frame; choice is one-hot over markers."""
+    return apply(pose.flange, dims.markers @ choice)
+
+
+def _chain_angles(
+    robot: Robot, dims: Dimensions, driven: ca.SX, deflection: Deflection
+) -> tuple[ca.SX, Closure | None]:
+    """Joint variables along the chain from the driven ones: the loop turns its motor's angle into its joint's."""
+    if robot.loop is None:
+        return driven, None
+    j = robot.loop.joint - 1
+    turn = driven[j - 1] + figures(robot, dims, j - 1)[robot.frames[j - 1].turn.symbol]
+    arm = _arm(robot, dims, deflection, j - 1)
+    pin = (rot_z(turn) @ arm)[:2, 3]
+    closure = close(assembly_side(robot), pin, dims.bars, driven[j])
+    # The rod holds the rocker in its plane: a slope of the arm at S does not turn it.
+    slope = ca.atan2(arm[1, 0], arm[0, 0])
+    angles = ca.SX(driven)
+    angles[j] = closure.rocker_angle - (turn + slope) + robot.loop.offset
+    return angles, closure
+
+
+def _arm(robot: Robot, dims: Dimensions, deflection: Deflection, i: int) -> ca.SX:
+    """Frame at S with x along the arm PS, which is link i, seen from the arm's joint before its bearing gives way."""
+    end, still = span(robot, dims, i), ca.SX.eye(4)
+    turns, bend = ca.SX(still), _twist(deflection.link[:, i + 1])
+    turns[:3, :3] = end[:3, :3]
+    # The bend is in the end's axes. As a difference it leaves no operations where nothing bends.
+    straight = _twist(deflection.bearing[:, i]) @ translation(*ca.vertsplit(end[:3, 3]))
+    return straight @ (still + turns @ (bend - still) @ turns.T)
+
+
+def _bar_frames(ground: ca.SX, dims: Dimensions, crank_angle: ca.SX, closure: Closure) -> tuple[ca.SX, ...]:
+    crank = ground @ rot_z(crank_angle)
+    rod = crank @ translation(dims.bars[0], 0, 0) @ rot_z(closure.rod_angle - crank_angle)
+    return crank, rod
+
+
+def _twist(small: ca.SX) -> ca.SX:
+    return ca.SX.eye(4) if small.nnz() == 0 else placement(small)
+
+
+SMALLEST_RATED = 1.0  # Nm, where gravity loads no joint at all
+
+
+@dataclass(frozen=True)
+class State:
+    """What one row's loads do, at the deflected pose.
+
+    q are the driven joints' angles without deflection, torque what the loads exert on the driven joints (positive where
+    they push q up; the motors hold its opposite). bearing and link are the wrenches (fx, fy, fz, mx, my, mz) that the
+    loads exert at the frames of `Deflection`, in those frames. N, Nm. down (3,) is gravity's direction in the flange's frame.
+    """
+
+    q: ca.SX
+    torque: ca.SX
+    bearing: ca.SX
+    link: ca.SX
+    down: ca.SX
+
+    @staticmethod
+    def symbols(robot: Robot) -> State:
+        """Return a state of symbols."""
+        n = robot.n_joints
+        sizes = {"q": (n, 1), "torque": (n, 1), "bearing": (6, n), "link": (6, n + 1), "down": (3, 1)}
+        return State(**{name: ca.SX.sym(name, *size) for name, size in sizes.items()})
+
+    def with_torque(self, extra: ca.SX | float) -> State:
+        """Return the state with more torque on the driven joints [Nm]."""
+        return replace(self, torque=self.torque + extra)
+
+
+def potential_energy(robot: Robot, loads: Loads, row: Row, at: Posture) -> ca.SX:
+    """Return the energy [J] of all links, the loop's bars and the row's payload in gravity."""
+    gravity = ca.DM(robot.gravity)
+    energy = ca.SX(0)
+    for i, frame in enumerate(at.links):
+        energy -= loads.mass[i] * ca.dot(gravity, at.grounded(robot, apply(frame, loads.com[:, i])))
+    for i, frame in enumerate(at.bars):
+        energy -= loads.bar_mass[i] * ca.dot(gravity, at.grounded(robot, apply(frame, loads.bar_com[:, i])))
+    for i in range(len(robot.payloads)):
+        mass = row.payload[i] * loads.payload_mass[i]
+        energy -= mass * ca.dot(gravity, at.grounded(robot, apply(at.flange, loads.payload_com[:, i])))
+    return energy
+
+
+def state(robot: Robot, dims: Dimensions, loads: Loads, row: Row, deflected: Deflection) -> State:
+    """Return the loads on the mechanism in a row's deflected pose.
+
+    Each is minus the energy's derivative with respect to the motion it works on, so one expression covers joints,
+    bearings, link ends and the closed loop. An applied wrench (row.wrench: force at the marker and moment, in the base
+    frame) adds its virtual work; measured motor torques, where the row has them, replace the computed joint torques.
+    """
+    n = robot.n_joints
+    there = (*vars(dims).values(), row.q, *vars(deflected).values())
+    force, down = _of_gravity(robot)(*there, *vars(loads).values(), row.payload)
+    if row.wrench.nnz():
+        force += _of_wrench(robot)(*there, row.marker, row.wrench)
+    force = ca.sparsify(force)
+    torque = -row.torque if row.torque.nnz() else force[:n]
+    return State(row.q, torque, ca.reshape(force[n : 7 * n], 6, n), ca.reshape(force[7 * n :], 6, n + 1), down)
+
+
+@dataclass(frozen=True)
+class _Symbols:
+    """A robot's dimensions, joint angles and deflection as symbols, and its frames there."""
+
+    dims: Dimensions
+    q: ca.SX
+    deflection: Deflection
+    at: Posture
+
+    @staticmethod
+    def of(robot: Robot) -> _Symbols:
+        dims, q = symbols_like(nominal_dimensions(robot)), ca.SX.sym("q", robot.n_joints)
+        here = symbols_like(Deflection.zero(robot.n_joints))
+        return _Symbols(dims, q, here, pose(robot, dims, q, here))
+
+    @property
+    def inputs(self) -> tuple[ca.SX, ...]:
+        """The symbols, one after another."""
+        return (*vars(self.dims).values(), self.q, *vars(self.deflection).values())
+
+    @property
+    def motion(self) -> ca.SX:
+        """The deflection, packed."""
+        return ca.vertcat(self.deflection.joint, ca.vec(self.deflection.bearing), ca.vec(self.deflection.link))
+
+
+@lru_cache(maxsize=16)
+def _of_gravity(robot: Robot) -> ca.Function:
+    """Return the function (dimensions, q, deflection, loads, payload) -> forces of gravity along every motion, and its direction.
+
+    To call it takes a twentieth of what it takes to differentiate the energy anew.
+    """
+    there, loads, row = _Symbols.of(robot), symbols_like(nominal_loads(robot)), Row.symbols(robot, ())
+    force = ca.gradient(-potential_energy(robot, loads, row, there.at), there.motion)
+    down = there.at.flange[:3, :3].T @ there.at.down(robot)
+    return ca.Function("gravity", [*there.inputs, *vars(loads).values(), row.payload], [force, down])
+
+
+@lru_cache(maxsize=16)
+def _of_wrench(robot: Robot) -> ca.Function:
+    """Return the function (dimensions, q, deflection, marker, wrench) -> forces of the wrench along every motion."""
+    there, row = _Symbols.of(robot), Row.symbols(robot, ("wrench",))
+    work = ca.dot(row.wrench[:3], marker_point(there.dims, there.at, row.marker))
+    force = ca.gradient(work, there.motion) + _moment_work(row.wrench[3:], there.at.flange, there.motion)
+    return ca.Function("wrench", [*there.inputs, row.marker, row.wrench], [force])
+
+
+def gravity_torque(robot: Robot) -> ca.Function:
+    """Return the nominal robot's function (q, payload one-hot) -> motor torques that hold it still [Nm]."""
+    packed = ca.SX.sym("row", sum(Row.sizes(robot).values()))
+    q = ca.SX.sym("q", robot.n_joints)
+    row = replace(Row.unpack(robot, packed), q=q)
+    still = Deflection.zero(robot.n_joints)
+    loads = state(robot, nominal_dimensions(robot), nominal_loads(robot), row, still)
+    return ca.Function("gravity_torque", [q, row.payload], [ca.densify(-loads.torque)])
+
+
+def moment_torques(robot: Robot) -> ca.Function:
+    """Return the nominal robot's function (q) -> derivatives of the holding motor torques by all that the links may weigh.
+
+    These are the links' and bars' masses [kg] and first moments [kg m], in which torques are linear whatever the masses are
+    (Khalil and Dombre 2002); (n_joints, 4 times the number of bodies), without payload.
+    """
+    q, nominal = ca.SX.sym("q", robot.n_joints), nominal_loads(robot)
+    free = Loads(
+        ca.SX.sym("mass", nominal.mass.shape), ca.SX.sym("com", nominal.com.shape), ca.SX.sym("bar", nominal.bar_mass.shape),
+        ca.SX.sym("bar_com", nominal.bar_com.shape), 0 * nominal.payload_mass, nominal.payload_com,
+    )  # fmt: skip
+    masses = ca.vertcat(free.mass, free.bar_mass)
+    places = ca.vertcat(ca.vec(free.com), ca.vec(free.bar_com))
+    packed = ca.SX.sym("row", sum(Row.sizes(robot).values()))
+    row = replace(Row.unpack(robot, packed), q=q, payload=ca.SX(len(robot.payloads), 1))
+    torque = -state(robot, nominal_dimensions(robot), free, row, Deflection.zero(robot.n_joints)).torque
+    slopes = ca.substitute(
+        ca.jacobian(torque, ca.vertcat(masses, places)),
+        ca.vertcat(masses, places),
+        ca.vertcat(ca.SX.ones(masses.shape), ca.SX.zeros(places.shape)),
+    )
+    return ca.Function("moment_torques", [q], [ca.densify(slopes)])
+
+
+@lru_cache(maxsize=16)
+def rated_torques(robot: Robot) -> np.ndarray:
+    """Return each joint's rated torque [Nm], shape (n_joints,), read-only: the maker's, else what gravity asks of it.
+
+    Where the maker is silent it is the largest gravity torque over the joints' ranges under the heaviest payload, and for
+    a joint that gravity hardly loads (a vertical axis) a tenth of the most loaded joint's of its kind. A slide's is in N.
+    """
+    stated = np.array([joint.rated_torque or np.nan for joint in robot.joints])
+    rated = np.where(np.isnan(stated), _gravity_torques(robot), stated) if np.isnan(stated).any() else stated
+    rated.flags.writeable = False  # all who ask get the same array
+    return rated
+
+
+def _gravity_torques(robot: Robot) -> np.ndarray:
+    """The largest torques that gravity asks of the joints, shape (n_joints,)."""
+    from scipy.stats import qmc
+
+    function = gravity_torque(robot)
+    sample = qmc.scale(qmc.Sobol(robot.n_joints, scramble=False).random(256), *robot.limits.T)
+    sample = sample[reachable(robot, sample)]
+    if not len(sample):
+        raise refuse("the four-bar loop closes nowhere within the joints' ranges", key=f"robot '{robot.name}': loop")
+    heaviest = np.zeros(len(robot.payloads))
+    if robot.payloads:
+        heaviest[int(np.argmax([payload.mass or 0.0 for payload in robot.payloads.values()]))] = 1.0
+    torques = np.abs(np.array(function.map(len(sample))(sample.T, np.tile(heaviest[:, None], len(sample)))))
+    largest = np.nanmax(torques, axis=1)
+    slides = np.array([joint.kind == "prismatic" for joint in robot.joints])
+    for kind in (slides, ~slides):
+        largest[kind] = np.maximum(largest[kind], max(SMALLEST_RATED, 0.1 * largest[kind].max(initial=0.0)))
+    return np.asarray(largest)
+
+
+def _moment_work(moment: ca.SX, flange: ca.SX, motion: ca.SX) -> ca.SX:
+    """Generalised force of a pure moment on the flange: its work over the flange's rotation, by the rotation's Jacobian."""
+    rotation = flange[:3, :3]
+    # For a rotation by w the columns change by w x column, so 1/2 sum(column x change) is w itself.
+    total = ca.SX(motion.numel(), 1)
+    for k in range(3):
+        arm = ca.cross(moment, rotation[:, k]) / 2
+        total += ca.jtimes(rotation[:, k], motion, arm, True)
+    return total
