@@ -24,7 +24,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Detection, Linearisation, Screened
 from calflow.diagnosis.search.trial import SHARES
 from calflow.estimation.calibrated_model import identified
-from calflow.estimation.repeats import averaged
+from calflow.estimation.noise import averaged
 from calflow.faults import corrected
 from calflow.files.results import Results
 from calflow.runs.run import run

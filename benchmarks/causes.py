@@ -34,9 +34,8 @@ from calflow.effects.cause import Cause
 from calflow.effects.link_torsion import LinkTorsion
 from calflow.effects.nonlinear_joint_stiffness import NonlinearJointStiffness
 from calflow.estimation.accuracy import error_jacobian
-from calflow.estimation.calibrated_model import CalibratedModel, series_noise
-from calflow.estimation.repeats import averaged
-from calflow.estimation.rival_models import ModelInReach
+from calflow.estimation.calibrated_model import CalibratedModel, ModelInReach, series_noise
+from calflow.estimation.noise import averaged
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.log_posterior import log_posterior_of
 from calflow.sampling.models import WeighedModels, weighed_models

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated_model import CalibratedModel, calibrated, identified
-from calflow.estimation.certainty import position_variance, unexplained
+from calflow.estimation.calibrated_model import CalibratedModel, calibrated, identified, position_variance, unexplained
 from calflow.faults import corrected
 from calflow.measurements.measurements import Measurements
 from calflow.run_folder import read_manifest, read_results

@@ -13,7 +13,7 @@ import pandas as pd
 
 from calflow.estimation.fit import Fit, fit
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.repeats import measured_noise
+from calflow.estimation.noise import measured_noise
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.sampling.log_posterior import Laplace, LogPosterior, move_mixture

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.elsewhere import extrapolation
+from calflow.estimation.fit import fit_reweighted
+from calflow.estimation.leverage import extrapolation
+from calflow.estimation.noise import measured_noise
 from calflow.estimation.registration import registered
-from calflow.estimation.repeats import measured_noise
-from calflow.estimation.reweighting import fit_reweighted
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.reading import read_measurements
 from calflow.model import build

@@ -103,7 +103,7 @@ def call(*words: str) -> None:
 def residuals(study: Path) -> None:
     """Read a study's measurements and return what its model leaves of them before any fit, by their noise."""
     from calflow.estimation.least_squares import LeastSquares
-    from calflow.estimation.repeats import measured_noise
+    from calflow.estimation.noise import measured_noise
     from calflow.model import build
     from calflow.study import load_study
 

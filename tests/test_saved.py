@@ -11,8 +11,7 @@ import pytest
 import calflow as cf
 import robots
 from calflow.design.candidates import candidates
-from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.rival_models import Alternative
+from calflow.estimation.calibrated_model import Alternative, CalibratedModel
 from calflow.measurements.series import Series
 from calflow.model import Model, build
 from effects.test_axis_straightness import ON_A_RAIL

@@ -11,7 +11,7 @@ from real_data import columns
 
 from calflow.calibration import Calibration
 from calflow.deployment.prediction import on_conditions_of
-from calflow.estimation.certainty import field_correction
+from calflow.estimation.calibrated_model import field_correction
 from calflow.estimation.field_gain import gainful_field
 from calflow.estimation.identification import fit_effects
 from calflow.measurements.measurements import Measurements

@@ -47,20 +47,25 @@ from calflow.effects.base import unmet
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import (
+    AlternativeParameter,
     CalibratedModel,
+    CauseInReach,
     DeviceNoise,
+    FitSummary,
+    IdentifySummary,
     ModelEffect,
     ModelObservation,
+    NeededCondition,
     Placed,
     calibrated,
     effect_table,
+    in_reach_table,
     noise_table,
     observation_table,
     placement_table,
     read_error_model,
 )
 from calflow.estimation.field_gain import field_results, gainful_field
-from calflow.estimation.fit_summary import FitSummary, IdentifySummary
 from calflow.estimation.identifiability import (
     Correlation,
     Counted,
@@ -71,14 +76,12 @@ from calflow.estimation.identifiability import (
     redundant,
 )
 from calflow.estimation.identification import FittedEffects, fit_effects
-from calflow.estimation.judgement import JudgedResidual, Studentised, judged, judged_table
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.needed_conditions import NeededCondition
+from calflow.estimation.leverage import JudgedResidual, Studentised, judged, judged_table
+from calflow.estimation.noise import NoiseSource
 from calflow.estimation.parameters import Covariances, FittedParameter, Parameters, covariance_table, mistaken
 from calflow.estimation.progress import Advance, Draws, Say, draws, nobody
-from calflow.estimation.repeats import NoiseSource
 from calflow.estimation.residual_field import POSES, FieldAccuracy, FieldPose, read_field
-from calflow.estimation.rival_models import AlternativeParameter, CauseInReach, in_reach_table
 from calflow.faults import Fault, FaultyRow, as_table, corrected, examined
 from calflow.faults.outlier import odd_rows
 from calflow.files.problems import InputError, Problem, refuse

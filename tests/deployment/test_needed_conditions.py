@@ -11,8 +11,7 @@ import pytest
 from applied import predict
 from calflow.deployment.prediction import predict_rows
 from calflow.deployment.validation import validate
-from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
-from calflow.estimation.needed_conditions import needed_conditions
+from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise, needed_conditions
 from calflow.estimation.noise import PerUnit
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements

@@ -16,7 +16,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Linearisation
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
-from calflow.estimation.reweighting import fit_reweighted
+from calflow.estimation.fit import fit_reweighted
 from calflow.model import Model, build
 from estimation.data import SIGMA, measured, stated
 from robots import industrial

@@ -18,7 +18,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Detection
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
-from calflow.estimation.reweighting import fit_reweighted
+from calflow.estimation.fit import fit_reweighted
 from calflow.files.tables import columns
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build

@@ -7,7 +7,7 @@ import numpy as np
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
-from calflow.estimation.reweighting import fit_reweighted
+from calflow.estimation.fit import fit_reweighted
 from calflow.model import Model, build
 from estimation.data import measured, stated
 from robots import industrial

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.repeats import averaged, stated_noise
+from calflow.estimation.noise import averaged, stated_noise
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.series import BeamNoise, Series
 from calflow.model import build

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.estimation.certainty import position_variance
+from calflow.estimation.calibrated_model import position_variance
 from calflow.estimation.identification import fit_effects
 from calflow.files.units import METRE
 from calflow.model import build

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.estimation.elsewhere import elsewhere
 from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.leverage import elsewhere
 from calflow.model import build
 from estimation.data import SIGMA, measured, stated
 from robots import industrial

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.estimation.fit import fit
-from calflow.estimation.intraclass import MOST, Products, found_alike
+from calflow.estimation.fit import MOST_ALIKE, Products, fit, found_alike
 from calflow.estimation.least_squares import LeastSquares, Sharing
-from calflow.estimation.repeats import measured_noise
+from calflow.estimation.noise import measured_noise
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
 from sampling.calibrations import SIGMA, Case, Design
 
@@ -90,4 +89,4 @@ def test_too_few_standstills_claim_nothing():
     result, _ = fit(LeastSquares.of(case.model, train, noise))
     assert Products.of(result, train, noise).common < 10
     assert found_alike(result, train, noise) == (0.0, 1.0)
-    assert MOST < 1
+    assert MOST_ALIKE < 1

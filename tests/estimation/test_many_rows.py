@@ -11,16 +11,13 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
-from calflow.estimation import certainty, least_squares
-from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.certainty import parameter_variance
-from calflow.estimation.elsewhere import left_out
-from calflow.estimation.fit import Fit, expansion, fit
-from calflow.estimation.groups import members
-from calflow.estimation.intraclass import Products
-from calflow.estimation.judgement import Studentised
+from calflow.estimation import calibrated_model as certainty
+from calflow.estimation import least_squares
+from calflow.estimation.calibrated_model import CalibratedModel, parameter_variance
+from calflow.estimation.fit import Fit, Products, expansion, fit
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.noise import Noise, PerUnit
+from calflow.estimation.leverage import Studentised, left_out
+from calflow.estimation.noise import Noise, PerUnit, members
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.log_posterior import Laplace, LogPosterior
 from sampling.calibrations import SIGMA, Case, Design

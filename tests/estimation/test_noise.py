@@ -9,12 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
-from calflow.estimation.fit import fit
+from calflow.estimation.fit import fit, fit_reweighted
 from calflow.estimation.lack_of_fit import lack_of_fit
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.noise import PerUnit
-from calflow.estimation.repeats import averaged, measured_noise
-from calflow.estimation.reweighting import fit_reweighted
+from calflow.estimation.noise import PerUnit, averaged, measured_noise
 from calflow.files.problems import InputError
 from calflow.files.units import METRE, RADIAN
 from calflow.model import build

@@ -6,11 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.estimation.accuracy import distances, errors
+from calflow.estimation.accuracy import completed, distances, errors
+from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.noise import Noise
-from calflow.estimation.nuisance import completed
 from calflow.estimation.registration import registered
-from calflow.estimation.reweighting import fit_reweighted
 from calflow.measurements.series import Series, Station
 from calflow.model import stated
 from calflow.observations import observations

@@ -9,7 +9,7 @@ import pytest
 
 from calflow.diagnosis.search.fitted import FAR, Fitted
 from calflow.estimation.identification import fit_effects
-from calflow.estimation.judgement import Studentised, judged_table
+from calflow.estimation.leverage import Studentised, judged_table
 from calflow.faults import as_table, corrected
 from calflow.faults.outlier import odd_rows
 from calflow.measurements.measurements import Measurements

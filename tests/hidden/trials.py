@@ -11,11 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from calflow.design.candidates import packed_conditions
 from calflow.effects.geometry import Geometry
-from calflow.estimation.fit import Fit, fit
+from calflow.estimation.fit import Fit, fit, fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.noise import measured_noise
 from calflow.estimation.registration import registered
-from calflow.estimation.repeats import measured_noise
-from calflow.estimation.reweighting import fit_reweighted
 from calflow.measurements.measurements import Measurements, combined
 from calflow.measurements.series import BeamNoise, Series, Station
 from calflow.model import Model, build

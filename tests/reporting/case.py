@@ -21,9 +21,15 @@ from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.effects.words import NamedCause
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import calibrated, effect_table, identified, with_maps_held
-from calflow.estimation.fit_summary import FitSummary
-from calflow.estimation.rival_models import AlternativeParameter, CauseInReach
+from calflow.estimation.calibrated_model import (
+    AlternativeParameter,
+    CauseInReach,
+    FitSummary,
+    calibrated,
+    effect_table,
+    identified,
+    with_maps_held,
+)
 from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
 from calflow.model import Model, build

@@ -18,7 +18,7 @@ from calflow.diagnosis.findings.finding import Finding
 from calflow.diagnosis.findings.tables import CandidateRow
 from calflow.effects.words import NamedCause
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.fit_summary import Extrapolation, FitSummary, IdentifySummary, Solver
+from calflow.estimation.calibrated_model import Extrapolation, FitSummary, IdentifySummary, Solver
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.lack_of_fit import NoiseDoubt
 from calflow.files.results import Results, to_document

@@ -13,8 +13,8 @@ import pytest
 import typst
 
 from calflow.design.separability import IsolabilityCell
+from calflow.estimation.calibrated_model import Alternative
 from calflow.estimation.noise import PerUnit
-from calflow.estimation.rival_models import Alternative
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
 from calflow.files.units import METRE

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.fit_summary import FitSummary, Solver
+from calflow.estimation.calibrated_model import FitSummary, Solver
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.results import Results
 from calflow.files.tables import from_frame, to_frame

@@ -16,7 +16,7 @@ import numpy as np
 import calflow as cf
 from calflow.design.candidates import candidates, packed_conditions
 from calflow.estimation.accuracy import errors
-from calflow.estimation.certainty import position_variance
+from calflow.estimation.calibrated_model import position_variance
 from calflow.estimation.progress import draws
 from calflow.model import Model, build
 from calflow.robot.parts import Marker

@@ -12,10 +12,9 @@ from scipy.stats import norm
 
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
-from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
+from calflow.estimation.calibrated_model import CalibratedModel, ModelInReach, SeriesNoise
 from calflow.estimation.fit import fit
 from calflow.estimation.noise import PerUnit
-from calflow.estimation.rival_models import ModelInReach
 from calflow.model import Model
 from calflow.sampling.log_posterior import Laplace, LogPosterior
 from calflow.sampling.models import WeighedModels, cause_table, integrated_evidence, models_table, weighed_models

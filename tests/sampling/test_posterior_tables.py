@@ -7,9 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
+from calflow.estimation.calibrated_model import Alternative, CalibratedModel, SeriesNoise
 from calflow.estimation.noise import PerUnit
-from calflow.estimation.rival_models import Alternative
 from calflow.sampling.models import WeighedModels
 from calflow.sampling.posterior import predictive_table
 from diagnosis.found import cause, hidden, start

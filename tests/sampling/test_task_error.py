@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi
 
 from calflow.deployment.compensation import turn_sd
-from calflow.estimation.certainty import position_variance
+from calflow.estimation.calibrated_model import position_variance
 from calflow.estimation.progress import draws
 from calflow.sampling.chain import ChainLength
 from calflow.sampling.sample import sample

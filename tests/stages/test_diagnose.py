@@ -15,7 +15,7 @@ from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.diagnosis.search.extension import Extended
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.linearisation import Linearisation
-from calflow.estimation.reweighting import fit_reweighted
+from calflow.estimation.fit import fit_reweighted
 from diagnosis.findings.test_replication import series
 from estimation.data import stated
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.fit import fit
+from calflow.estimation.fit import fit, fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
-from calflow.estimation.reweighting import fit_reweighted
 from calflow.files.units import METRE
 from calflow.model import build
 from calflow.sampling.log_posterior import Laplace

@@ -16,10 +16,8 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.certainty import expected_point, position_variance
-from calflow.estimation.groups import members
-from calflow.estimation.repeats import conditions
+from calflow.estimation.calibrated_model import CalibratedModel, expected_point, position_variance
+from calflow.estimation.noise import conditions, members
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 

@@ -21,15 +21,15 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.prediction import Missing, StatedModel, as_stated, of_field, rows_at
-from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.certainty import (
+from calflow.estimation.calibrated_model import (
+    CalibratedModel,
     expected_point,
     field_correction,
     position_variance,
     rotation_variance,
     untold_turns,
 )
-from calflow.estimation.groups import members
+from calflow.estimation.noise import members
 from calflow.files.problems import MOST_TOLD, InputError, Problem, nearest, refuse
 from calflow.files.tables import column, typed
 from calflow.files.toml import Angles3, FileModel, Lengths3, read_toml

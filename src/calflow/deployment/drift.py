@@ -35,8 +35,7 @@ from calflow.design.candidates import candidates
 from calflow.design.exchange import exchange, greedy
 from calflow.design.optimality import ParameterCriterion
 from calflow.design.t_optimality import TCriterion, propose
-from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.certainty import unexplained
+from calflow.estimation.calibrated_model import CalibratedModel, unexplained
 from calflow.files.problems import InputError, refuse
 from calflow.files.results import Results, to_document
 from calflow.files.tables import column, to_frame

@@ -18,8 +18,7 @@ from scipy.spatial.transform import Rotation
 from calflow.deployment.conventions import nearest_vector
 from calflow.design.candidates import candidates
 from calflow.effects import Effect
-from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.certainty import expected_point
+from calflow.estimation.calibrated_model import CalibratedModel, expected_point
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.csv import csv_text
 from calflow.files.tables import column, to_frame

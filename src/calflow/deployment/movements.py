@@ -21,9 +21,8 @@ from calflow.deployment.attained import Alignment, can_align, rigid_slope
 from calflow.effects import catalogue
 from calflow.effects.base import unmet
 from calflow.effects.warming import REFERENCE
-from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.certainty import unexplained
-from calflow.estimation.repeats import conditions
+from calflow.estimation.calibrated_model import CalibratedModel, unexplained
+from calflow.estimation.noise import conditions
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import over_rows

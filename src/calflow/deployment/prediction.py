@@ -10,9 +10,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.certainty import expected_point, field_correction, position_variance, readings
-from calflow.estimation.needed_conditions import HOW_TO_GO_ON, check_stated
+from calflow.estimation.calibrated_model import (
+    HOW_TO_GO_ON,
+    CalibratedModel,
+    check_stated,
+    expected_point,
+    field_correction,
+    position_variance,
+    readings,
+)
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.measurements.measurements import Measurements
 

@@ -10,7 +10,7 @@ from scipy.stats import ttest_1samp
 
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.fit_summary import IdentifySummary
+from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.files.results import Results
 from calflow.files.units import METRE
 from calflow.files.words import mm

@@ -33,8 +33,7 @@ from calflow.deployment.attained import (
     cube_edge,
 )
 from calflow.deployment.prediction import beyond_limits, of_field
-from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.needed_conditions import check_stated
+from calflow.estimation.calibrated_model import CalibratedModel, check_stated
 from calflow.files.problems import refuse
 from calflow.files.results import Results, to_document
 from calflow.files.tables import column, to_frame

@@ -29,11 +29,10 @@ from calflow.diagnosis.findings.verdict import label
 from calflow.diagnosis.screening.catalogue import Catalogue
 from calflow.effects.words import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
-from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.elsewhere import left_out
+from calflow.estimation.calibrated_model import Alternative, CalibratedModel
+from calflow.estimation.leverage import left_out
 from calflow.estimation.probing import probed
 from calflow.estimation.progress import Draws
-from calflow.estimation.rival_models import Alternative
 from calflow.faults import as_table
 from calflow.files.problems import refuse
 from calflow.files.results import Results, to_document

@@ -35,9 +35,9 @@ from calflow.diagnosis.search.decoys import InTime
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
-from calflow.estimation.elsewhere import left_out
+from calflow.estimation.calibrated_model import Alternative
+from calflow.estimation.leverage import left_out
 from calflow.estimation.probing import probed
-from calflow.estimation.rival_models import Alternative
 from calflow.files.units import METRE
 from calflow.measurements.series import Series
 from calflow.model import Model

@@ -16,8 +16,8 @@ from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES, CauseAcceptance
 from calflow.diagnosis.search.weighing import weighed
 from calflow.estimation.accuracy import leading_errors
 from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.noise import averaged, repeats_scatter
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
-from calflow.estimation.repeats import averaged, repeats_scatter
 from calflow.measurements.measurements import Measurements
 
 BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search

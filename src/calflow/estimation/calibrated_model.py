@@ -1,37 +1,332 @@
-"""The calibrated model: what predictions and all that builds on them need, and the tables that keep it."""
+"""The calibrated model: what predictions and all that builds on them need, and the tables that keep it.
+
+It knows the conditions that it must be told of a row, the other models that explain the data about as well (Occam's window: models
+far less likely than the best are left out, so that those few can be weighed in full; Madigan and Raftery 1994), how its fit ended,
+and how sure its positions are, apart from the device that measures them.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
-from typing import Any
+from typing import Any, Literal
 
+import casadi as ca
 import numpy as np
 import pandas as pd
 from pydantic import TypeAdapter
 
 from calflow.effects import Effect, effect_class
 from calflow.effects.cause import Carried, Cause
-from calflow.estimation.fit_summary import FitSummary, IdentifySummary
+from calflow.estimation.lack_of_fit import SIGNIFICANT, NoiseDoubt
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.needed_conditions import NeededCondition
-from calflow.estimation.noise import Noise, PerUnit, Source
+from calflow.estimation.noise import Noise, PerUnit, Source, stated_noise
 from calflow.estimation.parameters import FittedParameter
-from calflow.estimation.repeats import stated_noise
 from calflow.estimation.residual_field import ResidualField, read_field
-from calflow.estimation.rival_models import Alternative, AlternativeParameter, CauseInReach, ModelInReach
-from calflow.files.problems import refuse
+from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.results import Results
 from calflow.files.tables import column, to_frame
-from calflow.files.units import METRE
+from calflow.files.units import METRE, RADIAN, SUFFIXES
+from calflow.measurements.columns import column_names, condition_columns
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model
+from calflow.model import Model, over_rows
 from calflow.observations import Observation, observation_kinds
 from calflow.robot.frames import vector
+from calflow.robot.mechanism import Row
 from calflow.robot.parts import Base
 from calflow.robot.robot import Robot
+
+HOW_TO_GO_ON = 'missing = "widen" (--without-conditions) goes on with a wider standard deviation'
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeededCondition:
+    """A condition of a row on which it depends where the calibrated robot will be."""
+
+    condition: str = column("its name: approach, travel, wrench, torque, time, temperature, order")
+    effects: tuple[str, ...] = column("ids of the effects that depend on it")
+    columns: str = column("the columns that state it, in words")
+    spread_mm: float = column(
+        "what the model is off without it, per axis: root mean square over the rows that were fitted", "mm"
+    )
+
+
+def needed_conditions(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[NeededCondition, ...]:
+    """Return the optional conditions on which the markers' places depend, and what each does over the rows fitted.
+
+    It is read off the graph, so that an effect need not say what it looks at. What only the measuring device depends on is
+    not where the robot will be.
+    """
+    rows = data.only(data.train)
+    found = []
+    for condition in _depended_on(model):
+        own = [effect.id for effect in model.effects if condition in _depended_on(replace(model, effects=(effect,)))]
+        left = tuple(name for name in model.given if name != condition)
+        lost = _points(model, estimate, rows) - _points(replace(model, given=left), estimate, rows)
+        found.append(
+            NeededCondition(
+                condition=condition, effects=tuple(dict.fromkeys(own or (effect.id for effect in model.effects))),
+                columns=_columns(condition, model.robot), spread_mm=1e3 * float(np.sqrt((lost**2).mean(axis=0)).max()),
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def check_stated(needed: Iterable[NeededCondition], given: Sequence[str], instead: str = "") -> None:
+    """Check that rows state what they must; instead says how to go on where they do not.
+
+    Raises:
+        InputError: they do not; with a problem for each effect and condition.
+    """
+    remedy = f"; {instead}" if instead else ""
+    problems = [
+        Problem(f"effect '{effect}' needs {one.columns}, which the rows lack{remedy}")
+        for one in needed if one.condition not in given for effect in one.effects
+    ]  # fmt: skip
+    if problems:
+        raise InputError(problems)
+
+
+def _points(model: Model, estimate: np.ndarray, rows: Measurements) -> np.ndarray:
+    """Where the markers are by what the model is given alone, shape (n_rows, 3) [m]; not compiled: it is asked once."""
+    p, c, predicted = model.symbols
+    point = ca.Function("point", [p, c], [ca.densify(predicted.point)])
+    return over_rows(point, estimate, rows.stating(model.given).conditions)[0].T
+
+
+def _depended_on(model: Model) -> list[str]:
+    """The optional conditions that a marker's place depends on."""
+    _, c, predicted = model.symbols
+    depends = np.array(ca.which_depends(predicted.point, c, 1, False), dtype=bool)
+    sizes = Row.sizes(model.robot, model.given)
+    ends = np.cumsum(list(sizes.values()))
+    spans = zip(sizes, ends - list(sizes.values()), ends, strict=True)
+    return [name for name, start, end in spans if name in model.given and depends[start:end].any()]
+
+
+def _columns(condition: str, robot: Robot) -> str:
+    """Name the columns of a condition, with the SI unit of those that have one."""
+    dimensions = column_names(robot)
+    names = condition_columns(condition, robot)
+    if not set(names) <= set(dimensions):
+        return "rows in measuring order"
+    units = [SUFFIXES[dimensions[name]][0] if dimensions[name] else "" for name in names]
+    spelled = [f"{name}_{unit}" if unit else name for name, unit in zip(names, units, strict=True)]
+    return f"columns {spelled[0]} … {spelled[-1]}" if len(spelled) > 1 else f"a column {spelled[0]}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlternativeParameter:
+    """A parameter of a model that explains the data about as well: one cause gives way to a rival, or to nothing."""
+
+    alternative: int = column("number of the model")
+    probability: float = column("that it is this one, as far as the data tell")
+    instead_of: int = column("which of the causes in effects.csv is not in it, in their order")
+    effect: str = column("id of the rival in its place; empty: none")
+    part: str = column("the part of the robot that the rival is a cause of")
+    variant: str = column("the figures that make its variant, as JSON")
+    parameter: str = column("the parameter's name")
+    estimate: float = column("what the fit found, in the parameter's SI unit")
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """Another model of the same robot, its estimate (n_parameters,) in SI, and how probable it is."""
+
+    model: Model
+    estimate: np.ndarray
+    probability: float
+
+
+def choice_variance(
+    alternatives: Sequence[Alternative], model: Model, estimate: np.ndarray, conditions: np.ndarray
+) -> np.ndarray:
+    """Return the variance of each row's position (n_rows, 3) [m²] because another model may be the right one.
+
+    The mean square distance of their predictions from this model's (Hoeting et al. 1999, Bayesian model averaging).
+    """
+    if not alternatives:
+        return np.zeros((conditions.shape[1], 3))
+    here = model.point(estimate, conditions)
+    others = [replace(one.model, given=model.given).point(one.estimate, conditions) for one in alternatives]
+    return np.asarray(
+        sum(one.probability * (there - here) ** 2 for one, there in zip(alternatives, others, strict=True))
+    )
+
+
+Change = Literal["found", "without", "instead", "besides"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CauseInReach:
+    """A cause of a model in reach: what was found, less one cause, with another in the place of one, or with one more."""
+
+    model: int = column("number of the model; the first is what was found")
+    change: Change = column(
+        "what makes it: as found, without a cause, with one instead of another, or with one besides"
+    )
+    log_prior: float = column("logarithm of its prior probability, over that of a model without causes")
+    log_weight: float = column(
+        "the same of how likely diagnose's linear tests make it (BIC), prior included, over what was found"
+    )
+    independent: bool = column(
+        "whether what is left counts as independent noise: no background (see method), nothing that the rows of a pose share"
+    )
+    effect: str = column("id of the cause; empty: the model has none")
+    part: str = column("the part of the robot that it is a cause of")
+    variant: str = column("the figures that make its variant, as JSON")
+
+
+@dataclass(frozen=True)
+class ModelInReach:
+    """A model in reach by its causes; the logarithms are as in `CauseInReach`."""
+
+    causes: tuple[Cause, ...]
+    change: Change
+    log_prior: float
+    log_weight: float
+    independent: bool = True
+
+
+def in_reach_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
+    """Return the table of `CauseInReach`s."""
+    rows = []
+    for number, one in enumerate(models, start=1):
+        named = [(cause.effect.id, cause.part, json.dumps(cause.effect.figures)) for cause in one.causes]
+        rows += [
+            CauseInReach(
+                model=number, change=one.change, log_prior=one.log_prior, log_weight=one.log_weight,
+                independent=one.independent, effect=effect, part=part, variant=variant,
+            )
+            for effect, part, variant in named or [("", "", "")]
+        ]  # fmt: skip
+    return to_frame(rows, CauseInReach)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solver:
+    """How the solver ended."""
+
+    name: str = column("which it was", default="IPOPT")
+    status: str = column("what it says of its end")
+    iterations: int = column("how many it made")
+
+    @property
+    def words(self) -> str:
+        """The same in words."""
+        return f"{self.name}: {self.status}, {self.iterations} iterations"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitSummary:
+    """What is known of a fit's noise, and what the model leaves beyond it."""
+
+    noise_sources: tuple[Source, ...] = column("where the noise of each series is known from: repeats, file, estimated")
+    sigma_mm: float | None = column(
+        "the noise of a row, per axis; of noise that grows with range, that at no distance; null: no lengths were measured",
+        "mm",
+    )
+    noise_growth_mm_per_m: float = column("by how much the noise grows with range", "mm/m", default=0.0)
+    discrepancy_mm: float = column(
+        "what the model leaves of lengths beyond the noise, per axis; 0 without lengths", "mm"
+    )
+    rotation_discrepancy_mrad: float | None = column(
+        "the same of orientations; null: not measured", "mrad", default=None
+    )
+    discrepancies: dict[str, float] = column(
+        "what the model leaves beyond the noise, by the unit it is in: mm, mrad, px, …"
+    )
+    elsewhere_mm: float = column(
+        "what it errs by beyond that, and beyond what is told of its parameters, at poses that it was not fitted to, per axis: "
+        "by leaving out one training pose at a time",
+        "mm",
+        default=0.0,
+    )
+    intraclass: float = column(
+        "correlation of what the markers of a standstill err, axis by axis; 0: each for itself", default=0.0
+    )
+    loss: Loss = column("of the fit")
+    reduced_chi2: float | None = column("chi² per degree of freedom; null: cannot be told, the noise came from the fit")
+    lack_of_fit_p: float | None = column("chance of so much where the model is right; null: cannot be told")
+    solver: Solver = column("name, status, iterations")
+    converged: bool = column("whether the solver reached its optimum")
+
+    @property
+    def noise_known(self) -> bool:
+        """Whether any of it is known apart from the fit."""
+        return any(source != "estimated" for source in self.noise_sources)
+
+    def discrepancy_of(self, observed: Sequence[Observation]) -> PerUnit:
+        """Return the discrepancies in the units of what was observed."""
+        units = {unit.label: unit for observation in observed for unit in observation.units}
+        return PerUnit(tuple((units[label], size / units[label].scale) for label, size in self.discrepancies.items()))
+
+    @property
+    def lack_of_fit(self) -> float:
+        """How many times the noise the model leaves; nan where the noise was estimated from the fit itself."""
+        if not self.noise_known or self.reduced_chi2 is None:
+            return float("nan")
+        return float(np.sqrt(self.reduced_chi2))
+
+    @property
+    def lacks_fit(self) -> bool:
+        """Whether the model leaves more than its noise, beyond chance."""
+        return self.lack_of_fit_p is not None and self.lack_of_fit_p < SIGNIFICANT and self.lack_of_fit > 1
+
+
+def discrepancies(noise: Noise) -> dict[str, Any]:
+    """Return the fields of a `FitSummary` that say what the model leaves beyond the noise."""
+    turned = RADIAN in dict(noise.further)
+    return {
+        "discrepancy_mm": 1e3 * noise.discrepancy[METRE],
+        "rotation_discrepancy_mrad": 1e3 * noise.discrepancy[RADIAN] if turned else None,
+        "discrepancies": {unit.label: unit.shown(size) for unit, size in noise.discrepancy.sizes},
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extrapolation:
+    """A joint whose held-out readings lie beyond what was fitted: accuracy there is a guess, good or bad."""
+
+    joint: int = column("its number")
+    rows: int = column("held-out rows beyond the fitted readings")
+
+    @property
+    def words(self) -> str:
+        """The same in words."""
+        return f"joint {self.joint}: {self.rows} held-out rows lie beyond the readings that were fitted"
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifySummary(FitSummary):
+    """How identify ended: noise, lack of fit, what the data determine, and the solver."""
+
+    spread_mm: float = column("mean distance of the measured points from their middle", "mm")
+    rank: int = column("number of directions that the data determine")
+    parameters: int = column("number of parameters")
+    rank_by_effect: dict[str, int] = column("directions that each effect adds, by its id")
+    effective_parameters: float = column("parameters that the data determine rather than the prior")
+    training_poses: int = column("poses that were fitted")
+    heldout_poses: int = column("poses that were held out")
+    equilibrium_error_um: float = column("how far a fourth turn of the equilibrium would move any pose", "um")
+    starts: int = column("fits from different starting points")
+    starts_agreeing: int = column("of which came to the same result")
+    extrapolation: tuple[Extrapolation, ...] = column("joints held out beyond what was fitted: joint, rows", default=())
+    noise_doubts: tuple[NoiseDoubt, ...] = column(
+        "stated noises that repeats or the fit contradict: series, sizes, p", default=()
+    )
+    time_origin_s: float | None = column(
+        "reading of the clock that times count from; null: no times", "s", default=None
+    )
+    conditions: tuple[str, ...] = column(
+        "the optional conditions that the measurements state: approach, travel, wrench, …", default=()
+    )
+    notes: tuple[str, ...] = column(
+        "what was assumed of the measurements, and which rows have no measured value", default=()
+    )
+
 
 MANY = 20  # parameters of one cause, beyond which sampling them would take days and say nothing new
 ROBOT_FILE, REGISTERED = "robot file", "registered"  # where a place is from
@@ -402,3 +697,81 @@ def _kind(effect: str) -> type[Effect]:
 
 def _frozen(value: Any) -> Any:
     return tuple(map(_frozen, value)) if isinstance(value, list) else value
+
+
+PART_ROWS = 100_000  # whose Jacobian is there at once: enough for machine code to pay
+UNTOLD = 0.5  # of a direction's prior variance: what is left above it was hardly measured
+
+
+def position_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return the variance of each row's predicted position per axis, shape (n_rows, 3) [m²].
+
+    It holds what is not known of the parameters, the choice of the model, and the model's own discrepancy, which no further
+    measurement of the same poses takes away; of a residual field its own variance in the discrepancy's place. Where the noise was
+    estimated from the fit discrepancy and noise cannot be told apart, and both are in.
+    """
+    told = parameter_variance(known, conditions)
+    of_choice = choice_variance(known.alternatives, known.model, known.estimate, conditions)
+    return np.asarray(told + of_choice + left_variance(known, conditions))
+
+
+def parameter_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return the variance of each row's predicted position per axis that is the parameters' (n_rows, 3) [m²], part by part."""
+    parts = np.array_split(conditions, range(PART_ROWS, conditions.shape[1], PART_ROWS), axis=1)
+    slopes = (known.model.point_jacobian(known.estimate, part) for part in parts)
+    return np.concatenate([of_parameters(slope, known.covariance) for slope in slopes])
+
+
+def left_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return the variance of what positions err by beside parameters and choice of model, alike along all axes (n_rows, 1) [m²]."""
+    if known.field:
+        return np.asarray(known.field.variance(readings(known, conditions))[:, None])
+    return np.full((conditions.shape[1], 1), unexplained(known) ** 2)
+
+
+def expected_point(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return where the markers are to be expected, shape (n_rows, 3) [m]: by the model, and its residual field if it has one."""
+    return known.model.point(known.estimate, conditions) + field_correction(known, conditions)
+
+
+def field_correction(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return what the residual field adds to the model's points, shape (n_rows, 3) [m]: nothing where there is none."""
+    return known.field.correction(readings(known, conditions)) if known.field else np.zeros((conditions.shape[1], 3))
+
+
+def readings(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return the joint readings (n_rows, n_joints) of packed conditions."""
+    return np.asarray(conditions[: known.model.robot.n_joints].T)
+
+
+def rotation_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return the variance of each row's predicted orientation about the tool's own axes, shape (n_rows, 3) [rad²].
+
+    What no measurement told of is as sure as its prior says (see `untold_turns`).
+    """
+    jacobian = known.model.rotation_jacobian(known.estimate, conditions)
+    return of_parameters(jacobian, known.covariance) + known.discrepancy[RADIAN] ** 2
+
+
+def untold_turns(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return the share (3,) of the variance of the tool's turn about each own axis that no measurement told anything of.
+
+    It comes from the directions of the parameters, scaled by their priors, whose variance the data left above UNTOLD of
+    what the priors alone make it; mean over the rows.
+    """
+    sd = known.model.prior_sd
+    left, directions = np.linalg.eigh(known.covariance / np.outer(sd, sd))
+    turned = known.model.rotation_jacobian(known.estimate, conditions) @ (sd[:, None] * directions)
+    parts = (turned**2).mean(axis=0) * np.maximum(left, 0.0)
+    total = parts.sum(axis=1)
+    return np.asarray(np.divide(parts[:, left > UNTOLD].sum(axis=1), total, out=np.zeros(3), where=total > 0))
+
+
+def unexplained(known: CalibratedModel) -> float:
+    """Return the standard deviation per axis [m] of what the model errs by beside its parameters' errors, at any pose."""
+    return float(np.hypot(known.unexplained_length, known.elsewhere))
+
+
+def of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the variance (n_rows, 3) of what depends on the parameters by a Jacobian (n_rows, 3, n_parameters)."""
+    return np.asarray(np.einsum("nai,ij,naj->na", jacobian, covariance, jacobian, optimize=True))

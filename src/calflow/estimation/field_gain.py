@@ -9,10 +9,9 @@ import pandas as pd
 from scipy.stats import t as student
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.certainty import field_correction, position_variance
+from calflow.estimation.calibrated_model import CalibratedModel, field_correction, position_variance
+from calflow.estimation.noise import conditions
 from calflow.estimation.progress import SAME, Draws
-from calflow.estimation.repeats import conditions
 from calflow.estimation.residual_field import (
     NOT_PHYSICAL,
     POSES,

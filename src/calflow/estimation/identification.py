@@ -11,19 +11,22 @@ import numpy as np
 
 from calflow.effects import Effect, effect_ids
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
-from calflow.estimation.calibrated_model import CalibratedModel, series_noise
-from calflow.estimation.elsewhere import elsewhere, extrapolation
-from calflow.estimation.fit import Fit, draw_starts
-from calflow.estimation.fit_summary import IdentifySummary, Solver, discrepancies
+from calflow.estimation.calibrated_model import (
+    CalibratedModel,
+    IdentifySummary,
+    Solver,
+    discrepancies,
+    needed_conditions,
+    series_noise,
+)
+from calflow.estimation.fit import Fit, draw_starts, fit_sharing
 from calflow.estimation.identifiability import Identifiability, identifiability
-from calflow.estimation.intraclass import fit_sharing
 from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.needed_conditions import needed_conditions
-from calflow.estimation.noise import Noise
+from calflow.estimation.leverage import elsewhere, extrapolation
+from calflow.estimation.noise import Noise, NoiseSource, conditions, noise_beside
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered
-from calflow.estimation.repeats import NoiseSource, conditions, noise_beside
 from calflow.files.problems import refuse
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements

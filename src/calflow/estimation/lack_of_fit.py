@@ -13,8 +13,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, f
 
 from calflow.estimation.accuracy import judged_unit
-from calflow.estimation.noise import NORMAL_MEDIAN, Noise
-from calflow.estimation.repeats import MIN_REPEATS, averaged, repeats_scatter, stated_noise
+from calflow.estimation.noise import MIN_REPEATS, NORMAL_MEDIAN, Noise, averaged, repeats_scatter, stated_noise
 from calflow.files.tables import column
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
@@ -50,7 +49,7 @@ class Evidence:
 
     @staticmethod
     def of(data: Measurements, noise: Noise) -> Evidence:
-        """Return that of the means of repeats (see `repeats.averaged`) and their noise."""
+        """Return that of the means of repeats (see `averaged`) and their noise."""
         pose = np.unique(data.table["pose"], return_inverse=True)[1]
         nothing = np.zeros(len(data))
         repeats = np.any([noise.of_series(k) & (s == "repeats") for k, s in enumerate(noise.sources)], axis=0)

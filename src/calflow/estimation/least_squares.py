@@ -17,10 +17,8 @@ import casadi as ca
 import numpy as np
 
 from calflow.compiled import compiled
-from calflow.estimation.groups import whole_groups
-from calflow.estimation.noise import Noise
-from calflow.estimation.nuisance import observing
-from calflow.estimation.repeats import standstills
+from calflow.estimation.accuracy import observing
+from calflow.estimation.noise import Noise, standstills
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
@@ -72,6 +70,15 @@ def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     total = np.zeros((len(count), *values.shape[1:]))
     np.add.at(total, group, values)
     return np.asarray((total.T / np.maximum(count, 1)).T[group])
+
+
+def whole_groups(group: np.ndarray, size: int) -> Iterator[slice]:
+    """Yield rows in parts of about a size, none of which ends between neighbours of one group (n_rows,)."""
+    ends, start = np.append(np.flatnonzero(np.diff(group)) + 1, len(group)), 0
+    while start < len(group):
+        end = int(ends[np.searchsorted(ends, min(start + size, len(group)))])
+        yield slice(start, end)
+        start = end
 
 
 Loss = Literal["linear", "soft_l1", "cauchy"]

@@ -19,13 +19,11 @@ from scipy.special import gammaln
 from scipy.stats import chi, norm, t
 
 from calflow.estimation.accuracy import distances, leading_errors
-from calflow.estimation.fit import Fit
-from calflow.estimation.judgement import Studentised
+from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.noise import median_length
+from calflow.estimation.leverage import Studentised
+from calflow.estimation.noise import measured_noise, median_length
 from calflow.estimation.registration import in_measuring_frame, registered
-from calflow.estimation.repeats import measured_noise
-from calflow.estimation.reweighting import fit_reweighted
 from calflow.faults.base import Check, Correction, Fault, fault, lines_in_words
 from calflow.faults.reference import EQUATIONS, GROSS, LEAST_GROSS, Reference, Rough, rows_with_reading
 from calflow.files.units import METRE, MeasurementUnit

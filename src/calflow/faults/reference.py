@@ -10,8 +10,8 @@ import numpy as np
 
 from calflow.effects import catalogue
 from calflow.effects.geometry import Geometry
+from calflow.estimation.noise import conditions
 from calflow.estimation.registration import PlacementErrors
-from calflow.estimation.repeats import conditions
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
 from calflow.robot.parts import Base

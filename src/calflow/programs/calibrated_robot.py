@@ -18,7 +18,7 @@ from calflow.deployment.compensation import Targets, base_placement, compensate_
 from calflow.deployment.conventions import inverse
 from calflow.deployment.prediction import Missing, as_stated
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.groups import members
+from calflow.estimation.noise import members
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.programs.configuration import ArmPosture

@@ -15,8 +15,7 @@ import numpy as np
 
 from calflow.deployment.conventions import Turn, angle_between, inverse, pose_matrix, pose_values
 from calflow.deployment.prediction import Missing
-from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.needed_conditions import NeededCondition
+from calflow.estimation.calibrated_model import CalibratedModel, NeededCondition
 from calflow.files.problems import InputError, Problem, nearest, refuse
 from calflow.files.tables import column
 from calflow.files.units import split_unit, to_si

@@ -16,9 +16,14 @@ from calflow.diagnosis.findings.finding import Finding
 from calflow.effects.cause import Cause
 from calflow.effects.words import place_name
 from calflow.estimation.accuracy import Accuracy, errors, judged_unit
-from calflow.estimation.calibrated_model import CalibratedModel, calibrated, with_maps_held
-from calflow.estimation.certainty import parameter_variance, position_variance
-from calflow.estimation.fit_summary import FitSummary
+from calflow.estimation.calibrated_model import (
+    CalibratedModel,
+    FitSummary,
+    calibrated,
+    parameter_variance,
+    position_variance,
+    with_maps_held,
+)
 from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.registration import in_measuring_frame
 from calflow.faults import corrected

@@ -21,7 +21,7 @@ from calflow.compiled import compiled
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.fit import expansion, fit
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
-from calflow.estimation.repeats import averaged
+from calflow.estimation.noise import averaged
 from calflow.measurements.measurements import Measurements
 
 NEAR = 5.0  # standard deviations of the fit from a bound, within which a parameter is transformed

@@ -16,11 +16,10 @@ from scipy.special import logsumexp, softmax
 from scipy.stats import norm
 
 from calflow.effects.cause import Carried, Cause
-from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.calibrated_model import CalibratedModel, Change, ModelInReach
 from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.progress import Advance, nobody
-from calflow.estimation.rival_models import Change, ModelInReach
 from calflow.files.tables import column, to_frame
 from calflow.model import Model
 from calflow.sampling.log_posterior import LOG_NOISE_SD, Laplace, LogPosterior, drawn_student, log_student

@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.certainty import expected_point, left_variance, of_parameters
-from calflow.estimation.elsewhere import beyond
+from calflow.estimation.calibrated_model import CalibratedModel, expected_point, left_variance, of_parameters
+from calflow.estimation.leverage import beyond
 from calflow.files.tables import column, to_frame
 from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pydantic import Field
 
 from calflow.calibration import TABLES, identify
-from calflow.estimation.fit_summary import IdentifySummary
+from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.estimation.identification import too_few_equations
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.repeats import NoiseSource, measured_noise
+from calflow.estimation.noise import NoiseSource, measured_noise
 from calflow.files.problems import InputError, Problem, nearest
 from calflow.files.results import Results
 from calflow.files.toml import FileModel

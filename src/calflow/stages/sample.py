@@ -10,9 +10,8 @@ from pydantic import Field
 
 from calflow.deployment.compensation import not_known
 from calflow.deployment.prediction import as_stated, beyond_limits
-from calflow.estimation.calibrated_model import CalibratedModel, calibrated, with_maps_held
-from calflow.estimation.fit_summary import IdentifySummary
-from calflow.estimation.repeats import conditions
+from calflow.estimation.calibrated_model import CalibratedModel, IdentifySummary, calibrated, with_maps_held
+from calflow.estimation.noise import conditions
 from calflow.faults import corrected
 from calflow.files.problems import Problem, refuse
 from calflow.files.results import Results, to_document

@@ -13,8 +13,7 @@ from calflow.diagnosis.screening.screening import Family
 from calflow.diagnosis.search.linearisation import Detection
 from calflow.effects.cause import Cause
 from calflow.effects.words import UNEXPLAINED
-from calflow.estimation.calibrated_model import _alternatives
-from calflow.estimation.rival_models import Alternative, AlternativeParameter, choice_variance
+from calflow.estimation.calibrated_model import Alternative, AlternativeParameter, _alternatives, choice_variance
 from calflow.files.tables import from_frame
 from diagnosis.findings.test_verdict import score
 from diagnosis.found import cause, hidden, start

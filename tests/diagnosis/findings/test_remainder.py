@@ -8,7 +8,7 @@ import pytest
 from calflow.diagnosis.findings.misfit import remainder
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.noise_growth import growth_of_residuals
-from calflow.estimation.reweighting import fit_reweighted
+from calflow.estimation.fit import fit_reweighted
 from calflow.model import build
 from estimation.data import SIGMA, measured, stated
 from robots import industrial

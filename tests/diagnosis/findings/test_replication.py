@@ -9,7 +9,7 @@ from calflow.diagnosis.findings.replication import confirm, curve
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
-from calflow.estimation.reweighting import fit_reweighted
+from calflow.estimation.fit import fit_reweighted
 from calflow.model import Model, build
 from estimation.data import measured, stated
 from robots import industrial

@@ -10,8 +10,8 @@ import pytest
 from calflow.diagnosis.search.fitted import Fitted
 from calflow.diagnosis.search.noise_growth import growth_of_repeats, growth_of_residuals
 from calflow.estimation.accuracy import errors
-from calflow.estimation.repeats import averaged, measured_noise, repeats_scatter
-from calflow.estimation.reweighting import fit_reweighted
+from calflow.estimation.fit import fit_reweighted
+from calflow.estimation.noise import averaged, measured_noise, repeats_scatter
 from calflow.model import build
 from estimation.data import SIGMA, measured
 from robots import industrial

@@ -14,8 +14,7 @@ from calflow.diagnosis.search.fitted import Fitted
 from calflow.effects.base import Effect, Variable
 from calflow.effects.cause import Cause
 from calflow.effects.joint_error import JointError, Term
-from calflow.estimation.accuracy import error_jacobian, errors, judged_unit
-from calflow.estimation.nuisance import completed
+from calflow.estimation.accuracy import completed, error_jacobian, errors, judged_unit
 from calflow.files.tables import column, to_frame, typed
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements

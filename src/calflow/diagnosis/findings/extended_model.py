@@ -14,9 +14,15 @@ import pandas as pd
 from calflow.diagnosis.findings.misfit import MisfitRegion
 from calflow.diagnosis.findings.tables import Diagnosis
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
-from calflow.estimation.calibrated_model import CalibratedModel, noise_table, series_noise
-from calflow.estimation.fit_summary import FitSummary, Solver, discrepancies
-from calflow.estimation.needed_conditions import needed_conditions
+from calflow.estimation.calibrated_model import (
+    CalibratedModel,
+    FitSummary,
+    Solver,
+    discrepancies,
+    needed_conditions,
+    noise_table,
+    series_noise,
+)
 from calflow.estimation.noise import Noise
 from calflow.files.tables import column, to_frame
 from calflow.files.units import METRE

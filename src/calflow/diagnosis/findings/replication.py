@@ -14,10 +14,9 @@ from calflow.effects import Effect
 from calflow.effects.cause import Carried, Cause
 from calflow.effects.joint_error import JointError
 from calflow.estimation.accuracy import distances, errors
-from calflow.estimation.fit import Fit
+from calflow.estimation.fit import Fit, fit_reweighted
+from calflow.estimation.noise import measured_noise
 from calflow.estimation.registration import registered
-from calflow.estimation.repeats import measured_noise
-from calflow.estimation.reweighting import fit_reweighted
 from calflow.files.tables import column, to_frame, typed
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements

@@ -20,9 +20,8 @@ from calflow.diagnosis.search.linearisation import Detection, Linearisation
 from calflow.diagnosis.search.trial import swapped
 from calflow.effects.cause import Cause
 from calflow.effects.words import UNEXPLAINED
-from calflow.estimation.calibrated_model import MANY
+from calflow.estimation.calibrated_model import MANY, Alternative, AlternativeParameter, Change, ModelInReach
 from calflow.estimation.fit import Fit
-from calflow.estimation.rival_models import Alternative, AlternativeParameter, Change, ModelInReach
 from calflow.files.tables import to_frame
 
 LEAST = 0.02  # probability below which a rival moves no interval

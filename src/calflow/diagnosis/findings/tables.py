@@ -37,8 +37,8 @@ from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Cause
 from calflow.effects.words import UNEXPLAINED, NamedCause
 from calflow.estimation.accuracy import distances, error_jacobian, errors, judged_unit
+from calflow.estimation.calibrated_model import ModelInReach
 from calflow.estimation.parameters import UNIT
-from calflow.estimation.rival_models import ModelInReach
 from calflow.files.tables import column, to_frame
 from calflow.files.units import METRE
 from calflow.measurements.columns import blocks_of

@@ -19,8 +19,7 @@ from calflow.diagnosis.screening.hypothesis import H
 from calflow.effects import Effect
 from calflow.effects.cause import Cause, parts
 from calflow.estimation.fit import Fit
-from calflow.estimation.groups import whole_groups
-from calflow.estimation.least_squares import LeastSquares, Stacking, group_means
+from calflow.estimation.least_squares import LeastSquares, Stacking, group_means, whole_groups
 from calflow.estimation.probing import ROWS, Probe, side_by_side
 
 HELD = 100_000_000  # numbers that are kept in memory

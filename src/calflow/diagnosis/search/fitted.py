@@ -15,13 +15,11 @@ from calflow.diagnosis.screening.screening import Screening
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.elsewhere import elsewhere
-from calflow.estimation.fit import Fit, fit
-from calflow.estimation.intraclass import found_alike
+from calflow.estimation.fit import Fit, fit, fit_reweighted, found_alike
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
+from calflow.estimation.leverage import elsewhere
 from calflow.estimation.noise import Noise, PerUnit, median_length
-from calflow.estimation.reweighting import fit_reweighted
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 

@@ -10,8 +10,7 @@ from scipy.optimize import minimize
 from scipy.stats import spearmanr
 
 from calflow.diagnosis.search.fitted import Fitted
-from calflow.estimation.noise import Noise
-from calflow.estimation.repeats import MIN_REPEATS
+from calflow.estimation.noise import MIN_REPEATS, Noise
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 

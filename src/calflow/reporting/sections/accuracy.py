@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 
 from calflow.deployment.usability import FIT_RULES, Advice, accuracy_steps, split_judged
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.fit_summary import IdentifySummary
-from calflow.estimation.repeats import MIN_REPEATS
+from calflow.estimation.calibrated_model import IdentifySummary
+from calflow.estimation.noise import MIN_REPEATS
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
 from calflow.files.results import Results
 from calflow.files.units import METRE

@@ -14,7 +14,7 @@ from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow, no_po
 from calflow.diagnosis.findings.extended_model import DiagnosisSummary
 from calflow.diagnosis.findings.finding import Finding
 from calflow.effects.words import UNEXPLAINED, cause_name, cause_words
-from calflow.estimation.fit_summary import IdentifySummary
+from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.files.results import Results
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import (

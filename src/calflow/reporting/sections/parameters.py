@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calflow.deployment.usability import Advice
-from calflow.estimation.fit_summary import IdentifySummary
+from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.estimation.identifiability import Redundant, Statement, scale_words, silent_words, trade_words
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.results import Results

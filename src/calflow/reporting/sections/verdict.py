@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calflow.deployment.usability import is_useless, split_judged
-from calflow.estimation.fit_summary import IdentifySummary
+from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.files.results import Results
 from calflow.files.units import METRE
 from calflow.files.words import first_up, listed, mm, plural, ratio
