@@ -25,7 +25,7 @@ from blind_run import Kind, Row, guarded, hidden_names, run_case, run_kind
 from scipy.stats import binomtest
 
 from calflow.design.discrimination import POSES
-from calflow.diagnosis.findings.verdict import label
+from calflow.diagnosis.verdict import label
 from calflow.runs.run import run
 from calflow.study import load_study
 from hidden.case import Case, draw

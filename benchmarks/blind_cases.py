@@ -15,14 +15,12 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import numpy as np
 from scipy.stats import chi2, norm
 
-from calflow.diagnosis.findings.tables import noncentrality
-from calflow.diagnosis.findings.verdict import verdict
-from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.regressors import RegressorProducts
-from calflow.diagnosis.screening.screening import Screening
-from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.linearisation import Detection, Linearisation, Screened
-from calflow.diagnosis.search.trial import SHARES
+from calflow.diagnosis.findings import noncentrality
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.regressors import RegressorProducts
+from calflow.diagnosis.screening import Catalogue, Screening
+from calflow.diagnosis.stepwise import SHARES, Detection, Linearisation, Screened
+from calflow.diagnosis.verdict import verdict
 from calflow.estimation.calibrated_model import identified
 from calflow.estimation.noise import averaged
 from calflow.faults import corrected

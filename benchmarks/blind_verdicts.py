@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 from blind_cases import begun
 
-from calflow.diagnosis.screening.screening import Screening
-from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.fitted_trial import finest
+from calflow.diagnosis.extension import finest
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.screening import Screening
 from calflow.estimation.accuracy import errors
 from calflow.estimation.calibrated_model import calibrated, identified
 from calflow.files.results import Results

@@ -24,12 +24,11 @@ import pandas as pd
 from heavy_robot import EFFECTS, NOISE, HeavyRobot
 
 import calflow as cf
-from calflow.diagnosis.findings.rivals import models_in_reach, rivals_shown
-from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.search.extension import Extended, extend
-from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.linearisation import Linearisation
-from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES, CauseAcceptance
+from calflow.diagnosis.extension import Extended, extend
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.screening import Catalogue
+from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, CauseAcceptance, Linearisation
+from calflow.diagnosis.verdict import models_in_reach, rivals_shown
 from calflow.effects.cause import Cause
 from calflow.effects.link_torsion import LinkTorsion
 from calflow.effects.nonlinear_joint_stiffness import NonlinearJointStiffness

@@ -36,8 +36,8 @@ from calflow.design.planned import Planned
 from calflow.design.selection import SelectionRequest, select
 from calflow.design.separability import DRAWS, RECORDS, ROOM, Place, Visits, chances, screened
 from calflow.diagnosis.diagnosis import search_causes
-from calflow.diagnosis.screening.screening import Family, Screening
-from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES
+from calflow.diagnosis.screening import Family, Screening
+from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES
 from calflow.effects.cause import Cause
 from calflow.estimation.progress import draws
 from calflow.measurements.measurements import Measurements

@@ -25,23 +25,22 @@ from calflow.deployment.usability import warning
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
 from calflow.design.planned import Planned
 from calflow.design.selection import Selection, SelectionRequest, select
-from calflow.diagnosis.diagnosis import search_causes
-from calflow.diagnosis.findings.curves import CurvePoint, curves
-from calflow.diagnosis.findings.extended_model import (
+from calflow.diagnosis.diagnosis import (
+    Diagnosis,
     DiagnosisSummary,
     accuracy_table,
     diagnosis_summary,
     extended_model,
     extended_noise,
+    search_causes,
 )
-from calflow.diagnosis.findings.finding import Finding
-from calflow.diagnosis.findings.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint
-from calflow.diagnosis.findings.replication import confirm as confirmed
-from calflow.diagnosis.findings.rivals import alternatives_table
-from calflow.diagnosis.findings.tables import CandidateRow, Diagnosis, candidates_table
-from calflow.diagnosis.findings.tables import findings as diagnosed_findings
-from calflow.diagnosis.search.fitted import FAR, Fitted
-from calflow.diagnosis.search.trial import FALSE_ALARM
+from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding, candidates_table, curves
+from calflow.diagnosis.findings import findings as diagnosed_findings
+from calflow.diagnosis.fitted import FAR, Fitted
+from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint
+from calflow.diagnosis.replication import confirm as confirmed
+from calflow.diagnosis.stepwise import FALSE_ALARM
+from calflow.diagnosis.verdict import alternatives_table
 from calflow.effects import Effect, effect_ids, effects_by_id, effects_given
 from calflow.effects.base import unmet
 from calflow.effects.cause import Cause

@@ -10,10 +10,9 @@ import pytest
 from calflow.design.discrimination import POSES
 from calflow.design.planned import Planned
 from calflow.design.t_optimality import Choices, Explanation, TCriterion, propose
-from calflow.diagnosis.findings.verdict import WITHIN
-from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.linearisation import Linearisation
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.screening import Catalogue
+from calflow.diagnosis.stepwise import WITHIN, Linearisation
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import fit_reweighted

@@ -17,8 +17,8 @@ from calflow.design.separability import (
     isolability_table,
 )
 from calflow.diagnosis.linear import Block
-from calflow.diagnosis.screening.regressors import Candidate, Held, RegressorProducts, Regressors
-from calflow.diagnosis.screening.screening import Family, Screening
+from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
+from calflow.diagnosis.screening import Family, Screening
 from calflow.measurements.series import Series
 from calflow.observations.position import Position
 from calflow.robot.robot import Robot

@@ -12,17 +12,17 @@ import pytest
 from calflow.design import discrimination
 from calflow.design.candidates import packed_conditions
 from calflow.design.discrimination import THINNEST, NextPose, poses_table, question, separations_table
-from calflow.diagnosis.findings.verdict import Rival, Verdict
-from calflow.diagnosis.screening.screening import Family
-from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.linearisation import Detection
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.screening import Family
+from calflow.diagnosis.stepwise import Detection
+from calflow.diagnosis.verdict import Rival, Verdict
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import fit_reweighted
 from calflow.files.tables import columns
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
-from diagnosis.findings.test_verdict import score
+from diagnosis.test_verdict import score
 from estimation.data import SIGMA, stated
 from robots import industrial
 

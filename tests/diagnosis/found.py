@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.fitted import Fitted
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import fit_reweighted

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from calflow.diagnosis.extension import extend
 from calflow.diagnosis.linear import Block, LinearProblem, diagnose_linear
-from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.search.extension import extend
-from calflow.diagnosis.search.linearisation import Linearisation
-from calflow.diagnosis.search.trial import CauseAcceptance
+from calflow.diagnosis.screening import Catalogue
+from calflow.diagnosis.stepwise import CauseAcceptance, Linearisation
 from calflow.files.problems import InputError
 from diagnosis.found import cause, hidden, start
 

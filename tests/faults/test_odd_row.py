@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.search.fitted import FAR, Fitted
+from calflow.diagnosis.fitted import FAR, Fitted
 from calflow.estimation.identification import fit_effects
 from calflow.estimation.leverage import Studentised, judged_table
 from calflow.faults import as_table, corrected

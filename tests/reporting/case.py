@@ -11,12 +11,10 @@ import pandas as pd
 
 from calflow.design.candidates import candidates
 from calflow.design.discrimination import NextPose, SeparationRow
-from calflow.diagnosis.findings.curves import CurvePoint
-from calflow.diagnosis.findings.extended_model import DiagnosisSummary
-from calflow.diagnosis.findings.finding import Finding
-from calflow.diagnosis.findings.misfit import MisfitRegion
-from calflow.diagnosis.findings.tables import CandidateRow
-from calflow.diagnosis.findings.verdict import label
+from calflow.diagnosis.diagnosis import DiagnosisSummary
+from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding
+from calflow.diagnosis.misfit import MisfitRegion
+from calflow.diagnosis.verdict import label
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.effects.words import NamedCause

@@ -13,9 +13,8 @@ from calflow.deployment import usability
 from calflow.deployment.usability import Advice, Rule
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.design.separability import IsolabilityCell
-from calflow.diagnosis.findings.extended_model import DiagnosisSummary
-from calflow.diagnosis.findings.finding import Finding
-from calflow.diagnosis.findings.tables import CandidateRow
+from calflow.diagnosis.diagnosis import DiagnosisSummary
+from calflow.diagnosis.findings import CandidateRow, Finding
 from calflow.effects.words import NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import Extrapolation, FitSummary, IdentifySummary, Solver

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from calflow.diagnosis.screening.regressors import Regressors
+from calflow.diagnosis.regressors import Regressors
 from calflow.files.problems import InputError
 from calflow.runs import checking, run
 from calflow.stages import STAGES, demand

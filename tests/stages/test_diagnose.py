@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from calflow.calibration import _confirmed_tables
-from calflow.diagnosis.findings.extended_model import diagnosis_summary
-from calflow.diagnosis.findings.tables import Diagnosis
-from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.search.extension import Extended
-from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.linearisation import Linearisation
+from calflow.diagnosis.diagnosis import Diagnosis, diagnosis_summary
+from calflow.diagnosis.extension import Extended
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.screening import Catalogue
+from calflow.diagnosis.stepwise import Linearisation
 from calflow.estimation.fit import fit_reweighted
-from diagnosis.findings.test_replication import series
+from diagnosis.test_replication import series
 from estimation.data import stated
 
 SAME = (2e-4, 1e-4)

@@ -8,7 +8,7 @@ from typing import Literal
 
 from scipy.stats import ttest_1samp
 
-from calflow.diagnosis.findings.extended_model import DiagnosisSummary
+from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.files.results import Results

@@ -14,10 +14,10 @@ import pandas as pd
 from calflow.design.candidates import candidates
 from calflow.design.planned import Planned
 from calflow.design.t_optimality import Choices, Explanation, Pair, TCriterion, closest, propose
-from calflow.diagnosis.findings.tables import Diagnosis
-from calflow.diagnosis.findings.verdict import Rival, Verdict, label
-from calflow.diagnosis.search.fitted import Fitted
-from calflow.diagnosis.search.linearisation import Detection
+from calflow.diagnosis.diagnosis import Diagnosis
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.stepwise import Detection
+from calflow.diagnosis.verdict import Rival, Verdict, label
 from calflow.effects import effect_class
 from calflow.effects.cause import Cause
 from calflow.estimation.progress import Draws

@@ -23,10 +23,10 @@ from calflow.design.planned import Planned
 from calflow.design.selection import PlannedPose, SelectionRequest, planned_poses
 from calflow.design.t_optimality import Choices
 from calflow.design.task_error import Lack, Lacks, Measure, Site, TaskError, task_error
-from calflow.diagnosis.findings.extended_model import extended_model
-from calflow.diagnosis.findings.tables import Diagnosis, findings
-from calflow.diagnosis.findings.verdict import label
-from calflow.diagnosis.screening.catalogue import Catalogue
+from calflow.diagnosis.diagnosis import Diagnosis, extended_model
+from calflow.diagnosis.findings import findings
+from calflow.diagnosis.screening import Catalogue
+from calflow.diagnosis.verdict import label
 from calflow.effects.words import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel

@@ -22,12 +22,10 @@ from scipy.linalg import cho_factor, cho_solve
 from calflow.design.discrimination import ANY_MEANS, ENOUGH
 from calflow.design.measuring_order import reached
 from calflow.design.planned import Planned
-from calflow.diagnosis.findings.verdict import WITHIN, label
-from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.hypothesis import H
-from calflow.diagnosis.screening.regressors import Candidate, Held, RegressorProducts, Regressors, candidates_of
-from calflow.diagnosis.screening.screening import Family, Screening
-from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES
+from calflow.diagnosis.regressors import Candidate, H, Held, RegressorProducts, Regressors, candidates_of
+from calflow.diagnosis.screening import Catalogue, Family, Screening
+from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, WITHIN
+from calflow.diagnosis.verdict import label
 from calflow.effects import Effect, effect_class
 from calflow.effects.cause import Cause
 from calflow.estimation.probing import probed

@@ -15,9 +15,9 @@ from scipy.linalg import solve_triangular
 from scipy.stats import norm
 
 from calflow.design.planned import Planned
-from calflow.diagnosis.findings.verdict import WITHIN
-from calflow.diagnosis.screening.score import Score
-from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.screening import Score
+from calflow.diagnosis.stepwise import WITHIN
 from calflow.estimation.least_squares import LeastSquares
 
 Pair = tuple[int, int]  # of explanations, by their numbers

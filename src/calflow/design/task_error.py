@@ -26,13 +26,11 @@ from scipy.special import logsumexp
 
 from calflow.design.discrimination import rows_like
 from calflow.design.planned import Planned, Task
-from calflow.diagnosis.findings.verdict import label
-from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.regressors import Regressors
-from calflow.diagnosis.screening.screening import Screening
-from calflow.diagnosis.search.background import functions
-from calflow.diagnosis.search.decoys import InTime
-from calflow.diagnosis.search.fitted import Fitted
+from calflow.diagnosis.background import InTime, functions
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.regressors import Regressors
+from calflow.diagnosis.screening import Catalogue, Screening
+from calflow.diagnosis.verdict import label
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import Alternative

@@ -17,21 +17,20 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2 as chi2_distribution
 
-from calflow.diagnosis.findings.verdict import verdict
-from calflow.diagnosis.screening.regressors import (
-    Candidate,
-    Held,
-    RegressorProducts,
-    Regressors,
-    counted_once,
-    shared_error,
+from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors, counted_once, shared_error
+from calflow.diagnosis.screening import Family, Score
+from calflow.diagnosis.stepwise import (
+    FALSE_ALARM,
+    CauseAcceptance,
+    Detection,
+    Linearisation,
+    Stepwise,
+    Trial,
+    bic,
+    relief,
+    verified,
 )
-from calflow.diagnosis.screening.score import Score
-from calflow.diagnosis.screening.screening import Family
-from calflow.diagnosis.search.exchange import verified
-from calflow.diagnosis.search.linearisation import Detection, Linearisation
-from calflow.diagnosis.search.stepwise import Stepwise
-from calflow.diagnosis.search.trial import FALSE_ALARM, CauseAcceptance, Trial, bic, relief
+from calflow.diagnosis.verdict import verdict
 from calflow.files.problems import InputError, Problem
 
 LACK_OF_FIT = 0.01  # significance from which a model leaves more than noise that is known

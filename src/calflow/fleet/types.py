@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.diagnosis.findings.finding import Finding
+from calflow.diagnosis.findings import Finding
 from calflow.effects.words import amount, cause_name
 from calflow.estimation.parameters import UNIT, FittedParameter
 from calflow.files.csv import read_csv

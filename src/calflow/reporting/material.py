@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.deployment.usability import accuracy_steps, split_judged
-from calflow.diagnosis.findings.finding import Finding
+from calflow.diagnosis.findings import Finding
 from calflow.effects.cause import Cause
 from calflow.effects.words import place_name
 from calflow.estimation.accuracy import Accuracy, errors, judged_unit

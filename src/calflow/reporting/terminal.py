@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from calflow.deployment.usability import accuracy_steps, split_judged
 from calflow.design.next_poses import MeasuringVerdict, Suspect
-from calflow.diagnosis.findings.extended_model import DiagnosisSummary
-from calflow.diagnosis.findings.finding import Finding
+from calflow.diagnosis.diagnosis import DiagnosisSummary
+from calflow.diagnosis.findings import Finding
 from calflow.effects.words import place_name
 from calflow.estimation.accuracy import Accuracy
 from calflow.files.results import Results

@@ -5,13 +5,11 @@ from __future__ import annotations
 from pydantic import Field, field_validator
 
 from calflow.calibration import TABLES, Calibration
-from calflow.diagnosis.findings.extended_model import (
-    DiagnosisSummary,
-)
-from calflow.diagnosis.screening.catalogue import Catalogue
-from calflow.diagnosis.screening.regressors import HELD
-from calflow.diagnosis.search.background import MODES
-from calflow.diagnosis.search.trial import FALSE_ALARM
+from calflow.diagnosis.background import MODES
+from calflow.diagnosis.diagnosis import DiagnosisSummary
+from calflow.diagnosis.regressors import HELD
+from calflow.diagnosis.screening import Catalogue
+from calflow.diagnosis.stepwise import FALSE_ALARM
 from calflow.files.results import Results
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements

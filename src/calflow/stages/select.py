@@ -24,7 +24,7 @@ from calflow.design.separability import (
     isolability_table,
 )
 from calflow.design.worth import HowMany, Worth, worth_words
-from calflow.diagnosis.search.trial import FALSE_ALARM
+from calflow.diagnosis.stepwise import FALSE_ALARM
 from calflow.effects import catalogue
 from calflow.effects.base import unmet
 from calflow.estimation.noise import PerUnit

@@ -7,7 +7,7 @@ from importlib.metadata import version
 
 import numpy as np
 
-from calflow.diagnosis.findings.extended_model import DiagnosisSummary
+from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.estimation.calibrated_model import DeviceNoise, FitSummary, IdentifySummary
 from calflow.estimation.noise import Noise
 from calflow.files.units import MeasurementUnit

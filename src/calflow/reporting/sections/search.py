@@ -7,10 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from calflow.diagnosis.findings.finding import Finding
-from calflow.diagnosis.findings.tables import CandidateRow
-from calflow.diagnosis.findings.verdict import WITHIN
-from calflow.diagnosis.search.trial import FALSE_ALARM, SHARES
+from calflow.diagnosis.findings import CandidateRow, Finding
+from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, WITHIN
 from calflow.effects.words import cause_words, place_name, place_names, readable_size
 from calflow.files.results import Results
 from calflow.files.words import chance, first_up, listed, two_digits

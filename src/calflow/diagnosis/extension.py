@@ -1,0 +1,503 @@
+"""The extension: a robot's model with the causes that explain what it leaves, each weighed against what nobody can name.
+
+A trial of the search is here a model fitted anew by IPOPT with each set of causes. A cause with an inner unknown (an order, a
+moment, a time constant) is refined between its neighbours in the scan.
+
+The search takes what it has not found yet for independent noise. Then it is a background (see `background`): what rows near
+each other share. A cause has to explain the data better than the background does that takes its place, to show more beside it
+than chance would in all its family, and to carry over to blocks of training poses that were left out.
+
+Blocks of poses that are near each other, in joint space or in time, are left out in turn, and predicted by what the others tell
+(Roberts et al. 2017): a cause that stands for something else fits the rows that it was found on, and no others. Linear, from
+one Jacobian, without a refit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain
+from typing import cast
+
+import numpy as np
+from scipy.stats import t as student
+
+from calflow.diagnosis.background import BackgroundBasis, Sizes, background, possible
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.regressors import Regressors
+from calflow.diagnosis.screening import Catalogue, Score, Screening, prior_cost
+from calflow.diagnosis.stepwise import (
+    SPLIT,
+    CauseAcceptance,
+    Detection,
+    Linearisation,
+    Screened,
+    Stepwise,
+    Trial,
+    bic,
+    is_new,
+    relief,
+    same,
+    second_thoughts,
+    swapped,
+    verified,
+    words,
+)
+from calflow.effects.cause import Cause
+from calflow.estimation.fit import Fit
+
+FINER_STEPS = 4  # at most, of one inner unknown each, when a rival is refined before it is fitted
+CLEARLY_FINER = 2.0  # of BIC: by how much a variant must be better than its neighbour for another fit
+
+
+def finest(score: Score[Cause], now: Fitted) -> Score[Cause]:
+    """Return the best variant of a cause that is not in the model yet."""
+    finer = _finer(score.cause, now)
+    if not finer:
+        return score
+    scores = Screening(now.regressors(finer)).scores
+    best = max(scores, key=lambda s: s.drop, default=score)
+    return best if best.drop > score.drop else score
+
+
+def refined_causes(now: Fitted) -> Iterator[list[Cause]]:
+    """Yield a model's causes with one in a variant that is clearly better, now that the others are in the model."""
+    finer = [_finer(cause, now) for cause in now.causes]
+    if not any(finer):
+        return
+    linearisation = Linearisation.at(now, Catalogue(tuple(chain.from_iterable(finer)), {}))
+    for cause in (cause for cause, variants in zip(now.causes, finer, strict=True) if variants):
+        near = [score for score in linearisation.apart([cause]).scores if score.cause.place == cause.place]
+        bic = next((score.delta_bic for score in near if score.cause == cause), np.inf)
+        if near and near[0].delta_bic < bic - CLEARLY_FINER:
+            yield swapped(now.causes, cause, near[0].cause)
+
+
+def in_place(now: Fitted, gone: Sequence[Cause], cause: Cause) -> Cause:
+    """Return the form of a cause that is best in the place of others, from the best that was tried by steps that are better."""
+    for _ in range(FINER_STEPS):
+        finer = _finer(cause, now)
+        if not finer:
+            return cause
+        scores = Linearisation.at(now, Catalogue((cause, *finer), {})).apart(gone).scores
+        best = next((score.cause for score in scores if score.cause.place == cause.place), cause)
+        if best == cause:
+            return cause
+        cause = best
+    return cause
+
+
+def _finer(cause: Cause, now: Fitted) -> list[Cause]:
+    return [replace(cause, effect=effect) for effect in cause.effect.finer(now.data)]
+
+
+@dataclass(frozen=True)
+class FittedTrial(Trial[Cause]):
+    """A fitted model that was tried, and the catalogue to look at it with."""
+
+    fitted: Fitted
+    catalogue: Catalogue
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """Its causes."""
+        return self.fitted.causes
+
+    @property
+    def n_residuals(self) -> int:
+        """How many residuals it was fitted to."""
+        return self.fitted.fit.residual.size
+
+    @cached_property
+    def linearisation(self) -> Linearisation[Cause]:
+        """The linearised model."""
+        return Linearisation.at(self.fitted, self.catalogue)
+
+    @cached_property
+    def bic(self) -> float:
+        """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
+        fitted = self.fitted
+        scale = float(np.median(replace(fitted.noise, sigma=fitted.noise.sigma / fitted.far).total))
+        misfit = (fitted.misfit - sum(map(self._relief, self.causes))) * scale**2
+        parameters = fitted.fit.effective_parameters + sum(map(self._at_bound, self.causes))
+        variants = [self.catalogue.variants.get(cause.place, 1) for cause in self.causes]
+        return bic(misfit, self.n_residuals, parameters, variants)
+
+    def with_causes(self, causes: Sequence[Cause], added: Score[Cause] | None = None) -> FittedTrial:
+        """Fit the study's own effects with these causes, a new one from where it is expected."""
+        if added is None:
+            return replace(self, fitted=self.fitted.with_causes(causes))
+        start = np.concatenate([self.fitted.fit.estimate, added.estimate])
+        return replace(self, fitted=self.fitted.with_causes(causes, start, added.explained))
+
+    def finest(self, score: Score[Cause]) -> Score[Cause]:
+        """Return the best variant between a cause and its neighbours in the scan."""
+        return finest(score, self.fitted)
+
+    def refined(self) -> Iterator[list[Cause]]:
+        """Yield the causes with one in a variant between its neighbours that is clearly better."""
+        return refined_causes(self.fitted)
+
+    def in_place(self, gone: Sequence[Cause], cause: Cause) -> Cause:
+        """Return the form of a cause that is best in the place of others."""
+        return in_place(self.fitted, gone, cause)
+
+    def _at_bound(self, cause: Cause) -> int:
+        """How many of a cause's parameters have no effect: they were there to be fitted, and count like the others."""
+        return int(self.fitted.fit.at_bound[self.fitted.model.columns(cause)].sum())
+
+    def _relief(self, cause: Cause) -> float:
+        model = self.fitted.model
+        columns = model.columns(cause)
+        return relief(self.fitted.fit.estimate[columns] - model.prior_mean[columns], model.prior_sd[columns])
+
+
+def among(trail: Sequence[Fitted], causes: Sequence[Cause]) -> Fit:
+    """Return the fit with these causes from the models fitted on the way, or fit it from the one most like it."""
+
+    def differing(fitted: Fitted) -> int:
+        missing = sum(cause not in fitted.causes for cause in causes)
+        return missing + sum(cause not in causes for cause in fitted.causes)
+
+    near = min(reversed(trail), key=differing)
+    return near.fit if list(near.causes) == list(causes) else near.fit_with(causes)
+
+
+@dataclass(frozen=True)
+class Extended:
+    """The extended model, its findings, the models that the search fitted, and the first screening."""
+
+    fitted: Fitted
+    findings: tuple[Detection[Cause], ...]
+    trail: tuple[Fitted, ...]
+    first: Screened[Cause]
+
+    @cached_property
+    def path(self) -> tuple[Fit, ...]:
+        """The fits on the way, one a cause: those with the first causes, fitted where the search did not, and the last."""
+        causes = self.fitted.causes
+        shorter = [among(self.trail, causes[:k]) for k in range(1, len(causes))]
+        return (*shorter, self.fitted.fit) if causes else ()
+
+    def weighed(self, sigma: np.ndarray) -> Extended:
+        """Fit the extended model anew with another noise (n_rows,) [m] of the rows."""
+        return replace(self, fitted=self.fitted.weighed(sigma))
+
+
+def extend(
+    start: Fitted,
+    catalogue: Catalogue,
+    acceptance: CauseAcceptance,
+    rng: np.random.Generator,
+    say: Callable[[str], None],
+    advance: Callable[[float], None] = lambda share: None,
+) -> Extended:
+    """Add causes while one is accepted, and drop, swap and exchange those that prove mistaken, until nothing changes.
+
+    say is told each step in words, advance the share of the search that is done, which never falls.
+    """
+    first = Linearisation.at(start, catalogue).screened(rng)
+    ended = Stepwise(acceptance, first, rng, say, advance).best(FittedTrial(first.family, start, catalogue))
+    return extended(*ended, first)
+
+
+def extended(found: Trial[Cause], every: list[Trial[Cause]], first: Screened[Cause]) -> Extended:
+    """Return what a search ended with, found being its best trial of every one."""
+    best, tried = cast(tuple[FittedTrial, list[FittedTrial]], (found, every))  # trials lead to trials of their own kind
+    trail = tuple(trial.fitted for trial in tried)
+    return Extended(best.fitted, verified(best, tried), trail, first)
+
+
+def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
+    """Score a wider catalogue's candidates in each cause's place: what was left out of the search can still be the truth."""
+    if not extension.findings:
+        return extension
+    return replace(extension, findings=FittedTrial(extension.first.family, extension.fitted, catalogue).findings)
+
+
+HALVINGS = 3  # of halving: eight blocks of each kind
+FEWEST_POSES = 2  # poses of a block
+WORSE = 0.01  # one-sided significance at which a cause makes blocks that were left out worse
+
+
+@dataclass(frozen=True)
+class CarriedOver:
+    """What a cause gains at blocks of training poses that were left out: in chi², and by the largest error.
+
+    gain is the sum over blocks, per kind of block; largest the mean logarithm of each block's largest error without the cause over
+    that with it, and p the chance that it is so much below zero by accident.
+    """
+
+    gain: tuple[float, ...]
+    largest: float
+    p: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether it does carry over."""
+        return max(self.gain) > 0 and self.p > WORSE
+
+
+def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
+    """Number the training rows by blocks of poses, near in joint space, and where the order is known in time; (n_rows,) each."""
+    data = fitted.data
+    first, number = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
+    angles = data.joints[first]
+    levels = min(HALVINGS, int(np.log2(max(len(first) // FEWEST_POSES, 1))))
+    kinds = [_halved(angles / np.maximum(angles.std(axis=0), 1e-9), levels)[number]]
+    if "order" in data.given:
+        rank = np.argsort(np.argsort(data.table["order"].to_numpy(float)[first]))
+        kinds.append((rank * 2**levels // len(first))[number])
+    return kinds
+
+
+def _halved(places: np.ndarray, levels: int) -> np.ndarray:
+    """Number places (n, n_axes) by the leaves of a k-d tree (Bentley 1975): each block is halved where it is longest."""
+    block = np.zeros(len(places), dtype=int)
+    for _ in range(levels):
+        upper = np.zeros(len(places), dtype=bool)
+        for leaf in np.unique(block):
+            members = np.flatnonzero(block == leaf)
+            along = places[members, int(np.argmax(np.ptp(places[members], axis=0)))]
+            upper[members[np.argsort(along, kind="stable")[len(members) // 2 :]]] = True
+        block = 2 * block + upper
+    return block
+
+
+@dataclass(frozen=True, eq=False)
+class BlocksLeftOut:
+    """The blocks of one kind, each to be predicted by what the others tell of a linearised model.
+
+    rows are the numbers of each block's residuals, fitted (n_blocks, n_free, n_free) the products of the Jacobian with itself
+    over these, left (n_blocks, n_free) those with the residual: what the others tell is the sum of theirs.
+    """
+
+    regressors: Regressors[Cause]
+    rows: tuple[np.ndarray, ...]
+    fitted: np.ndarray
+    left: np.ndarray
+
+    @staticmethod
+    def of(regressors: Regressors[Cause], block: np.ndarray) -> BlocksLeftOut:
+        """Add up the products block by block, by which the residuals are numbered (n,)."""
+        rows = tuple(np.flatnonzero(block == number) for number in np.unique(block))
+        parts = [(regressors.jacobian[members], regressors.residual[members]) for members in rows]
+        return BlocksLeftOut(
+            regressors, rows, np.array([j.T @ j for j, _ in parts]), np.array([j.T @ e for j, e in parts])
+        )
+
+    @cached_property
+    def missed(self) -> list[np.ndarray]:
+        """Each block's whitened errors, the parameters fitted to the others."""
+        return self.missed_without(np.zeros(0, dtype=int), np.zeros(0))
+
+    def missed_without(self, gone: np.ndarray, value: np.ndarray) -> list[np.ndarray]:
+        """Return the same without some of the free parameters (their numbers), which have these values."""
+        regressors = self.regressors
+        keep = np.setdiff1d(np.arange(self.fitted.shape[1]), gone)
+        change, prior = np.zeros(self.fitted.shape[1]), np.diag(regressors.precision[keep])
+        change[gone] = value
+        missed = []
+        for k, members in enumerate(self.rows):
+            others = np.arange(len(self.rows)) != k
+            whole = self.fitted[others].sum(axis=0)
+            left = self.left[others].sum(axis=0) - whole[:, gone] @ value
+            change[keep] = np.linalg.solve(whole[np.ix_(keep, keep)] + prior, left[keep] + regressors.pull[keep])
+            missed.append(regressors.residual[members] - regressors.jacobian[members] @ change)
+        return missed
+
+
+def blocks_left_out(fitted: Fitted) -> list[BlocksLeftOut]:
+    """Return a fitted model's blocks, a kind at a time."""
+    row = fitted.problem.stacking.row
+    return [BlocksLeftOut.of(fitted.alone, kind[row]) for kind in pose_blocks(fitted)]
+
+
+def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[BlocksLeftOut]) -> CarriedOver:
+    """Predict each block of each kind from the others, with a cause of the model and without it."""
+    free = np.flatnonzero(~fitted.fit.at_bound)
+    columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
+    value = fitted.fit.estimate[free][columns]
+    gains, ratios = [], list[float]()
+    for kind in kinds:
+        pairs = list(zip(kind.missed_without(columns, value), kind.missed, strict=True))
+        gains.append(float(sum(a @ a - b @ b for a, b in pairs)))
+        ratios += [np.log(np.abs(a).max() / np.abs(b).max()) for a, b in pairs]
+    mean, spread = float(np.mean(ratios)), float(np.std(ratios, ddof=1)) / np.sqrt(len(ratios))
+    p = float(student.cdf(mean / spread, len(ratios) - 1)) if spread > 0 else 1.0
+    return CarriedOver(tuple(gains), mean, p)
+
+
+Variants = dict[tuple[str, str], int]
+
+
+def unnamed(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> dict[Cause, float]:
+    """Return twice the logarithm by which each cause makes the data more likely than a background in its place does.
+
+    Negative where what nobody can name explains the data better. Each model has the background that suits it best; the cause's
+    parameters are integrated out by Laplace's approximation, as the background's amplitudes are, so that a smooth curve of many
+    waves and a background of as many are measured alike. A background of an input of which the cause is any smooth function would
+    be the same under no name, and is no rival. variants says how many forms of a place were tried. Linear, without a
+    refit.
+    """
+    if not fitted.causes:
+        return {}
+    regressors = fitted.alone
+    free = np.flatnonzero(~fitted.fit.at_bound)
+    value = fitted.fit.estimate[free]
+    weight = fitted.problem.weight
+    whole = _evidence(regressors, basis, weight)
+    covariance = np.linalg.inv(regressors.jacobian.T @ regressors.jacobian + np.diag(regressors.precision))
+    evidence = {}
+    for cause in fitted.causes:
+        columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
+        pull = value[columns] * np.sqrt(regressors.precision[columns])
+        without = regressors.without(columns, value[columns])
+        spent = _occam(covariance, regressors.precision, columns) + 2 * np.log(variants.get(cause.place, 1))
+        other = _evidence(without, basis, weight, cause.effect.smooth_in)
+        evidence[cause] = float(other - whole - spent - _unusual(pull))
+    return evidence
+
+
+def unnamed_evidence(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> float:
+    """Return twice minus the logarithm of a model's likelihood beside the background that suits it best, causes integrated out."""
+    regressors, free = fitted.alone, np.flatnonzero(~fitted.fit.at_bound)
+    weight = fitted.problem.weight  # each fit has its own, by the noise that it leaves
+    whole = _evidence(regressors, basis, weight) - 2 * float(np.log(weight).sum())
+    value, precision = fitted.fit.estimate[free], regressors.precision
+    covariance = np.linalg.inv(regressors.jacobian.T @ regressors.jacobian + np.diag(precision))
+    columns = [np.flatnonzero(np.isin(free, fitted.model.columns(cause))) for cause in fitted.causes]
+    spent = sum(2 * np.log(variants.get(cause.place, 1)) for cause in fitted.causes)
+    return (
+        whole
+        + _occam(covariance, precision, np.concatenate([[], *columns]).astype(int))
+        + float(spent)
+        + sum(_unusual(value[columns_of_cause] * np.sqrt(precision[columns_of_cause])) for columns_of_cause in columns)
+    )
+
+
+def _occam(covariance: np.ndarray, precision: np.ndarray, columns: np.ndarray) -> float:
+    """What it costs to have parameters with these columns: how much smaller than their priors they have become, -2 log."""
+    scale = np.sqrt(precision[columns])
+    return -float(np.linalg.slogdet(covariance[np.ix_(columns, columns)] * np.outer(scale, scale))[1])
+
+
+def _unusual(pull: np.ndarray) -> float:
+    """What their sizes cost beyond that, in priors' standard deviations."""
+    return float(pull @ pull - prior_cost(np.array(pull @ pull), len(pull)))
+
+
+def _evidence(
+    regressors: Regressors[Cause], basis: BackgroundBasis, weight: np.ndarray, without: Collection[str] = ()
+) -> float:
+    sizes = Sizes.of(regressors, basis, weight)
+    return sizes.evidence(sizes.believed(without))
+
+
+ROUNDS = 6  # in which causes and background settle
+THOUGHTS = 3  # rivals that may take a cause's place one after another
+
+
+def weighed(
+    start: Fitted,
+    extension: Extended,
+    catalogue: Catalogue,
+    acceptance: CauseAcceptance,
+    rng: np.random.Generator,
+    say: Callable[[str], None],
+) -> Extended:
+    """Drop and exchange causes that do not hold beside a background of the size that is left, until they agree with it."""
+    basis = BackgroundBasis.of(start)
+    now, rounds = extension, list[Extended]()
+    for _ in range(ROUNDS):
+        against = unnamed(now.fitted, basis, catalogue.variants)
+        while weakest := _weakest(now.fitted, against):
+            say(f"{words(weakest)} gives way to what nobody can name")
+            fitted = replace(now.fitted, background=None)
+            now = replace(now, fitted=fitted.with_causes([cause for cause in fitted.causes if cause != weakest]))
+            against = unnamed(now.fitted, basis, catalogue.variants)
+        left = background(now.fitted, basis)
+        if left is not None:
+            say(
+                f"left over, by {', '.join(' and '.join(inputs) for inputs in left.inputs)}: what is found is held against it"
+            )
+        beside = replace(now.fitted, background=left)
+        now = _searched(replace(start, background=left), beside, extension, catalogue, acceptance, rng, say)
+        rounds.append(now)
+        if same(now.fitted.causes, beside.causes):
+            break
+        if any(same(now.fitted.causes, other.fitted.causes) for other in rounds[:-1]):
+            now = min(
+                rounds, key=lambda extended_model: unnamed_evidence(extended_model.fitted, basis, catalogue.variants)
+            )  # they go round in circles
+            break
+    if not same(list(against), now.fitted.causes):
+        against = unnamed(now.fitted, basis, catalogue.variants)
+    fitted = replace(now.fitted, possible=possible(now.fitted, basis))
+    return replace(now, fitted=fitted, findings=_judged(now, against))
+
+
+def _weakest(fitted: Fitted, against: dict[Cause, float]) -> Cause | None:
+    """The cause that a background explains best in its place, or that does not carry over, if there is one."""
+    weakest = min(against, key=lambda cause: against[cause], default=None)
+    if weakest is None or against[weakest] < 0:
+        return weakest
+    kinds = blocks_left_out(fitted)
+    failing = [cause for cause in against if not carried_over(fitted, cause, kinds).holds]
+    return min(failing, key=lambda cause: against[cause], default=None)
+
+
+def _searched(
+    start: Fitted,
+    beside: Fitted,
+    extension: Extended,
+    catalogue: Catalogue,
+    acceptance: CauseAcceptance,
+    rng: np.random.Generator,
+    say: Callable[[str], None],
+) -> Extended:
+    """Search on from a model with its background."""
+    family = extension.first.family
+    first = extension.first
+    if not beside.causes and start.background is not None:
+        first = Linearisation.at(start, catalogue).screened(rng, family)
+    fitted_trials = [FittedTrial(family, beside, catalogue)] if beside.causes else []
+    tried: list[Trial[Cause]] = [FittedTrial(family, start, catalogue), *fitted_trials]
+    search = Stepwise(acceptance, first, rng, say, lambda share: None)
+    best = _second_thought(search.settled(tried), tried, search)
+    for trial in fitted_trials:
+        more = len(best.causes) - len(trial.causes)
+        if more > 0 and search.stands(trial) and best.bic > trial.bic - SPLIT * more:
+            best = trial  # two that together are what one was: as in an exchange, they must be clearly better
+    return replace(extended(best, tried, first), first=extension.first)
+
+
+def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepwise[Cause]) -> Trial[Cause]:
+    """The best model, or the one with a rival in the place of a cause that the background explains nearly as well.
+
+    BIC of fits takes the background's size for known; the rivals' comparison in a cause's place does not.
+    """
+    for _ in range(THOUGHTS):
+        wanted = second_thoughts(best.findings, search.acceptance)
+        if same(best.causes, wanted):
+            break
+        if is_new(wanted, tried):
+            tried.append(best.with_causes(wanted))
+        (trial,) = (trial for trial in tried if same(trial.causes, wanted))
+        if not search.stands(trial):
+            break
+        best = trial
+    return best
+
+
+def _judged(extension: Extended, against: dict[Cause, float]) -> tuple[Detection[Cause], ...]:
+    kinds = blocks_left_out(extension.fitted)
+    return tuple(
+        replace(
+            finding,
+            unnamed=against[finding.cause],
+            carries_over=carried_over(extension.fitted, finding.cause, kinds).holds,
+        )
+        for finding in extension.findings
+    )

@@ -1,0 +1,702 @@
+"""The findings: faults of the data, causes with their rivals, what no cause explains; the words, figures and curves for them.
+
+The amplitude is one figure for what a cause does, and how sure it is, over all forms that explain the data as well. The gain is
+what an extension is worth on rows that no fit has seen, with an interval. The detection limit is how large a cause must be for
+these very data to show it. Curves show each finding's effect against the variable that explains it, before and after it was put
+into the model.
+
+For what no cause explains a Gaussian process predicts, without a physical meaning, and is never part of the model: a decoy's
+waves with independent normal amplitudes of one size are one over its inputs that acts where the decoy does (the weight-space
+view: Rasmussen and Williams 2006, 2.1). The size is that of the greatest marginal likelihood, the noise's level integrated out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+from scipy.optimize import brentq
+from scipy.stats import f as f_distribution
+from scipy.stats import ncf
+
+from calflow.diagnosis.diagnosis import Diagnosis
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.misfit import POSE, Misfit, Remainder
+from calflow.diagnosis.noise_growth import RANGE, Growth
+from calflow.diagnosis.screening import Family, Score, Screening, by_place
+from calflow.diagnosis.stepwise import Detection, kindred
+from calflow.diagnosis.verdict import Rival, Verdict, label
+from calflow.effects import Effect, catalogue
+from calflow.effects.base import Variable
+from calflow.effects.cause import Cause
+from calflow.effects.joint_error import JointError, Term
+from calflow.effects.words import UNEXPLAINED, NamedCause, amount, cause_family, cause_name
+from calflow.estimation.accuracy import completed, distances, error_jacobian, errors, judged_unit
+from calflow.estimation.parameters import UNIT
+from calflow.files.tables import column, spread, to_frame, typed
+from calflow.files.units import METRE
+from calflow.files.words import listed
+from calflow.measurements.columns import blocks_of
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model, over_rows
+from calflow.observations import leading_units
+from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, nominal_loads, state
+
+NAN = float("nan")
+PLACE = {"x", "y", "z"}  # inputs that say where the tool is
+INPUTS_IN_WORDS = {"pose": "the pose (its markers err alike)", "joints": "the angles of several joints together"}
+OTHER_INPUTS = {*PLACE, *INPUTS_IN_WORDS, "order", "time", "payload"}  # than single joints
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """A verdict: a fault of the data, a cause, or what no cause explains. No row: nothing was found that the model lacks."""
+
+    status: Literal["named", "one_of", "unexplained", "data_fault"] = column(
+        "a cause; one of several; structure without a cause (its gain is that of a Gaussian process of its inputs, which is not "
+        "physical and in no model); a mistake in the file"
+    )
+    cause: str = column("id of the effect, or of the fault; empty: unexplained", default="")
+    joint: int | None = column("number of its joint or link; empty: none", default=None)
+    estimate: float = column("its size", UNIT, sd="sd", default=NAN)
+    sd: float = column("standard deviation of the size, whichever form of the cause is true", UNIT, default=NAN)
+    unit: str = column("of the size (SI)", default="")
+    p_family: float = column("chance that noise alone makes any of all tests look like this", default=NAN)
+    probability: float = column("that it is this cause rather than a rival", default=NAN)
+    cannot_tell_from: tuple[str, ...] = column(
+        "ids of what it may be instead, also of what these data could not test; `unexplained` where what nobody can name "
+        "depends on the same input",
+        default=(),
+    )
+    gain_mean_mm: float = column("what it takes off the mean error at held-out poses", "mm", default=NAN)
+    gain_low_mm: float = column("lower end of the gain's 95 % interval", "mm", default=NAN)
+    gain_high_mm: float = column("upper end of it", "mm", default=NAN)
+    heldout_mean_mm: float = column("mean error at held-out poses with it", "mm", default=NAN)
+    detail: str = column("the variant, in words", default="")
+    rivals: tuple[NamedCause, ...] = spread(
+        label=column("what else could explain the data: id and joint", name="rivals", separator="; "),
+        cause=column("ids of the rivals, in their order", name="rival_causes"),
+        joint=column("their joints; 0: none", name="rival_joints"),
+    )
+    rows: tuple[int, ...] = column("lines of the file, of a data fault", default=())
+    statement: str = column("the verdict in words")
+    inputs: tuple[str, ...] = column(
+        "what something unexplained depends on: q1 … (joints), x, y, z, order, time, payload; empty: a lack of fit that is told "
+        "whether an input explains it or not, with where it is largest in `detail`",
+        default=(),
+    )
+    not_tested: tuple[str, ...] = column(
+        "ids of `cannot_tell_from` that these data could not test; `statement` says what that would take", default=()
+    )
+    carries_over: bool | None = column(
+        "whether it holds in blocks of the training poses that it was not fitted to; empty: not looked at", default=None
+    )
+    numbers: tuple[int, ...] = column(
+        "its numbers among the causes of the extended model, as in `curves.csv`: several where several of one family at one place "
+        "(orders of a joint, moves of the device) are told as one finding, whose gain is that of all of them and whose size the "
+        "root of their squares' sum",
+        default=(),
+    )
+    error_unit: str = column(
+        "the unit by which the model is judged: mm, or where no lengths were measured mrad, px, …", default="mm"
+    )
+    gain_mean: float = column("as gain_mean_mm, in `error_unit` where that is another", default=NAN)
+    gain_low: float = column("as gain_low_mm, likewise", default=NAN)
+    gain_high: float = column("as gain_high_mm, likewise", default=NAN)
+    heldout_mean: float = column("as heldout_mean_mm, likewise", default=NAN)
+
+    @property
+    def is_cause(self) -> bool:
+        """Whether it is a cause, or one of several, not a fault of the data or something unexplained."""
+        return self.status in ("named", "one_of")
+
+    @property
+    def is_misfit(self) -> bool:
+        """Whether it is a lack of fit as such, told whether an input explains it or not."""
+        return self.status == "unexplained" and not self.inputs
+
+    @property
+    def is_structure(self) -> bool:
+        """Whether it is what no cause explains although it depends on an input."""
+        return self.status == "unexplained" and bool(self.inputs)
+
+    @property
+    def gain(self) -> tuple[float, float, float]:
+        """What it takes off the mean error at held-out poses, and the ends of its 95 % interval [error_unit]; nan: not known."""
+        if self.error_unit == METRE.label:
+            return self.gain_mean_mm, self.gain_low_mm, self.gain_high_mm
+        return self.gain_mean, self.gain_low, self.gain_high
+
+    @property
+    def left(self) -> float:
+        """Mean error at held-out poses with it [error_unit]."""
+        return self.heldout_mean_mm if self.error_unit == METRE.label else self.heldout_mean
+
+    @property
+    def of_family(self) -> bool:
+        """Whether its family is sure but not which of it: an error of one joint's angle, say, whose order is not resolved."""
+        return bool(cause_family(self.cause)) and self.status == "one_of" and (bool(self.kin) or not self.rivals)
+
+    @property
+    def kin(self) -> tuple[str, ...]:
+        """Ids of its own family, at its own joint, that it cannot be told from."""
+        family = cause_family(self.cause)
+        near = [rival.cause for rival in self.rivals if self._is_kin(rival)]
+        elsewhere = {rival.cause for rival in self.rivals}
+        more = [name for name in self.cannot_tell_from if name not in elsewhere and cause_family(name) == family]
+        return tuple(dict.fromkeys([*near, *more])) if family else ()
+
+    @property
+    def others(self) -> tuple[NamedCause, ...]:
+        """The rivals that a name of its family does not cover, what nobody can name last."""
+        rivals = [rival for rival in self.rivals if not self._is_kin(rival)]
+        return tuple(sorted(rivals, key=lambda rival: rival.cause == UNEXPLAINED))
+
+    def _is_kin(self, rival: NamedCause) -> bool:
+        family = cause_family(self.cause)
+        return bool(family) and cause_family(rival.cause) == family and rival.joint == (self.joint or 0)
+
+    @property
+    def name(self) -> str:
+        """Its name with its place, as far as it is sure."""
+        if self.of_family:
+            family = cause_family(self.cause)
+            return f"{family} of joint {self.joint}" if self.joint else family
+        return cause_name(self.cause, self.joint)
+
+    @property
+    def names(self) -> str:
+        """Its name with its detail, and the names of what it cannot be told from."""
+        own = f"{self.name} ({self.detail})" if self.detail and not self.of_family else self.name
+        more = " or another cause" if len(self.others) > 2 else ""
+        return " or ".join([own, *(rival.name for rival in self.others[:2])]) + more
+
+    @property
+    def amount(self) -> str:
+        """Its size with its standard deviation, in a unit that is easy to read."""
+        return amount(self.cause, self.estimate, self.sd, self.unit)
+
+    @property
+    def in_short(self) -> str:
+        """What was found in a line: a cause with its size, what something unexplained depends on, else the verdict itself."""
+        if self.is_cause:
+            return f"{self.names}, {self.amount}"
+        if self.is_structure:
+            return f"something unexplained that depends on {self.inputs_in_words}"
+        return self.statement
+
+    @property
+    def inputs_in_words(self) -> str:
+        """What something unexplained depends on, in words."""
+        joints = [name[1:] for name in self.inputs if name not in OTHER_INPUTS]
+        if len(joints) == len(self.inputs):
+            return f"the {'angle of joint' if len(joints) == 1 else 'angles of joints'} {listed(joints)}"
+        if self.inputs[0] in INPUTS_IN_WORDS:
+            return INPUTS_IN_WORDS[self.inputs[0]]
+        if set(self.inputs) >= PLACE:
+            return "where the tool is (x, y and z)"
+        detail = f" ({self.detail})" if self.detail else ""
+        if "payload" in self.inputs:
+            return f"the payload{detail}"
+        return f"when it was measured{detail}" if "order" in self.inputs else f"the time{detail}"
+
+
+def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+    """Return one figure for a cause's parameters, and its standard deviation; a single parameter keeps its sign."""
+    if len(values) == 1:
+        return float(values[0]), float(np.sqrt(covariance[0, 0]))
+    p = ca.SX.sym("p", len(values))
+    size = cause.effect.size(p)
+    figure, slope = (
+        np.array(output).ravel() for output in ca.Function("size", [p], [size, ca.gradient(size, p)])(values)
+    )
+    return float(figure[0]), float(np.sqrt(slope @ covariance @ slope))
+
+
+def found_amplitude(finding: Detection, fitted: Fitted) -> tuple[float, float]:
+    """Return a found cause's amplitude in the final model, and its standard deviation whatever its form may be.
+
+    Another form in its place (another order, say) can explain the data as well with another amplitude. Each form counts by its
+    evidence (Bayesian model averaging: Hoeting et al. 1999), about the estimate of the best one.
+    """
+    cause = finding.cause
+    columns = fitted.model.columns(cause)
+    estimate, sd = amplitude(cause, fitted.fit.estimate[columns], fitted.covariance[np.ix_(columns, columns)])
+    if sd == 0:
+        return estimate, sd  # at a bound
+    forms = [score for score in finding.scores if score.cause.place == cause.place]
+    others = [s for s in forms if s.cause != cause and same_quantities(s.cause, cause)]
+    least = min(score.delta_bic for score in forms)
+    variances, weights = [sd**2], [np.exp((least - finding.own.delta_bic) / 2)]
+    for score in others:
+        other, other_sd = amplitude(score.cause, score.estimate, score.covariance)
+        variances.append(other_sd**2 + (other - estimate) ** 2)
+        weights.append(np.exp((least - score.delta_bic) / 2))
+    return estimate, float(np.sqrt(np.average(variances, weights=weights)))
+
+
+def same_quantities(cause: Cause, other: Cause) -> bool:
+    """Whether the parameters of two forms of a cause mean the same."""
+    first, second = ([(p.symbol, p.unit) for p in form.declared] for form in (cause, other))
+    return first == second
+
+
+RESAMPLES = 2000
+INTERVAL = (0.025, 0.975)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """By how much the mean position error falls [m], and its 95 % interval; nan where nothing is held out."""
+
+    mean: float
+    low: float
+    high: float
+
+
+def gain(before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator) -> Gain:
+    """Compare two models' `errors` (n_rows, n_axes) on held-out rows, resampling whole poses (within payload and session)."""
+    fallen = distances(before) - distances(after)
+    there = np.isfinite(fallen)
+    if not there.any():
+        return Gain(np.nan, np.nan, np.nan)
+    blocks, fallen = blocks_of(heldout.table), fallen[there]
+    table = heldout.table.loc[there, ["pose", *blocks]].assign(fallen=fallen)
+    poses = table.groupby("pose", sort=True).agg(
+        total=("fallen", "sum"), n=("fallen", "size"), **{name: (name, "first") for name in blocks}
+    )
+    total, count = np.zeros(RESAMPLES), np.zeros(RESAMPLES)
+    for _, group in poses.groupby(blocks, sort=True):
+        drawn = rng.integers(len(group), size=(RESAMPLES, len(group)))
+        total += group["total"].to_numpy()[drawn].sum(axis=1)
+        count += group["n"].to_numpy()[drawn].sum(axis=1)
+    low, high = np.quantile(total / count, INTERVAL)
+    return Gain(float(fallen.mean()), float(low), float(high))
+
+
+SIZES = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 61)])  # over the prior's, that are tried
+
+
+def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> np.ndarray:
+    """Return by how much the process moves what is predicted of rows, shape (n_rows, 3) [m]: see `errors`.
+
+    The model's own parameters settle beside it, as far as their priors let them.
+    """
+    regressors = replace(fitted, background=None).regressors(decoys)
+    amplitudes = _amplitudes(Screening(regressors)) * regressors.prior_sd
+    jacobian = regressors.jacobian
+    imitated = jacobian.T @ regressors.matrix.times(amplitudes)
+    settled = -np.linalg.solve(jacobian.T @ jacobian + np.diag(regressors.precision), imitated)
+    model, fit = fitted.model, fitted.fit
+    both = replace(model, probes=tuple(decoys))
+    change = np.zeros(len(both.parameters))
+    change[np.flatnonzero(~fit.at_bound)] = settled
+    change[len(fit.estimate) :] = amplitudes
+    at = np.append(fit.estimate, both.nominal[len(fit.estimate) :])
+    return error_jacobian(both, at, data) @ change
+
+
+def _amplitudes(screening: Screening) -> np.ndarray:
+    """The most probable amplitudes of all columns, over their priors."""
+    sd = screening.regressors.prior_sd
+    shown = screening.information(np.arange(len(sd))) * sd[:, None] * sd
+    values, vectors = np.linalg.eigh(shown)
+    values = np.maximum(values, 0.0)
+    score = vectors.T @ (screening.score * sd)
+    square = SIZES[:, None] ** 2
+    kept = square / (1 + square * values)  # (n_sizes, n_columns)
+    drop = kept @ score**2
+    evidence = -0.5 * (
+        screening.degrees_of_freedom * np.log1p(-np.minimum(drop / screening.chi2, 1 - 1e-12))
+        + np.log1p(square * values).sum(axis=1)
+    )
+    return np.asarray(-vectors @ (kept[int(np.argmax(evidence))] * score))
+
+
+POWER = 0.95
+MOST_SHOWN = 1e5  # squared sigmas
+
+
+def noncentrality(false_alarm: float, tests: float, degrees_of_freedom: int, left: float) -> float:
+    """Return the squared sigmas that an effect must show for its F test to pass 95 times in 100.
+
+    tests is how many it pays for at the family's false_alarm, freedom and left the degrees of freedom. nan where so few are
+    left that no effect would.
+    """
+    single = -np.expm1(np.log1p(-false_alarm) / tests)
+    threshold = f_distribution.isf(single, degrees_of_freedom, left)
+    if not ncf.sf(threshold, degrees_of_freedom, left, MOST_SHOWN) > POWER:
+        return float("nan")
+    return float(brentq(lambda shown: ncf.sf(threshold, degrees_of_freedom, left, shown) - POWER, 1e-3, MOST_SHOWN))
+
+
+def detection_limit(score: Score[Cause], family: Family, false_alarm: float) -> float:
+    """Return the least size of a cause, in the unit of its first parameter, that is found 95 times in 100.
+
+    Several parameters are taken in proportion to their priors, in directions that the data show on average.
+    """
+    declared = score.cause.declared
+    sd = np.array([parameter.prior_sd for parameter in declared])
+    same = np.array([parameter.unit == declared[0].unit for parameter in declared])
+    shown = float(np.diag(score.information) @ sd**2 / (sd[same] @ sd[same]))
+    needed = noncentrality(false_alarm, family.tests(score), score.shown, score.left)
+    return float(np.sqrt(needed / shown))
+
+
+IN_TIME = {"time", "order"}  # the inputs that causes of the measuring device depend on
+
+
+@dataclass(frozen=True, kw_only=True)
+class CandidateRow:
+    """A place of an effect in its best variant, as first tested, or why it was not tested."""
+
+    cause: str = column("id of the effect")
+    joint: int | None = column("number of its joint or link; empty: none", default=None)
+    statistic: float = column("fall of chi²", default=NAN)
+    p_family: float = column("chance that noise alone makes any of all tests look like this", default=NAN)
+    delta_bic: float = column("change of BIC: below 0 it explains more than its parameters cost", default=NAN)
+    probability: float = column("that it is this place rather than another, or nothing", default=NAN)
+    visible_share: float = column("what the model's own parameters cannot imitate", default=NAN)
+    estimate: float = column("its size", UNIT, sd="sd", default=NAN)
+    sd: float = column("standard deviation of the size", UNIT, default=NAN)
+    unit: str = column("of the size (SI)", default="")
+    limit: float = column(
+        "the least size that these data show 95 times in 100; empty where no size would", UNIT, default=NAN
+    )
+    tests: float = column("tests that it pays for", default=NAN)
+    part: str = column("the part of the robot", default="")
+    detail: str = column("the variant, in words", default="")
+    note: str = column("why it was not tested, or how, in words", default="")
+    lacking: str = column("what a test would need; empty: nothing", default="")
+    imitated: bool = column("not testable: the model's own parameters imitate it", default=False)
+
+
+def findings(
+    found: Diagnosis, data: Measurements, faults: pd.DataFrame, rng: np.random.Generator
+) -> tuple[Finding, ...]:
+    """Return what was found, best first: data faults, causes, the noise's growth and what nobody can name."""
+    heldout, final = data.only(data.held_out), found.extended.fitted
+    rows = [_fault(group) for _, group in faults.groupby(["cause", "joint", "action", "statement"], sort=False)]
+    steps = [errors(one.model, one.estimate, heldout) for one in (found.start.fit, *found.extended.path)]
+    for members in _kept_together(found.causes):
+        own = [_cause(found.verdicts[k], final, _overlapping(found.verdicts[k], found.left), k + 1) for k in members]
+        row = own[0] if len(own) == 1 else _together(own, [found.verdicts[k] for k in members])
+        before = steps[members[0]]
+        after = before + sum(steps[k + 1] - steps[k] for k in members)
+        rows.append(_gained(row, before, after, heldout, rng))
+    if found.capped and found.verdicts:
+        more = f"; with it as many causes were found as were allowed ({len(found.verdicts)}): there may be more"
+        rows[-1] = replace(rows[-1], statement=rows[-1].statement + more)
+    if found.growth:
+        rows.append(_growth(found.growth))
+    if found.misfit:
+        rows.append(_misfit(found.misfit, found.left))
+    for remainder in found.left:
+        after = steps[-1] + predicted(final, remainder.functions, heldout)
+        rows.append(_gained(_left(remainder), steps[-1], after, heldout, rng))
+    return tuple(rows)
+
+
+def _gained(
+    row: Finding, before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator
+) -> Finding:
+    gained = gain(before, after, heldout, rng)
+    mean = float(np.nanmean(distances(after))) if len(after) else NAN
+    unit = judged_unit(leading_units(heldout))
+    figures = {"gain_mean": gained.mean, "gain_low": gained.low, "gain_high": gained.high, "heldout_mean": mean}
+    suffix = "_mm" if unit == METRE else ""
+    shown = {f"{name}{suffix}": unit.shown(figure) for name, figure in figures.items()}
+    return replace(row, error_unit=unit.label, **shown)
+
+
+def candidates_table(diagnosis: Diagnosis) -> pd.DataFrame:
+    """Return diagnose/candidates.csv: every place in its best variant, as first tested, and what could not be tested."""
+    first = diagnosis.extended.first
+    places = by_place(first.scores)
+    least = min((bic for bic, _ in places.values()), default=0.0)
+    weights = {place: np.exp(-(bic - least) / 2) for place, (bic, _) in places.items()}
+    total = sum(weights.values()) + np.exp(least / 2)  # nothing at all is a candidate too
+    rows = []
+    for place, (bic, score) in sorted(places.items(), key=lambda item: item[1][0]):
+        tested = _score(score)
+        rows.append(
+            replace(
+                tested,
+                p_family=first.family.p(score),
+                delta_bic=bic,
+                probability=weights[place] / total,
+                limit=detection_limit(score, first.family, diagnosis.false_alarm),
+                tests=first.family.tests(score),
+            )
+        )
+    imitated = "not testable: these data cannot show it, the model's own parameters imitate it"
+    for cause in first.hidden:
+        rows.append(
+            CandidateRow(cause=cause.id, joint=cause.joint or None, part=cause.part, note=imitated, imitated=True)
+        )
+    untested = {**diagnosis.lacking, **diagnosis.superseded}
+    rows += [
+        _noise(kind, diagnosis.growth) for name, kind in catalogue().items() if kind.is_noise() and name not in untested
+    ]
+    for name in (name for name in catalogue() if name in untested):
+        lacking, why = diagnosis.lacking.get(name, ""), diagnosis.superseded.get(name)
+        note = f"not tested: {why}" if why else f"not testable: needs {lacking}"
+        rows.append(CandidateRow(cause=name, note=note, lacking=lacking))
+    return to_frame(rows, CandidateRow)
+
+
+def _noise(kind: type[Effect], grown: Growth | None) -> CandidateRow:
+    """One model of the noise: growth with range is what is tested."""
+    if kind.grows_with != RANGE:
+        return CandidateRow(cause=kind.id, note=f"not testable: only noise that grows with {RANGE} is looked for")
+    if grown is None:
+        return CandidateRow(cause=kind.id, note=f"tested on the size of what is left: it does not grow with {RANGE}")
+    return CandidateRow(cause=kind.id, p_family=grown.p, estimate=grown.slope, sd=grown.sd, unit="m/m")
+
+
+def _score(score: Score) -> CandidateRow:
+    estimate, sd = amplitude(score.cause, score.estimate, score.covariance)
+    return CandidateRow(
+        cause=score.cause.id, joint=score.cause.joint or None, statistic=score.drop, visible_share=score.visible_share,
+        estimate=estimate, sd=sd, unit=score.cause.declared[0].unit, part=score.cause.part, detail=score.cause.detail,
+    )  # fmt: skip
+
+
+def _kept_together(causes: Sequence[Cause]) -> list[list[int]]:
+    """Number the causes (from 0) in the order found, those of one family at one place together."""
+    kin = {id(cause): members for members in kindred(causes).values() for cause in members}
+    told = [[causes.index(one) for one in kin.get(id(cause), [cause])] for cause in causes]
+    return [members for k, members in enumerate(told) if members[0] == k]
+
+
+def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
+    """One row of several causes of a family at one place: named by the family, best described as the one that explains most."""
+    order = sorted(range(len(rows)), key=lambda k: verdicts[k].finding.own.delta_bic)
+    lead, causes = rows[order[0]], [verdicts[k].finding.cause for k in order]
+    family, where = causes[0].effect.family, f", {_place(causes[0])}" if causes[0].joint else ""
+    kin = {(name, causes[0].joint) for name in (causes[0].id, *_relatives(causes[0]))}
+    rivals = {(rival.id, rival.joint): rival for verdict in verdicts for rival in verdict.rivals}
+    others = [rival for place, rival in rivals.items() if place not in kin]
+    alike = dict.fromkeys([*(name for row in rows for name in row.cannot_tell_from), *_relatives(causes[0])])
+    same = [row for row in rows if row.unit == lead.unit]
+    size = float(np.sqrt(sum(row.estimate**2 for row in same)))
+    sd = float(np.sqrt(sum((row.estimate * row.sd) ** 2 for row in same))) / size
+    names = [f"{cause.title} ({cause.detail})" if cause.detail else cause.title for cause in causes]
+    carried = [row.carries_over for row in rows]
+    return replace(
+        lead, status="one_of", estimate=size, sd=sd, p_family=min(row.p_family for row in rows),
+        probability=min(row.probability for row in rows), cannot_tell_from=tuple(name for name in alike if name != lead.cause),
+        detail=", with ".join([lead.detail or causes[0].title, *names[1:]]),
+        rivals=tuple(NamedCause(rival.id, rival.joint) for rival in others), statement=f"{family}{where}: {', and '.join(names)}",
+        not_tested=tuple(dict.fromkeys(name for row in rows for name in row.not_tested)),
+        carries_over=False if False in carried else None if None in carried else True,
+        numbers=tuple(number for row in rows for number in row.numbers),
+    )  # fmt: skip
+
+
+def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int) -> Finding:
+    """One finding's row; left is what nobody can name along the same input, which makes a certain name uncertain."""
+    cause = verdict.finding.cause
+    estimate, sd = found_amplitude(verdict.finding, fitted)
+    others = list(
+        dict.fromkeys(rival.id for rival in verdict.rivals if rival.id != cause.id or rival.joint != cause.joint)
+    )
+    if left:
+        others += [name for name in _relatives(cause) or [UNEXPLAINED] if name not in others]
+    return Finding(
+        status="one_of" if others else verdict.status, cause=cause.id, joint=cause.joint or None, estimate=estimate,
+        sd=sd if sd > 0 else NAN, unit=cause.declared[0].unit, p_family=verdict.finding.p, probability=verdict.probability,
+        cannot_tell_from=tuple(others), detail=cause.detail,
+        rivals=tuple(NamedCause(rival.id, rival.joint) for rival in verdict.rivals),
+        statement=_statement(verdict, left) + _carried(verdict),
+        not_tested=tuple(dict.fromkeys(rival.id for rival in verdict.rivals if rival.score is None)),
+        carries_over=verdict.carries_over, numbers=(number,),
+    )  # fmt: skip
+
+
+def _statement(verdict: Verdict, left: Remainder | None) -> str:
+    cause = verdict.finding.cause
+    where = f", {_place(cause)}" if cause.joint else ""
+    detail = f" ({cause.detail})" if cause.detail else ""
+    form = "order" if cause.joint else "course"
+    if left and cause.effect.family:
+        more = f"more of it is left than {cause.title}{detail} explains"
+        return f"{cause.effect.family}{where}: {form} not resolved, {more}"
+    if left:
+        return f"{cause.title}{where}{detail}, or what stays unexplained ({' and '.join(left.inputs)})"
+    if verdict.family:
+        return f"{verdict.family}{where}: {form} not resolved, best {cause.title}{detail}"
+    if verdict.rivals:
+        return f"{cause.title}{where}{detail}, or {', or '.join(map(_told, verdict.rivals))}"
+    return f"{cause.title}{where}{detail}"
+
+
+def _carried(verdict: Verdict) -> str:
+    return "; it does not carry over to poses that were left out" if verdict.carries_over is False else ""
+
+
+def _told(rival: Rival) -> str:
+    """Name a rival; one that the data could not test with what that would take."""
+    said = label(rival.id, rival.joint)
+    return f"{said} (not tested: needs {rival.needs})" if rival.needs else said
+
+
+def _place(cause: Cause) -> str:
+    return f"{cause.effect.place_word} {cause.joint}" if cause.joint else ""
+
+
+def _overlapping(verdict: Verdict, left: tuple[Remainder, ...]) -> Remainder | None:
+    """What is left along the input that a cause depends on: its joint, the course of the measurement, or the payload."""
+    cause = verdict.finding.cause
+    inputs = {f"q{cause.joint}"} if cause.joint else IN_TIME if cause.effect.of_device() else set()
+    inputs = inputs | {"payload"} if "payload" in cause.effect.needs else inputs
+    return next((remainder for remainder in left if inputs & set(remainder.inputs)), None)
+
+
+def _relatives(cause: Cause) -> list[str]:
+    """The other members of a cause's family, if it has one."""
+    family = cause.effect.family
+    return [name for name, kind in catalogue().items() if family and kind.family == family and name != cause.id]
+
+
+def _growth(grown: Growth) -> Finding:
+    kind = next(kind for kind in catalogue().values() if kind.grows_with == RANGE)
+    return Finding(
+        status="named", cause=kind.id, estimate=grown.slope, sd=grown.sd, unit="m/m", p_family=grown.p,
+        probability=1 - grown.p, statement=f"{kind.title}: {1e6 * grown.floor:.3g} um and {1e6 * grown.slope:.3g} um/m",
+    )  # fmt: skip
+
+
+def _misfit(misfit: Misfit, left: tuple[Remainder, ...]) -> Finding:
+    why = (
+        "only a part of it depends on an input" if left else "no cause of the catalogue and no single input explains it"
+    )
+    where = misfit.region.words if misfit.region else "about alike everywhere"
+    said = f"the model leaves {misfit.times:.2f} times the noise (chance of so much: {misfit.p:.2g}); {why}; {where}"
+    return Finding(
+        status="unexplained", p_family=misfit.p, detail=misfit.region.where if misfit.region else "", statement=said
+    )
+
+
+def _left(remainder: Remainder) -> Finding:
+    inputs, detail = " and ".join(remainder.inputs), remainder.detail
+    said = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it"
+    if remainder.inputs == (POSE,):
+        said = "the rows of a pose share an error that changes from pose to pose, more than their own scatter explains"
+    return Finding(status="unexplained", p_family=remainder.p, detail=detail, statement=said, inputs=remainder.inputs)
+
+
+def _fault(group: pd.DataFrame) -> Finding:
+    first, lines = group.iloc[0], tuple(group["line"].dropna().astype(int))
+    return Finding(
+        status="data_fault",
+        cause=first["cause"],
+        joint=first["joint"] or None,
+        rows=lines,
+        statement=first["statement"],
+    )
+
+
+PARALLEL = 0.02  # share of an effect off its joint's lever below which it counts as that joint's
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurvePoint:
+    """A measured row's error along the direction in which a cause acts, with the variable that explains it."""
+
+    finding: int = column("number of the cause among those in the extended model, from 1")
+    cause: str = column("its id")
+    joint: int | None = column("number of its joint or link; empty: none")
+    variable: str = column("what explains it, in words")
+    variable_unit: str = column("of the variable; empty: none")
+    x: float = column("the variable", "as `variable_unit` says")
+    before_mm: float = column("measured minus predicted, without this cause's own part; empty: no lengths", "mm")
+    after_mm: float = column("the same with the whole extended model", "mm")
+    fitted_mm: float = column("the cause's own part", "mm")
+    pose: str = column("as in the measurements")
+    split: str = column("train, holdout; empty: left out as faulty")
+    before: float = column("as before_mm, in `error_unit`")
+    after: float = column("as after_mm, in `error_unit`")
+    fitted: float = column("as fitted_mm, in `error_unit`")
+    error_unit: str = column("the unit by which the model is judged: mm, or where no lengths were measured mrad, px, …")
+
+
+def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.DataFrame:
+    """Return a row a measured row and finding: the error along the direction in which the cause moves the tool.
+
+    after is what the extended model leaves there, measured minus predicted; before is that with the cause's own part
+    added back, fitted that part.
+    """
+    model, estimate = final.model, final.fit.estimate
+    left = -np.nan_to_num(errors(model, estimate, data))
+    model, estimate = completed(model, estimate, data)
+    turned = replace(model, effects=(*model.effects, _Lever(model.robot)))
+    whole = error_jacobian(turned, np.append(estimate, np.zeros(model.robot.n_joints)), data)
+    jacobian, levers = np.split(whole, [len(estimate)], axis=2)
+    unit = judged_unit(leading_units(data))
+    lengths = unit.scale if unit == METRE else np.nan
+    blocks = []
+    for effect in model.effects:
+        if effect not in causes:
+            continue
+        columns = model.columns(effect)
+        assert isinstance(effect, Cause)
+        moved = jacobian[:, :, columns] @ estimate[columns]
+        lever = levers[:, :, effect.joint - 1] if effect.joint else None
+        along = _acting_along(jacobian[:, :, columns], estimate[columns], lever)
+        variable = effect.effect.variable(effect.joint)
+        after, fitted = (np.einsum("ra,ra->r", part, along) for part in (left, moved))
+        block = {
+            "finding": causes.index(effect) + 1, "cause": effect.id, "joint": effect.joint or None,
+            "variable": variable.label, "variable_unit": variable.unit, "x": _variable_values(model, effect, variable, data),
+            "before_mm": lengths * (after + fitted), "after_mm": lengths * after, "fitted_mm": lengths * fitted,
+            "before": unit.shown(after + fitted), "after": unit.shown(after), "fitted": unit.shown(fitted),
+            "error_unit": unit.label,
+            "pose": data.table["pose"], "split": data.table["split"],
+        }  # fmt: skip
+        blocks.append(typed(pd.DataFrame(block), CurvePoint))
+    return pd.concat(blocks, ignore_index=True) if blocks else to_frame((), CurvePoint)
+
+
+@dataclass(frozen=True)
+class _Lever(JointError):
+    """A turn of each joint by an angle of its own: how far a joint's error moves the tool."""
+
+    id: ClassVar[str] = "lever"
+    title: ClassVar[str] = "lever"
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the angle."""
+        return [Term("angle", self.unit(joint), 1.0, 1.0, ca.SX(1))]
+
+
+def _acting_along(jacobian: np.ndarray, value: np.ndarray, lever: np.ndarray | None) -> np.ndarray:
+    """Unit vectors (n_rows, 3) along which a cause acts.
+
+    Where all its parameters move the tool as its joint does, that is the joint's lever (n_rows, 3): its sign does not turn
+    with the effect, or every error would look positive. Else it is the strongest axis of each row, to one side.
+    """
+    moved = jacobian * np.abs(value)
+    if lever is not None:
+        along = lever / np.maximum(np.linalg.norm(lever, axis=1), 1e-12)[:, None]
+        apart = moved - along[:, :, None] * np.einsum("ra,rap->rp", along, moved)[:, None, :]
+        if np.linalg.norm(apart) < PARALLEL * np.linalg.norm(moved):
+            return along
+    _, _, axes = np.linalg.svd(moved.transpose(0, 2, 1), full_matrices=False)
+    along = axes[:, 0, :]
+    mean = np.einsum("rap,rbp,rb->a", moved, moved, along)
+    return along * np.where(along @ mean < 0, -1.0, 1.0)[:, None]
+
+
+def _variable_values(model: Model, cause: Effect, variable: Variable, data: Measurements) -> np.ndarray:
+    c = ca.SX.sym("c", model.n_conditions)
+    row = Row.unpack(model.robot, c, model.given)
+    robot = model.robot
+    now = state(robot, nominal_dimensions(robot), nominal_loads(robot), row, Deflection.zero(robot.n_joints))
+    p = ca.SX.sym("p")
+    function = ca.Function("variable", [p, c], [ca.densify(ca.SX(variable.value(now, row)))])
+    return over_rows(function, np.zeros(1), data.conditions)[0].ravel() * variable.factor

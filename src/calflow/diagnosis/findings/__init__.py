@@ -1,1 +1,0 @@
-"""Findings: what may be said of what was found, and of what is left."""

@@ -1,0 +1,198 @@
+"""A fitted model as the diagnosis uses it: with its data and noise, and with rows far off counting less."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import norm, t
+
+from calflow.diagnosis.regressors import Background, Regressors
+from calflow.diagnosis.screening import Screening
+from calflow.effects import Effect
+from calflow.effects.cause import Cause
+from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.fit import Fit, fit, fit_reweighted, found_alike
+from calflow.estimation.lack_of_fit import LackOfFit
+from calflow.estimation.least_squares import LeastSquares, Loss
+from calflow.estimation.leverage import elsewhere
+from calflow.estimation.noise import Noise, PerUnit, median_length
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model
+
+FAR = 4.5  # robust standard deviations
+SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
+TWO_SIDED = 0.975  # quantile at which a 95 % interval ends
+WEIGHINGS = 3  # fits in which the weights of rows far off settle
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted model with the training data and the noise it was fitted with.
+
+    lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight. background is
+    what rows near each other share as far as the data show, possible what may be of it; without one what is left counts as
+    independent.
+    """
+
+    fit: Fit
+    data: Measurements
+    noise: Noise
+    lack: LackOfFit
+    loss: Loss
+    device: Noise
+    background: Background | None = None
+    possible: Background | None = None
+
+    @property
+    def model(self) -> Model:
+        """The model."""
+        return self.fit.model
+
+    @property
+    def poses(self) -> np.ndarray:
+        """The rows' poses, those of each series apart, numbered from 0, shape (n_rows,)."""
+        pose = np.unique(self.data.table["pose"], return_inverse=True)[1]
+        return np.asarray(pose * len(self.data.series) + self.data.series_number)
+
+    def regressors(self, effects: Sequence[Effect]) -> Regressors[Cause]:
+        """Linearise the model with these effects at zero, against what its background leaves of independent noise."""
+        problem = self.problem
+        correlation = self.background.correlation(problem.weight) if self.background else None
+        return Regressors.of(self.fit, problem, effects, self.poses, correlation)
+
+    @cached_property
+    def alone(self) -> Regressors[Cause]:
+        """The model linearised without any other effect, against independent noise: what many tests ask of the same fit."""
+        return replace(self, background=None).regressors(())
+
+    @property
+    def far(self) -> np.ndarray:
+        """By how much rows count less than the device's noise says, at least 1, shape (n_rows,)."""
+        ratio = self.noise.sigma / self.device.sigma
+        return np.asarray(ratio / ratio.min())
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the estimate, wider where errors that rows share are fitted as if they were independent noise.
+
+        Shape (n_parameters, n_parameters); the sandwich of White (1980), with the covariance of what may be left between. The
+        sizes of that are uncertain themselves, so that an estimate is about its truth as Student's t is: the standard deviations
+        are those of normals with the same 95 % intervals.
+        """
+        regressors = self.alone
+        if self.possible is None and regressors.shared == 1:
+            return self.fit.covariance
+        jacobian, prior = regressors.jacobian, np.diag(regressors.precision)
+        bread = within = np.linalg.inv(jacobian.T @ jacobian + prior)
+        if self.possible is not None:
+            level = Screening(replace(self, background=self.possible).regressors(())).level
+            correlation = self.possible.correlation(self.problem.weight)
+            within = bread @ (level * correlation.covered(jacobian) + prior) @ bread
+            sure = correlation.sureness(jacobian @ bread, max(len(jacobian) - jacobian.shape[1], 1))
+            wider = t.ppf(TWO_SIDED, sure) / norm.ppf(TWO_SIDED)
+            within = wider[:, None] * within * wider
+        free = np.flatnonzero(~self.fit.at_bound)
+        covariance = np.zeros((len(self.fit.estimate), len(self.fit.estimate)))
+        covariance[np.ix_(free, free)] = within
+        return covariance
+
+    @cached_property
+    def elsewhere(self) -> float:
+        """What it errs by at other poses beyond what is told of noise and parameters, sd per axis [m]."""
+        return elsewhere(self.fit, self.poses)
+
+    @cached_property
+    def intraclass(self) -> float:
+        """Correlation of what the markers of a standstill err."""
+        return found_alike(self.fit, self.data, self.noise)[0]
+
+    @property
+    def misfit(self) -> float:
+        """Huber's cost of all rows, and the priors' chi²; beside a background by what it leaves of independent noise."""
+        fit, model = self.fit, self.model
+        if self.background is not None:
+            return Screening(self.regressors(())).chi2 + 2 * FAR**2 * float((self.far - 1).sum())
+        pulled = (fit.estimate - model.prior_mean) / model.prior_sd
+        return float((fit.residual**2).sum() + 2 * FAR**2 * (self.far - 1).sum() + pulled @ pulled)
+
+    @property
+    def problem(self) -> LeastSquares:
+        """The problem that was solved, robust weights included."""
+        return LeastSquares.of(self.model, self.data, self.noise).reweighted(self.fit.estimate, self.loss)
+
+    def weighed(self, sigma: np.ndarray) -> Fitted:
+        """Fit anew with other noise (n_rows,), of residuals in the leading units."""
+        noise = replace(self.device, sigma=sigma, discrepancy=PerUnit())
+        return replace(
+            _settled(self.model, self.data, noise, self.fit.estimate, self.loss),
+            background=self.background,
+            possible=self.possible,
+        )
+
+    @staticmethod
+    def of(calibrated: CalibratedModel, data: Measurements, noise: Noise) -> Fitted:
+        """Fit an identified model anew on training rows, from where identify left it."""
+        bare = replace(noise, discrepancy=PerUnit(), intraclass=0.0)
+        return _settled(calibrated.model, data, bare, calibrated.estimate, calibrated.loss)
+
+    def _values(self, model: Model) -> np.ndarray:
+        """Another model's parameters at the estimates there are, nominal where there are none."""
+        values = dict(zip((p.identity for p in self.model.parameters), self.fit.estimate, strict=True))
+        return np.array([values.get(p.identity, p.nominal) for p in model.parameters])
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """What has been found; the other effects are the study's own."""
+        return tuple(effect for effect in self.model.effects if isinstance(effect, Cause))
+
+    @property
+    def plain(self) -> tuple[Effect, ...]:
+        """The study's own effects."""
+        return tuple(effect for effect in self.model.effects if not isinstance(effect, Cause))
+
+    def fit_with(self, causes: Sequence[Cause]) -> Fit:
+        """Fit the study's own effects with these causes once, by this model's weights: where no test is made of the fit."""
+        model = replace(self.model, effects=(*self.plain, *causes))
+        return fit(LeastSquares.of(model, self.data, self.noise), self._values(model)[None], self.loss)[0]
+
+    def with_causes(self, causes: Sequence[Cause], start: np.ndarray | None = None, share: float = 0.0) -> Fitted:
+        """Fit the study's own effects with these causes, by IPOPT.
+
+        It starts from the estimates there are, what is new at nothing, unless start says otherwise. share is how much of chi²
+        is expected to go: a noise that is not known starts smaller by it, and settles at once.
+        """
+        model = replace(self.model, effects=(*self.plain, *causes))
+        start = self._values(model) if start is None else start
+        bare = replace(self.device, discrepancy=PerUnit())
+        near = self.noise.sigma / self.far * np.sqrt(1 - share)
+        bare = replace(bare, sigma=np.where(bare.estimated, near, bare.sigma))
+        return replace(_settled(model, self.data, bare, start, self.loss, self.far), background=self.background)
+
+
+def _settled(
+    model: Model, data: Measurements, device: Noise, start: np.ndarray, loss: Loss, far: np.ndarray | None = None
+) -> Fitted:
+    """Fit from a start; rows far beyond the others count no more than one at FAR does (Huber 1964).
+
+    far (n_rows,) is by how much rows were beyond that in the fit before.
+    """
+    far = np.ones(len(data)) if far is None else far
+    for _ in range(WEIGHINGS):
+        weighed = replace(device, sigma=device.sigma * far)
+        settled, noise, lack, _ = fit_reweighted(model, data, weighed, start[None], loss, SETTLED)
+        before, far, start = far, _excess(settled, far), settled.estimate
+        if np.allclose(far, before, rtol=SETTLED):
+            break
+    return Fitted(settled, data, noise, lack, loss, device)
+
+
+def _excess(fit: Fit, far: np.ndarray) -> np.ndarray:
+    """By how much each row's error exceeds FAR robust standard deviations, at least 1, shape (n_rows,)."""
+    leading = fit.stacking.leading
+    size = np.sqrt(fit.stacking.by_row(np.where(leading, fit.residual**2, 0.0))) * far
+    units = fit.stacking.by_row(leading.astype(float)).astype(int)
+    scale = float(np.median(size / median_length(units)))
+    return np.asarray(np.maximum(1.0, size / (FAR * scale)))

@@ -1,0 +1,297 @@
+"""Misfit: that a model leaves more than its noise, and where in the robot's space it leaves most.
+
+A lack of fit is told whether any input explains it or not. Where it is largest is sought one input at a time: in the range of
+each between two eighths of the poses, and at each value of what has few.
+
+The remainder: structure that no cause of the catalogue explains, and which inputs it depends on.
+
+Decoys are smooth functions of the inputs without a physical meaning. They are tested as causes are, with a family of
+their own; what passes is reported as unexplained, never as a cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+from math import comb
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from calflow.diagnosis.background import Decoy, decoys, functions
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.screening import MATERIAL, Screening
+from calflow.effects import Effect
+from calflow.estimation.accuracy import distances, errors, judged_unit
+from calflow.estimation.lack_of_fit import SIGNIFICANT
+from calflow.files.tables import column
+from calflow.files.units import METRE
+from calflow.measurements.measurements import Measurements
+from calflow.observations import leading_units
+
+PARTS = 8  # of an input's poses, between whose ends regions reach
+MOST = 0.5  # share of the poses that a region may hold: what is larger is no place
+FEWEST = 4  # poses of a region, and beside it
+DRAWS = 499  # permutations of the poses
+BY_CHANCE = 0.05  # chance, over all inputs, above which a region is not told: the misfit is then about alike everywhere
+MOST_LEVERAGE = 0.95
+LABELS = ("payload", "marker")  # what has few values
+
+
+@dataclass(frozen=True, kw_only=True)
+class MisfitRegion:
+    """Where a model leaves more than elsewhere: a range of one input, or one of its few values."""
+
+    input: str = column("q1 … (joints), x, y, z, time, order, payload, marker")
+    low: float | None = column("where the range begins", "as `unit` says", default=None)
+    high: float | None = column("where it ends", "as `unit` says", default=None)
+    unit: str = column("of the range", default="")
+    value: str = column("the payload or marker", default="")
+    there_mm: float | None = column(
+        "mean error of the training rows there; null: no lengths were measured", "mm", default=None
+    )
+    elsewhere_mm: float | None = column("mean error of the others", "mm", default=None)
+    error_unit: str = column("the unit of the errors: mm, mrad, px, …", default="mm")
+    there: float | None = column("as there_mm, in `error_unit` where that is another", default=None)
+    elsewhere: float | None = column("as elsewhere_mm, likewise", default=None)
+
+    @property
+    def where(self) -> str:
+        """Name the place."""
+        if self.value:
+            return f"{self.input} is {self.value}"
+        joint = self.input[0] == "q" and self.input[1:].isdigit()
+        name = (
+            f"joint {self.input[1:]}"
+            if joint
+            else "the row's place in measuring order"
+            if self.input == "order"
+            else self.input
+        )
+        return f"{name} is between {_said(self.low)} and {_said(self.high)}{f' {self.unit}' if self.unit else ''}"
+
+    @property
+    def words(self) -> str:
+        """Say where, with the figures."""
+        suffix = "_mm" if self.error_unit == METRE.label else ""
+        there, elsewhere = (f"{getattr(self, name + suffix):.3g} {self.error_unit}" for name in ("there", "elsewhere"))
+        return f"largest where {self.where}: {there} against {elsewhere} elsewhere"
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """A significant lack of fit: chi² per degree of freedom, its p-value, and where it is largest, if it is not everywhere."""
+
+    reduced_chi2: float
+    p: float
+    region: MisfitRegion | None
+
+    @property
+    def times(self) -> float:
+        """How many times the noise the model leaves."""
+        return float(np.sqrt(self.reduced_chi2))
+
+
+@dataclass(frozen=True)
+class _Input:
+    """An input by which regions are made: its values in units that people read, or its labels, one a row."""
+
+    name: str
+    values: np.ndarray
+    unit: str = ""
+
+    def regions(self) -> Iterator[np.ndarray]:
+        """Yield which rows lie in each region."""
+        if self.values.dtype == object:
+            yield from (self.values == value for value in dict.fromkeys(self.values))
+            return
+        ends = np.unique(np.quantile(self.values, np.linspace(0, 1, PARTS + 1)))
+        for low, high in combinations(ends, 2):
+            yield (self.values >= low) & (self.values <= high)
+
+
+@dataclass(frozen=True)
+class _Worst:
+    """The region of an input in which most is left: its rows (n_rows,), its likelihood ratio, and the chance of it."""
+
+    of: _Input
+    inside: np.ndarray
+    ratio: float
+    chance: float
+
+
+def misfit(fitted: Fitted, rng: np.random.Generator) -> Misfit | None:
+    """Return a fitted model's lack of fit; None where the noise explains what is left, or nobody knows the noise."""
+    lack = fitted.lack
+    if not (fitted.noise.known and lack.p < SIGNIFICANT and lack.reduced_chi2 > 1):
+        return None
+    return Misfit(lack.reduced_chi2, lack.p, largest(fitted, rng))
+
+
+def largest(fitted: Fitted, rng: np.random.Generator) -> MisfitRegion | None:
+    """Return where a fitted model leaves most; None where that is no more than chance makes of an even misfit.
+
+    The regions' mean squared whitened residuals are compared as variances are, by their likelihood ratio; its chance is that of
+    the poses in any other order (a permutation test: Fisher 1935), times the number of inputs.
+    """
+    squared, number = _studentised(fitted)
+    inputs = _inputs(fitted)
+    tried = [_worst(candidate, squared, number, fitted.poses, rng) for candidate in inputs]
+    significant = [candidate for candidate in tried if candidate and candidate.chance * len(inputs) <= BY_CHANCE]
+    if not significant:
+        return None
+    worst = min(significant, key=lambda candidate: (candidate.chance, -candidate.ratio))
+    return _region(worst.of, worst.inside, fitted)
+
+
+def _worst(
+    candidate: _Input, squared: np.ndarray, number: np.ndarray, poses: np.ndarray, rng: np.random.Generator
+) -> _Worst | None:
+    """Return the region of an input in which most is left; None where it has none. What a pose's rows share is moved together."""
+    groups = poses if _constant(candidate.values, poses) else np.arange(len(squared))
+    _, first, group = np.unique(groups, return_index=True, return_inverse=True)
+    inside = np.array([region[first] for region in candidate.regions()], dtype=bool).reshape(-1, len(first))
+    size = inside.sum(axis=1)
+    inside = inside[(size >= FEWEST) & (size <= MOST * len(first))]
+    if not len(inside):
+        return None
+    total, count = np.bincount(group, squared), np.bincount(group, number)
+    orders = np.array([np.arange(len(first)), *(rng.permutation(len(first)) for _ in range(DRAWS))]).T
+    ratio = _likelihood_ratio(inside, total[orders], count[orders])  # (n_regions, 1 + DRAWS)
+    best = ratio.max(axis=0)
+    return _Worst(candidate, inside[int(ratio[:, 0].argmax())][group], float(best[0]), float((best >= best[0]).mean()))
+
+
+def _studentised(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
+    """Return the sum of each row's squared whitened residuals, freed of their leverage, and how many they are, both (n_rows,)."""
+    squared, number = np.zeros(len(fitted.data)), np.zeros(len(fitted.data))
+    for rows, residual, jacobian in fitted.problem.linearised(fitted.fit.estimate):
+        leverage = np.einsum("rai,ij,raj->ra", jacobian, fitted.fit.covariance, jacobian, optimize=True)
+        squared[rows] = (residual**2 / np.maximum(1 - leverage, 1 - MOST_LEVERAGE)).sum(axis=1)
+        number[rows] = residual.shape[1]
+    return squared, number
+
+
+def _likelihood_ratio(inside: np.ndarray, total: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """Return for regions (n_regions, n_groups) how much two variances explain better than one; zero where less is left inside.
+
+    total and count (n_groups, n_orders) are the groups' sums of squares and numbers of residuals.
+    """
+    within, n = inside @ total, inside @ count
+    beside, m = total.sum(axis=0) - within, count.sum(axis=0) - n
+    even = (within + beside) / (n + m)
+    ratio = (n + m) * np.log(even) - n * np.log(within / n) - m * np.log(beside / m)
+    return np.where(within / n > beside / m, ratio, 0.0)
+
+
+def _inputs(fitted: Fitted) -> list[_Input]:
+    """What regions are sought along: joints, place, time or order, payloads and markers."""
+    data: Measurements = fitted.data
+    angles = data.joints @ data.robot.reading_matrix.T
+    inputs = []
+    for i, joint in enumerate(data.robot.joints):
+        shown, factor = joint.shown
+        inputs.append(_Input(f"q{i + 1}", factor * angles[:, i], shown))
+    place = 1e3 * fitted.model.point(fitted.fit.estimate, data.conditions)
+    inputs += [_Input(axis, place[:, i], "mm") for i, axis in enumerate("xyz")]
+    for name, unit in (("time", "s"), ("order", "")):
+        if name in data.given:
+            inputs.append(_Input(name, data.table[name].to_numpy(float), unit))
+            break
+    labels = [_Input(name, data.table[name].astype(str).to_numpy(object)) for name in LABELS if name in data.table]
+    return inputs + [label for label in labels if len(set(label.values)) > 1]
+
+
+def _constant(values: np.ndarray, groups: np.ndarray) -> bool:
+    """Whether all rows of a group have one value."""
+    _, first, group = np.unique(groups, return_index=True, return_inverse=True)
+    return bool((values == values[first][group]).all())
+
+
+def _region(candidate: _Input, inside: np.ndarray, fitted: Fitted) -> MisfitRegion:
+    unit = judged_unit(leading_units(fitted.data))
+    size = unit.shown(distances(errors(fitted.model, fitted.fit.estimate, fitted.data)))
+    there, elsewhere = float(np.nanmean(size[inside])), float(np.nanmean(size[~inside]))
+    suffix = "_mm" if unit == METRE else ""
+    figures: dict[str, Any] = {f"there{suffix}": there, f"elsewhere{suffix}": elsewhere, "error_unit": unit.label}
+    if candidate.values.dtype == object:
+        return MisfitRegion(input=candidate.name, value=str(candidate.values[inside][0]), **figures)
+    low, high = float(candidate.values[inside].min()), float(candidate.values[inside].max())
+    return MisfitRegion(input=candidate.name, low=low, high=high, unit=candidate.unit, **figures)
+
+
+def _said(value: float | None) -> str:
+    """Return a figure with as many digits as a place needs."""
+    return "" if value is None else f"{value:.0f}" if abs(value) >= 10 else f"{value:.2g}"
+
+
+MOST_PARTS = 3  # unexplained dependences that are told
+POSE = "pose"  # as an input: what changes from pose to pose in no way that another input explains
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """A dependence that no cause explains: its inputs, the chance of anything like it where nothing is left, and its functions.
+
+    share is its part of chi²: as of a cause, less than MATERIAL is of no use to anybody, however many rows show it.
+    """
+
+    inputs: tuple[str, ...]
+    p: float
+    share: float
+    functions: tuple[Effect, ...]
+    detail: str = ""
+
+
+def remainder(
+    fitted: Fitted, significance: float, rng: np.random.Generator, say: Callable[[str], None]
+) -> list[Remainder]:
+    """Return what the fitted model leaves that depends on inputs, the strongest first.
+
+    Single functions are tested first, which a sharp dependence shows best; then the background as a whole.
+    """
+    accepted: list[Remainder] = []
+    for structure in (*_single(fitted, rng), *_together(fitted), *_of_poses(fitted)):
+        if structure.p >= significance or structure.share < MATERIAL or len(accepted) == MOST_PARTS:
+            continue
+        if not any(set(structure.inputs) & set(other.inputs) for other in accepted):
+            accepted.append(structure)
+            say(f"left over, by {' and '.join(structure.inputs)}: p = {structure.p:.2g}")
+    return accepted
+
+
+def _single(fitted: Fitted, rng: np.random.Generator) -> list[Remainder]:
+    screening = Screening(replace(fitted, background=None).regressors(decoys(fitted)))
+    family = screening.family(rng)
+    tested = []
+    for score in screening.scores:
+        decoy = score.cause.effect
+        assert isinstance(decoy, Decoy)
+        tested.append(Remainder(decoy.inputs, family.p(score), score.share, (score.cause,), score.cause.detail))
+    return sorted(tested, key=lambda structure: structure.p)
+
+
+def _together(fitted: Fitted) -> list[Remainder]:
+    """The background as a whole, paying for every choice of as many parts.
+
+    Twice the logarithm of the likelihood is chi² of as many degrees of freedom or fewer: half of each size's distribution is at
+    nothing, where it can go no further (Self and Liang 1987).
+    """
+    left = fitted.background
+    if left is None:
+        return []
+    bases, n = dict(functions(fitted)), len(left.inputs)
+    p = comb(left.tried, n) * 0.5**n * float(chi2.sf(left.gain, n))
+    inputs = tuple(dict.fromkeys(name for part in left.inputs for name in part))
+    share = -float(np.expm1(-left.gain / fitted.fit.residual.size))
+    return [Remainder(inputs, min(1.0, p), share, tuple(effect for part in left.inputs for effect in bases[part]))]
+
+
+def _of_poses(fitted: Fitted) -> list[Remainder]:
+    """What the rows of a pose share: its markers err alike."""
+    regressors = fitted.alone
+    if regressors.shared == 1:
+        return []
+    return [Remainder((POSE,), regressors.shared_p, 1 - regressors.shared**2, ())]

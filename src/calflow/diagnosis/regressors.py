@@ -1,0 +1,500 @@
+"""Regressors: what each candidate would do to the residual of a fitted model, whitened, from one Jacobian of all together.
+
+A candidate is a variant of a hypothesis, which is what a test needs to know of a possible cause. Regressors of all rows are a
+tall matrix, held in memory where it fits, else worked out anew in every pass over it.
+
+Errors that rows share because they are near each other are in the covariance that tests go by. What the model leaves is white
+noise and a background of random effects: V = s² (I + sum over parts of size² Z Zᵀ), each part's Z smooth functions of one
+input. Multiplied by (V/s²)^-1/2, residuals and regressors are as independent as the tests want them (generalised least squares:
+Aitken 1936).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
+from typing import Generic, Protocol, Self, TypeVar
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from calflow.effects import Effect
+from calflow.effects.cause import Cause, parts
+from calflow.estimation.fit import Fit
+from calflow.estimation.least_squares import LeastSquares, Stacking, group_means, whole_groups
+from calflow.estimation.probing import ROWS, Probe, side_by_side
+
+
+class Hypothesis(Protocol):
+    """A possible cause in one of its forms. Two that are equal are the same cause in the same form."""
+
+    @property
+    def id(self) -> str:
+        """What kind of cause it is."""
+        ...
+
+    @property
+    def part(self) -> str:
+        """Where it acts; may be empty."""
+        ...
+
+    @property
+    def joint(self) -> int:
+        """Number of the joint or link where it acts, 0 for none."""
+        ...
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """What stays the same in all its variants: id and part."""
+        ...
+
+    @property
+    def detail(self) -> str:
+        """Its variant in words; empty where there is only one."""
+        ...
+
+    @property
+    def n_parameters(self) -> int:
+        """How many parameters it has."""
+        ...
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Least and largest values of its parameters, from nominal, shape (2, n_parameters)."""
+        ...
+
+    @property
+    def family(self) -> str:
+        """What to call it where the data do not tell it from others of its family; may be empty."""
+        ...
+
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """Ids of what no data of this kind tell from it."""
+        ...
+
+    def same_form(self, other: Self) -> bool:
+        """Whether it and another are forms of the same thing, so that they cannot both act."""
+        ...
+
+
+H = TypeVar("H", bound=Hypothesis)
+
+
+WHITENED_ROWS = 256  # that are whitened at once
+SMALL_MODE = 0.02  # of a mode's variance over the noise's: less changes no test
+
+
+@dataclass(frozen=True, eq=False)
+class CorrelatedPart:
+    """What one of a background's inputs does: its waves by modes (n_modes, n_waves), and its size's degrees of freedom."""
+
+    waves: np.ndarray
+    degrees_of_freedom: float
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorCorrelation:
+    """The modes (n, n_modes), orthonormal, of a background, their variance (n_modes,) over the noise's, and its parts.
+
+    shared is the factor at which what the rows of a pose have in common counts (see `counted_once`).
+    """
+
+    modes: np.ndarray
+    variance: np.ndarray
+    parts: tuple[CorrelatedPart, ...]
+    shared: float
+
+    def whiten(self, values: np.ndarray) -> None:
+        """Multiply values (n, …) by (V/s²)^-1/2 in their place: these are the largest arrays of all."""
+        along = self.taken(self.modes.T @ values)
+        for start in range(0, len(values), WHITENED_ROWS):
+            part = slice(start, start + WHITENED_ROWS)
+            values[part] -= self.modes[part] @ along
+
+    def taken(self, along: np.ndarray) -> np.ndarray:
+        """Return what is taken off along the modes of values that are (n_modes, …) along them."""
+        return np.asarray(((1 - (1 + self.variance) ** -0.5) * along.T).T)
+
+    def degrees_of_freedom(self, along: np.ndarray, visible: np.ndarray, of_noise: float) -> np.ndarray:
+        """Return those of the variance of each column's amplitude, shape (n_columns,) (Satterthwaite 1946).
+
+        What is uncertain because of a background whose size few waves tell is not as sure as the number of rows suggests.
+
+        Args:
+            along: whitened columns, freed of what the model imitates, along the modes, (n_modes, n_columns).
+            visible: their squares summed, over modes and all else, (n_columns,).
+            of_noise: degrees of freedom of the noise itself.
+        """
+        return self._satterthwaite(along / np.sqrt(1 + self.variance)[:, None], visible, of_noise)
+
+    def sureness(self, weights: np.ndarray, of_noise: float) -> np.ndarray:
+        """Return the degrees of freedom of the variance of weighted sums of residuals, weights (n, n_sums), shape (n_sums,)."""
+        along = self.modes.T @ weights
+        whole = (weights**2).sum(axis=0) + (self.variance[:, None] * along**2).sum(axis=0)
+        return self._satterthwaite(along, whole, of_noise)
+
+    def _satterthwaite(self, along: np.ndarray, whole: np.ndarray, of_noise: float) -> np.ndarray:
+        """Degrees of freedom of variances (n_columns,), of which each part's share is by its waves along the modes."""
+        whole = np.maximum(whole, np.finfo(float).tiny)
+        left, unsure = np.ones(len(whole)), np.zeros(len(whole))
+        for part in self.parts:
+            share = ((part.waves.T @ along) ** 2).sum(axis=0) / whole
+            left -= share
+            unsure += share**2 / part.degrees_of_freedom
+        return np.asarray(1 / (unsure + np.maximum(left, 0.0) ** 2 / of_noise))
+
+    def covered(self, jacobian: np.ndarray) -> np.ndarray:
+        """Return Jᵀ (V/s²) J of a Jacobian (n, n_parameters) that is not whitened by it."""
+        along = self.modes.T @ jacobian
+        return np.asarray(jacobian.T @ jacobian + along.T @ (self.variance[:, None] * along))
+
+
+@dataclass(frozen=True, eq=False)
+class Background:
+    """What no cause explains: random smooth functions of inputs, over the noise, scaled by their size.
+
+    modes (n, n_modes) are directions in which they act, parts hold each input's functions in these, (n_modes, n_waves). weight
+    (n,) is what the rows' residuals were multiplied by when they were worked out, shared the factor of what rows of a pose have
+    in common; degrees_of_freedom (n_parts,) are those of the sizes' estimates, gain is twice the logarithm of the likelihood that
+    all parts together add; tried is how many parts there might have been.
+    """
+
+    inputs: tuple[tuple[str, ...], ...]
+    modes: np.ndarray
+    parts: tuple[np.ndarray, ...]
+    weight: np.ndarray
+    shared: float
+    degrees_of_freedom: tuple[float, ...]
+    gain: float
+    tried: int
+
+    def correlation(self, weight: np.ndarray) -> ErrorCorrelation:
+        """Return the correlation of residuals that are multiplied by other weights (n,), of the same noise but for its level."""
+        ratio = weight / self.weight
+        basis, scaled = np.linalg.qr((ratio / np.median(ratio))[:, None] * self.modes)
+        left, value, _ = np.linalg.svd(scaled @ np.hstack(self.parts), full_matrices=False)
+        kept = value**2 > SMALL_MODE
+        turned = left[:, kept].T @ scaled
+        parts = tuple(
+            CorrelatedPart(turned @ part, sure) for part, sure in zip(self.parts, self.degrees_of_freedom, strict=True)
+        )
+        return ErrorCorrelation(basis @ left[:, kept], value[kept] ** 2, parts, self.shared)
+
+
+HELD = 100_000_000  # numbers that are kept in memory
+
+Rows = slice | np.ndarray
+
+
+class TallMatrix:
+    """A matrix (n, n_columns) that sums are taken over, some of its rows at a time."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Its size."""
+        raise NotImplementedError
+
+    def blocks(self) -> Iterator[tuple[Rows, np.ndarray]]:
+        """Yield the numbers of some rows and these rows, each row once."""
+        raise NotImplementedError
+
+    def across(self, values: np.ndarray) -> np.ndarray:
+        """Return its transpose times values (n, …)."""
+        return reduce(np.add, (x.T @ values[rows] for rows, x in self.blocks()))
+
+    def products(self, columns: np.ndarray) -> np.ndarray:
+        """Return the products of some columns with each other, (n_own, n_own)."""
+        parts = (x[:, columns] for _, x in self.blocks())
+        return reduce(np.add, (part.T @ part for part in parts))
+
+    def response(self, columns: np.ndarray) -> np.ndarray:
+        """Return the products of all columns with some, (n_columns, n_own)."""
+        return reduce(np.add, (x.T @ x[:, columns] for _, x in self.blocks()))
+
+    def times(self, amplitudes: np.ndarray) -> np.ndarray:
+        """Return it times amplitudes (n_columns, …)."""
+        product = np.empty((self.shape[0], *amplitudes.shape[1:]))
+        for rows, x in self.blocks():
+            product[rows] = x @ amplitudes
+        return product
+
+
+@dataclass(frozen=True, eq=False)
+class Held(TallMatrix):
+    """One whose values (n, n_columns) are in memory."""
+
+    values: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Its size."""
+        return self.values.shape[0], self.values.shape[1]
+
+    def blocks(self) -> Iterator[tuple[Rows, np.ndarray]]:
+        """Yield all at once."""
+        yield slice(None), self.values
+
+
+@dataclass(frozen=True, eq=False)
+class Remade(TallMatrix):
+    """What a probe's effects do, of which each pass works out a block of rows after the other.
+
+    poses (n_rows,) numbers the rows by pose, shared is the factor at which what a pose's rows have in common counts, correlation
+    what errors of rows near each other share besides: see `Regressors.of`.
+    """
+
+    probe: Probe
+    poses: np.ndarray
+    shared: float
+    correlation: ErrorCorrelation | None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Its size."""
+        return self.probe.shape[0], self.probe.width
+
+    def blocks(self) -> Iterator[tuple[Rows, np.ndarray]]:
+        """Yield some hundred rows at a time."""
+        for rows, x in self._as_they_are():
+            if self.correlation is not None:
+                x -= self.correlation.modes[rows] @ self._taken
+            yield rows, x
+
+    @cached_property
+    def _taken(self) -> np.ndarray:
+        """What the correlation takes off along its modes, (n_modes, n_columns)."""
+        assert self.correlation is not None
+        modes = self.correlation.modes
+        return self.correlation.taken(reduce(np.add, (modes[rows].T @ x for rows, x in self._as_they_are())))
+
+    def _as_they_are(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield rows in which what a pose's rows have in common counts as it should, but whitened by no correlation."""
+        start = 0
+        for number, block in enumerate(self.probe.problem.blocks):
+            units = block.n_units
+            order = np.argsort(self.poses[block.rows], kind="stable")
+            for part in whole_groups(self.poses[block.rows[order]], ROWS):
+                rows = order[part]
+                out = np.zeros((len(rows) * units, self.probe.shape[1]))
+                self.probe.of_rows(number, rows, out)
+                x = out[:, self.probe.n_parameters :]
+                if self.shared < 1:
+                    pose = np.unique(self.poses[block.rows[rows]], return_inverse=True)[1]
+                    x = counted_once(x, (pose[:, None] * units + np.arange(units)).ravel(), self.shared)
+                yield start + (rows[:, None] * units + np.arange(units)).ravel(), x
+            start += len(block.rows) * units
+
+
+def counted_once(values: np.ndarray, group: np.ndarray, shared: float) -> np.ndarray:
+    """Return values (n, …) in which what a group (n,) has in common counts once, by its factor (see `shared_error`)."""
+    if shared >= 1:
+        return values
+    return np.asarray(values - (1 - shared) * group_means(values, group))
+
+
+USUAL = 1e-3  # m, per axis: what a model leaves of a usual robot at most
+PASSES = 4  # over all rows that a linearisation is asked for, on average
+SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
+
+
+@dataclass(frozen=True)
+class Candidate(Generic[H]):
+    """One variant of a cause: its regressors are these columns."""
+
+    cause: H
+    columns: np.ndarray
+
+
+@dataclass(frozen=True)
+class RegressorProducts:
+    """The sums over all rows that tests need, worked out once for a model and for all that is taken out of it.
+
+    fitted (n_free, n_free) are the Jacobian's with itself, mixed (n_free, n_columns) those with the regressors, own
+    (n_columns, widest) each regressor's with those of its candidate, squared (n_columns,) each one's with itself; fitted_left
+    (n_free,) and left (n_columns,) are those of both with the residual. along_fitted (n_modes, n_free) and along (n_modes,
+    n_columns) are what both have in common with the modes of a correlation.
+    """
+
+    fitted: np.ndarray
+    mixed: np.ndarray
+    own: np.ndarray
+    squared: np.ndarray
+    fitted_left: np.ndarray
+    left: np.ndarray
+    along_fitted: np.ndarray
+    along: np.ndarray
+
+    @staticmethod
+    def of(
+        residual: np.ndarray,
+        jacobian: np.ndarray,
+        matrix: TallMatrix,
+        candidates: Sequence[Candidate],
+        correlation: ErrorCorrelation | None = None,
+    ) -> RegressorProducts:
+        """Add up the products of the residual (n,), the Jacobian (n, n_free) and the regressors (n, n_columns)."""
+        gram = np.zeros((matrix.shape[1], max((len(c.columns) for c in candidates), default=0)))
+        squared, left = np.zeros(len(gram)), np.zeros(len(gram))
+        modes = correlation.modes if correlation else np.zeros((len(residual), 0))
+        mixed, along = np.zeros((jacobian.shape[1], len(gram))), np.zeros((modes.shape[1], len(gram)))
+        for rows, values in matrix.blocks():
+            for candidate in candidates:
+                columns = candidate.columns
+                x = values[:, side_by_side(columns)]
+                product = x.T @ x
+                gram[columns, : len(columns)] += product
+                squared[columns] += product.diagonal()
+            mixed += jacobian[rows].T @ values
+            left += values.T @ residual[rows]
+            along += modes[rows].T @ values
+        return RegressorProducts(
+            jacobian.T @ jacobian, mixed, gram, squared, jacobian.T @ residual, left, modes.T @ jacobian, along
+        )
+
+    def without(self, gone: np.ndarray, value: np.ndarray) -> RegressorProducts:
+        """Return the products without some free parameters (their numbers), which have these values."""
+        keep = np.setdiff1d(np.arange(len(self.fitted)), gone)
+        return replace(
+            self,
+            fitted=self.fitted[np.ix_(keep, keep)],
+            mixed=self.mixed[keep],
+            fitted_left=self.fitted_left[keep] - self.fitted[np.ix_(keep, gone)] @ value,
+            left=self.left - self.mixed[gone].T @ value,
+            along_fitted=self.along_fitted[:, keep],
+        )
+
+
+@dataclass(frozen=True)
+class Regressors(Generic[H]):
+    """All candidates' whitened regressors side by side, with the model's own Jacobian.
+
+    residual (n,) and jacobian (n, n_free) are the fit's, pull (n_free,) the priors' part of the gradient; matrix is
+    (n, n_columns), prior_sd (n_columns,). determined is how many parameters the residual has lost. scale is by how much the
+    candidates' priors are wider than they state, shared the factor of what the rows of a pose have in common, shared_p the chance
+    of as much by accident. All are whitened by the correlation, where there is one.
+    """
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    precision: np.ndarray
+    pull: np.ndarray
+    prior_rss: float
+    matrix: TallMatrix
+    prior_sd: np.ndarray
+    candidates: tuple[Candidate[H], ...]
+    products: RegressorProducts
+    determined: float = 0.0
+    scale: float = 1.0
+    shared: float = 1.0
+    shared_p: float = 1.0
+    correlation: ErrorCorrelation | None = None
+
+    @staticmethod
+    def of(
+        fit: Fit,
+        problem: LeastSquares,
+        effects: Sequence[Effect],
+        poses: np.ndarray | None = None,
+        correlation: ErrorCorrelation | None = None,
+    ) -> Regressors[Cause]:
+        """Linearise the fitted model with all these effects at zero, which costs one Jacobian.
+
+        poses (n_rows,) numbers the rows by pose: what the rows of a pose have in common counts once (see `shared_error`).
+        correlation is what errors of rows near each other share besides.
+        Where much more is left than usual, causes are looked for that are as much larger than usual.
+        """
+        model = fit.model
+        large = replace(model, probes=tuple(effects))
+        n = len(model.parameters)
+        probe = Probe.of(problem, fit.estimate, effects) if effects else None
+        tall = probe if probe and math.prod(probe.shape) > HELD else None
+        left, slopes = probe.whole() if probe and not tall else problem.screened(fit.estimate)
+        shared = chance = 1.0
+        if poses is not None:
+            group = shared_error_groups(problem.stacking, poses)
+            shared, chance = shared_error(left, group, fit.effective_parameters)
+            shared = correlation.shared if correlation else shared
+            left, slopes = (counted_once(values, group, shared) for values in (left, slopes))
+        if correlation is not None:
+            correlation.whiten(left)
+            correlation.whiten(slopes)
+        free = np.flatnonzero(~fit.at_bound)
+        offset = fit.estimate - model.prior_mean
+        precision = model.prior_sd**-2.0
+        scale = max(1.0, problem.scatter / USUAL)
+        candidates, jacobian = candidates_of(effects), slopes[:, free]
+        rows = np.arange(problem.n_rows) if poses is None else poses
+        matrix = Remade(tall.compiled(PASSES), rows, shared, correlation) if tall else Held(slopes[:, n:])
+        return Regressors(
+            left,
+            jacobian,
+            precision[free],
+            (precision * offset)[free],
+            float(precision @ offset**2),
+            matrix,
+            large.prior_sd[n:] * scale,
+            candidates,
+            RegressorProducts.of(left, jacobian, matrix, candidates, correlation),
+            fit.effective_parameters,
+            scale,
+            shared,
+            chance,
+            correlation,
+        )
+
+    def without(self, columns: np.ndarray, value: np.ndarray) -> Regressors[H]:
+        """Return the regressors of the model without some free parameters (their numbers), which have these values."""
+        keep = np.setdiff1d(np.arange(self.jacobian.shape[1]), columns)
+        pull = value * np.sqrt(self.precision[columns])
+        return replace(
+            self,
+            residual=self.residual - self.jacobian[:, columns] @ value,
+            jacobian=self.jacobian[:, keep],
+            precision=self.precision[keep],
+            pull=self.pull[keep],
+            prior_rss=self.prior_rss - float(pull @ pull),
+            products=self.products.without(columns, value),
+        )
+
+
+def shared_error_groups(stacking: Stacking, poses: np.ndarray) -> np.ndarray:
+    """Number the residuals by what the rows of a pose measure alike: the same unit of the same kind, shape (n,).
+
+    poses (n_rows,) numbers the rows by pose and series.
+    """
+    return np.asarray(poses[stacking.row] * (int(stacking.place.max(initial=0)) + 1) + stacking.place)
+
+
+def shared_error(residual: np.ndarray, group: np.ndarray, determined: float) -> tuple[float, float]:
+    """Return the factor at which what a pose's rows have in common spreads as what they have apart, 1 where it does, and its p.
+
+    Markers of one pose share the robot's error of repeating it, so they are not as many pieces of evidence as rows. group (n,)
+    numbers the residuals (n,) by what they may share; determined is the number of parameters that the residual has lost,
+    which fix what poses have in common.
+    """
+    groups = len(np.unique(group))
+    apart, common = len(residual) - groups, groups - determined
+    if apart == 0 or common < 3:
+        return 1.0, 1.0
+    means = group_means(residual, group)
+    between, within = float(means @ means) / common, float(((residual - means) ** 2).sum()) / apart
+    p = float(f_distribution.sf(between / within, common, apart))
+    return (1.0, p) if p > SHARED else (float(np.sqrt(within / between)), p)
+
+
+def candidates_of(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:
+    """Return every place of these effects with its columns, effect by effect."""
+    candidates, start = [], 0
+    for effect in effects:
+        if isinstance(effect, Cause):
+            size = len(effect.declared)
+            candidates.append(Candidate(effect, start + np.arange(size)))
+            start += size
+            continue
+        for part, columns in parts(effect).items():
+            candidates.append(Candidate(Cause(effect.robot, effect, part), start + columns))
+        start += len(effect.declared)
+    return tuple(candidates)

@@ -1,0 +1,480 @@
+"""Screening: which causes of a catalogue explain what the model leaves, tested all at once from one Jacobian.
+
+The whitened residual e is a point where the fit's objective is least. For a candidate with whitened regressors X, the fit's
+Jacobian J and the priors' precision P, what J cannot imitate of it has the information S = XᵀX - XᵀJ (JᵀJ + P)⁻¹ JᵀX, and the
+score u = Xᵀe - XᵀJ (JᵀJ + P)⁻¹ (Jᵀe + P δ): uᵀ(S + prior)⁻¹u is the drop of chi² that a refit would bring.
+
+Candidates are also tested against many residuals at once (`Trials`), as a simulation asks for. The number of tests that were
+made costs each of them (`Family`).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Generic
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import fdtrc
+from scipy.stats import f as f_distribution
+
+from calflow.diagnosis.regressors import Candidate, H, Regressors
+from calflow.effects import Effect, catalogue, effect_class
+from calflow.effects.cause import parts
+from calflow.measurements.measurements import Measurements
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """The effects to look for in some data, every variant, and why others are not tested.
+
+    lacking says by id what the data lack, superseded why an effect is not needed for this robot.
+    """
+
+    effects: tuple[Effect, ...]
+    lacking: dict[str, str]
+    superseded: dict[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def variants(self) -> dict[tuple[str, str], int]:
+        """How many forms there are for each place."""
+        return dict(Counter((effect.id, part) for effect in self.effects for part in parts(effect)))
+
+    def untestable(self, cause: str) -> dict[str, str]:
+        """Return what the data could not test though it may be behind a cause (id) that was found: ids, and what each needs."""
+        kind = effect_class(cause)
+        alike = kind.alike if kind else ()
+        lacking = ((name, effect_class(name), why) for name, why in self.lacking.items())
+        return {name: why for name, other, why in lacking if name in alike or (other and cause in other.taken_for)}
+
+    @staticmethod
+    def of(data: Measurements, have: Sequence[str], only: Sequence[str] = (), without: Sequence[str] = ()) -> Catalogue:
+        """Collect what can be tested on these training data: all, or only some, but what the model has already."""
+        effects: list[Effect] = []
+        lacking, superseded = {}, {}
+        named = {name: kind for name in only if (kind := effect_class(name))}
+        for name, kind in sorted((catalogue() | named).items()):
+            if name in have or name in without or (only and name not in only):
+                continue
+            if reason := kind.superseded(data.robot):
+                superseded[name] = reason
+            elif reason := kind.lacking(data.robot, data):
+                lacking[name] = reason
+            elif not kind.is_noise():
+                effects += kind.variants(data.robot, data)
+        return Catalogue(tuple(effects), lacking, superseded)
+
+
+@dataclass(frozen=True)
+class Score(Generic[H]):
+    """What one candidate would gain, without a refit.
+
+    drop is that of chi² and share its part of all, degrees_of_freedom those that it costs, p the p-value of this test
+    alone; delta_bic is negative where it pays. visible_share is how much of the effect the model's own parameters cannot
+    imitate, information S, shown how many directions of it the data show, left the degrees of freedom besides them. unusual is
+    what delta_bic would lose if priors were taken for what they say (see `prior_cost`).
+    """
+
+    candidate: Candidate[H]
+    drop: float
+    share: float
+    degrees_of_freedom: float
+    p: float
+    delta_bic: float
+    visible_share: float
+    estimate: np.ndarray
+    covariance: np.ndarray
+    information: np.ndarray
+    shown: int
+    left: float
+    unusual: float = 0.0
+
+    @property
+    def explained(self) -> float:
+        """Share of chi² that goes, not counting what the cause pulls at its own prior."""
+        precision = np.linalg.inv(self.covariance)
+        fallen = self.estimate @ (2 * precision - self.information) @ self.estimate
+        return float(np.clip(fallen * self.share / max(self.drop, 1e-12), 0.0, 1 - 1e-6))
+
+    @property
+    def cause(self) -> H:
+        """The cause."""
+        return self.candidate.cause
+
+
+BOOTSTRAP_SIGNIFICANCE = (
+    0.05  # of the smallest p-value, at which the bootstrap counts how many tests the family is worth
+)
+
+
+@dataclass(frozen=True)
+class Family:
+    """What the number of tests costs: scans is how many each place's variants are worth, places all places together.
+
+    A place pays for its own scan first, so that a cause without variants need not pay for the others'.
+    """
+
+    scans: dict[tuple[str, str], float]
+    places: float
+
+    def tests(self, score: Score) -> float:
+        """Return how many tests a candidate pays for: its place's scan times all places."""
+        return self.scans.get(score.cause.place, 1.0) * self.places
+
+    def p(self, score: Score) -> float:
+        """Return the chance that anything in the family looks like this where nothing is hidden."""
+        return float(-np.expm1(self.tests(score) * np.log1p(-min(score.p, 1 - 1e-16))))
+
+
+def worth(smallest: np.ndarray) -> float:
+    """How many independent tests have a smallest p-value that is distributed like this, on the safe side of so few draws."""
+    error = float(np.sqrt(BOOTSTRAP_SIGNIFICANCE * (1 - BOOTSTRAP_SIGNIFICANCE) / len(smallest)))
+    quantile = float(np.quantile(smallest, BOOTSTRAP_SIGNIFICANCE - error))
+    return float(max(1.0, np.log1p(-BOOTSTRAP_SIGNIFICANCE) / np.log1p(-min(quantile, BOOTSTRAP_SIGNIFICANCE))))
+
+
+@dataclass(frozen=True, eq=False)
+class Trials(Generic[H]):
+    """Visible candidates, the BIC that each would gain (n_candidates, n_draws), and whether it would be found, likewise."""
+
+    causes: tuple[H, ...]
+    bic: np.ndarray
+    passed: np.ndarray
+
+    def by_place(self) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
+        """Return each place's BIC (n_draws,), averaged over its variants as evidence is, and whether any would be found."""
+        members: dict[tuple[str, str], list[int]] = {}
+        for k, cause in enumerate(self.causes):
+            members.setdefault(cause.place, []).append(k)
+        return {
+            place: (
+                -2 * np.logaddexp.reduce(-self.bic[columns] / 2, axis=0),
+                np.asarray(self.passed[columns].any(axis=0)),
+            )
+            for place, columns in members.items()
+        }
+
+
+MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
+INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
+TAIL = 3.0  # prior standard deviations
+DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Candidates with equally many columns d, stacked.
+
+    roots (n_members, d, d) turns scores into independent standard normals, zero in directions that the data cannot show;
+    weight (n_members, d) is what the priors leave of each, degrees_of_freedom (n_members,) how many there are; information
+    (n_members, d, d) is S, share (n_members,) how much of a candidate the model's parameters cannot imitate.
+    """
+
+    members: tuple[int, ...]
+    columns: np.ndarray
+    roots: np.ndarray
+    weight: np.ndarray
+    degrees_of_freedom: np.ndarray
+    information: np.ndarray
+    share: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Contest:
+    """Members of a block that are at the same place and have as many degrees of freedom: the largest drop has the smallest p.
+
+    order (n_members,) has them one after another, first (n_groups,) is where each group starts; place (n_groups,) is the number
+    of its place, degrees_of_freedom (n_groups,) those of its members.
+    """
+
+    order: np.ndarray
+    first: np.ndarray
+    place: np.ndarray
+    degrees_of_freedom: np.ndarray
+
+    @staticmethod
+    def of(block: _Block, places: Sequence[int]) -> _Contest:
+        """Group the members of a block, whose places are numbered."""
+        keys = np.column_stack([places, block.degrees_of_freedom])
+        order = np.lexsort(keys.T)
+        first = np.flatnonzero(np.diff(keys[order], axis=0, prepend=-1).any(axis=1))
+        return _Contest(order, first, *keys[order][first].T)
+
+    def won(self, drops: np.ndarray) -> np.ndarray:
+        """Return each group's largest drop, shape (n_groups, …), of the members' (n_members, …)."""
+        return np.asarray(np.maximum.reduceat(drops[self.order], self.first, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Weighed:
+    """A block's candidates weighed by some draws of their scores, (n_members, n_draws) each.
+
+    squared is the drop of chi² without priors and bounds, drops that with them, relief what far priors cost less than stated;
+    estimate is (n_members, d, n_draws), covariance (n_members, d, d).
+    """
+
+    squared: np.ndarray
+    drops: np.ndarray
+    bic: np.ndarray
+    relief: np.ndarray
+    estimate: np.ndarray
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Screening(Generic[H]):
+    """The test of all candidates against what a model leaves."""
+
+    regressors: Regressors[H]
+
+    @cached_property
+    def _factor(self) -> np.ndarray:
+        """Lower triangular factor of the model's information, scaled by the priors."""
+        r = self.regressors
+        return np.linalg.cholesky(r.products.fitted + np.diag(r.precision))
+
+    @cached_property
+    def _imitated(self) -> np.ndarray:
+        """Regressors as the model's parameters can imitate them, (n_free, n_columns)."""
+        return np.asarray(solve_triangular(self._factor, self.regressors.products.mixed, lower=True))
+
+    @cached_property
+    def _gradient(self) -> np.ndarray:
+        """The fit's own gradient in the same coordinates; zero at an optimum."""
+        r = self.regressors
+        return np.asarray(solve_triangular(self._factor, r.products.fitted_left + r.pull, lower=True))
+
+    @cached_property
+    def score(self) -> np.ndarray:
+        """u of all columns."""
+        r = self.regressors
+        return np.asarray(r.products.left - self._imitated.T @ self._gradient)
+
+    @cached_property
+    def chi2(self) -> float:
+        """What the model leaves, priors included, after its own parameters have settled."""
+        r = self.regressors
+        return float(r.residual @ r.residual + r.prior_rss - self._gradient @ self._gradient)
+
+    @cached_property
+    def variants(self) -> dict[tuple[str, str], int]:
+        """How many candidates each place has."""
+        return dict(Counter(candidate.cause.place for candidate in self.regressors.candidates))
+
+    def information(self, columns: np.ndarray) -> np.ndarray:
+        """Return S between some columns, shape (n_columns, n_columns)."""
+        imitated = self._imitated[:, columns]
+        return np.asarray(self.regressors.matrix.products(columns) - imitated.T @ imitated)
+
+    def response(self, columns: np.ndarray) -> np.ndarray:
+        """Return by how much u of all columns falls with some columns' amplitudes, shape (n_columns, n_own)."""
+        shown = self.regressors.matrix.response(columns)
+        return np.asarray(shown - self._imitated.T @ self._imitated[:, columns])
+
+    def settled(
+        self, residual: np.ndarray, pull: np.ndarray, size: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return u (n_columns, n_draws) and chi² (n_draws,) of residuals (n, n_draws) with the priors' pull (n_free, n_draws).
+
+        Residuals are times a size (n,) of each row, where that is given: draws can be signs then, which take little memory.
+        """
+        r, n_draws = self.regressors, residual.shape[1]
+        size = np.ones(len(residual)) if size is None else size
+        slope, chi2 = np.zeros((r.jacobian.shape[1], n_draws)), np.zeros(n_draws)
+        score = np.zeros((r.matrix.shape[1], n_draws))
+        for rows, x in r.matrix.blocks():
+            for start in range(0, n_draws, DRAWN_AT_ONCE):
+                draws = slice(start, start + DRAWN_AT_ONCE)
+                drawn = size[rows, None] * residual[rows, draws]
+                score[:, draws] += x.T @ drawn
+                slope[:, draws] += r.jacobian[rows].T @ drawn
+                chi2[draws] += (drawn**2).sum(axis=0)
+        gradient = solve_triangular(self._factor, slope + pull, lower=True)
+        score -= self._imitated.T @ gradient
+        return score, chi2 + (pull**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """Degrees of freedom of what the model leaves: its own parameters have taken theirs."""
+        return len(self.regressors.residual) - self.regressors.determined
+
+    @property
+    def level(self) -> float:
+        """Variance of what is left, over what it was taken for."""
+        return self.chi2 / self.degrees_of_freedom
+
+    @cached_property
+    def sure(self) -> np.ndarray:
+        """Degrees of freedom of the variance of each column's amplitude; the number of residuals where they are independent."""
+        r, n = self.regressors, len(self.regressors.residual)
+        if r.correlation is None:
+            return np.full(r.matrix.shape[1], float(n))
+        imitated = r.products.along_fitted @ solve_triangular(self._factor.T, self._imitated, lower=False)
+        visible = r.products.squared - np.einsum("pc,pc->c", self._imitated, self._imitated)
+        return r.correlation.degrees_of_freedom(r.products.along - imitated, visible, float(n))
+
+    @cached_property
+    def _blocks(self) -> list[_Block]:
+        sizes = np.array([len(candidate.columns) for candidate in self.regressors.candidates])
+        blocks = []
+        for d in np.unique(sizes):
+            members = np.flatnonzero(sizes == d)
+            columns = np.array([self.regressors.candidates[m].columns for m in members])
+            whole, imitated = self.regressors.products.own[columns, :d], self._imitated[:, columns].transpose(1, 0, 2)
+            s = whole - imitated.transpose(0, 2, 1) @ imitated
+            sd = self.regressors.prior_sd[columns]
+            values, vectors = np.linalg.eigh(s * sd[:, :, None] * sd[:, None, :])
+            shown = values > INVISIBLE
+            normal = vectors * np.where(shown, np.abs(values) + 1e-300, np.inf)[:, None, :] ** -0.5
+            weight = np.where(shown, values / (values + 1), 0.0)
+            some = shown.any(axis=1)
+            roots = normal.transpose(0, 2, 1) * sd[:, None, :]
+            moved = np.maximum(np.einsum("mii,mi->m", whole, sd**2), np.finfo(float).tiny)
+            share = np.sqrt(np.maximum(np.einsum("mii,mi->m", s, sd**2), 0.0) / moved)
+            parts = (columns, roots, weight, shown.sum(axis=1), s, share)
+            blocks.append(_Block(tuple(members[some]), *(part[some] for part in parts)))
+        return [block for block in blocks if block.members]
+
+    @cached_property
+    def scores(self) -> list[Score[H]]:
+        """Every visible candidate's score, best first."""
+        n = len(self.regressors.residual)
+        scores = []
+        for block in self._blocks:
+            sure = np.median(
+                self.sure[block.columns], axis=1
+            )  # few columns matter alike, and of many no single one does
+            left = np.maximum(np.minimum(sure, self.degrees_of_freedom - block.degrees_of_freedom), 1.0)
+            weighed = self._weighed(block, self.score[block.columns, None], np.array([self.chi2]))
+            p = self._p(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
+            drops, bic, relief = weighed.drops[:, 0], weighed.bic[:, 0], weighed.relief[:, 0]
+            spent = block.weight.sum(axis=1)
+            scores += [
+                Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),
+                      float(p[k]), float(bic[k]), float(block.share[k]), weighed.estimate[k, :, 0], weighed.covariance[k],
+                      block.information[k], int(block.degrees_of_freedom[k]), 
+                      float(left[k]),
+                      float(n * relief[k] / self.chi2))
+                for k, member in enumerate(block.members)
+            ]  # fmt: skip
+        return sorted(scores, key=lambda score: score.delta_bic)
+
+    def _weighed(self, block: _Block, score: np.ndarray, chi2: np.ndarray) -> _Weighed:
+        """Weigh a block's candidates by any scores (n_members, d, n_draws) of theirs where the model leaves a chi² (n_draws,)."""
+        r, n = self.regressors, len(self.regressors.residual)
+        squared = (block.roots @ score) ** 2
+        precision = r.prior_sd[block.columns] ** -2.0
+        covariance = np.linalg.inv(block.information + np.eye(score.shape[1]) * precision[:, None, :])
+        estimate = -covariance @ score
+        bounds = np.array([r.candidates[member].cause.bounds for member in block.members])
+        inside = np.clip(estimate, bounds[:, 0, :, None], bounds[:, 1, :, None])
+        beyond = estimate - inside
+        lost = (beyond * (block.information @ beyond)).sum(axis=1) + (precision[..., None] * beyond**2).sum(axis=1)
+        pulled = (precision[..., None] * inside**2).sum(axis=1)
+        relief = pulled - prior_cost(pulled, score.shape[1])
+        drops = np.maximum((squared * block.weight[..., None]).sum(axis=1) - lost + relief, 0.0)
+        spent = block.weight.sum(axis=1)
+        scans = np.array([self.variants[r.candidates[member].cause.place] for member in block.members])
+        explained = np.minimum(drops / chi2, 1 - 1e-12)
+        dearer = spent * np.log(n) + 2 * (spent * np.log(r.scale) + np.log(scans))
+        bic = n * np.log1p(-explained) + dearer[:, None]  # rivals are weighed alike; how sure each is p says
+        return _Weighed(squared.sum(axis=1), drops, bic, relief, inside, covariance)
+
+    def trials(self, score: np.ndarray, chi2: np.ndarray, family: Family, false_alarm: float) -> Trials[H]:
+        """Test all visible candidates at once by many scores (n_columns, n_draws), where the model leaves a chi² (n_draws,)."""
+        members, bic, passed = list[int](), [], []
+        total = self.degrees_of_freedom
+        for block in self._blocks:
+            weighed, spent = self._weighed(block, score[block.columns], chi2), block.degrees_of_freedom
+            causes = [self.regressors.candidates[member].cause for member in block.members]
+            tests = np.array([family.scans.get(cause.place, 1.0) for cause in causes]) * family.places
+            left = np.maximum(total - spent, 1.0)
+            threshold = f_distribution.isf(-np.expm1(np.log1p(-false_alarm) / tests), spent, left)
+            ratio = weighed.squared / np.maximum(chi2 - weighed.squared, 1e-12 * chi2) * (left / spent)[:, None]
+            members += block.members
+            bic.append(weighed.bic)
+            passed.append((ratio > threshold[:, None]) & (weighed.bic < 0) & (weighed.drops > MATERIAL * chi2))
+        causes = [self.regressors.candidates[member].cause for member in members]
+        return Trials(tuple(causes), np.vstack(bic), np.vstack(passed))
+
+    def family(self, rng: np.random.Generator) -> Family:
+        """Return how many independent tests each place's scan and all places together are worth, by a bootstrap.
+
+        Each residual keeps its size and gets a random sign (wild bootstrap: Liu 1988), so that heavy tails and noise that
+        differs from row to row are in the null as they are in the data.
+        """
+        r = self.regressors
+        n = len(r.residual)
+        settled = r.residual - r.jacobian @ solve_triangular(self._factor.T, self._gradient, lower=False)
+        leverage = (solve_triangular(self._factor, r.jacobian.T, lower=True) ** 2).sum(axis=0)
+        size = settled / np.sqrt(np.maximum(1 - leverage, 0.05))
+        places = list(dict.fromkeys(r.candidates[m].cause.place for block in self._blocks for m in block.members))
+        number = {place: k for k, place in enumerate(places)}
+        contests = [
+            _Contest.of(block, [number[r.candidates[m].cause.place] for m in block.members]) for block in self._blocks
+        ]
+        drawn = [_drawn(rng, n, r.precision, count) for count in np.diff([*range(0, DRAWS, DRAWN_AT_ONCE), DRAWS])]
+        signs, pseudo = (np.hstack(part) for part in zip(*drawn, strict=True))
+        score, chi2 = self.settled(signs, pseudo, size)
+        smallest = np.ones((len(places), DRAWS))
+        for start in range(0, DRAWS, DRAWN_AT_ONCE):
+            part = slice(start, start + DRAWN_AT_ONCE)
+            for block, contest in zip(self._blocks, contests, strict=True):
+                whitened = np.einsum("mij,mjk->mik", block.roots, score[block.columns, part])
+                largest = contest.won((whitened**2).sum(axis=1))
+                p = self._p(largest, chi2[part], contest.degrees_of_freedom, n)  # priors are drawn too: nothing is lost
+                np.minimum.at(smallest[:, part], contest.place, p)
+        scans = np.array([worth(row) for row in smallest])
+        adjusted = -np.expm1(scans[:, None] * np.log1p(-np.minimum(smallest, 1 - 1e-16)))
+        return Family(dict(zip(places, scans, strict=True)), worth(adjusted.min(axis=0)) if places else 1.0)
+
+    def _p(
+        self,
+        drops: np.ndarray,
+        chi2: float | np.ndarray,
+        spent: np.ndarray,
+        total: float,
+        sure: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """p-values of F tests: drops (n_members, …) of chi² (…), which has so many degrees of freedom in all.
+
+        spent (n_members,) are each member's degrees of freedom, sure (n_members,) those by which the noise that matters to it
+        is known, all that are left by default.
+        """
+        shape = (-1, *[1] * (drops.ndim - 1))
+        degrees_of_freedom = spent.reshape(shape)
+        left = np.maximum(total - degrees_of_freedom, 1.0)
+        ratio = drops / degrees_of_freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
+        return np.asarray(fdtrc(degrees_of_freedom, left if sure is None else sure, ratio))
+
+
+def _drawn(rng: np.random.Generator, n: int, precision: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Draw the signs (n, count) of so many residuals, and the pull (n_free, count) of priors of a precision (n_free,)."""
+    signs = rng.choice(np.array([-1, 1], dtype=np.int8), (n, count))
+    return signs, np.sqrt(precision)[:, None] * rng.standard_normal((len(precision), count))
+
+
+def prior_cost(pulled: np.ndarray, number: int) -> np.ndarray:
+    """Return what a cause's parameters cost beyond their number, pulled (…) squared prior standard deviations from zero.
+
+    Priors state usual sizes: within TAIL standard deviations they are normal. What is far beyond them (a file's mistake, say)
+    pays with the logarithm of its distance, as under a prior with heavy tails.
+    """
+    usual = number * TAIL**2
+    return np.where(pulled <= usual, pulled, usual * (1 + np.log(np.maximum(pulled, usual) / usual)))
+
+
+def by_place(scores: Sequence[Score[H]]) -> dict[tuple[str, str], tuple[float, Score[H]]]:
+    """Return each place's BIC, averaged over its variants as evidence is, and its best score."""
+    groups: dict[tuple[str, str], list[Score[H]]] = {}
+    for score in scores:
+        groups.setdefault(score.cause.place, []).append(score)
+    places = {}
+    for place, members in groups.items():
+        values = np.array([score.delta_bic for score in members])
+        least = float(values.min())
+        places[place] = (least - 2 * float(np.log(np.exp((least - values) / 2).sum())), members[int(values.argmin())])
+    return places

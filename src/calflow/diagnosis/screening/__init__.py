@@ -1,1 +1,0 @@
-"""Screening: every candidate cause tested from one Jacobian."""

@@ -1,1 +1,0 @@
-"""Search: the model extended by the causes that explain what it leaves."""

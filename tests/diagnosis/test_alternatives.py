@@ -1,0 +1,77 @@
+"""Alternatives: a prediction is as unsure as the choice of its model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calflow.diagnosis.screening import Family
+from calflow.diagnosis.stepwise import Detection
+from calflow.diagnosis.verdict import MOST_FITTED, Rival, alternatives_table, fitted_alternatives, verdict
+from calflow.effects.cause import Cause
+from calflow.effects.words import UNEXPLAINED
+from calflow.estimation.calibrated_model import Alternative, AlternativeParameter, _alternatives, choice_variance
+from calflow.files.tables import from_frame
+from diagnosis.found import cause, hidden, start
+from diagnosis.test_verdict import score
+
+ECCENTRIC = cause("joint-eccentricity", "joint2", order=1)
+
+
+@pytest.fixture(scope="module")
+def final():
+    """A fitted model with one cause."""
+    return start(hidden([(ECCENTRIC, (4e-4, -2e-4))])).with_causes([ECCENTRIC])
+
+
+def judged(*rivals):
+    """A verdict on the cause with these rivals' BIC above its own."""
+    found = verdict(Detection(ECCENTRIC, (score(-50.0, "joint-eccentricity", 2, order=1),), Family({}, 1.0)))
+    weight = 1 + sum(np.exp(-rival.bic / 2) for rival in rivals)
+    return replace(found, rivals=rivals, probability=1 / weight)
+
+
+def ratio(bic):
+    """The rival gear ratio error of the same joint."""
+    return Rival("gear-ratio-error", 2, bic, score(-50.0 + bic, "gear-ratio-error", 2))
+
+
+def test_rivals_are_fitted_in_the_causes_place(final):
+    """Fails if an alternative keeps the cause, an untestable or unlikely rival has a model, or nobody's name is left out."""
+    verdicts = [judged(ratio(2.0), Rival(UNEXPLAINED, 0, 3.0, None), Rival("joint-backlash", 2, 0.0, None))]
+    found = fitted_alternatives(verdicts, final)
+    assert [tuple(c.id for c in one.fit.model.effects if isinstance(c, Cause)) for one in found] == [
+        ("gear-ratio-error",),
+        (),
+    ]
+    p = verdicts[0].probability
+    assert [one.probability for one in found] == pytest.approx([p * np.exp(-1.0), p * np.exp(-1.5)])
+    assert fitted_alternatives([judged(ratio(9.5))], final) == ()
+    (likelier,) = fitted_alternatives([judged(ratio(-8.0))], final)
+    assert likelier.probability == pytest.approx(1 / (1 + np.exp(-4.0)))  # a rival may be likelier than what was named
+    assert len(fitted_alternatives([judged(*[ratio(0.1)] * (MOST_FITTED + 2))], final)) == MOST_FITTED
+
+
+def test_they_are_read_as_they_were_written(final):
+    """Fails if a model comes back with other effects, or its estimates in another order."""
+    found = fitted_alternatives([judged(ratio(1.0), Rival(UNEXPLAINED, 0, 1.0, None))], final)
+    rows = from_frame(alternatives_table(found, [ECCENTRIC], final), AlternativeParameter)
+    again = _alternatives(rows, final.model)
+    for one, other in zip(found, again, strict=True):
+        assert other.model.effects == one.fit.model.effects
+        assert other.estimate == pytest.approx(one.fit.estimate)
+        assert other.probability == pytest.approx(one.probability)
+
+
+def test_a_prediction_is_wider_by_what_the_others_say(final):
+    """Fails if the choice of the model does not reach a prediction's variance, or not by its probability."""
+    conditions = final.data.conditions
+    bare = replace(final.model, effects=final.plain)
+    estimate = final.fit.estimate[: len(bare.parameters)]
+    other = Alternative(bare, estimate, 0.25)
+    apart = bare.point(estimate, conditions) - final.model.point(final.fit.estimate, conditions)
+    assert np.abs(apart).max() > 1e-5
+    assert choice_variance([other], final.model, final.fit.estimate, conditions) == pytest.approx(0.25 * apart**2)
+    assert not choice_variance([], final.model, final.fit.estimate, conditions).any()

@@ -1,0 +1,79 @@
+"""A cause's amplitude is as sure as all forms of it that explain the data leave it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calflow.diagnosis.findings import amplitude, found_amplitude, same_quantities
+from calflow.diagnosis.screening import Catalogue
+from calflow.diagnosis.stepwise import Linearisation
+from diagnosis.found import cause, hidden, start
+
+FIRST, SECOND = (cause("joint-eccentricity", "joint2", order=order) for order in (1, 2))
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    """A model with a joint that runs out of true twice a turn, found as such."""
+    begun = start(hidden([(SECOND, (3e-4, -2e-4))]))
+    return begun.with_causes([SECOND])
+
+
+@pytest.fixture(scope="module")
+def finding(fitted):
+    """The finding, with its other order."""
+    linearisation = Linearisation.at(fitted, Catalogue.of(fitted.data, ("geometry",), ("joint-eccentricity",)))
+    return linearisation.findings(linearisation.screened(np.random.default_rng(1)).family)[0]
+
+
+def with_evidence(finding, change):
+    """The finding with the first order's BIC set beside that of the second."""
+    scores = [
+        replace(score, delta_bic=finding.own.delta_bic + change) if score.cause.place == SECOND.place
+        and score.cause.detail == FIRST.detail else score
+        for score in finding.scores
+    ]  # fmt: skip
+    return replace(finding, scores=tuple(scores))
+
+
+def test_the_figure_of_two_waves_is_their_length(fitted):
+    """Breaks if the spread of a length is not that of a linear combination at its estimate."""
+    own = fitted.model.columns(SECOND)
+    values, covariance = fitted.fit.estimate[own], fitted.fit.covariance[np.ix_(own, own)]
+    size, sd = amplitude(SECOND, values, covariance)
+    drawn = np.random.default_rng(2).multivariate_normal(values, covariance, 20000)
+    assert size == pytest.approx(np.hypot(3e-4, 2e-4), abs=4 * sd)
+    assert sd == pytest.approx(np.linalg.norm(drawn, axis=1).std(), rel=0.03)
+
+
+def test_one_form_alone_is_as_sure_as_its_fit(fitted, finding):
+    """Breaks if forms that the data exclude widen the interval."""
+    own = fitted.model.columns(SECOND)
+    alone = amplitude(SECOND, fitted.fit.estimate[own], fitted.fit.covariance[np.ix_(own, own)])
+    assert found_amplitude(finding, fitted) == pytest.approx(alone, rel=1e-6)
+
+
+def test_two_forms_alike_leave_the_amplitude_open(fitted, finding):
+    """Breaks if the amplitude of the better of two orders is told as if the other were excluded."""
+    even = with_evidence(finding, 0.0)
+    other = next(s for s in even.scores if s.cause.place == SECOND.place and s.cause.detail == FIRST.detail)
+    estimate, sd = found_amplitude(even, fitted)
+    size, spread = amplitude(other.cause, other.estimate, other.covariance)
+    assert sd**2 == pytest.approx(
+        (found_amplitude(finding, fitted)[1] ** 2 + spread**2 + (size - estimate) ** 2) / 2, rel=1e-6
+    )
+    assert sd > found_amplitude(with_evidence(finding, 6.0), fitted)[1] > found_amplitude(finding, fitted)[1]
+
+
+def test_a_cause_at_its_bound_has_no_spread(fitted, finding):
+    """Breaks if other forms lend a deviation to a value that a bound has stopped, or count that mean another quantity."""
+    model = fitted.model
+    bounded = replace(fitted, fit=replace(fitted.fit, estimate=np.where(np.isin(np.arange(len(model.parameters)),
+                      model.columns(SECOND)), model.bounds[:, 1], fitted.fit.estimate)))  # fmt: skip
+    assert found_amplitude(with_evidence(finding, 0.0), bounded)[1] == 0
+    knee, cubic = cause("nonlinear-joint-stiffness", "joint2", knee=0.3), cause("nonlinear-joint-stiffness", "joint2")
+    assert not same_quantities(knee, cubic)
+    assert same_quantities(FIRST, SECOND)

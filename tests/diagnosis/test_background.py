@@ -1,0 +1,102 @@
+"""A background is found where there is one, at its size, and none where there is only noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calflow.diagnosis.background import BackgroundBasis, Sizes, background, possible
+from calflow.diagnosis.extension import unnamed, unnamed_evidence
+from calflow.effects.cause import Cause
+from diagnosis.found import cause, hidden, start
+from diagnosis.test_remainder import fitted
+from estimation.data import SIGMA
+
+
+def wander(size):
+    """A shift that walks randomly from row to row, of a size per axis."""
+
+    def shift(table):
+        steps = np.random.default_rng(5).standard_normal((len(table), 3)).cumsum(axis=0)
+        steps -= steps.mean(axis=0)
+        return size * steps / steps.std()
+
+    return shift
+
+
+def test_noise_has_no_background():
+    """Fails if independent noise is taken for errors that rows share."""
+    for seed in (1, 2, 3):
+        known = fitted(seed=seed)
+        left = background(known, BackgroundBasis.of(known))
+        assert left is None or left.gain < 8
+
+
+def test_what_wanders_is_found_at_its_size():
+    """Fails if a slow walk of the device is missed, or put down to something else, or its size is not the data's."""
+    known = fitted(wander(SIGMA))
+    left = background(known, BackgroundBasis.of(known))
+    assert ("time",) in left.inputs
+    k = left.inputs.index(("time",))
+    assert left.gain > 20
+    size = np.sqrt(((left.modes @ left.parts[k]) ** 2).sum(axis=1).mean())
+    assert 0.4 < size < 1.5  # of the noise, of which a shift that stays is geometry's
+    assert left.degrees_of_freedom[k] < 60
+
+
+def test_the_likelihood_is_that_of_the_whole_covariance():
+    """Fails if what the modes leave out, or the model's own parameters, enter otherwise than in the textbook."""
+    known = fitted(wander(SIGMA), poses=60)
+    basis = BackgroundBasis.of(known)
+    regressors = known.regressors(())
+    sizes = Sizes.of(regressors, basis, known.problem.weight)
+    variance = np.zeros(len(basis.parts))
+    variance[[0, -1]] = 0.02, 0.1
+    whole = np.eye(sizes.n) + sum(
+        v * (basis.modes @ part) @ (basis.modes @ part).T for v, part in zip(variance, basis.parts, strict=True)
+    )
+    jacobian, residual = regressors.jacobian, regressors.residual
+    inverse = np.linalg.inv(whole)
+    normal = jacobian.T @ inverse @ jacobian + np.diag(regressors.precision)
+    gradient = jacobian.T @ inverse @ residual + regressors.pull
+    chi2 = residual @ inverse @ residual + regressors.prior_rss - gradient @ np.linalg.solve(normal, gradient)
+    expected = sizes.n * np.log(chi2) + np.linalg.slogdet(whole)[1]
+    assert sizes.evidence(variance) == pytest.approx(expected, abs=1e-4 * sizes.n)
+
+
+def test_intervals_are_wider_where_errors_are_shared():
+    """Fails if the covariance of the estimates forgets the background, or narrows by it."""
+    known = fitted(wander(2 * SIGMA))
+    beside = replace(known, possible=possible(known, BackgroundBasis.of(known)))
+    ratio = np.sqrt(np.diag(beside.covariance) / np.diag(known.covariance))
+    assert np.isfinite(ratio).all()
+    assert ratio.max() > 1.3
+
+
+def test_a_cause_stands_against_what_nobody_can_name_and_a_step_does_not():
+    """Fails if a true cause gives way to a background, or a step stands where the device wanders."""
+    eccentric = cause("joint-eccentricity", "joint1", order=2)
+    known = start(hidden([(eccentric, (1.5e-4, -1e-4))])).with_causes([eccentric])
+    assert unnamed(known, BackgroundBasis.of(known), {eccentric.place: 10})[eccentric] > 20
+    walked = fitted(wander(1.5 * SIGMA))
+    moments = np.arange(8, 92, 12)
+    robot = walked.data.robot
+    effect = type(cause("frame-step", "device", moment=1.0).effect)
+    steps = [Cause(robot, effect(robot, moment=float(moment)), "device") for moment in moments]
+    best = min((walked.with_causes([step]) for step in steps), key=lambda one: one.misfit)
+    (step,) = best.causes
+    assert unnamed(best, BackgroundBasis.of(walked), {step.place: len(moments)})[step] < 10
+
+
+def test_models_are_compared_as_their_causes_are():
+    """Fails if the likelihood of whole models and of a cause in its model tell another story, or a needless cause costs nothing."""
+    eccentric, needless = cause("joint-eccentricity", "joint1", order=2), cause("gear-ratio-error", "joint4")
+    plain = start(hidden([(eccentric, (1.5e-4, -1e-4))]))
+    known, basis, variants = plain.with_causes([eccentric]), BackgroundBasis.of(plain), {eccentric.place: 10}
+    apart = unnamed_evidence(plain, basis, variants) - unnamed_evidence(known, basis, variants)
+    assert apart == pytest.approx(unnamed(known, basis, variants)[eccentric], abs=3)
+    assert unnamed_evidence(known.with_causes([eccentric, needless]), basis, variants) > unnamed_evidence(
+        known, basis, variants
+    )

@@ -1,0 +1,36 @@
+"""A cause carries over to blocks that were left out if it is there, and these are predicted from the others alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calflow.diagnosis.extension import blocks_left_out, carried_over
+from diagnosis.found import cause, hidden, start
+
+
+def test_a_true_cause_carries_over_to_blocks_that_were_left_out():
+    """Fails if left-out blocks are not predicted from the others alone, or a needless cause is said to help there."""
+    eccentric, needless = cause("joint-eccentricity", "joint1", order=2), cause("gear-ratio-error", "joint4")
+    known = start(hidden([(eccentric, (1.5e-4, -1e-4))])).with_causes([eccentric, needless])
+    kinds = blocks_left_out(known)
+    assert all(len(kind.rows) > 3 for kind in kinds)
+    found, not_there = (carried_over(known, one, kinds) for one in known.causes)
+    assert found.holds
+    assert found.gain[0] > 20 > abs(not_there.gain[0])
+
+
+def test_what_is_missed_is_that_of_a_fit_to_the_other_rows():
+    """Fails if the sums over the other blocks are not those of a model fitted without the rows that are left out."""
+    eccentric, needless = cause("joint-eccentricity", "joint1", order=2), cause("gear-ratio-error", "joint4")
+    known = start(hidden([(eccentric, (1.5e-4, -1e-4))])).with_causes([eccentric, needless])
+    whole, gone = known.alone, np.array([0, 3])
+    value = known.fit.estimate[np.flatnonzero(~known.fit.at_bound)][gone]
+    for regressors, kind_missed in (
+        (whole, lambda kind: kind.missed),
+        (whole.without(gone, value), lambda kind: kind.missed_without(gone, value)),
+    ):
+        for kind in blocks_left_out(known):
+            for out, missed in zip(kind.rows, kind_missed(kind), strict=True):
+                j, e = (np.delete(array, out, axis=0) for array in (regressors.jacobian, regressors.residual))
+                change = np.linalg.solve(j.T @ j + np.diag(regressors.precision), j.T @ e + regressors.pull)
+                assert np.allclose(missed, regressors.residual[out] - regressors.jacobian[out] @ change, atol=1e-8)

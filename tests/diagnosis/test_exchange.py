@@ -1,0 +1,129 @@
+"""Two causes at once replace what resembles both."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calflow.diagnosis.findings import detection_limit, noncentrality
+from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
+from calflow.diagnosis.screening import Family, Screening
+from calflow.diagnosis.stepwise import Exchange
+from calflow.effects import catalogue
+from calflow.effects.cause import Cause
+from diagnosis.test_screening import with_residual
+from robots import industrial
+
+ROBOT = industrial()
+ROWS, OWN = 300, 5
+
+
+def causes():
+    """Six causes of one parameter, and two of two parameters."""
+    ratio, eccentric = catalogue()["gear-ratio-error"](ROBOT), catalogue()["joint-eccentricity"](ROBOT)
+    return [
+        *(Cause(ROBOT, ratio, f"joint{k + 1}") for k in range(6)),
+        *(Cause(ROBOT, eccentric, f"joint{k + 1}") for k in range(2)),
+    ]
+
+
+@pytest.fixture
+def regressors():
+    """Random ones with noise of one, in which the third cause looks like the first and the second together."""
+    rng = np.random.default_rng(1)
+    every = causes()
+    ends = np.cumsum([0, *(len(cause.declared) for cause in every)])
+    matrix = rng.standard_normal((ROWS, ends[-1])) / [*[1e-4] * 6, *[3e-5] * 4]
+    matrix[:, 2] = matrix[:, 0] + matrix[:, 1] + 0.8 * matrix[:, 2]
+    jacobian = rng.standard_normal((ROWS, OWN))
+    residual = rng.standard_normal(ROWS) + matrix[:, 0] * 6e-5 + matrix[:, 1] * 6e-5
+    prior_sd = np.array([p.prior_sd for cause in every for p in cause.declared])
+    candidates = tuple(
+        Candidate(cause, np.arange(i, j)) for cause, i, j in zip(every, ends[:-1], ends[1:], strict=True)
+    )
+    products = RegressorProducts.of(residual, jacobian, Held(matrix), candidates)
+    return Regressors(
+        residual, jacobian, np.full(OWN, 0.1), np.zeros(OWN), 0.0, Held(matrix), prior_sd, candidates, products
+    )
+
+
+FAMILY = Family({}, 30.0)
+
+
+def chi2(regressors, columns):
+    """What a fit with some candidates' columns leaves, by ordinary least squares with the priors as rows."""
+    whole = np.hstack([regressors.jacobian, regressors.matrix.values[:, columns]])
+    prior = np.diag(np.sqrt([*regressors.precision, *regressors.prior_sd[columns] ** -2.0]))
+    left = np.append(regressors.residual, np.zeros(len(prior)))
+    return float(np.linalg.lstsq(np.vstack([whole, prior]), left, rcond=None)[1][0])
+
+
+def test_a_pair_costs_what_a_fit_of_both_would(regressors):
+    """Breaks if what one candidate takes from the other is forgotten, or its columns and priors are mixed up."""
+    screening = Screening(regressors)
+    exchange = Exchange.of(screening, FAMILY, [causes()[2]])
+    found = {frozenset((pair.first.cause.place, pair.second.cause.place)): pair for pair in exchange.better()}
+    before = chi2(regressors, [])
+    for first, second in ((0, 1), (0, 2), (1, 2)):
+        columns = [first, second]
+        places = frozenset(causes()[k].place for k in columns)
+        expected = ROWS * np.log(chi2(regressors, columns) / before) + 2 * np.log(ROWS)
+        if places in found:
+            assert found[places].delta_bic == pytest.approx(expected, abs=0.02)
+    assert frozenset(causes()[k].place for k in (0, 1)) in found
+
+
+def test_what_looks_like_two_gives_way_to_them(regressors):
+    """Breaks if the search cannot leave a cause that imitates two others, or leaves two that are right."""
+    screening = Screening(regressors)
+    assert screening.scores[0].cause == causes()[2]
+    best = next(Exchange.of(screening, FAMILY, [causes()[2]]).better())
+    assert {best.first.cause.place, best.second.cause.place} == {causes()[0].place, causes()[1].place}
+    assert best.p < 1e-3
+    assert not list(Exchange.of(screening, FAMILY, [causes()[0], causes()[1]]).better())
+
+
+def test_two_causes_of_one_place_stand_as_any_pair_does(regressors):
+    """Breaks if two waves of one joint, or two steps of the device, give way to whatever comes first."""
+    twice = [Cause(ROBOT, catalogue()["joint-eccentricity"](ROBOT, order=order), "joint1") for order in (1, 2)]
+    there = (Candidate(twice[0], np.arange(6, 8)), Candidate(twice[1], np.arange(8, 10)))
+    both = regressors.matrix.values[:, 6:10] @ np.array([3e-5, 1e-5, -2e-5, 2e-5])
+    candidates = (*regressors.candidates[2:6], *there)
+    alone = with_residual(regressors, regressors.residual + both, candidates=candidates)
+    assert not list(Exchange.of(Screening(alone), FAMILY, twice).better())
+
+
+def test_a_cause_at_its_detection_limit_is_found_95_times_in_100(regressors):
+    """Breaks if the limit forgets the number of tests, the degrees of freedom or the prior's units."""
+    rng = np.random.default_rng(3)
+    score = next(s for s in Screening(regressors).scores if s.cause == causes()[6])
+    limit, found, draws = detection_limit(score, FAMILY, 0.01), 0, 400
+    for _ in range(draws):
+        phase = rng.uniform(0, 2 * np.pi)
+        effect = regressors.matrix.values[:, 6:8] @ (limit * np.array([np.cos(phase), np.sin(phase)]))
+        noise = rng.standard_normal(ROWS)
+        again = Screening(replaced(regressors, effect + noise))
+        found += FAMILY.p(next(s for s in again.scores if s.cause == causes()[6])) < 0.01
+    assert 0.91 < found / draws < 0.985
+    assert np.isnan(noncentrality(0.01, 1e4, 1, 1.0))  # too few rows to show anything
+    assert noncentrality(0.01, 1.0, 1, 1e6) == pytest.approx((2.5758 + 1.6449) ** 2, rel=1e-3)
+
+
+def replaced(regressors, residual):
+    """The same problem with another residual, which its own parameters have settled on."""
+    r = regressors
+    step = np.linalg.solve(r.jacobian.T @ r.jacobian + np.diag(r.precision), r.jacobian.T @ residual)
+    pull = -r.precision * step
+    rss = float((pull**2 / r.precision).sum())
+    return with_residual(r, residual - r.jacobian @ step, pull=pull, prior_rss=rss)
+
+
+def test_one_cause_takes_the_place_of_two_that_imitate_it(regressors):
+    """Breaks if two causes that together resemble a third keep it out, or right ones give way to what resembles them."""
+    truly = with_residual(
+        regressors, np.random.default_rng(2).standard_normal(ROWS) + regressors.matrix.values[:, 2] * 6e-5
+    )
+    imitating = Exchange.of(Screening(truly), FAMILY, [causes()[0], causes()[1]])
+    assert imitating.alone().cause == causes()[2]
+    assert Exchange.of(Screening(regressors), FAMILY, [causes()[0], causes()[1]]).alone() is None
+    assert Exchange.of(Screening(truly), FAMILY, [causes()[0]]).alone() is None

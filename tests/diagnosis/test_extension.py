@@ -1,0 +1,119 @@
+"""The extension adds the causes that are there, drops needless ones, and says where the evidence comes from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calflow.diagnosis.extension import extend
+from calflow.diagnosis.screening import Catalogue
+from calflow.diagnosis.stepwise import CauseAcceptance, Linearisation, second_thoughts
+from calflow.model import Model
+from diagnosis.found import cause, hidden, start
+
+TESTED = ("joint-eccentricity", "gear-ratio-error", "joint-compliance", "base-compliance", "periodic-joint-error")
+GATE = CauseAcceptance(0.01, 4)
+
+
+@pytest.fixture(scope="module")
+def data():
+    """Poses of a robot with a soft joint 2, and a joint 1 that runs out of true."""
+    soft, eccentric = cause("joint-compliance", "joint2"), cause("joint-eccentricity", "joint1", order=2)
+    return hidden([(soft, (1.5e-6,)), (eccentric, (1.5e-4, -1e-4))])
+
+
+def test_both_causes_are_added_and_nothing_else(data):
+    """Breaks if the extension stops early, goes on with noise, or its models on the way are not those of its findings."""
+    shares = []
+    extended = extend(
+        start(data),
+        Catalogue.of(data, ("geometry",), TESTED),
+        GATE,
+        np.random.default_rng(1),
+        lambda _: None,
+        shares.append,
+    )
+    assert len(shares) >= 2  # a step a cause
+    assert shares == sorted(set(shares))
+    assert 0 < shares[0] < shares[-1] < 1
+    assert [finding.cause.place for finding in extended.findings] == [
+        ("joint-compliance", "joint2"), ("joint-eccentricity", "joint1"),
+    ]  # fmt: skip
+    assert [len(fit.model.effects) for fit in extended.path] == [2, 3]
+    assert extended.path[-1].estimate == pytest.approx(extended.fitted.fit.estimate)
+    assert all(finding.p < 1e-6 for finding in extended.findings)
+    assert extended.fitted.lack.reduced_chi2 == pytest.approx(1.0, abs=0.25)
+
+
+def test_noise_alone_extends_nothing():
+    """Breaks if something is added where nothing is hidden."""
+    data = hidden([])
+    extended = extend(
+        start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
+    )
+    assert extended.findings == ()
+
+
+def test_a_wrong_cause_gives_way_and_a_needless_one_goes(data):
+    """Breaks if what was added too early stays: a rival explains it better, or the others have made it superfluous."""
+    catalogue_ = Catalogue.of(data, ("geometry",), TESTED)
+    begun = start(data)
+    wrong, right = cause("base-compliance", "base"), cause("joint-compliance", "joint2")
+    eccentric, needless = cause("joint-eccentricity", "joint1", order=2), cause("gear-ratio-error", "joint5")
+
+    def thoughts(*causes):
+        linearisation = Linearisation.at(begun.with_causes(causes), catalogue_)
+        return second_thoughts(linearisation.findings(linearisation.screened(np.random.default_rng(2)).family), GATE)
+
+    assert thoughts(right, eccentric, needless) == [right, eccentric]
+    assert [c.place for c in thoughts(wrong)] == [right.place]
+    assert thoughts(right, eccentric) == [right, eccentric]
+
+
+def test_a_knee_is_refined_until_one_cause_explains_all():
+    """Breaks if a large cause stays in the form that was tried first, and another one has to make up for what that leaves."""
+    knee = cause("nonlinear-joint-stiffness", "joint2", knee=0.29)
+    soft = cause("joint-compliance", "joint2")
+    data = hidden([(soft, (1.5e-6,)), (knee, (6e-3,))], poses=120)
+    listed = Catalogue.of(data, ("geometry",), ("joint-compliance", "nonlinear-joint-stiffness"))
+    extended = extend(start(data), listed, GATE, np.random.default_rng(1), lambda _: None)
+    assert {finding.cause.place for finding in extended.findings} == {soft.place, knee.place}
+    found = next(finding.cause for finding in extended.findings if finding.cause.place == knee.place)
+    assert found.effect.knee == pytest.approx(0.29, abs=0.01)
+    assert extended.fitted.lack.reduced_chi2 == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_gross_mistake_is_found_and_split_between_no_two_forms():
+    """Breaks if what is left hides a cause far beyond usual sizes, or two forms of it share it to please the priors."""
+    wrong = cause("gear-ratio-error", "joint2")
+    data = hidden([(wrong, (0.03,))])
+    extended = extend(
+        start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
+    )
+    assert [finding.cause.place for finding in extended.findings] == [wrong.place]
+    assert extended.fitted.fit.estimate[-1] == pytest.approx(0.03, rel=1e-3)
+
+
+def test_orders_of_one_joint_may_act_together():
+    """Breaks if a joint can have one periodic error only, or an order counts as another one than its neighbour."""
+    first, second = (cause("periodic-joint-error", "joint1", order=order) for order in (4.0, 9.0))
+    near = cause("periodic-joint-error", "joint1", order=4.3)
+    assert not first.effect.same_as(second.effect)
+    assert first.effect.same_as(near.effect)
+    data = hidden([(first, (2e-4, 1e-4)), (second, (-2e-4, 1e-4))])
+    extended = extend(
+        start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
+    )
+    assert [finding.cause.place for finding in extended.findings] == [first.place] * 2
+    orders = sorted(finding.cause.effect.order for finding in extended.findings)
+    assert orders == pytest.approx([4.0, 9.0], abs=0.1)
+
+
+def test_two_forms_of_a_cause_start_from_their_own_estimates():
+    """Fails if one form's estimate is taken for another's, or a form that is new starts from that of another."""
+    first, second, other = (cause("joint-eccentricity", "joint1", order=order) for order in (1, 2, 3))
+    data = hidden([(first, (2e-4, 1e-4)), (second, (-3e-4, 5e-5))])
+    fitted = start(data).with_causes([first, second])
+    swapped = Model(fitted.model.robot, (*fitted.plain, second, other, first), fitted.model.given)
+    estimate = fitted.fit.estimate
+    np.testing.assert_array_equal(fitted._values(swapped)[-6:], [*estimate[-2:], 0, 0, *estimate[-4:-2]])

@@ -1,0 +1,82 @@
+"""A lack of fit is told with the place where it is largest, and an even one, or none, as what it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calflow.diagnosis.misfit import MisfitRegion, largest, misfit
+from diagnosis.test_remainder import fitted
+
+RNG = 3
+
+
+def rng():
+    """The same draws each time."""
+    return np.random.default_rng(RNG)
+
+
+def test_what_the_noise_explains_is_no_misfit():
+    """Fails if a model that leaves its noise is said to lack something."""
+    assert misfit(fitted(), rng()) is None
+
+
+def rough(where, size=4e-4):
+    """A shift that no smooth function describes, of rows that a function of the table picks."""
+
+    def shift(table):
+        own = np.random.default_rng(12).standard_normal((len(table), 3))
+        return size * own * np.asarray(where(table), dtype=float)[:, None]
+
+    return shift
+
+
+@pytest.mark.parametrize(
+    ("where", "name"),
+    [
+        (lambda t: (t["q3"] > np.quantile(t["q3"], 0.5)) & (t["q3"] < np.quantile(t["q3"], 0.75)), "q3"),
+        (lambda t: t["time"] > np.quantile(t["time"], 0.75), "time"),
+    ],
+)
+def test_a_misfit_is_told_with_where_it_is_largest(where, name):
+    """Fails if the lack of fit is silent, or put down to another place than the one where it is."""
+    found = misfit(fitted(rough(where)), rng())
+    assert found is not None
+    assert (found.p < 1e-6, found.times > 1.3) == (True, True)
+    assert found.region.input == name
+    assert found.region.there_mm > 3 * found.region.elsewhere_mm
+
+
+def test_an_even_misfit_has_no_place():
+    """Fails if chance is told as a place: errors that are alike everywhere have none."""
+    even = fitted(rough(lambda t: t["q1"] == t["q1"], 2e-4))
+    assert misfit(even, rng()).p < 1e-6
+    places = [largest(fitted(rough(lambda t: t["q1"] == t["q1"], 2e-4), seed=seed), rng()) for seed in range(8)]
+    assert sum(place is not None for place in places) <= 2
+
+
+def test_one_of_several_payloads_or_markers_is_named():
+    """Fails if only ranges are looked at."""
+    labels = np.where(np.arange(100) % 3 == 1, "full", "none")
+    data = fitted(rough(lambda t: labels == "full"))
+    data.data.table["payload"] = labels
+    found = largest(data, rng())
+    assert (found.input, found.value) == ("payload", "full")
+    assert found.where == "payload is full"
+
+
+def test_a_region_is_told_in_words():
+    """Fails if a place is told without its unit, its figures or its joint."""
+    there = MisfitRegion(input="q3", low=20.3, high=44.8, unit="deg", there_mm=0.2134, elsewhere_mm=0.0811)
+    assert there.words == "largest where joint 3 is between 20 and 45 deg: 0.213 mm against 0.0811 mm elsewhere"
+
+
+def test_a_joint_that_stood_still_is_no_place():
+    """Fails if an input of one value, which has no regions, ends the diagnosis."""
+    known = fitted(rough(lambda t: t["time"] > np.quantile(t["time"], 0.75)))
+    table = known.data.table.assign(q6=0.3)
+    still = replace(known, data=replace(known.data, table=table))
+    found = largest(still, rng())
+    assert found is None or found.input != "q6"

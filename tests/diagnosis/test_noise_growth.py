@@ -1,0 +1,66 @@
+"""Noise is taken to grow with range where the device's own scatter does, not where the model errs more the further it looks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.noise_growth import growth_of_repeats, growth_of_residuals
+from calflow.estimation.accuracy import errors
+from calflow.estimation.fit import fit_reweighted
+from calflow.estimation.noise import averaged, measured_noise, repeats_scatter
+from calflow.model import build
+from estimation.data import SIGMA, measured
+from robots import industrial
+
+
+def fitted(repeats, shift, sigma=lambda r: 0 * r + SIGMA):
+    """A robot whose points are shifted by a function of joint readings and range, geometry fitted."""
+    model = build(industrial(), ("geometry",))
+    rng = np.random.default_rng(51)
+    data = measured(model, model.nominal, 150, rng, repeats=repeats, sigma=0.0)
+    data.table["range"] = np.linalg.norm(data.position - np.array([4.0, 0.0, 0.0]), axis=1)
+    noise = sigma(data.table["range"].to_numpy())[:, None] * rng.standard_normal((len(data), 3))
+    data.table[["x", "y", "z"]] += noise + shift(data.table)
+    model = build(industrial(), ("geometry",), data.given)
+    device = measured_noise(data)
+    means, device = averaged(data, replace(device, scatter=repeats_scatter(data, errors(model, model.nominal, data))))
+    fit, noise, lack, _ = fit_reweighted(model, means, device, model.nominal[None], "linear")
+    return Fitted(fit, means, noise, lack, "linear", device)
+
+
+def none(table):
+    """No error of the model."""
+    return 0.0
+
+
+def further(table):
+    """An error that is smooth, and grows with range."""
+    return 1e-4 * np.outer((table["range"] - 2) * np.sin(2 * table["q4"]), [0.0, 0.6, 0.8])
+
+
+@pytest.mark.parametrize("repeats", [1, 2])
+def test_a_misfit_is_not_noise(repeats):
+    """Fails if an error that grows with range is swallowed by the noise."""
+    seen = fitted(repeats, further)
+    assert growth_of_repeats(seen, 1e-3) is None
+    assert growth_of_residuals(seen, 1e-3) is None
+
+
+def test_repeats_tell_the_growth_whatever_the_model_leaves():
+    """Fails if a model's error makes the growth look larger, or smaller, than the repeats show it."""
+    seen = growth_of_repeats(fitted(2, further, lambda r: 1e-5 + 2e-5 * r), 1e-3)
+    assert seen is not None
+    assert abs(seen.slope - 2e-5) < 4 * seen.sd < 2.4e-5
+
+
+def test_residuals_tell_the_growth_where_nothing_was_repeated():
+    """Fails if the noise's growth is missed without repeats, or told by residuals where repeats speak."""
+    seen = growth_of_residuals(fitted(1, none, lambda r: 1e-5 + 2e-5 * r), 1e-3)
+    assert seen is not None
+    assert abs(seen.slope - 2e-5) < 4 * seen.sd
+    assert growth_of_repeats(fitted(1, none), 1e-3) is None
+    assert growth_of_residuals(fitted(2, none, lambda r: 1e-5 + 2e-5 * r), 1e-3) is None

@@ -1,0 +1,91 @@
+"""What no cause explains is told with its inputs, and noise is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.misfit import remainder
+from calflow.diagnosis.noise_growth import growth_of_residuals
+from calflow.estimation.fit import fit_reweighted
+from calflow.model import build
+from estimation.data import SIGMA, measured, stated
+from robots import industrial
+
+
+def fitted(shift=None, seed=8, poses=100, sigma=None):
+    """A robot whose points are shifted by a function of its table, geometry fitted."""
+    robot = industrial()
+    model = build(robot, ("geometry",))
+    rng = np.random.default_rng(seed)
+    data = measured(model, model.nominal, poses, rng, sigma=SIGMA if sigma is None else 0.0)
+    data.table["time"] = np.cumsum(rng.uniform(20, 40, poses))
+    data.table["range"] = np.linalg.norm(data.position - np.array([4.0, 0.0, 0.0]), axis=1)
+    if sigma is not None:
+        data.table[["x", "y", "z"]] += sigma(data.table["range"].to_numpy())[:, None] * rng.standard_normal((poses, 3))
+    if shift is not None:
+        data.table[["x", "y", "z"]] += shift(data.table)
+    model = build(robot, ("geometry",), data.given)
+    fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
+    return Fitted(fit, data, noise, lack, "linear", noise)
+
+
+def test_noise_depends_on_nothing():
+    """Breaks if noise is reported as structure."""
+    assert remainder(fitted(), 0.01, np.random.default_rng(1), lambda _: None) == []
+
+
+@pytest.mark.parametrize(
+    ("shift", "inputs"),
+    [
+        (lambda t: 3e-4 * np.outer(np.sin(t["q4"]) * np.cos(t["q6"]), [0, 0, 1]), {"q4", "q6"}),
+        (lambda t: 2e-4 * np.outer(np.sin(2 * np.pi * t["time"] / 113.0), [0, 0, 1]), {"time"}),
+        (lambda t: 2e-4 * np.outer(np.sin(2 * np.pi * t["time"] / 23.0), [0, 0, 1]), {"time"}),  # between two poses
+        (lambda t: 2e-4 * np.outer(np.sin(3 * t["q1"]), [0, 0, 1]), {"q1"}),
+    ],
+)
+def test_structure_is_told_with_its_inputs(shift, inputs):
+    """Breaks if a dependence is missed, or put down to other inputs."""
+    left = remainder(fitted(shift), 0.01, np.random.default_rng(1), lambda _: None)
+    assert left
+    assert inputs <= set(left[0].inputs)
+
+
+def test_what_is_certain_and_of_no_use_is_not_told(monkeypatch):
+    """Fails if a dependence's share is not what it adds to the errors, or one that explains too little is told for its p-value."""
+    known = fitted(lambda t: 2e-4 * np.outer(np.sin(3 * t["q1"]), [0, 0, 1]))
+    one, *_ = remainder(known, 0.01, np.random.default_rng(1), lambda _: None)
+    noise = SIGMA**2 * len(known.data) * 3
+    added = float((2e-4 * np.sin(3 * known.data.table["q1"])).pow(2).sum())
+    assert one.share == pytest.approx(added / (added + noise), abs=0.15)
+    monkeypatch.setattr("calflow.diagnosis.misfit.MATERIAL", one.share * 1.01)
+    assert one not in remainder(known, 0.01, np.random.default_rng(1), lambda _: None)
+
+
+def test_what_goes_with_the_payload_is_told():
+    """Breaks if a dependence on the payload is missed or put down to joints alone, or told where all rows carry the same."""
+    robot = industrial()
+    rng = np.random.default_rng(5)
+    model = build(robot, ("geometry",))
+    data = measured(model, model.nominal, 100, rng)
+    bare = rng.permutation(100) < 50
+    data.table.loc[bare, "payload"] = ""
+    turned = data.conditions.copy()
+    turned[1, ~bare] += 2e-4 * np.cos(turned[1, ~bare])
+    data.table[["x", "y", "z"]] += model.position(model.nominal, turned) - model.position(
+        model.nominal, data.conditions
+    )
+    fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
+    left = remainder(Fitted(fit, data, noise, lack, "linear", noise), 0.01, np.random.default_rng(1), lambda _: None)
+    assert "payload" in left[0].inputs
+    assert left[0].detail == "under load"
+
+
+def test_noise_that_grows_with_range_is_measured():
+    """Breaks if the growth is missed, misjudged, or seen where the noise is even."""
+    seen = growth_of_residuals(fitted(sigma=lambda r: 1.5e-5 + 2e-5 * r, poses=300), 0.001)
+    assert seen is not None
+    assert abs(seen.slope - 2e-5) < 4 * seen.sd
+    assert seen.floor < 4e-5
+    assert growth_of_residuals(fitted(), 0.001) is None

@@ -1,0 +1,172 @@
+"""The screening's statistics are what refits and repeated experiments would give."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binom, kstest
+
+from calflow.diagnosis.regressors import ErrorCorrelation, RegressorProducts, Regressors, shared_error
+from calflow.diagnosis.screening import Catalogue, Screening, prior_cost
+from calflow.effects import catalogue
+from calflow.effects.cause import Cause
+from calflow.estimation.fit import fit
+from calflow.model import Model, build
+from estimation.data import measured, problem
+from robots import industrial
+
+TESTED = ("joint-eccentricity", "gear-ratio-error", "bearing-compliance", "joint-compliance")
+
+
+@pytest.fixture(scope="module")
+def data():
+    """Sixty poses of a robot whose second joint runs out of true."""
+    robot = industrial()
+    eccentric = Cause(robot, catalogue()["joint-eccentricity"](robot), "joint2")
+    model = Model(robot, (*build(robot, ("geometry",)).effects, eccentric))
+    truth = model.nominal.copy()
+    truth[-2:] = 1.5e-4, -1e-4
+    return measured(model, truth, 60, np.random.default_rng(3))
+
+
+@pytest.fixture(scope="module")
+def fitted(data):
+    """The geometry fitted to them, and its problem."""
+    asked = problem(build(data.robot, ("geometry",)), data)
+    return fit(asked)[0], asked
+
+
+@pytest.fixture(scope="module")
+def regressors(data, fitted):
+    """A small catalogue's regressors there."""
+    scale = catalogue()["tracker-scale"](data.robot)  # not in the catalogue where no distance between markers is known
+    return Regressors.of(*fitted, (*Catalogue.of(data, ("geometry",), TESTED).effects, scale))
+
+
+def test_a_cause_far_beyond_its_prior_pays_by_the_logarithm():
+    """Breaks if usual sizes pay anything but the prior's pull, huge ones by its square, or the cost jumps between them."""
+    assert prior_cost(np.array([0.0, 1.5, 18.0]), 2) == pytest.approx([0.0, 1.5, 18.0])
+    far = prior_cost(np.array([18.1, 180.0, 1800.0]), 2)
+    assert far[0] == pytest.approx(18.1, abs=1e-3)
+    assert far[2] - far[1] == pytest.approx(18.0 * np.log(10))
+
+
+def test_a_score_is_what_a_refit_gains(data, fitted, regressors):
+    """Breaks if the projection forgets the fit's parameters or the priors: then chi² falls by something else."""
+    before, asked = fitted
+    scores = {(s.cause.place, s.cause.detail): s for s in Screening(regressors).scores}
+    for (_, part), detail in ((("joint-eccentricity", "joint2"), "order 1"), (("gear-ratio-error", "joint4"), "")):
+        score = next(
+            s for (place, d), s in scores.items() if place[1] == part and d == detail and place[0] in TESTED[:2]
+        )
+        wider = Model(data.robot, (*before.model.effects, score.cause))
+        after = fit(asked.on(wider), np.concatenate([before.estimate, score.estimate])[None])[0]
+        assert 2 * (before.objective - after.objective) == pytest.approx(score.drop, rel=0.02, abs=0.02)
+        own = after.estimate[-len(score.estimate) :]
+        np.testing.assert_allclose(own, score.estimate, atol=0.05 * np.sqrt(np.diag(score.covariance)).max())
+
+
+def test_the_right_cause_scores_best(regressors):
+    """Breaks if the evidence does not rank the cause that is there first, or its amplitude is wrong."""
+    best = Screening(regressors).scores[0]
+    assert best.cause.place == ("joint-eccentricity", "joint2")
+    np.testing.assert_allclose(best.estimate, [1.5e-4, -1e-4], atol=4 * np.sqrt(np.diag(best.covariance)).max())
+
+
+def test_what_geometry_imitates_is_not_tested(regressors):
+    """Breaks if a candidate that the model's own parameters imitate counts as testable."""
+    screening = Screening(regressors)
+    shown = {score.cause.id for score in screening.scores}
+    assert "tracker-scale" not in shown
+    assert {"joint-eccentricity", "gear-ratio-error", "bearing-compliance"} <= shown
+
+
+def test_sums_without_a_parameter_are_those_of_the_rows(regressors):
+    """Fails if what was added up once is not what the rows of the model without some parameters add up to."""
+    rng = np.random.default_rng(6)
+    modes = np.linalg.qr(rng.standard_normal((len(regressors.residual), 3)))[0]
+    whole = replace(regressors, correlation=ErrorCorrelation(modes, np.ones(3), (), 1.0))
+    whole = replace(whole, products=summed(whole))
+    less = whole.without(np.array([1, 4]), np.array([2e-3, -1e-3]))
+    for one, other in zip(vars(less.products).values(), vars(summed(less)).values(), strict=True):
+        assert np.allclose(one, other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
+
+
+def summed(r):
+    """The products that tests need, from the rows."""
+    return RegressorProducts.of(r.residual, r.jacobian, r.matrix, r.candidates, r.correlation)
+
+
+def with_residual(r, residual, **changes):
+    """The same regressors with another residual."""
+    products = replace(r.products, fitted_left=r.jacobian.T @ residual, left=r.matrix.across(residual))
+    return replace(r, residual=residual, products=products, **changes)
+
+
+def null(regressors, rng):
+    """The same linear problem with nothing but noise in it."""
+    r = regressors
+    noise, pseudo = rng.standard_normal(len(r.residual)), rng.standard_normal(len(r.precision)) * np.sqrt(r.precision)
+    factor = np.linalg.cholesky(r.jacobian.T @ r.jacobian + np.diag(r.precision))
+    step = np.linalg.solve(factor.T, np.linalg.solve(factor, r.jacobian.T @ noise + pseudo))
+    pull = pseudo - r.precision * step
+    rss = float((pull**2 / r.precision).sum())
+    left = with_residual(r, noise - r.jacobian @ step, pull=pull, prior_rss=rss)
+    return replace(left, determined=0.0)  # the priors' part is drawn too, so that no degree of freedom is lost
+
+
+def test_p_values_keep_their_promise(regressors):
+    """Breaks if a single test's p-value is not uniform, or the family's false alarms are not what was asked for."""
+    rng = np.random.default_rng(5)
+    family = Screening(null(regressors, rng)).family(rng)
+    singles, alarms, draws = [], 0, 400
+    for _ in range(draws):
+        scores = Screening(null(regressors, rng)).scores
+        singles.append(next(s.p for s in scores if s.cause.place == ("gear-ratio-error", "joint4")))
+        alarms += min(family.p(s) for s in scores) < 0.05
+    assert kstest(singles, "uniform").pvalue > 1e-3
+    assert binom.cdf(alarms, draws, 0.065) > 1e-3
+    assert binom.sf(alarms - 1, draws, 0.035) > 1e-3
+
+
+def test_a_scan_is_paid_for_in_its_own_place(data, fitted):
+    """Breaks if the many orders of a periodic error are free, or make causes without a scan pay."""
+    effects = Catalogue.of(data, ("geometry",), ("periodic-joint-error", "gear-ratio-error")).effects
+    regressors = Regressors.of(*fitted, effects)
+    family = Screening(null(regressors, np.random.default_rng(6))).family(np.random.default_rng(7))
+    assert family.scans["periodic-joint-error", "joint2"] > 10
+    assert family.scans["gear-ratio-error", "joint4"] == pytest.approx(1.0, abs=0.35)
+    assert family.places < 2 * len(family.scans)
+
+
+def test_markers_of_a_pose_are_not_as_many_poses():
+    """Breaks if an error that all markers of a pose share counts once a marker, or a true noise is scaled down."""
+    rng = np.random.default_rng(8)
+    poses = np.repeat(np.arange(200), 3)
+    alone = rng.standard_normal((600, 3))
+    shared = alone + 2 * rng.standard_normal((200, 3))[poses]
+    group = (3 * poses[:, None] + np.arange(3)).ravel()
+    assert shared_error(alone.ravel(), group, 0.0)[0] == 1.0
+    factor, p = shared_error(shared.ravel(), group, 0.0)
+    assert factor == pytest.approx(1 / np.sqrt(1 + 3 * 4), rel=0.1)
+    assert p < 1e-6
+
+
+def test_a_wrong_sign_is_no_evidence():
+    """Breaks if a compliance that would have to be negative passes for a cause, or stands among another one's rivals."""
+    robot = industrial()
+    cause = Cause(robot, catalogue()["joint-compliance"](robot), "joint2")
+    model = Model(robot, (*build(robot, ("geometry",)).effects, cause))
+    found = {}
+    for sign in (1, -1):
+        truth = np.append(np.zeros(len(model.parameters) - 1), sign * 5e-7)
+        data = measured(model, truth, 80, np.random.default_rng(6))
+        plain = problem(build(robot, ("geometry",)), data)
+        scores = Screening(Regressors.of(fit(plain)[0], plain, (cause,))).scores
+        found[sign] = scores[0]
+    assert found[1].delta_bic < -50
+    assert found[-1].p < 1e-6  # there is something
+    assert found[-1].estimate == pytest.approx([0.0])
+    assert found[-1].delta_bic > 0

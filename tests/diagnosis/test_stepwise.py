@@ -1,0 +1,95 @@
+"""The search ends, also where every set of causes is a new one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from calflow.diagnosis.linear import Block
+from calflow.diagnosis.screening import Family
+from calflow.diagnosis.stepwise import FEW_COLUMNS, MOST_TRIALS, PATIENCE, CauseAcceptance, Screened, Stepwise, Trial
+
+FAMILY = Family({}, 1.0)
+Path = Callable[[int], tuple[tuple[str, ...], float]]
+
+
+@dataclass(frozen=True)
+class Wandering(Trial[Block]):
+    """A model that always has something clearly better to try: a path leads from each step to names and a BIC."""
+
+    path: Path
+    step: int = 0
+
+    @property
+    def causes(self) -> tuple[Block, ...]:
+        """Causes in a form that no step before had."""
+        return tuple(form(name, self.step) for name in self.path(self.step)[0])
+
+    @property
+    def n_residuals(self) -> int:
+        """As many as are of no importance."""
+        return 100
+
+    @property
+    def bic(self) -> float:
+        """What the path says."""
+        return self.path(self.step)[1]
+
+    @property
+    def linearisation(self):
+        """Never asked for."""
+        raise AssertionError
+
+    @property
+    def findings(self):
+        """None: nothing is doubted."""
+        return ()
+
+    def with_causes(self, causes, added=None) -> Wandering:
+        """Go one step on."""
+        return replace(self, step=self.step + 1)
+
+    def refined(self) -> Iterator[Sequence[Block]]:
+        """Yield the causes of the next step."""
+        yield replace(self, step=self.step + 1).causes
+
+
+def form(name: str, step: int) -> Block:
+    """A cause of too many parameters for an exchange."""
+    return Block(name, np.zeros((1, FEW_COLUMNS + 1)), 1.0, f"order {7.31 + 0.01 * step:.2f}")
+
+
+def search(path: Path) -> tuple[Wandering, int, list[str]]:
+    """Return the best model of a search along a path, how many were tried, and what was said."""
+    said: list[str] = []
+    nothing = Screened((), FAMILY, ())
+    stepwise = Stepwise(CauseAcceptance(0.01, 0), nothing, np.random.default_rng(1), said.append, lambda _: None)
+    best, tried = stepwise.best(Wandering(FAMILY, path))
+    return best, len(tried), said
+
+
+@pytest.mark.parametrize("names", [("a",), ("a", "b")])
+def test_a_cause_is_not_taken_and_left_for_ever(names):
+    """Fails if ever finer variants of causes that come and go in turns keep the search from ending, or if it ends with them."""
+    best, tried, said = search(lambda k: ((names[k % len(names)],) if k else (), 10.0 if k == 2 else 20.0))
+    assert best.step == 2
+    assert tried <= 1 + len(names) * (PATIENCE + 1) + 1
+    assert not any("ends" in line for line in said)
+
+
+def test_a_cause_is_refined_as_long_as_that_helps():
+    """Fails if a search that gets better at the same places is taken for one that goes round in circles."""
+    best, tried, _ = search(lambda k: (("a",) if k else (), -3.0 * min(k, 20)))
+    assert best.step == 20
+    assert tried <= 21 + PATIENCE
+
+
+def test_a_search_that_gets_better_for_ever_ends_and_says_so():
+    """Fails if nothing bounds the number of models, or if nobody is told that there may be a better one."""
+    best, tried, said = search(lambda k: (("a",) if k else (), -3.0 * k))
+    assert tried == MOST_TRIALS
+    assert best.step == MOST_TRIALS - 1
+    assert f"ends after {MOST_TRIALS} models" in said[-1]

@@ -1,0 +1,81 @@
+"""The table of findings says what the model leaves, whether anything explains it or not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calflow.diagnosis.diagnosis import Diagnosis
+from calflow.diagnosis.extension import Extended
+from calflow.diagnosis.findings import Finding, _kept_together, _together, findings
+from calflow.diagnosis.misfit import misfit
+from calflow.diagnosis.screening import Catalogue
+from calflow.diagnosis.stepwise import Linearisation
+from calflow.effects.words import NamedCause
+from calflow.files.tables import from_frame, to_frame
+from diagnosis.test_misfit import rng, rough
+from diagnosis.test_remainder import fitted
+from diagnosis.test_verdict import judged, score
+
+FAULTS = pd.DataFrame({"cause": [], "joint": [], "line": [], "action": [], "statement": []})
+
+
+@pytest.fixture(scope="module")
+def uneven():
+    """A model whose errors are large at one quarter of the first joint's travel, and follow nothing there."""
+    return fitted(rough(lambda t: t["q1"] > np.quantile(t["q1"], 0.75)))
+
+
+def diagnosis(last, **more):
+    """A diagnosis that found no cause."""
+    first = Linearisation.at(last, Catalogue((), {})).screened(np.random.default_rng(1))
+    return Diagnosis(last, Extended(last, (), (), first), (), (), None, {}, {}, 0.01, **more)
+
+
+def told(found):
+    """The rows of findings.csv."""
+    made = findings(found, found.start.data, FAULTS, np.random.default_rng(1))
+    read = from_frame(to_frame(made, Finding), Finding)
+    assert [one.statement for one in read] == [one.statement for one in made]
+    return read
+
+
+def test_a_lack_of_fit_has_a_row_though_no_input_explains_it(uneven):
+    """Fails if a model that lacks something ends in an empty table, or its row does not say where."""
+    (row,) = told(diagnosis(uneven, misfit=misfit(uneven, rng())))
+    assert (row.status, row.cause, row.inputs) == ("unexplained", "", ())
+    assert row.detail.startswith("joint 1 is between")
+    assert row.p_family < 1e-6
+    assert row.detail in row.statement
+    assert "times the noise" in row.statement
+    assert told(diagnosis(uneven)) == []
+
+
+def member(number, bic, name, **variant):
+    """A finding of joint 2, as the table tells it alone, with its verdict."""
+    verdict_ = judged(score(bic, name, 2, **variant), *([score(bic + 3, "gear-ratio-error", 2)] if number == 1 else []))
+    row = Finding(status=verdict_.status, cause=verdict_.finding.cause.id, joint=2, estimate=3e-4 * number, sd=1e-5, unit="rad",
+                     p_family=1e-4 * number, probability=0.9, detail=verdict_.finding.cause.detail, statement="alone",
+                     cannot_tell_from=tuple(rival.id for rival in verdict_.rivals), numbers=(number,))  # fmt: skip
+    return row, verdict_
+
+
+def test_several_orders_of_a_joint_are_one_finding_of_their_family():
+    """Fails if each order is told as a cause of its own, or what one member cannot be told from is lost."""
+    (first, one), (second, two) = (
+        member(1, -50.0, "joint-eccentricity"),
+        member(2, -90.0, "periodic-joint-error", order=5.0),
+    )
+    row = _together([first, second], [one, two])
+    assert (row.status, row.cause, row.joint, row.numbers) == ("one_of", "periodic-joint-error", 2, (1, 2))
+    assert {"joint-eccentricity", "joint-error-map", "gear-ratio-error"} <= set(row.cannot_tell_from)
+    assert row.rivals == (NamedCause("gear-ratio-error", 2),)
+    assert (row.estimate, row.p_family) == (pytest.approx(3e-4 * np.sqrt(5)), 1e-4)
+    assert row.statement.startswith("angular transmission error, joint 2: periodic error (order 5), and ")
+    assert row.detail.startswith("order 5, with ")
+    other = one.finding.cause, two.finding.cause, replace(one.finding.cause, part="joint3")
+    assert _kept_together(other) == [[0, 1], [2]]
+    assert _kept_together([other[2], *other[:2]]) == [[0], [1, 2]]
