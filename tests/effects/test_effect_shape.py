@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 import robots
 from calflow.effects import Effect, catalogue
+from calflow.effects.cause import Carried, Cause
 from calflow.effects.joint_compliance import JointCompliance
 from calflow.model import Model, build
 from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State
@@ -288,3 +289,14 @@ def test_parameters_are_well_formed(name: str) -> None:
         assert parameter.lower <= parameter.nominal <= parameter.upper
         assert parameter.lower < parameter.upper
         assert 0 < parameter.prior_sd < np.inf
+
+
+@pytest.mark.parametrize("name", catalogue())
+def test_a_cause_is_the_devices_where_its_effect_is(name: str) -> None:
+    """Fails if what the robot does itself counts as the device's, or as noise, once it is a cause of its own."""
+    effect = catalogue()[name](robots.hh800())
+    for part in {parameter.part for parameter in effect.declared}:
+        cause = Cause(effect.robot, effect, part)
+        carried = Carried(effect.robot, cause, (0.0,) * cause.n_parameters)
+        assert {one.of_device() for one in (effect, cause, carried)} == {type(effect).of_device()}
+        assert {one.is_noise() for one in (effect, cause, carried)} == {type(effect).is_noise()}

@@ -28,6 +28,7 @@ from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, WITHIN
 from calflow.diagnosis.verdict import label
 from calflow.effects import Effect, effect_class
 from calflow.effects.cause import Cause
+from calflow.effects.joint_compliance import JointCompliance
 from calflow.estimation.probing import probed
 from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
@@ -231,8 +232,10 @@ def _regressors(
     """
     n = len(model.parameters)
     sd = np.array([parameter.prior_sd for parameter in model.parameters])
-    soft = np.array([p.prior_sd if p.effect == "joint-compliance" else 0.0 for p in model.parameters])
-    point = model.nominal + soft
+    point = model.nominal.copy()
+    for effect in model.effects:
+        if isinstance(effect, JointCompliance):
+            point[model.columns(effect)] += sd[model.columns(effect)]
     _, matrix = probed(planned.problem(model, point, conditions), point, effects)
     jacobian, held, candidates = matrix[:, :n], Held(matrix[:, n:]), candidates_of(effects)
     residual, precision = rng.standard_normal(len(matrix)), sd**-2.0

@@ -62,7 +62,7 @@ class Form:
         """Whether it moves the tool; what only the device makes of it does not."""
         if self.kind == "background":
             return not any(isinstance(effect, InTime) for effect in self.effects)
-        return not any(isinstance(effect, Cause) and effect.effect.of_device() for effect in self.effects)
+        return not any(isinstance(effect, Cause) and effect.of_device() for effect in self.effects)
 
 
 @dataclass(frozen=True, eq=False)

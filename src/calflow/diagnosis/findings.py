@@ -552,7 +552,7 @@ def _place(cause: Cause) -> str:
 def _overlapping(verdict: Verdict, left: tuple[Remainder, ...]) -> Remainder | None:
     """What is left along the input that a cause depends on: its joint, the course of the measurement, or the payload."""
     cause = verdict.finding.cause
-    inputs = {f"q{cause.joint}"} if cause.joint else IN_TIME if cause.effect.of_device() else set()
+    inputs = {f"q{cause.joint}"} if cause.joint else IN_TIME if cause.of_device() else set()
     inputs = inputs | {"payload"} if "payload" in cause.effect.needs else inputs
     return next((remainder for remainder in left if inputs & set(remainder.inputs)), None)
 

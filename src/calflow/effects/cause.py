@@ -26,7 +26,19 @@ class ActingEffect(Effect):
 
     def completing(self, data: Measurements) -> tuple[Effect, ...]:
         """Return what the one that acts does."""
-        return self.acting(ca.SX(len(self.declared), 1))[0].completing(data)
+        return self._acts.completing(data)
+
+    def is_noise(self) -> bool:  # type: ignore[override]
+        """Whether the one that acts is a noise."""
+        return self._acts.is_noise()
+
+    def of_device(self) -> bool:  # type: ignore[override]
+        """Whether the one that acts is the measuring device's."""
+        return self._acts.of_device()
+
+    @property
+    def _acts(self) -> Effect:
+        return self.acting(ca.SX(len(self.declared), 1))[0]
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Act as the other does."""
