@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from applied import history
+from calflow.calibration import Calibration
+from calflow.deployment.history import history as deployed
 
 
 @pytest.fixture
@@ -56,3 +59,20 @@ def test_runs_that_tell_nothing_of_time_are_refused_together(finished, three):
     same, robot = finished.refused("history", *three, finished / "other")
     assert same.startswith("other: is of the same measurements as third")
     assert robot.startswith("other: is of another robot than runs")
+
+
+def test_what_only_the_prior_tells_apart_does_not_move(finished):
+    """Fails if a table's wider standard deviations make figures that nobody measured fly apart between two runs that are alike."""
+    run = Calibration.load(finished / "runs")
+    sd = np.sqrt(np.diag(run.covariance))
+    asked = [None, None], [run, run]
+    still, doubtful = (
+        deployed(["first", "copy"], *asked, [sd, factor * sd], 0.01, np.random.default_rng(1))
+        for factor in (1.0, np.linspace(1.0, 2.0, len(sd)))
+    )
+    assert not still.moved
+    assert not doubtful.moved
+    assert [row.told for row in doubtful.parameters].count(False) > 0
+    for row, same in zip(doubtful.parameters, still.parameters, strict=True):
+        assert row.value == pytest.approx(same.value, abs=1e-9)
+        assert same.sd <= row.sd <= 2 * same.sd

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -234,22 +234,26 @@ class History:
 
 
 def history(
-    names: Sequence[str], dates: Sequence[datetime.date | None], runs: Sequence[CalibratedModel], false_alarm: float,
-    rng: np.random.Generator,
+    names: Sequence[str], dates: Sequence[datetime.date | None], runs: Sequence[CalibratedModel], sds: Sequence[np.ndarray],
+    false_alarm: float, rng: np.random.Generator,
 ) -> History:  # fmt: skip
     """Tell which parameters of a robot moved between independent calibrations of it, in order.
 
+    sds holds of each run how surely its parameters are said to be known (n_parameters,): after diagnose with what may be left
+    in errors that rows share, and so wider than by its covariance; nan where nothing is said.
     Half of false_alarm is for single parameters (see `changes`), half for whether anything moved from one run to the next
     (chi² of all differences, Bonferroni over runs), which also sees what no single parameter can be held for.
     """
     rows = _shared(runs)
     parameters = [runs[0].model.parameters[k] for k in rows[0]]
-    alone = [_alone(run, own) for run, own in zip(runs, rows, strict=True)]
+    wider = [_wider(run, sd) for run, sd in zip(runs, sds, strict=True)]
+    alone = [_alone(run, own, by[own]) for run, own, by in zip(runs, rows, wider, strict=True)]
+    widened = [replace(run, covariance=run.covariance * np.outer(by, by)) for run, by in zip(runs, wider, strict=True)]
     found = changes(alone, false_alarm / 2, rng)
     level = levels(alone, found)
     told = np.all([one.told for one in alone], axis=0)
     return History(
-        _in_order(names, dates, runs, false_alarm / 2),
+        _in_order(names, dates, widened, false_alarm / 2),
         tuple(
             ParameterInRun(run=name, parameter=one.name, unit=one.unit, value=one.figure + float(own.value[j]), sd=float(own.sd[j]),
                            told=bool(told[j]))
@@ -258,7 +262,7 @@ def history(
         tuple(_moved(one, parameters[one.parameter], names) for one in found),
         tuple(_present(one, level, parameters, names, bool(told[one.parameter])) for one in level if one.last == len(runs) - 1),
         false_alarm,
-        tuple(_notes(runs, parameters)),
+        tuple(_notes(names, runs, parameters)),
     )  # fmt: skip
 
 
@@ -271,10 +275,22 @@ def _shared(runs: Sequence[CalibratedModel]) -> list[np.ndarray]:
     return [np.array([own[k] for k in shared], dtype=int) for own in pairs]
 
 
-def _alone(run: CalibratedModel, rows: np.ndarray) -> Alone:
+def _wider(run: CalibratedModel, stated: np.ndarray) -> np.ndarray:
+    """How many times as wide as by its covariance a run says that its parameters are known (n_parameters,), 1 at least."""
+    own = np.sqrt(np.diag(run.covariance))
+    return np.where(stated > own, stated / np.where(own > 0, own, 1.0), 1.0)
+
+
+def _alone(run: CalibratedModel, rows: np.ndarray, wider: np.ndarray) -> Alone:
+    """What a run's measurements say of some parameters, so many times as wide once the prior is taken out of it.
+
+    Of what was widened before, the prior would take more than there is: along a pair that only the prior tells apart it would
+    be less sure than the prior alone, and what is weighted with nothing can be anywhere.
+    """
     parameters = [run.model.parameters[k] for k in rows]
     mean, sd = (np.array([getattr(one, name) for one in parameters]) for name in ("prior_mean", "prior_sd"))
-    return Alone.of(run.estimate[rows], run.covariance[np.ix_(rows, rows)], mean, sd)
+    alone = Alone.of(run.estimate[rows], run.covariance[np.ix_(rows, rows)], mean, sd)
+    return replace(alone, covariance=alone.covariance * np.outer(wider, wider))
 
 
 def _in_order(
@@ -310,14 +326,22 @@ def _present(
     )  # fmt: skip
 
 
-def _notes(runs: Sequence[CalibratedModel], parameters: Sequence[Parameter]) -> list[str]:
-    """Say which parameters are of some runs alone, or cannot be compared."""
+def _notes(names: Sequence[str], runs: Sequence[CalibratedModel], parameters: Sequence[Parameter]) -> Iterator[str]:
+    """Say which parameters are of some runs alone, or cannot be compared, and which are held at several values."""
+    held: dict[str, dict[str, Parameter]] = {}
+    for name, run in zip(names, runs, strict=True):
+        for parameter in run.model.declared:
+            if parameter.held is not None:
+                held.setdefault(parameter.name, {})[name] = parameter
+    for parameter_name, own in held.items():
+        if len({parameter.held for parameter in own.values()}) > 1:
+            values = (f"{parameter.held:g} {parameter.unit} in {name}" for name, parameter in own.items())
+            yield f"{parameter_name} is held at {' and '.join(values)}: what makes up for that passes for a movement"
     shared = {one.name for one in parameters}
     known = dict.fromkeys(one.name for run in runs for one in run.model.parameters)
     left = [name for name in known if name not in shared]
-    if not left:
-        return []
-    return [
-        f"not compared: {', '.join(left[:12])}{f' and {len(left) - 12} more' if len(left) > 12 else ''}; they are not of all "
-        "runs, of the measuring device, at a bound, or count from where each run placed base or tool"
-    ]
+    if left:
+        yield (
+            f"not compared: {', '.join(left[:12])}{f' and {len(left) - 12} more' if len(left) > 12 else ''}; they are not of all "
+            "runs, of the measuring device, at a bound, or count from where each run placed base or tool"
+        )

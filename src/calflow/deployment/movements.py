@@ -18,8 +18,10 @@ import pandas as pd
 from scipy.stats import chi2, norm
 
 from calflow.deployment.attained import Alignment, can_align, rigid_slope
-from calflow.effects import catalogue
 from calflow.effects.base import unmet
+from calflow.effects.geometry import Geometry
+from calflow.effects.payload_mass import PayloadMass
+from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.effects.warming import REFERENCE
 from calflow.estimation.calibrated_model import CalibratedModel, unexplained
 from calflow.estimation.noise import conditions
@@ -127,30 +129,30 @@ def _station(points: np.ndarray) -> Movement:
     )
 
 
-def _parameters(calibrated: CalibratedModel, conditions: np.ndarray) -> Iterator[Movement]:
+def _parameters(calibrated: CalibratedModel, rows: np.ndarray) -> Iterator[Movement]:
     """Every dimension of a link, and every cause that the model has; where robot and tool stand is told otherwise."""
     model = calibrated.model
-    slope = model.point_jacobian(calibrated.estimate, conditions)
-    devices = [k for effect in model.effects if effect.of_device() for k in model.columns(effect)]
-    observed = [k for observation in model.observations for k in model.columns(observation)]
-    parts: dict[tuple[str, str, str], list[int]] = {}
-    for k, parameter in enumerate(model.parameters):
-        if k not in devices and k not in observed:
-            parts.setdefault((parameter.effect, parameter.variant, parameter.part), []).append(k)
-    for (effect, _, part), columns in parts.items():
-        if effect == "geometry":
-            placed = part not in ("loop",) and not model.parameters[columns[0]].joint
-            yield from (
-                _of([model.parameters[k]], slope[:, :, [k]], "dimension", HARDLY) for k in columns if not placed
-            )
-        elif len(columns) <= MOST:
-            yield _of([model.parameters[k] for k in columns], slope[:, :, columns], "cause", EASILY)
+    slope = model.point_jacobian(calibrated.estimate, rows)
+    for effect in model.effects:
+        columns = [int(k) for k in model.columns(effect) if not effect.of_device()]
+        if isinstance(effect, Geometry):
+            pairs = zip(effect.declared, effect.errors, strict=True)
+            of_links = {declared.identity for declared, error in pairs if error.field in ("steps", "bars")}
+            own = [k for k in columns if model.parameters[k].identity in of_links]
+            yield from (_of([model.parameters[k]], slope[:, :, [k]], "dimension", HARDLY) for k in own)
+            continue
+        parts: dict[str, list[int]] = {}
+        for k in columns:
+            parts.setdefault(model.parameters[k].part, []).append(k)
+        for own in parts.values():
+            if len(own) <= MOST:
+                yield _of([model.parameters[k] for k in own], slope[:, :, own], "cause", EASILY)
 
 
 def _of(parameters: list[Parameter], slope: np.ndarray, kind: Kind, odds: float) -> Movement:
     first = parameters[0]
     single = len(parameters) == 1
-    name = first.name if single else first.name.rpartition(".")[0]
+    name = first.name if single else ".".join(filter(None, (first.part, first.tag)))
     sd = np.array([one.prior_sd for one in parameters]) * (1.0 if kind == "dimension" else CHANGED)
     units, symbols = tuple(one.unit for one in parameters), tuple(one.symbol for one in parameters)
     return Movement(
@@ -159,27 +161,31 @@ def _of(parameters: list[Parameter], slope: np.ndarray, kind: Kind, odds: float)
 
 
 def _conditions(calibrated: CalibratedModel, data: Measurements) -> Iterator[Movement]:
-    """What is no drift: warmth of all links, and a payload that is not as heavy as stated."""
-    robot, plain = calibrated.model.robot, data.on(calibrated.model.robot).stating(calibrated.model.given)
+    """What is no drift: warmth of all links, and a payload that is not as heavy as stated; not where that is held."""
+    model, robot = calibrated.model, calibrated.model.robot
+    plain = data.on(robot).stating(model.given)
     rows = replace(plain, table=plain.table.assign(temperature=REFERENCE + WARMER))
-    kinds = [catalogue()[name] for name in ("thermal-growth", "payload-mass")]
-    probes = tuple(kind(robot) for kind in kinds if not unmet(kind.needs, robot, rows.given))
-    n = len(calibrated.estimate)
-    if CONDITIONS not in calibrated.model.made:
-        p, c, predicted = replace(calibrated.model, given=rows.given, probes=probes).symbols
+    probes = [kind(robot) for kind in (ThermalGrowth, PayloadMass) if not unmet(kind.needs, robot, rows.given)]
+    probing, n = replace(model, given=rows.given, probes=tuple(probes)), len(calibrated.estimate)
+    if CONDITIONS not in model.made:
+        p, c, predicted = probing.symbols
         slopes = ca.jacobian(predicted.point, p[n:]).T
-        calibrated.model.made[CONDITIONS] = ca.Function("conditions", [p, c], [ca.densify(slopes)])
-    nominal = [parameter.nominal for probe in probes for parameter in probe.declared]
+        model.made[CONDITIONS] = ca.Function("conditions", [p, c], [ca.densify(slopes)])
+    at = {parameter.identity: k for k, parameter in enumerate(probing.parameters[n:])}
     values = over_rows(
-        calibrated.model.made[CONDITIONS], np.concatenate([calibrated.estimate, nominal]), rows.conditions
+        model.made[CONDITIONS], np.concatenate([calibrated.estimate, probing.nominal[n:]]), rows.conditions
     )[0]
-    slope = values.T.reshape(len(data), 3, len(nominal))
-    yield Movement("temperature", "condition", "temperature of all links", 0, ("1",), ("growth",), slope[:, :, :1] / WARMER,
-                   np.array([EXPANSION_SD]))  # fmt: skip
-    if len(probes) > 1 and np.abs(slope[:, :, 1]).max() > 0:
-        yield Movement(
-            "payload", "condition", "mass of the payload", 0, ("1",), ("error",), slope[:, :, 1:2], np.array([CHANGED])
-        )
+    slope = values.T.reshape(len(data), 3, len(at))
+    own = [at.get(probe.declared[0].identity) for probe in probes]
+    for probe, k in zip(probes, own, strict=True):
+        if k is None:
+            continue
+        if isinstance(probe, ThermalGrowth):
+            yield Movement("temperature", "condition", "temperature of all links", 0, ("1",), ("growth",),
+                           slope[:, :, [k]] / WARMER, np.array([EXPANSION_SD]))  # fmt: skip
+        elif np.abs(slope[:, :, k]).max() > 0:
+            yield Movement("payload", "condition", "mass of the payload", 0, ("1",), ("error",), slope[:, :, [k]],
+                           np.array([CHANGED]))  # fmt: skip
 
 
 def _same(one: Movement, other: Movement) -> bool:

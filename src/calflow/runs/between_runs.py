@@ -22,7 +22,6 @@ from calflow.deployment.comparison import (
     Setting,
 )
 from calflow.deployment.history import FALSE_ALARM, History, history
-from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.difference import Difference
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.run_folder import CalibratedFolder, is_measured, robot_digest
@@ -222,17 +221,14 @@ def history_of_runs(*runs: Calibration, false_alarm: float = FALSE_ALARM) -> His
     if problems:
         raise InputError(problems)
     rng = np.random.default_rng(runs[0].seed)
-    found = history(names, dates, [_with_what_is_left(run) for run in runs], false_alarm, rng)
+    found = history(names, dates, runs, [_stated_sd(run) for run in runs], false_alarm, rng)
     return replace(found, notes=(*found.notes, *_doubts(runs, names)))
 
 
-def _with_what_is_left(run: Calibration) -> CalibratedModel:
-    """A run's model, its covariance as wide as its table says: after diagnose with what may be left in errors that rows share."""
+def _stated_sd(run: Calibration) -> np.ndarray:
+    """How surely a run's table says that its parameters are known (n_parameters,), nan where it does not."""
     stated = {one.parameter: one.sd for one in run.parameters.rows}
-    sd = np.array([stated.get(one.name, np.nan) for one in run.model.parameters])
-    own = np.sqrt(np.diag(run.covariance))
-    wider = np.where(sd > own, sd / np.where(own > 0, own, 1.0), 1.0)
-    return replace(run, covariance=run.covariance * np.outer(wider, wider))
+    return np.array([stated.get(one.name, np.nan) for one in run.model.parameters])
 
 
 def _doubts(runs: Sequence[Calibration], names: Sequence[str]) -> Iterator[str]:
