@@ -26,7 +26,7 @@ PARTS = {  # by the function that does it; those after `fits` are each a part of
     "poses left out": ("estimation/leverage.py", "elsewhere"),
     "row tables": ("estimation/leverage.py", "judged"),
     "writing CSV": ("files/csv.py", "write_csv"),
-    "hashes": ("measurements/reading.py", "sha256"),
+    "hashes": ("measurements/source.py", "sha256"),
 }
 SIMULATE = """
 import sys, time

@@ -12,7 +12,7 @@ from calflow.estimation.leverage import extrapolation
 from calflow.estimation.noise import measured_noise
 from calflow.estimation.registration import registered
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.reading import read_measurements
+from calflow.measurements.source import read_measurements
 from calflow.model import build
 from calflow.observations import observations
 from calflow.study import load_study

@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calflow.measurements.reading import LARGEST, LONGEST
+from calflow.measurements.source import LARGEST, LONGEST
 from conftest import in_process
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -137,7 +137,7 @@ def test_the_page_on_security_names_what_the_code_does():
         for path, text in code.items()
         if re.search("^from (urllib|http|socket)|^import (socket|requests)", text, re.M)
     }
-    assert sending == {"reading"}
+    assert sending == {"source"}
 
 
 @pytest.mark.parametrize("page", sorted([*DOCS.glob("*.md"), DOCS.parent / "README.md"]), ids=lambda page: page.stem)

@@ -23,7 +23,7 @@ from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.results import SUM, Results, is_whole, sealed, write_results
 from calflow.files.toml import read_toml
 from calflow.files.writing import contained, write_text, write_whole
-from calflow.measurements.reading import sha256
+from calflow.measurements.source import sha256
 from calflow.robot.robot import Robot
 from calflow.study import FIELD, Study, load_study
 from calflow.study_file import StudyFile, WorkflowFile

@@ -16,10 +16,9 @@ from calflow.files.regular import regular_file
 from calflow.files.toml import FileModel, Origin, read_toml, validate_table
 from calflow.files.units import SUFFIXES, split_unit
 from calflow.measurements.measurements import Measurements, combined, continued
-from calflow.measurements.reading import data_folder, is_to_fetch, locate
 from calflow.measurements.rows import layout_of_further
 from calflow.measurements.series import Series
-from calflow.measurements.source import MeasurementSource
+from calflow.measurements.source import MeasurementSource, data_folder, is_to_fetch, locate
 from calflow.model import Model, build, stated
 from calflow.observations import Observation, observation_kinds, observations
 from calflow.robot.formats import robot_file

@@ -18,8 +18,8 @@ from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
 from calflow.files.tables import columns
-from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import numbered
 from calflow.model import Model, build
 
 ROBOT = robots.industrial()

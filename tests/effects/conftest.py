@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.reading import read_measurements
+from calflow.measurements.rows import numbered
+from calflow.measurements.source import read_measurements
 from calflow.robot.robot import Robot
 from effects.bench import BASE, EVERYTHING, ROBOTS, SESSIONS, Bench
 from hidden.case import Case, draw, write_case

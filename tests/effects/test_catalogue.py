@@ -14,8 +14,8 @@ import pytest
 
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Cause
-from calflow.measurements.columns import condition_columns, numbered
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import condition_columns, numbered
 from calflow.measurements.series import Series, Station
 from effects.bench import ROBOTS, Bench, made, waves
 from effects.twins import SHARED

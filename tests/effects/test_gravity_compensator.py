@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 import robots
 from calflow.effects.gravity_compensator import GravityCompensator
 from calflow.effects.warming import REFERENCE
-from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import numbered
 from calflow.robot.mechanism import Row, State
 
 DISTANCE = 0.5  # m, of the hinge on the column

@@ -13,7 +13,7 @@ from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Cause, parts
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import probed
-from calflow.measurements.reading import read_measurements
+from calflow.measurements.source import read_measurements
 from calflow.model import build
 from calflow.observations.position import Position
 from calflow.robot.robot import Robot

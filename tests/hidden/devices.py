@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import numbered
 from calflow.measurements.series import Series
 from calflow.robot.parts import Base
 from calflow.robot.robot import Robot

@@ -15,9 +15,7 @@ from threading import Event, Thread
 import pytest
 
 from calflow.files.problems import InputError
-from calflow.measurements import reading
-from calflow.measurements.reading import fetch, is_to_fetch, locate
-from calflow.measurements.source import MeasurementSource
+from calflow.measurements.source import MeasurementSource, fetch, is_to_fetch, locate
 
 
 class Server(ThreadingHTTPServer):
@@ -173,8 +171,8 @@ def test_a_file_is_fetched_by_way_of_another_place(server, tmp_path):
 )
 def test_a_server_that_leads_astray_is_given_up(server, tmp_path, monkeypatch, path, told):
     """Fails if a server can have another protocol used, be followed for ever, fill the disk, or keep a run waiting."""
-    monkeypatch.setattr(reading, "LARGEST", 1_000_000)
-    monkeypatch.setattr(reading, "LONGEST", 0.5 if path == "/slow" else 30.0)
+    monkeypatch.setattr("calflow.measurements.source.LARGEST", 1_000_000)
+    monkeypatch.setattr("calflow.measurements.source.LONGEST", 0.5 if path == "/slow" else 30.0)
     with pytest.raises(InputError, match=told):
         fetch(source(server, path))
     assert len(server.asked) < 10

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from calflow.files.problems import InputError
 from calflow.files.units import SUFFIXES
-from calflow.measurements.columns import column_names
-from calflow.measurements.reading import data_folder, locate, read_measurements
-from calflow.measurements.source import MeasurementSource
+from calflow.measurements.rows import column_names
+from calflow.measurements.source import MeasurementSource, data_folder, locate, read_measurements
 from calflow.robot.robot import Robot
 
 Q = ["q1_deg", "q2_deg", "q3_deg"]

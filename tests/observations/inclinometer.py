@@ -12,7 +12,7 @@ from pydantic import Field
 
 from calflow.files.toml import FileModel
 from calflow.files.units import RADIAN, MeasurementUnit
-from calflow.measurements.columns import Reported
+from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import Observation, Seen
 from calflow.robot.parts import Parameter

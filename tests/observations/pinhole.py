@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from calflow.files.toml import Angles3, FileModel, Lengths3, Unit
 from calflow.files.units import PIXEL, MeasurementUnit
-from calflow.measurements.columns import Reported
+from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
 from calflow.robot.frames import placement

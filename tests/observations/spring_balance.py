@@ -8,14 +8,14 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 import pandas as pd
+from calflow.robot.parameter import Parameter
 from pydantic import Field
 
 from calflow.files.toml import FileModel, Lengths3
 from calflow.files.units import NEWTON, MeasurementUnit
-from calflow.measurements.columns import Reported
+from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import Observation, Seen
-from calflow.robot.parameter import Parameter
 
 HOOK_SD, HOOK_BOUND = 5e-3, 0.1  # m
 PRELOAD_SD, PRELOAD_BOUND = 5.0, 100.0  # N

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.files.units import METRE, MeasurementUnit
-from calflow.measurements.columns import Reported
+from calflow.measurements.rows import Reported
 from calflow.observations.base import Observation
 from calflow.robot.parts import Parameter
 

@@ -11,7 +11,7 @@ import pytest
 
 from calflow.files.data_package import table_schema
 from calflow.files.tables import columns, from_frame, to_frame
-from calflow.measurements.reading import sha256
+from calflow.measurements.source import sha256
 from calflow.run_folder import read_manifest
 from calflow.stages import STAGES
 from made.contents import renewed

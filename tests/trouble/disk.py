@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.measurements.reading import sha256
+from calflow.measurements.source import sha256
 from conftest import Answer
 from trouble.campaign import unreadable
 from trouble.kills import tables

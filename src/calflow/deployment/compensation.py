@@ -33,9 +33,8 @@ from calflow.estimation.noise import members
 from calflow.files.problems import MOST_TOLD, InputError, Problem, nearest, refuse
 from calflow.files.tables import column, typed
 from calflow.files.toml import Angles3, FileModel, Lengths3, read_toml
-from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.rows import approach_and_travel
+from calflow.measurements.rows import approach_and_travel, numbered
 from calflow.model import Model, over_rows
 from calflow.observations.pose import Pose
 from calflow.robot.frames import placement, turning

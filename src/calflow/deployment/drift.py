@@ -39,8 +39,8 @@ from calflow.estimation.calibrated_model import CalibratedModel, unexplained
 from calflow.files.problems import InputError, refuse
 from calflow.files.results import Results, to_document
 from calflow.files.tables import column, to_frame
-from calflow.measurements.columns import POSITION
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import POSITION
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
 
 

@@ -23,8 +23,8 @@ from calflow.effects.cause import Cause
 from calflow.estimation.progress import Draws
 from calflow.files.problems import InputError
 from calflow.files.tables import column, to_frame, typed
-from calflow.measurements.columns import condition_columns
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import condition_columns
 from calflow.observations import Observation
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
 

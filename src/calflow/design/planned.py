@@ -19,8 +19,7 @@ from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.noise import Noise, PerUnit
 from calflow.files.problems import InputError, Problem, nearest
 from calflow.files.units import SUFFIXES
-from calflow.measurements.columns import Layout
-from calflow.measurements.rows import ReadColumn, numbers, read_cells
+from calflow.measurements.rows import Layout, ReadColumn, numbers, read_cells
 from calflow.model import Model
 from calflow.observations import Observation
 from calflow.robot.robot import Robot

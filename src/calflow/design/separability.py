@@ -28,7 +28,6 @@ from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, WITHIN
 from calflow.diagnosis.verdict import label
 from calflow.effects import Effect, effect_class
 from calflow.effects.cause import Cause
-from calflow.effects.joint_compliance import JointCompliance
 from calflow.estimation.probing import probed
 from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
@@ -234,7 +233,7 @@ def _regressors(
     sd = np.array([parameter.prior_sd for parameter in model.parameters])
     point = model.nominal.copy()
     for effect in model.effects:
-        if isinstance(effect, JointCompliance):
+        if effect.inevitable:
             point[model.columns(effect)] += sd[model.columns(effect)]
     _, matrix = probed(planned.problem(model, point, conditions), point, effects)
     jacobian, held, candidates = matrix[:, :n], Held(matrix[:, n:]), candidates_of(effects)

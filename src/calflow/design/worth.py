@@ -22,8 +22,7 @@ from calflow.design.search import SHORTLIST, relaxed, search_poses, sensitivitie
 from calflow.files.tables import column
 from calflow.measurements.series import Series, Station
 from calflow.model import Model, build
-from calflow.observations.frames import Frames
-from calflow.observations.position import Position
+from calflow.observations.position import Frames, Position
 from calflow.robot.parts import Marker, Named
 
 ASIDE = 0.3  # m from the first marker to one that the robot file does not have yet

@@ -40,8 +40,8 @@ from calflow.estimation.parameters import UNIT
 from calflow.files.tables import column, spread, to_frame, typed
 from calflow.files.units import METRE
 from calflow.files.words import listed
-from calflow.measurements.columns import blocks_of
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import blocks_of
 from calflow.model import Model, over_rows
 from calflow.observations import leading_units
 from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, nominal_loads, state

@@ -24,6 +24,7 @@ class JointCompliance(Effect):
     title: ClassVar[str] = "joint compliance (linear torsional springs)"
     words: ClassVar[Words] = Words("compliance", "the drive twists in proportion to its torque", "compliance")
     tag: ClassVar[str] = ""
+    inevitable: ClassVar[bool] = True
     needs: ClassVar[tuple[str, ...]] = ("torques",)
 
     @classmethod

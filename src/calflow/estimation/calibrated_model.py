@@ -29,8 +29,8 @@ from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.results import Results
 from calflow.files.tables import column, to_frame
 from calflow.files.units import METRE, RADIAN, SUFFIXES
-from calflow.measurements.columns import column_names, condition_columns
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import column_names, condition_columns
 from calflow.model import Model, over_rows
 from calflow.observations import Observation, observation_kinds
 from calflow.robot.frames import vector

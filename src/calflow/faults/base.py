@@ -12,9 +12,8 @@ import pandas as pd
 
 from calflow.faults.reference import Reference
 from calflow.files.tables import column, typed
-from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.rows import IN_ORDER, approach_and_travel
+from calflow.measurements.rows import IN_ORDER, approach_and_travel, numbered
 
 Action = Literal["corrected", "left out", "told"]
 PLACE = ("x", "y", "z")

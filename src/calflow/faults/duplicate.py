@@ -7,9 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import Correction, Fault, PlainCheck, fault, lines_in_words
-from calflow.measurements.columns import SIGMAS, condition_columns, numbered
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.rows import IN_ORDER
+from calflow.measurements.rows import IN_ORDER, SIGMAS, condition_columns, numbered
 
 LABELS = ("marker", "payload", "session", "series")
 OF_THE_ROW = ("pose", "repeat", "line", "split", "order", "time", "temperature", "range", "of_repeats", *SIGMAS)

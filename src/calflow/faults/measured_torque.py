@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import Correction, Fault, PlainCheck, fault
-from calflow.measurements.columns import numbered
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import numbered
 from calflow.robot.mechanism import gravity_torque, moment_torques, reachable
 
 FEWEST = 12  # rows more than figures that are fitted to a joint's torques

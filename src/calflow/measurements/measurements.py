@@ -16,17 +16,19 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from calflow.measurements.columns import (
+from calflow.measurements.rows import (
     ANGLES,
     POSITION,
     QUATERNION,
     TARGETS,
     Layout,
+    Rows,
     blocks_of,
     condition_columns,
     numbered,
+    read_rows,
+    rows_of,
 )
-from calflow.measurements.rows import Rows, read_rows, rows_of
 from calflow.measurements.series import Series
 from calflow.robot.mechanism import OPTIONAL, Row, session_number
 from calflow.robot.robot import Robot

@@ -11,8 +11,8 @@ from pydantic import TypeAdapter
 from calflow.files.csv import read_csv, read_texts, write_csv
 from calflow.files.units import SUFFIXES
 from calflow.files.writing import inside, write_text
-from calflow.measurements.columns import column_names
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import column_names
 from calflow.measurements.series import Series
 from calflow.robot.robot import Robot
 

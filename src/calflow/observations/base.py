@@ -14,7 +14,7 @@ import pandas as pd
 
 from calflow.files.toml import FileModel
 from calflow.files.units import MeasurementUnit
-from calflow.measurements.columns import Reported
+from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.robot.parts import Parameter
 

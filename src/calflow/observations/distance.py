@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 from calflow.files.toml import FileModel, Length, Lengths3, Unit
 from calflow.files.units import METRE, MeasurementUnit
-from calflow.measurements.columns import Reported
+from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
 from calflow.robot.parts import Parameter

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from calflow.files.toml import FileModel, Lengths3
 from calflow.files.units import METRE, MeasurementUnit
-from calflow.measurements.columns import Reported
+from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
 from calflow.robot.frames import angles, placement

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from calflow.files.units import METRE, RADIAN, MeasurementUnit
-from calflow.measurements.columns import POSES, Reported
 from calflow.measurements.measurements import rotations
+from calflow.measurements.rows import POSES, Reported
 from calflow.observations.base import Seen
 from calflow.observations.position import Position
 

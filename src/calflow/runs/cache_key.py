@@ -13,7 +13,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from calflow.files.plugins import packages
-from calflow.measurements.reading import sha256
+from calflow.measurements.source import sha256
 from calflow.run_folder import after, code_digest, digest, robot_digest, versions
 from calflow.stages.stage import Stage
 from calflow.study import Study

@@ -21,11 +21,9 @@ from calflow.deployment.compensation import (
 from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
 from calflow.estimation.registration import plausible
 from calflow.files.problems import InputError, Problem, refuse
-from calflow.measurements.columns import FRAME, LABELS, Layout, numbered
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.reading import sha256
-from calflow.measurements.rows import read_cells
-from calflow.measurements.source import MeasurementSource
+from calflow.measurements.rows import FRAME, LABELS, Layout, numbered, read_cells
+from calflow.measurements.source import MeasurementSource, sha256
 from calflow.robot.mechanism import reading_columns
 from calflow.run_folder import is_measured
 from calflow.study import Study

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from calflow.files.problems import InputError, Problem, counted, nearest, refuse, together
 from calflow.files.toml import Origin
-from calflow.measurements.reading import sha256
+from calflow.measurements.source import sha256
 from calflow.run_folder import Manifest, StageEntry, beside, damage, is_measured, read_manifest
 from calflow.runs.cache_key import common_key, stage_key
 from calflow.stages import STAGES

@@ -23,7 +23,7 @@ from calflow.files.plugins import packages
 from calflow.files.results import Documents, Results, write_results
 from calflow.files.tables import Tables
 from calflow.files.writing import PART, inside, write_whole
-from calflow.measurements.reading import fetch, sha256
+from calflow.measurements.source import fetch, sha256
 from calflow.run_folder import (
     KeptFile,
     Manifest,
