@@ -34,6 +34,43 @@ def test_an_inclinometer_goes_all_the_way(small, tmp_path):
     for name, zero in zip(("pitch", "tilt"), ZERO, strict=True):
         own = found.parameters.loc[f"inclinometer.{name}"]
         assert abs(own["estimate"] - zero) < 3 * own["sd"]
+    _holds_in_its_unit(small, environment)
+
+
+VALIDATED = """
+import calflow as cf
+
+calibration = cf.Calibration.load("runs")
+data = calibration.data
+found = calibration.validate(data.only(~data.train), tolerance=1e-3)
+found.results.tables["accuracy.csv"].to_csv("validated.csv", index=False)
+found.results.tables["poses.csv"].to_csv("poses.csv", index=False)
+try:
+    calibration.drift(data)
+except cf.InputError as error:
+    assert "expected a measured position in every row" in str(error)
+else:
+    raise AssertionError("drift took angles for positions")
+print(found.summary.status, found.summary.unit, found.summary.tolerance, found.summary.tolerance_mm, found.summary.station)
+"""
+
+
+def _holds_in_its_unit(folder, environment):
+    """Rows that were held out are judged in mrad, and err by what was promised of them."""
+    done = folder.apart("-c", VALIDATED, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["met", "mrad", "1.0", "None", "known"]
+    models = pd.read_csv(folder / "validated.csv").set_index("model")
+    assert set(models["unit"]) == {"mrad"}
+    assert models.filter(like="_mm").isna().all(axis=None)
+    assert models.loc["calibrated", "max"] < 6 * 1e3 * NOISE < models.loc["nominal", "mean"]
+    poses = pd.read_csv(folder / "poses.csv")
+    assert (len(poses), set(poses["unit"]), poses["within"].all()) == (
+        models.loc["calibrated", "poses"],
+        {"mrad"},
+        True,
+    )
+    assert 0.5 < np.sqrt(np.mean((poses["calibrated"] / poses["promised"]) ** 2)) < 1.6
 
 
 def test_a_noise_in_a_unit_that_was_not_measured_is_refused(small, tmp_path):

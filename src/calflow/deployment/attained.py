@@ -9,17 +9,21 @@ Alignment: the frame in which a device stood when it stood elsewhere, by the rig
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from calflow.estimation.accuracy import error_jacobian, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel, expected_point, position_variance
 from calflow.estimation.noise import conditions, members
 from calflow.files.problems import refuse
+from calflow.files.units import METRE, MeasurementUnit
+from calflow.measurements.columns import POSITION
 from calflow.measurements.measurements import Measurements
+from calflow.observations import leading_units
 
 FREEDOM = 6  # numbers that a frame takes away
 FEWEST = 4  # poses, of fewer a frame leaves nothing to judge
@@ -58,6 +62,11 @@ class Alignment:
     def angle(self) -> float:
         """By how much it turns [rad]."""
         return float(Rotation.from_matrix(self.turn).magnitude())
+
+
+def has_positions(data: Measurements) -> bool:
+    """Whether a position was measured in every row."""
+    return POSITION[0] in data.table and bool(np.isfinite(data.position).all())
 
 
 def can_align(points: np.ndarray) -> bool:
@@ -171,6 +180,9 @@ class Attained:
     device reported in, expected maps each model to where it says they are (n, 3) [m]. sd (n,) is what the calibrated model
     promises of the length of its error, the device's noise of the barycentre included, noise (n,) that noise alone per axis [m].
     repeatability (n,) is RP [m]. turns is there where orientations were measured.
+
+    Where rows without positions were measured all of these are in `unit`: measured is then what was measured less what the
+    calibrated model expects, from which expected counts too, in as many columns as a row has values.
     """
 
     table: pd.DataFrame
@@ -180,20 +192,16 @@ class Attained:
     noise: np.ndarray
     repeatability: np.ndarray
     turns: AttainedTurns | None
+    unit: MeasurementUnit = METRE
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements) -> Attained:
         """Bring rows together; the nominal model is the robot as its maker says, placed where the calibration had it."""
+        if not has_positions(data):
+            return Attained.in_its_unit(calibrated, data)
         rows = data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
-        group = np.unique(conditions(data), return_inverse=True)[1]
-        count = np.bincount(group)
-        first = np.unique(group, return_index=True)[1]
-
-        def mean(values: np.ndarray) -> np.ndarray:
-            return np.stack([np.bincount(group, weights=column) / count for column in values.T], axis=1)
-
-        labels = [name for name in ("pose", "marker", "payload", "session") if name in data.table]
-        table = data.table.iloc[first][labels].reset_index(drop=True).assign(rows=count)
+        table, group, mean = _points(data)
+        count = table["rows"].to_numpy()
         estimates = {NOMINAL: calibrated.model.nominal, CALIBRATED: calibrated.estimate}
         expected = {
             NOMINAL: mean(calibrated.model.point(calibrated.model.nominal, rows)),
@@ -209,6 +217,30 @@ class Attained:
             table, mean(data.position), expected, np.sqrt(variance + 3 * noise**2), noise,
             np.array([pose_repeatability(data.position[k]) for k in own]),
             AttainedTurns.of(calibrated, estimates, data, rows, own),
+        )  # fmt: skip
+
+    @staticmethod
+    def in_its_unit(calibrated: CalibratedModel, data: Measurements) -> Attained:
+        """Bring together the rows of the series that report in the unit by which a model of them is judged."""
+        unit = judged_unit(leading_units(data))
+        stated, noise = data.stating(calibrated.model.given), calibrated.noise(data)
+        estimates = {NOMINAL: calibrated.model.nominal, CALIBRATED: calibrated.estimate}
+        every = {name: errors(calibrated.model, p, stated, unit) for name, p in estimates.items()}
+        own = np.isfinite(every[CALIBRATED]).any(axis=1)
+        off = {name: np.nan_to_num(values[own]) for name, values in every.items()}
+        table, group, mean = _points(data.only(own))
+        count = table["rows"].to_numpy()
+        slope = error_jacobian(calibrated.model, calibrated.estimate, stated)[own]
+        known = np.einsum("nai,ij,naj->na", slope, calibrated.covariance, slope)
+        values = np.isfinite(every[CALIBRATED][own]).sum(axis=1)
+        device = noise.sigma[own] if calibrated.noise_known else np.zeros(own.sum())
+        left = calibrated.discrepancy[unit] if calibrated.noise_known else noise.sigma[own]
+        of_device = np.sqrt(np.bincount(group, weights=device**2)) / count
+        variance = mean(known).sum(axis=1) + mean((values * left**2)[:, None])[:, 0]
+        expected = {name: mean(errors_of - off[CALIBRATED]) for name, errors_of in off.items()}
+        return Attained(
+            table, -mean(off[CALIBRATED]), expected, np.sqrt(variance + mean(values[:, None])[:, 0] * of_device**2), of_device,
+            np.array([pose_repeatability(off[CALIBRATED][k]) for k in members(group)]), None, unit,
         )  # fmt: skip
 
     @property
@@ -281,6 +313,19 @@ class Attained:
     def by_pose(self, values: np.ndarray, how: str) -> np.ndarray:
         """Return the mean or max of each pose's values (n,), shape (n_poses,)."""
         return np.asarray(pd.Series(values).groupby(self.pose).agg(how))
+
+
+def _points(data: Measurements) -> tuple[pd.DataFrame, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+    """The points that rows are of, with their labels and number of rows, each row's point, and what takes a mean over them."""
+    group = np.unique(conditions(data), return_inverse=True)[1]
+    count, first = np.bincount(group), np.unique(group, return_index=True)[1]
+    labels = [name for name in ("pose", "marker", "payload", "session") if name in data.table]
+    table = data.table.iloc[first][labels].reset_index(drop=True).assign(rows=count)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.stack([np.bincount(group, weights=column) / count for column in values.T], axis=1)
+
+    return table, group, mean
 
 
 @dataclass(frozen=True)

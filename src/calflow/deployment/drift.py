@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from calflow.deployment.attained import Attained, can_align, rigid_slope
+from calflow.deployment.attained import Attained, can_align, has_positions, rigid_slope
 from calflow.deployment.movements import (
     ANYWHERE,
     FALSE_ALARM,
@@ -339,8 +339,10 @@ def drift(
         seed: of the draws that false alarms are counted in.
 
     Raises:
-        InputError: a frame cannot be fitted.
+        InputError: a frame cannot be fitted, or rows have no position.
     """
+    if not has_positions(data):
+        raise refuse("expected a measured position in every row: what moved is told by positions alone", key="data")
     given = tuple(one.condition for one in calibrated.needed if one.condition in data.given)
     calibrated = replace(calibrated, model=replace(calibrated.model, given=given))
     attained = Attained.of(calibrated, data)

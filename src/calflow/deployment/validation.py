@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -37,6 +38,7 @@ from calflow.estimation.calibrated_model import CalibratedModel, check_stated
 from calflow.files.problems import refuse
 from calflow.files.results import Results, to_document
 from calflow.files.tables import column, to_frame
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 
 FEWEST = 3  # poses, of fewer no spread is known
@@ -134,6 +136,17 @@ class ValidatedModel:
     rms_high_mm: float = column("upper end of it", "mm")
     max_mm: float = column("the largest error: pose accuracy AP of the worst pose", "mm")
     further_mm: float = column("what a further pose like these errs by less than, with a probability of 95 %", "mm")
+    unit: str = column(
+        "the unit that the following figures are in: mm, mrad, px, …; those above are empty where it is no length"
+    )
+    mean: float = column("as mean_mm, in `unit`")
+    mean_low: float = column("as mean_low_mm, in `unit`")
+    mean_high: float = column("as mean_high_mm, in `unit`")
+    rms: float = column("as rms_mm, in `unit`")
+    rms_low: float = column("as rms_low_mm, in `unit`")
+    rms_high: float = column("as rms_high_mm, in `unit`")
+    max: float = column("as max_mm, in `unit`")
+    further: float = column("as further_mm, in `unit`")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,6 +169,12 @@ class ValidatedPose:
     turn_mrad: float = column("how much the tool is turned beside the calibrated robot's; empty: not measured", "mrad")
     rp_turn_mrad: float = column("repeatability of the turn about its worst axis, 3 S; empty: not measured", "mrad")
     within: bool | None = column("whether it is within the tolerance; empty: none was given")
+    unit: str = column(
+        "the unit that the following figures are in: mm, mrad, px, …; those in mm are empty where it is no length"
+    )
+    nominal: float = column("as nominal_mm, in `unit`")
+    calibrated: float = column("as calibrated_mm, in `unit`")
+    promised: float = column("as promised_mm, in `unit`")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,6 +219,12 @@ class ValidationSummary:
     cube_edge_mm: float | None = column(
         "edge of ISO 9283's cube in whose plane the five poses lie; null: they are no such poses", "mm"
     )
+    unit: str = column(
+        "the unit of what was judged: mm, mrad, px, …; figures in mm are NaN or null where it is no length"
+    )
+    tolerance: float | None = column("as tolerance_mm, in `unit`")
+    noise: float | None = column("as noise_mm, in `unit`")
+    promised: float = column("as promised_mm, in `unit`")
     notes: tuple[str, ...] = column("what was assumed, and what to look at", default=())
 
 
@@ -253,8 +278,9 @@ def validate(
 
     Args:
         calibrated: the calibrated model.
-        data: the rows, positions or poses, in the frame of the calibration or any other.
-        tolerance: what a pose may err by [m].
+        data: the rows: positions or poses, in the frame of the calibration or any other, or whatever else was observed, which is
+            then judged in its own unit.
+        tolerance: what a pose may err by [m, or the unit that is judged: rad, px, N].
         task: how many poses must all be within; then that decides instead of a further pose.
         confidence: the probability that a verdict "met" needs.
         station: whether the device stood where it stood in the calibration; "auto" takes it as known but in
@@ -263,8 +289,6 @@ def validate(
     Raises:
         InputError: a needed condition is missing, or there are too few poses to fit a frame, or a figure is at fault.
     """
-    if tolerance is not None and not 0 < tolerance < 1:
-        raise refuse(f"expected more than 0 and less than 1000 mm, found {1e3 * tolerance:g}", key="tolerance")
     if not 0.5 <= confidence < 1:
         raise refuse(f"expected at least 0.5 and less than 1, found {confidence:g}", key="confidence")
     if task is not None and task < 1:
@@ -273,6 +297,10 @@ def validate(
     given = data.stating([one.condition for one in calibrated.needed]).given
     stated = replace(calibrated, model=replace(calibrated.model, given=given))
     attained = Attained.of(stated, data)
+    unit, shown = attained.unit, attained.unit.shown
+    if tolerance is not None and not 0 < tolerance < (1 if unit == METRE else np.inf):
+        most = " and less than 1000 mm" if unit == METRE else ""
+        raise refuse(f"expected more than 0{most}, found {shown(tolerance):g}", key="tolerance")
     field_notes = of_field(stated, data.stating(given).on(stated.model.robot).conditions)
     judged: Judged = "commanded" if COMMANDED in attained.expected else "calibrated"
     fitted, frames = stands(attained, station)
@@ -289,10 +317,14 @@ def validate(
     whole = None if tolerance is None else _or_none(worst.within(tolerance, asked))
     p_moved = _moved_p(attained, error[CALIBRATED], frames) if frames and not fitted.any() else None
     moves = _motions(attained, fitted, frames)
+    sigma = calibrated.noise(data)
+    noise = sigma.typical(unit) if calibrated.noise_known else None
+    promised = float(np.sqrt(np.mean(attained.sd**2)))
+    in_mm = partial(_in_mm, attained)
     summary = ValidationSummary(
         status=_status(within, beyond, whole if task else further, confidence),
         judged=judged,
-        tolerance_mm=None if tolerance is None else 1e3 * tolerance,
+        tolerance_mm=None if tolerance is None else _or_none(in_mm(tolerance)),
         confidence=confidence,
         further_within=further,
         task_poses=asked,
@@ -307,12 +339,16 @@ def validate(
         moved_mm=max((1e3 * far for far, _ in moves), default=None),
         turned_mrad=max((1e3 * angle for _, angle in moves), default=None),
         moved_p=p_moved,
-        noise_mm=1e3 * float(np.sqrt(np.mean(calibrated.noise(data).sigma ** 2))) if calibrated.noise_known else None,
-        promised_mm=1e3 * float(np.sqrt(np.mean(attained.sd**2))),
-        ap_mm=1e3 * float(size[judged].max()),
-        rp_mm=_or_none(1e3 * float(_largest(attained.repeatability))),
+        noise_mm=None if noise is None else _or_none(in_mm(noise)),
+        promised_mm=in_mm(promised),
+        ap_mm=in_mm(float(size[judged].max())),
+        rp_mm=_or_none(in_mm(_largest(attained.repeatability))),
         fewest_cycles=int(attained.table["rows"].min()),
-        cube_edge_mm=_or_none(1e3 * cube_edge(_places(attained))),
+        cube_edge_mm=_or_none(in_mm(cube_edge(_places(attained)))),
+        unit=unit.label,
+        tolerance=None if tolerance is None else shown(tolerance),
+        noise=None if noise is None else shown(noise),
+        promised=shown(promised),
         notes=(
             *data.notes,
             *_notes(attained, judged, size, worst, p_moved, fitted),
@@ -331,6 +367,8 @@ def stands(attained: Attained, station: Station) -> tuple[np.ndarray, tuple[Alig
     A session of too few points has none, and counts as known unless all are to be fitted.
     """
     own = [attained.frame == k for k in range(attained.frame.max() + 1)]
+    if attained.unit != METRE:  # a frame is fitted to positions alone
+        return np.zeros(len(own), dtype=bool), ()
     able = np.array([station == "fitted" or can_align(attained.measured[one]) for one in own])
     frames = attained.alignment(CALIBRATED, able)
     if station == "fitted":
@@ -378,10 +416,12 @@ def _statistics(model: Judged, attained: Attained, size: np.ndarray, lost: int, 
     mean, low, high = _interval(of_pose, n)
     square, least, most = _interval(of_pose**2, n)
     figures = (mean, low, high, *np.sqrt((square, least, most)), size.max(), worst.reached_by(CONFIDENCE))
-    names = ("mean_mm", "mean_low_mm", "mean_high_mm", "rms_mm", "rms_low_mm", "rms_high_mm", "max_mm", "further_mm")
+    names = ("mean", "mean_low", "mean_high", "rms", "rms_low", "rms_high", "max", "further")
     return ValidatedModel(
-        model=model, poses=len(of_pose), **{k: 1e3 * float(v) for k, v in zip(names, figures, strict=True)}
-    )
+        model=model, poses=len(of_pose), unit=attained.unit.label,
+        **{name: attained.unit.shown(float(v)) for name, v in zip(names, figures, strict=True)},
+        **{f"{name}_mm": _in_mm(attained, v) for name, v in zip(names, figures, strict=True)},
+    )  # fmt: skip
 
 
 def _interval(values: np.ndarray, n: float) -> tuple[float, float, float]:
@@ -408,21 +448,25 @@ def _points(
     within: np.ndarray | None, frames: tuple[Alignment, ...],
 ) -> tuple[ValidatedPose, ...]:  # fmt: skip
     """A row a point."""
+    shown = attained.unit.shown
     turns = attained.turns
     turned = turns.errors(CALIBRATED, frames, attained.frame) if turns else None
     found = []
     for k, labels in enumerate(attained.table.to_dict("records")):
-        dx, dy, dz = (1e3 * float(value) for value in error[judged][k])
+        dx, dy, dz = (_in_mm(attained, value) for value in error[judged][k][:3])
         found.append(
             ValidatedPose(
                 pose=str(labels["pose"]), marker=str(labels["marker"]), payload=str(labels["payload"]),
                 session=str(labels.get("session", "")), rows=int(labels["rows"]),
-                nominal_mm=1e3 * float(size[NOMINAL][k]), calibrated_mm=1e3 * float(size[CALIBRATED][k]),
-                commanded_mm=1e3 * float(size[COMMANDED][k]) if COMMANDED in size else float("nan"),
-                promised_mm=1e3 * float(attained.sd[k]), dx_mm=dx, dy_mm=dy, dz_mm=dz, rp_mm=1e3 * float(attained.repeatability[k]),
+                nominal_mm=_in_mm(attained, size[NOMINAL][k]), calibrated_mm=_in_mm(attained, size[CALIBRATED][k]),
+                commanded_mm=_in_mm(attained, size[COMMANDED][k]) if COMMANDED in size else float("nan"),
+                promised_mm=_in_mm(attained, attained.sd[k]), dx_mm=dx, dy_mm=dy, dz_mm=dz,
+                rp_mm=_in_mm(attained, attained.repeatability[k]),
                 turn_mrad=float("nan") if turned is None else 1e3 * float(np.linalg.norm(turned[k])),
                 rp_turn_mrad=1e3 * float(_largest(turns.repeatability[k])) if turns else float("nan"),
-                within=None if within is None else bool(within[k]),
+                within=None if within is None else bool(within[k]), unit=attained.unit.label,
+                nominal=shown(float(size[NOMINAL][k])), calibrated=shown(float(size[CALIBRATED][k])),
+                promised=shown(float(attained.sd[k])),
             )
         )  # fmt: skip
     return tuple(found)
@@ -459,6 +503,11 @@ def _notes(
 
 def _largest(values: np.ndarray) -> float:
     return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
+
+
+def _in_mm(attained: Attained, value: float) -> float:
+    """A value of the attained points' unit in mm; nan where that is none of length."""
+    return 1e3 * float(value) if attained.unit == METRE else float("nan")
 
 
 def _or_none(value: float) -> float | None:
