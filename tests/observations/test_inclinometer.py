@@ -42,7 +42,8 @@ import calflow as cf
 
 calibration = cf.Calibration.load("runs")
 data = calibration.data
-found = calibration.validate(data.only(~data.train), tolerance=1e-3)
+new = data.only(~data.train & (data.table["pose"].astype(str) != "18").to_numpy())  # a row that was misread
+found = calibration.validate(new, tolerance=1e-3)
 found.results.tables["accuracy.csv"].to_csv("validated.csv", index=False)
 found.results.tables["poses.csv"].to_csv("poses.csv", index=False)
 try:
