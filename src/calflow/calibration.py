@@ -15,6 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 
 from calflow.deployment import compensation, prediction, validation
@@ -85,7 +86,7 @@ from calflow.faults import Fault, FaultyRow, as_table, corrected, examined
 from calflow.faults.outlier import odd_rows
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.results import Results, to_document, write_results
-from calflow.files.tables import TypedTable, as_declared, lacking, to_frame
+from calflow.files.tables import Row, TypedTable, as_declared, lacking, to_frame
 from calflow.files.toml import write_toml
 from calflow.files.writing import inside
 from calflow.measurements.measurements import Measurements
@@ -187,6 +188,17 @@ class Plots:
 
         with style():
             return draw(self.material)
+
+
+def _view(meaning: str, name: str, row_type: type[Row], stage: str = "") -> cached_property[TypedTable[Row]]:
+    """Declare an attribute of a calibration: a stage's table, or the last one's; without rows where the stage never was."""
+
+    def table(of: Calibration) -> TypedTable[Row]:
+        path = f"{stage or of._stage}/{name}.csv"
+        return TypedTable(of.results.tables[path] if path in of.results else to_frame((), row_type), row_type, path)
+
+    table.__doc__ = meaning
+    return cached_property(table)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -329,60 +341,35 @@ class Calibration(CalibratedModel):
         """What was estimated, by name."""
         return Parameters.of_table(self._latest("parameters"), self.robot)
 
-    @cached_property
-    def accuracy(self) -> TypedTable[Accuracy]:
-        """The errors of each model on the way, on fitted and on held-out rows."""
-        return self._table("accuracy", Accuracy)
-
-    @cached_property
-    def residuals(self) -> TypedTable[JudgedResidual]:
-        """What the model leaves of each row."""
-        return self._table("residuals", JudgedResidual)
+    accuracy = _view("The errors of each model on the way, on fitted and on held-out rows.", "accuracy", Accuracy)
+    residuals = _view("What the model leaves of each row.", "residuals", JudgedResidual)
+    faults = _view(
+        "The gross mistakes in the measurements that were put right or left out before any fit.",
+        "faults",
+        FaultyRow,
+        "identify",
+    )
+    statements = _view("What the data do not tell.", "identifiability", Statement, "identify")
+    correlations = _view("The parameters that hang together most.", "correlations", Correlation, "identify")
+    findings = _view(
+        "Faults of the data, causes, and what no cause explains, best first; none where nothing is lacking.",
+        "findings",
+        Finding,
+        "diagnose",
+    )
+    candidates = _view("Every cause that was tested, and why others were not.", "candidates", CandidateRow, "diagnose")
+    next_poses = _view(
+        "The poses to measure next, so that findings are told from their rivals.", "next_poses", NextPose, "diagnose"
+    )
+    separations = _view(
+        "How far each finding is from each rival, and what to do about it.", "separations", SeparationRow, "diagnose"
+    )
+    curves = _view("The course of what was found over what it depends on.", "curves", CurvePoint, "diagnose")
 
     @property
     def covariance_table(self) -> pd.DataFrame:
         """The covariance of the estimate in SI units, named by rows and columns."""
         return self._latest("covariance").set_index("parameter")
-
-    @cached_property
-    def faults(self) -> TypedTable[FaultyRow]:
-        """The gross mistakes in the measurements that were put right or left out before any fit."""
-        return self._table("faults", FaultyRow, "identify")
-
-    @cached_property
-    def statements(self) -> TypedTable[Statement]:
-        """What the data do not tell."""
-        return self._table("identifiability", Statement, "identify")
-
-    @cached_property
-    def correlations(self) -> TypedTable[Correlation]:
-        """The parameters that hang together most."""
-        return self._table("correlations", Correlation, "identify")
-
-    @cached_property
-    def findings(self) -> TypedTable[Finding]:
-        """Faults of the data, causes, and what no cause explains, best first; none where nothing is lacking."""
-        return self._table("findings", Finding, "diagnose")
-
-    @cached_property
-    def candidates(self) -> TypedTable[CandidateRow]:
-        """Every cause that was tested, and why others were not."""
-        return self._table("candidates", CandidateRow, "diagnose")
-
-    @cached_property
-    def next_poses(self) -> TypedTable[NextPose]:
-        """The poses to measure next, so that findings are told from their rivals."""
-        return self._table("next_poses", NextPose, "diagnose")
-
-    @cached_property
-    def separations(self) -> TypedTable[SeparationRow]:
-        """How far each finding is from each rival, and what to do about it."""
-        return self._table("separations", SeparationRow, "diagnose")
-
-    @cached_property
-    def curves(self) -> TypedTable[CurvePoint]:
-        """The course of what was found over what it depends on."""
-        return self._table("curves", CurvePoint, "diagnose")
 
     @cached_property
     def summary(self) -> IdentifySummary:
@@ -576,11 +563,6 @@ class Calibration(CalibratedModel):
     def _stage(self) -> str:
         return "diagnose" if self.diagnosed else "identify"
 
-    def _table(self, name: str, row_type: type[Any], stage: str = "") -> TypedTable[Any]:
-        """A table of a stage, or of the last one that has it; without rows where the stage never was."""
-        path = f"{stage or self._stage}/{name}.csv"
-        return TypedTable(self.results.tables[path] if path in self.results else to_frame((), row_type), row_type, path)
-
     def __repr__(self) -> str:
         shown = self._accuracy.to_string(index=False)
         return "\n".join((f"Calibration: {' + '.join(self.effects)}", shown, *self._words))
@@ -703,7 +685,9 @@ def _needs(effect: Effect) -> tuple[str, ...]:
 
 
 def _core(model: CalibratedModel) -> dict[str, Any]:
-    return {one.name: getattr(model, one.name) for one in fields(CalibratedModel)}
+    """Return the fields of a model, its covariance laid out as a table is read: sums over it are then the same to the last bit."""
+    every = {one.name: getattr(model, one.name) for one in fields(CalibratedModel)}
+    return every | {"covariance": np.asfortranarray(model.covariance)}
 
 
 def _forms(effects: Sequence[str | type[Effect] | Effect], robot: Robot, data: Measurements) -> list[str | Effect]:
