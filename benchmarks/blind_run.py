@@ -23,7 +23,7 @@ from blind_cases import Job
 
 from calflow.files.results import Results
 from calflow.files.writing import write_whole
-from calflow.fleet.engine import LOG, Where, check_engine, command, running
+from calflow.fleet.engine import LOG, check_engine, command, running
 from calflow.runs.lock import locked
 from calflow.runs.run import run
 from calflow.study import Study, load_study
@@ -84,7 +84,7 @@ def _done(asked: argparse.Namespace, folder: Path) -> list[Row]:
     told = {"script": str(Path(sys.argv[0]).resolve())} | {
         name: getattr(asked, name) for name in ("what", "number", "seed", "batch")
     }
-    called = command(Path(__file__).with_name("blind.smk"), told, folder, Where(asked.processes, asked.profile))
+    called = command(Path(__file__).with_name("blind.smk"), told, folder, asked.processes, asked.profile)
     files = [folder / f"job_{k}.json" for k in range(-(-asked.number // asked.batch))]
     with locked(folder), running(called, folder) as process:
         if process.wait():

@@ -27,7 +27,7 @@ from calflow.design.planned import Task
 from calflow.design.selection import SelectionRequest, select
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.model import build
-from calflow.population.likelihood import Calibration, ParameterLikelihood, shared_parameters
+from calflow.population.likelihood import ParameterEstimates, ParameterLikelihood, shared_parameters
 from calflow.population.unlike import unlike
 from calflow.robot.parts import Parameter
 from hidden.case import COMPLIANCE, Case, draw_poses, robot_file, stated_tables, toml
@@ -125,7 +125,7 @@ def told_by(
     plant: Plant, robots: list[Robot], rng: np.random.Generator
 ) -> tuple[tuple[Parameter, ...], list[ParameterLikelihood]]:
     """What each robot's own calibration tells."""
-    fits = [Calibration.of(known(plant.stated, plant.anywhere(robot, POSES, rng))[0]) for robot in robots]
+    fits = [ParameterEstimates.of(known(plant.stated, plant.anywhere(robot, POSES, rng))[0]) for robot in robots]
     parameters = shared_parameters(fits)
     return parameters, [ParameterLikelihood.of(str(k), one, parameters) for k, one in enumerate(fits)]
 

@@ -10,9 +10,9 @@ import pytest
 import calflow as cf
 from calflow.files.tables import to_frame
 from calflow.fleet.fleet_report import type_blocks
-from calflow.fleet.types import Collected, CommonCauseRow, TypeFindings, TypeParameter, UnlikeRow, by_type, type_lines
+from calflow.fleet.types import Collected, TypeFindings, TypeParameter, UnlikeRow, by_type, type_lines
 from calflow.model import build
-from calflow.population.common_causes import Shown
+from calflow.population.common_causes import CommonCause, Shown
 from calflow.population.likelihood import ParameterEstimates
 from estimation.data import measured
 from robots import hh800
@@ -57,7 +57,7 @@ def test_the_odd_robot_is_named_with_what_is_unlike(findings):
 
 def test_a_cause_that_all_show_is_told_as_the_types(findings):
     """Fails if what every robot of a type shows is not said to be the type's."""
-    (row,) = findings.common()
+    (row,) = findings.causes
     assert (row.whose, row.joint, row.of, len(row.robots)) == ("type", 3, ROBOTS, ROBOTS)
     assert any("7 of 7 robots of type hh800 show" in line and "type's" in line for line in type_lines([findings], 5))
 
@@ -88,7 +88,7 @@ def test_tables_and_words_are_whole(findings):
     for rows, kind in (
         (findings.parameters(), TypeParameter),
         (findings.odd_ones(), UnlikeRow),
-        (findings.common(), CommonCauseRow),
+        (findings.causes, CommonCause),
     ):
         assert len(to_frame(list(rows), kind))
     assert len(list(type_blocks([findings]))) >= 5

@@ -68,7 +68,7 @@ def fleet_run_command(
 
     Ends with 0 where every robot is calibrated, with 3 where some are not.
     """
-    from calflow.fleet.engine import LOG, Where, check_engine, command, running
+    from calflow.fleet.engine import LOG, check_engine, command, running
     from calflow.fleet.fleet_report import write_summary
     from calflow.fleet.standing import arriving, fleet_lines, forget_stale, outcomes, why
     from calflow.runs.lock import locked
@@ -86,9 +86,7 @@ def fleet_run_command(
             "allow": [str(one.resolve()) for one in allow],
         }
         grouped = ("--groups", "calibrate=robots", "--group-components", f"robots={batch}") if batch else ()
-        called = command(
-            workflow_folder() / "fleet.smk", told, folder.path, Where(cores, profile, (*grouped, *options))
-        )
+        called = command(workflow_folder() / "fleet.smk", told, folder.path, cores, profile, (*grouped, *options))
         with running(called, folder.path) as process:
             for one in arriving(loaded, folder, lambda: process.poll() is not None):
                 say(f"{one.robot}: {one.verdict or why(one)}")

@@ -54,15 +54,6 @@ class FleetFolder:
         return tuple(self.path / name for name in (TABLE, TYPES, UNLIKE, CAUSES, REPORT, PAGE))
 
 
-@dataclass(frozen=True)
-class Where:
-    """Where jobs are to run: on cores of this machine or as a profile of Snakemake's says, and further options for it."""
-
-    cores: int
-    profile: str = ""
-    options: tuple[str, ...] = ()
-
-
 def check_engine() -> None:
     """Check that the library of the extra is there.
 
@@ -73,9 +64,17 @@ def check_engine() -> None:
         raise refuse("a fleet needs Snakemake, which is not installed: pip install 'calflow[fleet]'")
 
 
-def command(snakefile: Path, told: Mapping[str, object], folder: Path, where: Where) -> list[str]:
+def command(
+    snakefile: Path,
+    told: Mapping[str, object],
+    folder: Path,
+    cores: int,
+    profile: str = "",
+    options: Sequence[str] = (),
+) -> list[str]:
     """Return the call of Snakemake that runs a workflow in a folder; what it is told is kept there, to be used by hand too.
 
+    Jobs run on cores of this machine, or as a profile of Snakemake's says; options are further ones for it.
     Jobs that were stopped are done anew, and whoever calls sees to it that nobody else is at work in the folder: Snakemake need
     not keep its own lock, which outlives a process that is killed.
 
@@ -87,10 +86,10 @@ def command(snakefile: Path, told: Mapping[str, object], folder: Path, where: Wh
         inside(folder, path.relative_to(folder).as_posix())
     config = folder / "snakemake.json"
     write_whole(config, (json.dumps(told, indent=2) + "\n").encode())
-    places = ["--profile", where.profile] if where.profile else ["--cores", str(where.cores)]
+    places = ["--profile", profile] if profile else ["--cores", str(cores)]
     return [
         sys.executable, "-m", "snakemake", "--snakefile", str(snakefile), "--configfile", str(config),
-        "--directory", str(folder), "--keep-going", "--rerun-incomplete", "--nolock", *places, *where.options,
+        "--directory", str(folder), "--keep-going", "--rerun-incomplete", "--nolock", *places, *options,
     ]  # fmt: skip
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from calflow.effects.words import amount, cause_name
 from calflow.files.problems import InputError
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
+from calflow.files.units import METRE
 from calflow.files.words import chance_figure, first_up, listed, plural, ratio
 from calflow.files.writing import write_whole
 from calflow.fleet.engine import CAUSES, TABLE, TYPES, UNLIKE, FleetFolder
@@ -22,7 +23,6 @@ from calflow.fleet.standing import (
 )
 from calflow.fleet.types import (
     Collected,
-    CommonCauseRow,
     TypeFindings,
     TypeParameter,
     UnlikeRow,
@@ -31,6 +31,7 @@ from calflow.fleet.types import (
     type_lines,
     unlike_parameters,
 )
+from calflow.population.common_causes import CommonCause
 from calflow.population.type_prior import FEWEST
 from calflow.reporting.blocks import Block, Gap, Heading, Paragraph, Part, Plot, RestOfPage, Table
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, plain_decades
@@ -57,7 +58,7 @@ def type_blocks(types: Sequence[TypeFindings]) -> Iterator[Block]:
             yield Paragraph("No robot is unlike the others.")
         if one.causes:
             yield Table(("cause", "variant", "robots", "share, 95 % interval", "size, spread", "whose"), [
-                (cause_name(cause.cause, cause.joint), cause.detail, f"{len(cause.robots)} of {cause.of}",
+                (cause_name(cause.cause, cause.joint or 0), cause.detail, f"{len(cause.robots)} of {cause.of}",
                  f"{cause.low:.2f} to {cause.high:.2f}", amount(cause.cause, cause.size, cause.spread, cause.unit),
                  WHOSE[cause.whose]) for cause in one.causes
             ], "lllrrl")  # fmt: skip
@@ -80,7 +81,7 @@ def fleet_report(title: str, found: Sequence[Outcome], types: Sequence[TypeFindi
     worst = worst_first(found, odd)
     parts: list[Part] = [
         ("", _page(title, worst, odd, type_lines(types, MOST_ON_TYPES))),
-        ("All robots", [_explained(), _table(worst, odd)]),
+        ("All robots", [_explained(worst), _table(worst, odd)]),
     ]
     return [*parts, ("Types", list(type_blocks(types)))] if types else parts
 
@@ -93,8 +94,9 @@ def _page(title: str, worst: Sequence[Outcome], odd: Odd, on_types: Sequence[str
         if len(told) == len(worst)
         else f"The {len(told)} of {len(worst)} robots that need a look first"
     )
+    beside, told_in = _units(worst)
     rows = [
-        (one.robot, one.type, error(one.before_mean_mm), error(one.after_mean_mm), _in_short(one, odd)) for one in told
+        (one.robot, one.type, told_in(one, one.before), told_in(one, one.after), _in_short(one, odd)) for one in told
     ]
     first, *more = fleet_lines(worst)
     return [
@@ -105,10 +107,10 @@ def _page(title: str, worst: Sequence[Outcome], odd: Odd, on_types: Sequence[str
         Paragraph(first, 13, bold=True),
         *(Paragraph(line, 11) for line in (*more, *on_types)),
         Gap(8),
-        *([_drawn(worst, types)] if any(one.after_mean_mm is not None for one in worst) else []),
+        *([_drawn(worst, types)] if any(one.after is not None for one in worst) else []),
         RestOfPage([
             Heading(head),
-            Table(("robot", "type", "before [mm]", "after [mm]", "verdict"), rows, "llrrl", size=None, wide=4),
+            Table(("robot", "type", f"before{beside}", f"after{beside}", "verdict"), rows, "llrrl", size=None, wide=4),
         ]),
     ]  # fmt: skip
 
@@ -123,28 +125,38 @@ def _in_short(one: Outcome, odd: Odd) -> str:
     return said if len(said) <= LONGEST else f"{said[:LONGEST]} …"
 
 
-def _explained() -> Block:
+def _units(found: Sequence[Outcome]) -> tuple[str, Callable[[Outcome, float | None], str]]:
+    """Return what stands in a header beside an error, its unit where all robots have one, and how a cell shows an error."""
+    units = dict.fromkeys(one.unit for one in found if one.after is not None) or {METRE.label: None}
+    if len(units) == 1:
+        return f" [{next(iter(units))}]", lambda one, value: error(value)
+    return "", lambda one, value: error(value) if value is None else f"{error(value)} {one.unit}"
+
+
+def _explained(found: Sequence[Outcome]) -> Block:
+    what = "Position errors" if all(one.unit == METRE.label for one in found) else "Errors"
     return Paragraph(
-        "Position errors are those of poses held out of the fit where there are any, with the robot as its maker states it and "
+        f"{what} are those of poses held out of the fit where there are any, with the robot as its maker states it and "
         "as it was calibrated. Each robot's own report is in robots/NAME, what its run told in logs/NAME.log.", 9.5
     )  # fmt: skip
 
 
 def _table(worst: Sequence[Outcome], odd: Odd) -> Block:
-    header = ("robot", "type", "verdict", "mean before [mm]", "mean after [mm]", "largest before [mm]", "largest after [mm]",
-              "times better", "causes found", "unlike its type", "failed: where and why")  # fmt: skip
-    return Table(header, [_row(one, odd) for one in worst], "lllrrrrrlll", size=7)
+    beside, _ = _units(worst)
+    header = ("robot", "type", "verdict", f"mean before{beside}", f"mean after{beside}", f"largest before{beside}",
+              f"largest after{beside}", "times better", "causes found", "unlike its type", "failed: where and why")  # fmt: skip
+    return Table(header, [_row(one, odd, _units(worst)[1]) for one in worst], "lllrrrrrlll", size=7)
 
 
-def _row(one: Outcome, odd: Odd) -> tuple[str, ...]:
-    figures = (one.before_mean_mm, one.after_mean_mm, one.before_max_mm, one.after_max_mm)
-    gain = ratio(one.before_mean_mm / one.after_mean_mm) if one.before_mean_mm and one.after_mean_mm else "–"
+def _row(one: Outcome, odd: Odd, told_in: Callable[[Outcome, float | None], str]) -> tuple[str, ...]:
+    figures = [told_in(one, value) for value in (one.before, one.after, *one.largest)]
+    gain = ratio(one.before / one.after) if one.before and one.after else "–"
     verdict, reason = (one.verdict, "") if one.status == "calibrated" else (first_up(one.status), why(one))
     return (
         one.robot,
         one.type,
         verdict,
-        *map(error, figures),
+        *figures,
         gain,
         "; ".join(one.causes),
         "; ".join(odd.get(one.robot, ())),
@@ -154,29 +166,32 @@ def _row(one: Outcome, odd: Odd) -> tuple[str, ...]:
 
 def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
     """The error of every robot before and after, a band a type."""
-    judged = [one for one in worst if one.after_mean_mm is not None]
-    data = to_frame(judged, Outcome)[["type", "robot", "before_mean_mm", "after_mean_mm", "usable"]]
+    judged = [one for one in worst if one.after is not None]
+    units = list(dict.fromkeys(one.unit for one in judged))
+    lengths = units == [METRE.label]
+    before, after = ("before_mean_mm", "after_mean_mm") if lengths else ("before_mean", "after_mean")
+    data = to_frame(judged, Outcome)[["type", "robot", before, after, "usable", *([] if lengths else ["unit"])]]
     data = data.sort_values(["type", "robot"], ignore_index=True)
     count = data.groupby("type")["robot"].transform("size")
     place = (data.groupby("type").cumcount() + 0.5) / count - 0.5  # across the band
     height = data["type"].map(types.index) + BAND * place
-    errors = data[["before_mean_mm", "after_mean_mm"]].to_numpy()
+    errors = data[[before, after]].to_numpy()
     drawn = figure(0.8 + min(0.36 * len(types), 3.2))
     axes = drawn.add_subplot()
-    axes.plot(data["before_mean_mm"], height, "o", color=MIDDLE, mfc="none", label="before")
-    axes.plot(data["after_mean_mm"], height, "^", color=DARK, label="after")
+    axes.plot(data[before], height, "o", color=MIDDLE, mfc="none", label="before")
+    axes.plot(data[after], height, "^", color=DARK, label="after")
     if (bad := ~data["usable"].fillna(True)).any():
-        axes.plot(data["after_mean_mm"][bad], height[bad], "x", color=ACCENT, ms=7, label="not to be used")
+        axes.plot(data[after][bad], height[bad], "x", color=ACCENT, ms=7, label="not to be used")
     axes.set_xscale("log")
     plain_decades(axes.xaxis, errors.min(), errors.max())
     axes.set_yticks(range(len(types)), types)
     axes.set_ylim(len(types) - 0.5, -0.5)
-    axes.set_xlabel("mean position error of a robot [mm]")
+    axes.set_xlabel(f"mean {'position ' if lengths else ''}error of a robot [{', '.join(units)}]")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return Plot("fleet", drawn, "Every robot of each type before and after calibration.", data=data)
 
 
-TABLES = {TABLE: Outcome, TYPES: TypeParameter, UNLIKE: UnlikeRow, CAUSES: CommonCauseRow}
+TABLES = {TABLE: Outcome, TYPES: TypeParameter, UNLIKE: UnlikeRow, CAUSES: CommonCause}
 
 
 def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]) -> list[Outcome]:
@@ -194,7 +209,7 @@ def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]
         TABLE: to_frame(worst_first(found, unlike_parameters(types)), Outcome),
         TYPES: to_frame([row for one in types for row in one.parameters()], TypeParameter),
         UNLIKE: to_frame([row for one in types for row in one.odd_ones()], UnlikeRow),
-        CAUSES: to_frame([row for one in types for row in one.common()], CommonCauseRow),
+        CAUSES: to_frame([row for one in types for row in one.causes], CommonCause),
     }
     keep_results(folder.path, Results(tables), TABLES, fleet.title)
     for one in types:

@@ -14,6 +14,7 @@ from typing import Literal
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.results import from_document, is_whole, sealed, to_document
 from calflow.files.tables import column
+from calflow.files.units import METRE
 from calflow.files.words import first_up, listed, mm, plural
 from calflow.files.writing import inside, write_text
 from calflow.fleet.engine import PARTS, FleetFolder
@@ -40,19 +41,51 @@ class Outcome:
     before_max_mm: float | None = column("largest such error", "mm", default=None)
     after_mean_mm: float | None = column("mean position error of the calibrated robot", "mm", default=None)
     after_max_mm: float | None = column("largest such error", "mm", default=None)
+    unit: str = column("the unit in which it is judged: mm, mrad, px, …; of another than mm the errors in mm are empty",
+                       default=METRE.label)  # fmt: skip
+    before_mean: float | None = column("mean error of the robot as its maker states it, in `unit`", default=None)
+    before_max: float | None = column("largest such error, in `unit`", default=None)
+    after_mean: float | None = column("mean error of the calibrated robot, in `unit`", default=None)
+    after_max: float | None = column("largest such error, in `unit`", default=None)
     causes: tuple[str, ...] = column(
         "what diagnose found that the model lacked, with its size", separator="; ", default=()
     )
     failed_stage: str = column("the stage in which it failed; empty: before the first", default="")
     reason: str = column("why it failed, or was not run", default="")
 
+    @property
+    def before(self) -> float | None:
+        """The mean error before [unit]."""
+        return self.before_mean_mm if self.unit == METRE.label else self.before_mean
+
+    @property
+    def after(self) -> float | None:
+        """The mean error after [unit]."""
+        return self.after_mean_mm if self.unit == METRE.label else self.after_mean
+
+    @property
+    def largest(self) -> tuple[float | None, float | None]:
+        """The largest error before and after [unit]."""
+        in_mm = self.unit == METRE.label
+        return (self.before_max_mm, self.after_max_mm) if in_mm else (self.before_max, self.after_max)
+
 
 def worst_first(outcomes: Iterable[Outcome], odd: Container[str] = ()) -> list[Outcome]:
-    """Return outcomes in the order in which they need a look: failed, not to be used, odd, and then the largest error first."""
+    """Return outcomes in the order in which they need a look: failed, not to be used, odd, and then the largest error first.
 
-    def rank(one: Outcome) -> tuple[bool, bool, bool, float, str]:
-        error = one.after_mean_mm or 0.0
-        return one.status == "calibrated", one.usable is not False, one.robot not in odd, -error, one.robot
+    Errors of different units are not held against each other: positions come first.
+    """
+
+    def rank(one: Outcome) -> tuple[bool, bool, bool, bool, str, float, str]:
+        unit = (one.unit != METRE.label, one.unit)
+        return (
+            one.status == "calibrated",
+            one.usable is not False,
+            one.robot not in odd,
+            *unit,
+            -(one.after or 0.0),
+            one.robot,
+        )
 
     return sorted(outcomes, key=rank)
 
@@ -194,13 +227,15 @@ def _unknown(robot: FleetRobot, folder: FleetFolder) -> Outcome:
 def fleet_lines(found: Sequence[Outcome]) -> list[str]:
     """Return how a fleet stands in sentences."""
     lines = [f"{_count(found)}."]
-    after = {one.robot: one.after_mean_mm for one in found if one.after_mean_mm is not None}
-    before = [one.before_mean_mm for one in found if one.before_mean_mm is not None]
-    if after and before:
+    units = list(dict.fromkeys(one.unit for one in found if one.after is not None))
+    for unit in units:
+        after = {one.robot: one.after for one in found if one.unit == unit and one.after is not None}
+        before = [one.before for one in found if one.unit == unit and one.before is not None]
         worst = max(after, key=lambda robot: after[robot])
+        those = "them" if len(units) == 1 else f"those that are judged in {unit}"
         lines.append(
-            f"Half of them have a mean position error of {mm(median(after.values()))} mm or less (before: "
-            f"{mm(median(before))} mm); the worst one, {worst}, is left with {mm(after[worst])} mm."
+            f"Half of {those} have {'a mean position' if unit == METRE.label else 'a mean'} error of {mm(median(after.values()))} "
+            f"{unit} or less (before: {mm(median(before))} {unit}); the worst one, {worst}, is left with {mm(after[worst])} {unit}."
         )
     return lines
 

@@ -20,7 +20,7 @@ from calflow.files.tables import column, from_frame
 from calflow.files.words import listed, plural
 from calflow.fleet.engine import FleetFolder
 from calflow.fleet.fleet import FleetRobot
-from calflow.population.common_causes import CommonCause, Shown, Whose, common_causes
+from calflow.population.common_causes import CommonCause, Shown, common_causes
 from calflow.population.likelihood import ParameterEstimates, ParameterLikelihood, shared_parameters
 from calflow.population.type_prior import FEWEST, TypePrior
 from calflow.population.unlike import Unlike, unlike
@@ -119,26 +119,6 @@ class UnlikeRow:
     instead: tuple[str, ...] = column("parameters whose shift would explain the robot about as well", default=())
 
 
-@dataclass(frozen=True, kw_only=True)
-class CommonCauseRow:
-    """A cause that diagnose found in robots of a type."""
-
-    type: str = column("the type's name")
-    cause: str = column("id of the effect")
-    joint: int | None = column("number of its joint or link; empty: none", default=None)
-    detail: str = column("the variant that most of these robots show; empty: they differ")
-    whose: Whose = column(
-        "the `type`'s: surely more than half of its robots have it; each `robot`'s own: surely fewer; or not to tell"
-    )
-    robots: tuple[str, ...] = column("those that show it", separator="; ")
-    of: int = column("robots of the type that were looked at")
-    low: float = column("lower end of the 95 % interval of the share of the type's robots that show it")
-    high: float = column("upper end of it")
-    size: float = column("the middle one of their sizes", UNIT)
-    spread: float = column("standard deviation of the true sizes", UNIT)
-    unit: str = column("of the size (SI)")
-
-
 @dataclass(frozen=True, eq=False)
 class TypeFindings:
     """What the robots of one type tell together; prior is None where they are too few."""
@@ -152,7 +132,8 @@ class TypeFindings:
     @staticmethod
     def of(type_: str, robots: Sequence[Collected]) -> TypeFindings:
         """Pool the robots of a type."""
-        causes = tuple(common_causes({one.robot: one.causes for one in robots}))
+        shown = {one.robot: one.causes for one in robots}
+        causes = tuple(replace(one, type=type_) for one in common_causes(shown))
         if len(robots) < FEWEST:
             return TypeFindings(type_, len(robots), None, (), causes)
         parameters = shared_parameters([one.calibration for one in robots])
@@ -187,14 +168,6 @@ class TypeFindings:
                 robot=one.robot, type=self.type, parameter=one.parameter.name, unit=one.parameter.unit,
                 shift=one.shift * scale, sd=one.sd * scale, spreads=one.spreads, p=one.p,
                 instead=tuple(other.name for other in one.instead),
-            )  # fmt: skip
-
-    def common(self) -> Iterator[CommonCauseRow]:
-        """Yield the rows of causes."""
-        for one in self.causes:
-            yield CommonCauseRow(
-                type=self.type, cause=one.cause, joint=one.joint or None, detail=one.detail, whose=one.whose,
-                robots=one.robots, of=one.of, low=one.low, high=one.high, size=one.size, spread=one.spread, unit=one.unit,
             )  # fmt: skip
 
 
@@ -238,7 +211,7 @@ def _common_line(found: TypeFindings) -> Iterator[str]:
     """Say which causes are the type's."""
     for one in found.causes:
         if one.whose == "type":
-            name = cause_name(one.cause, one.joint)
+            name = cause_name(one.cause, one.joint or 0)
             detail = f" ({one.detail})" if one.detail else ""
             size = amount(one.cause, one.size, one.spread, one.unit)
             yield (f"{len(one.robots)} of {plural(one.of, 'robot')} of type {found.type} show {name}{detail}, {size}: it is the "

@@ -10,6 +10,8 @@ from typing import Literal
 import numpy as np
 from scipy.stats import beta
 
+from calflow.estimation.parameters import UNIT
+from calflow.files.tables import column
 from calflow.population.type_prior import FEWEST
 
 BELOW = 0.05  # chance with which the share of robots may be on the other side of one half
@@ -29,25 +31,27 @@ class Shown:
     unit: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CommonCause:
-    """A cause that some of a type's robots show, and whose it is.
+    """A cause that diagnose found in robots of a type.
 
-    share is that of robots which show it, low and high its 95 % interval (Jeffreys); size the middle one of theirs, spread the
-    standard deviation of the true sizes, their errors taken out.
+    low and high are Jeffreys' interval; the spread has the errors of the sizes taken out.
     """
 
-    cause: str
-    joint: int
-    detail: str
-    robots: tuple[str, ...]
-    of: int
-    low: float
-    high: float
-    whose: Whose
-    size: float
-    spread: float
-    unit: str
+    type: str = column("the type's name", default="")
+    cause: str = column("id of the effect")
+    joint: int | None = column("number of its joint or link; empty: none", default=None)
+    detail: str = column("the variant that most of these robots show; empty: they differ")
+    whose: Whose = column(
+        "the `type`'s: surely more than half of its robots have it; each `robot`'s own: surely fewer; or not to tell"
+    )
+    robots: tuple[str, ...] = column("those that show it", separator="; ")
+    of: int = column("robots of the type that were looked at")
+    low: float = column("lower end of the 95 % interval of the share of the type's robots that show it")
+    high: float = column("upper end of it")
+    size: float = column("the middle one of their sizes", UNIT)
+    spread: float = column("standard deviation of the true sizes", UNIT)
+    unit: str = column("of the size (SI)")
 
     @property
     def share(self) -> float:
@@ -66,7 +70,7 @@ def common_causes(shown: Mapping[str, Sequence[Shown]]) -> list[CommonCause]:
         for one in causes:
             by_place.setdefault((one.cause, one.joint), {}).setdefault(robot, one)
     found = [_common(place, those, len(shown)) for place, those in by_place.items()]
-    return sorted(found, key=lambda one: (-len(one.robots), one.cause, one.joint))
+    return sorted(found, key=lambda one: (-len(one.robots), one.cause, one.joint or 0))
 
 
 def _common(place: tuple[str, int], those: Mapping[str, Shown], of: int) -> CommonCause:
@@ -83,6 +87,7 @@ def _common(place: tuple[str, int], those: Mapping[str, Shown], of: int) -> Comm
     if known.sum() > 1:
         spread = float(np.sqrt(max(0.0, np.var(sizes[known], ddof=1) - np.mean(sds[known] ** 2))))
     return CommonCause(
-        *place, detail if same > 0.5 * number else "", tuple(those), of, low, high, whose,
-        float(np.nanmedian(sizes)) if known.any() else float("nan"), spread, next(iter(those.values())).unit,
+        cause=place[0], joint=place[1] or None, detail=detail if same > 0.5 * number else "", whose=whose, robots=tuple(those),
+        of=of, low=low, high=high, size=float(np.nanmedian(sizes)) if known.any() else float("nan"), spread=spread,
+        unit=next(iter(those.values())).unit,
     )  # fmt: skip
