@@ -356,11 +356,6 @@ def _without_diagnosis(manifest: Manifest, folder: Path, robot: Robot) -> str | 
     return reason
 
 
-def _without_field(manifest: Manifest, folder: Path, robot: Robot, diagnosed: bool) -> str | None:
-    """Return why a residual field does not hold for the results of identify, or of diagnose; None where it does."""
-    return _unfit(manifest, folder, robot, FIELD, ("identify", "diagnose") if diagnosed else ("identify",))
-
-
 def _unfit(manifest: Manifest, folder: Path, robot: Robot, stage: str, bases: tuple[str, ...]) -> str | None:
     """Return why a stage's results are not of those of its bases, or do not hold for a robot; None where all is well."""
     return outdated(manifest, folder, stage, robot) or of_others(manifest, stage, bases)
@@ -402,7 +397,8 @@ def read_calibrated(study_or_run: str | Path) -> CalibratedFolder:
     if undiagnosed is None:
         results |= read_results(manifest, folder, "diagnose")
     asked = file.residual_field or FIELD in read_toml(folder / INPUTS / "workflow.toml", WorkflowFile).stages
-    lacking = _without_field(manifest, folder, robot, "diagnose/effects.csv" in results) if asked else None
+    bases = ("identify", "diagnose") if undiagnosed is None else ("identify",)
+    lacking = _unfit(manifest, folder, robot, FIELD, bases) if asked else None
     if asked and lacking is None:
         results |= read_results(manifest, folder, FIELD)
     without = (

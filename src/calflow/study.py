@@ -216,14 +216,8 @@ class Study:
         kind, series = self.series(k)
         source, dimension = self.file.sources[k], kind.units[0].dimension
         if source.sigma_unit and source.sigma_unit not in SUFFIXES[dimension]:
-            wanted = " or ".join(f"sigma_{unit}" for unit in SUFFIXES[dimension])
-            raise InputError(
-                [
-                    self._source_problem(
-                        k, f"expected the unit of what was measured: {wanted}", f"sigma_{source.sigma_unit}"
-                    )
-                ]
-            )
+            message = f"expected the unit of what was measured: {' or '.join(f'sigma_{unit}' for unit in SUFFIXES[dimension])}"
+            raise InputError([self.source_problem(k, message, f"sigma_{source.sigma_unit}")])
         layout = replace(source.layout, reports=replace(kind.columns, sigma=dimension))
         layout = layout_of_further(path, layout) if path in self.further else layout
         measured = Measurements.from_csv(path, self.robot, **vars(layout))
@@ -233,7 +227,8 @@ class Study:
         """Where the study file has a series."""
         return ("measurements", k) if isinstance(self.file.measurements, tuple) else ("measurements",)
 
-    def _source_problem(self, k: int, message: str, key: str) -> Problem:
+    def source_problem(self, k: int, message: str, key: str) -> Problem:
+        """Return a problem with a key of a series."""
         return Origin.of(self.path).problem(message, *self._source(k), key)
 
     def series(self, k: int) -> tuple[type[Observation], Series]:
@@ -245,7 +240,7 @@ class Study:
         source = self.file.sources[k]
         if source.kind not in {"", *observation_kinds()}:
             message = f"unknown kind '{source.kind}'; there are {', '.join(observation_kinds())}"
-            raise InputError([self._source_problem(k, message + nearest(source.kind, observation_kinds()), "kind")])
+            raise InputError([self.source_problem(k, message + nearest(source.kind, observation_kinds()), "kind")])
         kind = observation_kinds()[source.kind or "pose"]
         told = validate_table(
             source.settings, kind.settings, replace(Origin.of(self.path), table=(*self._source(k), "settings"))

@@ -8,6 +8,7 @@ import shutil
 import numpy as np
 import pytest
 
+from calflow.estimation import noise as noises
 from calflow.estimation.accuracy import errors
 from calflow.model import build
 from calflow.study import load_study
@@ -91,3 +92,14 @@ def test_the_nominal_robot_s_error_is_told(small, known):
             )
         else:
             assert float(mean) < float(largest) < 2
+
+
+@pytest.mark.parametrize(("noise", "times"), [("auto", 0), ("file", 1)])
+def test_the_noise_is_looked_for_without_a_prediction_where_none_is_asked_for(small, monkeypatch, noise, times):
+    """Fails if a check predicts the nominal robot once more than for what it tells, or no longer for repeats that are asked for."""
+    small.edit("quick.toml", ("[settings.identify]\n", f'[settings.identify]\nnoise = "{noise}"\n'))
+    asked = []
+    told = noises.leading_errors
+    monkeypatch.setattr(noises, "leading_errors", lambda *given: asked.append(1) or told(*given))
+    small.calflow("check")
+    assert len(asked) == times

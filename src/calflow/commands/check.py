@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from calflow.commands.console import (
+    FALSE_ALARM,
     FILE,
     OVER,
     STATION,
@@ -145,9 +146,7 @@ def validate_command(
 @click.command("drift", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
 @click.argument("rows", metavar="NEW.csv", type=FILE)
-@click.option(
-    "--false-alarm", type=float, default=0.01, show_default=True, help="Chance of an alarm where nothing moved."
-)
+@FALSE_ALARM
 @STATION
 @click.option(
     "--out", type=FILE, help="Folder for tables and report; drift/<name of NEW.csv> in the run folder by default."

@@ -30,6 +30,9 @@ FORCE = click.option("--force", is_flag=True, help="Do not reuse earlier results
 OVER = click.option("--force", is_flag=True, help="Write over a file that holds something else.")
 FILE = click.Path(path_type=Path)
 NOT_WELL, NOT_TOLD = 3, 4  # exit codes of a verdict that is against the robot, and of one that cannot be given
+FALSE_ALARM = click.option(
+    "--false-alarm", type=float, default=0.01, show_default=True, help="Chance of an alarm where nothing moved."
+)
 STATION = click.option(
     "--station",
     type=click.Choice(["auto", "known", "fitted"]),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.console import FILE, OVER, ArgumentCommand, exit_code, say, say_notes, write_free
+from calflow.commands.console import FALSE_ALARM, FILE, OVER, ArgumentCommand, exit_code, say, say_notes, write_free
 from calflow.commands.progress import progress
 
 if TYPE_CHECKING:
@@ -142,9 +142,7 @@ def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
 
 @click.command("history", cls=ArgumentCommand)
 @click.argument("runs", metavar="RUN RUN…", type=FILE, nargs=-1, required=True)
-@click.option(
-    "--false-alarm", type=float, default=0.01, show_default=True, help="Chance of an alarm where nothing moved."
-)
+@FALSE_ALARM
 @click.option("--out", type=FILE, help="Folder for tables and report; nothing is kept by default.")
 def history_command(runs: tuple[Path, ...], false_alarm: float, out: Path | None) -> None:
     """Tell which parameters of one robot moved between its calibrations, when, by how much, and what to recalibrate.

@@ -51,43 +51,31 @@ class Listener(Protocol):
 
     def start(self, stage: Stage, reason: str) -> None:
         """A stage begins, and why."""
+        return
 
     def reuse(self, stage: Stage, reason: str) -> None:
         """A stage's results are reused, and why."""
+        return
 
     def say(self, line: str) -> None:
         """A stage has something to tell."""
+        return
 
     def advance(self, share: float) -> None:
         """This share of the stage's work is done; it never falls."""
+        return
 
     def stop(self, stage: Stage) -> None:
         """A stage ends before it is done."""
+        return
 
     def finish(self, stage: Stage, seconds: float) -> None:
         """A stage is done."""
+        return
 
 
-class Silent:
+class Silent(Listener):
     """A listener that does nothing."""
-
-    def start(self, stage: Stage, reason: str) -> None:
-        """Do nothing."""
-
-    def reuse(self, stage: Stage, reason: str) -> None:
-        """Do nothing."""
-
-    def say(self, line: str) -> None:
-        """Do nothing."""
-
-    def advance(self, share: float) -> None:
-        """Do nothing."""
-
-    def stop(self, stage: Stage) -> None:
-        """Do nothing."""
-
-    def finish(self, stage: Stage, seconds: float) -> None:
-        """Do nothing."""
 
 
 def onward(advance: Callable[[float], None]) -> Callable[[float], None]:

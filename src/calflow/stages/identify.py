@@ -8,7 +8,7 @@ from calflow.calibration import TABLES, identify
 from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.estimation.identification import too_few_equations
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.noise import NoiseSource, measured_noise
+from calflow.estimation.noise import NoiseSource, measured_noise, stated_noise
 from calflow.files.problems import InputError, Problem, nearest
 from calflow.files.results import Results
 from calflow.files.toml import FileModel
@@ -56,7 +56,12 @@ def _problems(study: Study, settings: IdentifySettings, data: Measurements | Non
     observed = observations(data)
     model = stated(study.robot, study.file.effects, data.only(data.train), observed)
     try:
-        measured_noise(data, settings.noise, build(study.robot, (), data.given, observed))
+        if (
+            settings.noise == "auto"
+        ):  # what there is, however far the nominal robot is off: it need not be predicted here
+            stated_noise(data)
+        else:
+            measured_noise(data, settings.noise, build(study.robot, (), data.given, observed))
     except InputError as error:
         found += [study.setting_problem("identify", problem.message, "noise") for problem in error.problems]
     too_few = too_few_equations(model, data.only(data.train))

@@ -31,7 +31,6 @@ from calflow.estimation.noise import PerUnit
 from calflow.files.problems import InputError, Problem, nearest
 from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
-from calflow.files.toml import Origin
 from calflow.files.units import RADIAN, SUFFIXES
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.series import Series
@@ -161,12 +160,7 @@ def _unplaced(study: Study, settings: SelectSettings) -> Problem | None:
     try:
         observed(study, settings)
     except ValueError as error:
-        where = (
-            ("measurements", _which(study, settings))
-            if isinstance(study.file.measurements, tuple)
-            else ("measurements",)
-        )
-        return Origin.of(study.path).problem(f"poses cannot be planned: {error}", *where, "settings")
+        return study.source_problem(_which(study, settings), f"poses cannot be planned: {error}", "settings")
     return None
 
 
