@@ -333,8 +333,8 @@ class Calibration(CalibratedModel):
         if older := [name for name, rows in tables.items() if name in given and lacking(given[name], rows)]:
             return (f"whether the model is to be used cannot be told from {', '.join(older)}, which another version of calflow "
                     f"made; {AGAIN}",)  # fmt: skip
-        said = warning(self.results)
-        return () if said is None else (said,)
+        objection = warning(self.results)
+        return () if objection is None else (objection,)
 
     @cached_property
     def parameters(self) -> Parameters:
@@ -749,8 +749,8 @@ def _diagnosed_tables(
     """Return what was found as the run folder keeps it; before is the calibration that it was found of."""
     final, data = found.extended.fitted, before.data
     studentised = Studentised.of(final.fit, data, extended.noise(data), FAR)
-    odd, told = odd_rows(final.fit, data, studentised)
-    own = as_table(told, data)
+    odd, odd_faults = odd_rows(final.fit, data, studentised)
+    own = as_table(odd_faults, data)
     faults = pd.concat([table for table in (before.faults.table, own) if len(table)] or [own])
     tables = {
         "diagnose/findings.csv": to_frame(diagnosed_findings(found, data, faults, rng("resamples")), Finding),
@@ -777,11 +777,11 @@ def _confirmed_tables(found: Fitted, other: Study, say: Say) -> Results:
     data, faults = examined(other.measurements(), other.measurement_paths)
     for fault in faults:
         say(f"{other.name}: {fault.said}")
-    told = confirmed(found, data)
-    say(f"{other.name}: " + "; ".join(told.table["words"].unique()))
+    confirmation = confirmed(found, data)
+    say(f"{other.name}: " + "; ".join(confirmation.table["words"].unique()))
     return Results({
-        "diagnose/confirmation.csv": told.table,
-        "diagnose/confirmation_curves.csv": told.curves,
-        "diagnose/confirmation_accuracy.csv": told.accuracy,
+        "diagnose/confirmation.csv": confirmation.table,
+        "diagnose/confirmation_curves.csv": confirmation.curves,
+        "diagnose/confirmation_accuracy.csv": confirmation.accuracy,
         "diagnose/confirmation_faults.csv": as_table(faults, data),
     })  # fmt: skip

@@ -36,8 +36,8 @@ def main() -> None:
         say(*shown.getvalue().splitlines(), err=True)
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt) as interruption:  # click raises its own from Python's
-        told = getattr(interruption.__cause__ or interruption, "__notes__", ["the same command begins anew"])
-        say(f"interrupted: {' '.join(told)}", err=True)
+        notes = getattr(interruption.__cause__ or interruption, "__notes__", ["the same command begins anew"])
+        say(f"interrupted: {' '.join(notes)}", err=True)
         sys.exit(130)
     except OSError as error:
         so = " ".join(

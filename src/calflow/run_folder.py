@@ -159,6 +159,17 @@ def read_manifest(folder: Path) -> Manifest | None:
     return manifest
 
 
+def manifest_of(folder: Path) -> Manifest:
+    """Return the manifest of a folder that holds a run.
+
+    Raises:
+        InputError: it holds none, or as of `read_manifest`.
+    """
+    if (manifest := read_manifest(folder)) is None:
+        raise refuse("holds no run: expected a folder that 'calflow run' has filled", folder)
+    return manifest
+
+
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Write a run folder's manifest whole, with a sum by which a turned bit is noticed."""
     write_text(folder / NAME, json.dumps(sealed(manifest.model_dump(exclude_none=True)), indent=2) + "\n")
@@ -194,9 +205,7 @@ def study_and_folder(study_or_run: Path, out: Path | None) -> tuple[Study, Path]
         return study, out or default_folder(study)
     if out is not None and out.resolve() != study_or_run.resolve():
         raise refuse(f"is a run folder: --out {out} goes with a study, not with a run", study_or_run)
-    manifest = read_manifest(study_or_run)
-    assert manifest is not None
-    return load_study(_study_file(manifest, study_or_run)), study_or_run
+    return load_study(_study_file(manifest_of(study_or_run), study_or_run)), study_or_run
 
 
 def read_results(manifest: Manifest, folder: Path, stage: str) -> Results:
@@ -383,9 +392,7 @@ def read_calibrated(study_or_run: str | Path) -> CalibratedFolder:
         InputError: the run has not identified yet, or what it wrote of its model, or read, was changed since.
     """
     folder = run_folder(Path(study_or_run))
-    manifest = read_manifest(folder)
-    if manifest is None:
-        raise refuse("holds no run: expected a folder that 'calflow run' has filled", folder)
+    manifest = manifest_of(folder)
     check_inputs(folder, manifest)
     file = read_toml(folder / INPUTS / "study.toml", StudyFile)
     robot = file.on(Robot.from_toml(folder / INPUTS / "robot.toml"))

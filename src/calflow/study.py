@@ -242,11 +242,11 @@ class Study:
             message = f"unknown kind '{source.kind}'; there are {', '.join(observation_kinds())}"
             raise InputError([self.source_problem(k, message + nearest(source.kind, observation_kinds()), "kind")])
         kind = observation_kinds()[source.kind or "pose"]
-        told = validate_table(
+        settings = validate_table(
             source.settings, kind.settings, replace(Origin.of(self.path), table=(*self._source(k), "settings"))
         )
-        said = {name: value for name, value in told.model_dump().items() if value is not None}
-        return kind, source.series(kind.columns.labels, said)
+        given = {name: value for name, value in settings.model_dump().items() if value is not None}
+        return kind, source.series(kind.columns.labels, given)
 
     def settings(self, stage: str) -> dict[str, Any]:
         """Return a stage's settings: the workflow's, overridden by the study's, whatever their units."""

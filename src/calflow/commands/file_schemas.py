@@ -64,15 +64,15 @@ class ParameterTable(BaseModel):
         units = dict.fromkeys(("", *(f"_{suffix}" for suffixes in SUFFIXES.values() for suffix in suffixes)))
         table = handler.resolve_ref_schema(made)
         table["properties"] |= {
-            f"{name}{unit}": {"type": "number", "description": said} | ({"exclusiveMinimum": 0} if name == "prior_sd" else {})
-            for name, said in FIGURES_SAID.items() for unit in units
+            f"{name}{unit}": {"type": "number", "description": meaning} | ({"exclusiveMinimum": 0} if name == "prior_sd" else {})
+            for name, meaning in MEANINGS.items() for unit in units
         }  # fmt: skip
         table["patternProperties"] = {f"^({'|'.join(FIGURES)})_": {"type": "number"}}
         table["minProperties"] = 1  # one without any states nothing
         return made
 
 
-FIGURES_SAID = {
+MEANINGS = {
     "value": "where it is held, with its unit, e.g. `value_deg`; beside `fixed = true`",
     "lower": "its lower bound, e.g. `lower_mm`",
     "upper": "its upper bound, e.g. `upper_mm`",

@@ -80,13 +80,13 @@ def fleet_run_command(
     folder.path.mkdir(parents=True, exist_ok=True)
     with resumable(), locked(folder.path):
         forget_stale(loaded, folder)
-        told = {
+        config = {
             "fleet": str(loaded.path.resolve()),
             "out": str(folder.path),
             "allow": [str(one.resolve()) for one in allow],
         }
         grouped = ("--groups", "calibrate=robots", "--group-components", f"robots={batch}") if batch else ()
-        called = command(workflow_folder() / "fleet.smk", told, folder.path, cores, profile, (*grouped, *options))
+        called = command(workflow_folder() / "fleet.smk", config, folder.path, cores, profile, (*grouped, *options))
         with running(called, folder.path) as process:
             for one in arriving(loaded, folder, lambda: process.poll() is not None):
                 say(f"{one.robot}: {one.verdict or why(one)}")

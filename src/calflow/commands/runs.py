@@ -85,8 +85,8 @@ def reproduction_lines(found: Reproduction) -> list[str]:
         )
     if found.lacking:
         lines.append(f"only in one of the two runs: {', '.join(found.lacking)}")
-    told = {*found.lacking, *(one.file for one in found.deviations)}
-    if rest := [name for name in found.other if name not in told]:
+    named = {*found.lacking, *(one.file for one in found.deviations)}
+    if rest := [name for name in found.other if name not in named]:
         lines.append(f"drawn or packed otherwise, which is not measured: {', '.join(rest)}")
     changed = "; ".join(found.changed) or "none: machine, compiler settings or threads may"
     return [*lines, f"versions that changed: {changed}", _verdict(found)]

@@ -156,8 +156,8 @@ def schema_command(kind: str, draft: Draft, out: Path | None, force: bool) -> No
     if not kind and out is None:
         raise click.UsageError(f"expected a KIND ({', '.join(KINDS)}), or --out FOLDER for all")
     for one in [kind] if kind else KINDS:
-        said = schema_text(one, draft)
+        text = schema_text(one, draft)
         if out is None:
-            hand_over(said)
+            hand_over(text)
         else:
-            write_free(out if kind else out / f"{one}.schema.json", said.encode(), force)
+            write_free(out if kind else out / f"{one}.schema.json", text.encode(), force)

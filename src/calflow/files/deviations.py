@@ -101,15 +101,15 @@ def _sorted(table: pd.DataFrame) -> list[tuple[str, ...]]:
 def _column(
     file: str, name: str, was: pd.DataFrame, now: pd.DataFrame, differ: np.ndarray, declared: Column | None
 ) -> Deviation:
-    def told(k: int) -> Deviation:
+    def texts(k: int) -> Deviation:
         return _texts(file, name, int(differ.sum()), str(was.iloc[k, 0]), was[name].iloc[k], now[name].iloc[k])
 
     if declared is None or declared.many or declared.kind not in NUMBERS:
-        return told(int(np.flatnonzero(differ)[0]))
+        return texts(int(np.flatnonzero(differ)[0]))
     one, other = (pd.to_numeric(table[name], errors="coerce").to_numpy(dtype=float) for table in (was, now))
     apart = np.where(differ, np.abs(other - one), 0.0)
     if np.isnan(apart).any():  # a cell that is empty in one of the two
-        return told(int(np.flatnonzero(np.isnan(apart))[0]))
+        return texts(int(np.flatnonzero(np.isnan(apart))[0]))
     units = _units(was, declared)
     larger = pd.Series(np.fmax(np.abs(one), np.abs(other)))
     scale = _scale(larger.groupby(units).transform("max").to_numpy(dtype=float), apart, np.isin(units, UNITLESS))

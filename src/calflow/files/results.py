@@ -44,8 +44,8 @@ def from_document(document: Document, kind: type[Kind]) -> Kind:
     try:
         return TypeAdapter(kind).validate_python(dict(document))
     except ValidationError as error:
-        said = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
-        raise refuse(f"a summary of calflow was changed ({said}); run the study again") from None
+        wrong = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
+        raise refuse(f"a summary of calflow was changed ({wrong}); run the study again") from None
 
 
 def document_text(document: Document) -> str:

@@ -72,8 +72,8 @@ def column(
         sd: the column that holds the standard deviations of its values.
         default: of rows that are made without it.
     """
-    told = {"meaning": meaning, "unit": unit, "name": name, "separator": separator, "sd": sd}
-    return field(default=default, metadata={"column": told})
+    declared = {"meaning": meaning, "unit": unit, "name": name, "separator": separator, "sd": sd}
+    return field(default=default, metadata={"column": declared})
 
 
 def spread(**attributes: Any) -> Any:
@@ -81,8 +81,8 @@ def spread(**attributes: Any) -> Any:
 
     An attribute that is a property is written only.
     """
-    told = {attribute: declared.metadata["column"] for attribute, declared in attributes.items()}
-    return field(default=(), metadata={"spread": told})
+    columns_of = {attribute: declared.metadata["column"] for attribute, declared in attributes.items()}
+    return field(default=(), metadata={"spread": columns_of})
 
 
 def columns(row_type: type) -> tuple[Column, ...]:

@@ -40,8 +40,8 @@ def readable(unit: str) -> tuple[float, str]:
 
 def number(value: float, form: str) -> str:
     """Return a formatted number with a true minus sign, and none before a zero."""
-    said = format(value, form)
-    return said.replace("-", "−") if any(digit in said for digit in "123456789") else said.lstrip("-")
+    text = format(value, form)
+    return text.replace("-", "−") if any(digit in text for digit in "123456789") else text.lstrip("-")
 
 
 def interval(lower: float, upper: float) -> str:

@@ -55,16 +55,16 @@ def robot_type(name: str, table: TypeTable, origin: Origin, folders: Sequence[Pa
         raise InputError(absent)
     for key, at in keys.items():
         for path in _opened(at) if key == "study" else _described(at):
-            if said := beyond_reach(path, folders):
-                raise InputError([origin.problem(said, "types", name, key)])
+            if wrong_path := beyond_reach(path, folders):
+                raise InputError([origin.problem(wrong_path, "types", name, key)])
     study = load_study(keys["study"])
     if "robot" in keys:
         study = replace(study, robot=study.file.on(Robot.from_toml(keys["robot"])), robot_path=keys["robot"])
         check_effects(study.file.effects, study.robot, study.robot_path)
     if wrong := list(_unsuitable(study)):
         raise InputError(
-            origin.problem(f"{study.path} is no study for many robots: {said}", "types", name, "study")
-            for said in wrong
+            origin.problem(f"{study.path} is no study for many robots: {reason}", "types", name, "study")
+            for reason in wrong
         )
     return RobotType(name, study)
 
@@ -167,8 +167,8 @@ def _check_tables(file: FleetFile, origin: Origin, folders: Sequence[Path]) -> N
     is, and measurements."""
     problems = [*_named_wrongly("types", file.types, origin)]
     for name, shared in file.types.items():
-        said = {beyond_reach(folders[0] / named_file(pattern, "x"), folders) for pattern in shared.data}
-        problems += [origin.problem(one, "types", name, "data") for one in sorted(said) if one]
+        beyond = {beyond_reach(folders[0] / named_file(pattern, "x"), folders) for pattern in shared.data}
+        problems += [origin.problem(one, "types", name, "data") for one in sorted(beyond) if one]
     for name, table in file.robots.items():
         if table.type not in file.types:
             message = f"unknown type '{table.type}'; there are {', '.join(file.types)}{nearest(table.type, file.types)}"
@@ -226,8 +226,8 @@ def _beyond_reach(robots: list[FleetRobot], origin: Origin, folders: Sequence[Pa
     """Robots whose files lie where the fleet file may not name any."""
     for robot in robots:
         for path in robot.data:
-            if said := beyond_reach(path, folders):
-                yield origin.problem(f"robot '{robot.name}': {said}", *_place_of_data(robot, origin))
+            if beyond := beyond_reach(path, folders):
+                yield origin.problem(f"robot '{robot.name}': {beyond}", *_place_of_data(robot, origin))
 
 
 def _place_of_data(robot: FleetRobot, origin: Origin) -> tuple[str, str, str]:

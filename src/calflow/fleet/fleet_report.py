@@ -88,15 +88,15 @@ def fleet_report(title: str, found: Sequence[Outcome], types: Sequence[TypeFindi
 
 def _page(title: str, worst: Sequence[Outcome], odd: Odd, on_types: Sequence[str]) -> list[Block]:
     types = list(dict.fromkeys(sorted(one.type for one in worst)))
-    told = worst[:MOST_TOLD]
+    shown = worst[:MOST_TOLD]
     head = (
         "All robots, worst first"
-        if len(told) == len(worst)
-        else f"The {len(told)} of {len(worst)} robots that need a look first"
+        if len(shown) == len(worst)
+        else f"The {len(shown)} of {len(worst)} robots that need a look first"
     )
     beside, told_in = _units(worst)
     rows = [
-        (one.robot, one.type, told_in(one, one.before), told_in(one, one.after), _in_short(one, odd)) for one in told
+        (one.robot, one.type, told_in(one, one.before), told_in(one, one.after), _in_short(one, odd)) for one in shown
     ]
     first, *more = fleet_lines(worst)
     return [
@@ -117,12 +117,12 @@ def _page(title: str, worst: Sequence[Outcome], odd: Odd, on_types: Sequence[str
 
 def _in_short(one: Outcome, odd: Odd) -> str:
     """A robot's verdict as the first page has room for it."""
-    said = one.verdict or why(one)
+    verdict = one.verdict or why(one)
     if one.robot in odd:
-        said = f"Unlike its type: {listed(odd[one.robot], 3)}. {said}"
+        verdict = f"Unlike its type: {listed(odd[one.robot], 3)}. {verdict}"
     if one.causes:
-        said += f" Found: {'; '.join(one.causes)}."
-    return said if len(said) <= LONGEST else f"{said[:LONGEST]} …"
+        verdict += f" Found: {'; '.join(one.causes)}."
+    return verdict if len(verdict) <= LONGEST else f"{verdict[:LONGEST]} …"
 
 
 def _units(found: Sequence[Outcome]) -> tuple[str, Callable[[Outcome, float | None], str]]:
@@ -225,12 +225,12 @@ def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]
 
 def _known(fleet: Fleet, folder: FleetFolder, found: Sequence[Outcome]) -> tuple[list[Collected], list[Outcome]]:
     """What was found of every calibrated robot, and the outcomes: a robot whose run was changed since is none of these any more."""
-    known, told = list[Collected](), list[Outcome]()
+    known, judged = list[Collected](), list[Outcome]()
     for one in found:
         try:
             if one.status == "calibrated":
                 known.append(collected(fleet.robot(one.robot), folder))
-            told.append(one)
+            judged.append(one)
         except InputError as error:
-            told.append(Outcome(robot=one.robot, type=one.type, status="failed", reason=failure_reason(error)))
-    return known, told
+            judged.append(Outcome(robot=one.robot, type=one.type, status="failed", reason=failure_reason(error)))
+    return known, judged

@@ -11,7 +11,7 @@ from pathlib import Path
 from statistics import median
 from typing import Literal
 
-from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.problems import InputError, refuse
 from calflow.files.results import from_document, is_whole, sealed, to_document
 from calflow.files.tables import column
 from calflow.files.units import METRE
@@ -114,12 +114,10 @@ def read_outcome(path: Path) -> Outcome | None:
 
 def failure_reason(error: Exception) -> str:
     """Return why a robot failed; files are named as whoever wrote the fleet file knows them, not as seen from the robot's study."""
-    problems = [_plainly(one) for one in error.problems] if isinstance(error, InputError) else [repr(error)]
-    return "; ".join(map(str, problems))
-
-
-def _plainly(problem: Problem) -> Problem:
-    return problem if problem.file is None else replace(problem, file=Path(os.path.normpath(problem.file)))
+    if not isinstance(error, InputError):
+        return repr(error)
+    plain = (one if one.file is None else replace(one, file=Path(os.path.normpath(one.file))) for one in error.problems)
+    return "; ".join(map(str, plain))
 
 
 def planned(fleet: Fleet, folder: FleetFolder) -> Iterator[str]:
@@ -127,7 +125,7 @@ def planned(fleet: Fleet, folder: FleetFolder) -> Iterator[str]:
     width = max(len(robot.name) for robot in fleet.robots)
     wide = max(len(one.name) for one in fleet.types)
     for robot in fleet.robots:
-        yield f"{robot.name:{width}}  {robot.type.name:{wide}}  {_said(robot, folder)}"
+        yield f"{robot.name:{width}}  {robot.type.name:{wide}}  {_planned_words(robot, folder)}"
 
 
 def steps_of(robot: FleetRobot, folder: FleetFolder) -> list[PlannedStage]:
@@ -140,7 +138,7 @@ def steps_of(robot: FleetRobot, folder: FleetFolder) -> list[PlannedStage]:
     return plan(load_study(folder.study(robot.name)), folder.run(robot.name))
 
 
-def _said(robot: FleetRobot, folder: FleetFolder) -> str:
+def _planned_words(robot: FleetRobot, folder: FleetFolder) -> str:
     try:
         planned_steps = steps_of(robot, folder)
         again = [step for step in planned_steps if not step.reuse]
@@ -156,18 +154,13 @@ def _said(robot: FleetRobot, folder: FleetFolder) -> str:
 LOOK = 0.5  # s between looks for outcomes
 
 
-def default_fleet_folder(fleet: Fleet) -> Path:
-    """Return where a fleet's results go unless said otherwise."""
-    return Path("runs") / fleet.name
-
-
 def fleet_folder(fleet: Fleet, out: Path | None) -> FleetFolder:
-    """Return the folder of a fleet, which may not exist yet.
+    """Return the folder of a fleet, `runs/` and its name unless another is given; it may not exist yet.
 
     Raises:
         InputError: it is a file, or the run folder of a study, or one of its own folders is a link that leads out of it.
     """
-    folder = out or default_fleet_folder(fleet)
+    folder = out or Path("runs") / fleet.name
     if folder.exists() and not folder.is_dir():
         raise refuse("is a file; expected a fleet's folder, which may not exist yet", folder)
     if (folder / NAME).exists():
@@ -220,8 +213,8 @@ def _unknown(robot: FleetRobot, folder: FleetFolder) -> Outcome:
     """The outcome of a robot of which there is none: how far its run is."""
     manifest = read_manifest(folder.run(robot.name))
     begun = [name for name, entry in manifest.stages.items() if entry.status != "done"] if manifest else []
-    said = f"{begun[0]} was begun" if begun else "its outcome is not written yet" if manifest else "was not begun"
-    return Outcome(robot=robot.name, type=robot.type.name, status="not run", reason=said)
+    state = f"{begun[0]} was begun" if begun else "its outcome is not written yet" if manifest else "was not begun"
+    return Outcome(robot=robot.name, type=robot.type.name, status="not run", reason=state)
 
 
 def fleet_lines(found: Sequence[Outcome]) -> list[str]:
@@ -245,11 +238,11 @@ def _count(found: Sequence[Outcome]) -> str:
     failed = [one.robot for one in found if one.status == "failed"]
     waiting = [one.robot for one in found if one.status == "not run"]
     useless = [one.robot for one in found if one.usable is False]
-    said = [f"{sum(one.status == 'calibrated' for one in found)} of {plural(len(found), 'robot')} calibrated"]
-    said += [f"{len(failed)} failed ({listed(failed, 6)})"] if failed else []
-    said += [f"{len(waiting)} not run ({listed(waiting, 6)})"] if waiting else []
-    said += [f"{len(useless)} with a model that is not to be used ({listed(useless, 6)})"] if useless else []
-    return "; ".join(said)
+    parts = [f"{sum(one.status == 'calibrated' for one in found)} of {plural(len(found), 'robot')} calibrated"]
+    parts += [f"{len(failed)} failed ({listed(failed, 6)})"] if failed else []
+    parts += [f"{len(waiting)} not run ({listed(waiting, 6)})"] if waiting else []
+    parts += [f"{len(useless)} with a model that is not to be used ({listed(useless, 6)})"] if useless else []
+    return "; ".join(parts)
 
 
 def why(one: Outcome) -> str:

@@ -200,11 +200,11 @@ def _odd_line(found: TypeFindings) -> Iterator[str]:
     """Name the robots that are unlike their type."""
     robots: Mapping[str, Unlike] = {one.robot: one for one in reversed(found.unlike)}
     if robots:
-        said = [
+        named = [
             f"{name} ({one.parameter.name}, {abs(one.spreads):.0f} spreads{' or another' if one.instead else ''})"
             for name, one in robots.items()
         ]
-        yield f"Unlike the other {found.robots - len(robots)} of type {found.type}: {listed(said, 4)}."
+        yield f"Unlike the other {found.robots - len(robots)} of type {found.type}: {listed(named, 4)}."
 
 
 def _common_line(found: TypeFindings) -> Iterator[str]:

@@ -98,12 +98,12 @@ def _compared(
             significant=None if same else bool(beyond[k]), meaning=parameter.meaning,
         ))  # fmt: skip
     squared, freedom, chance = found.joint
-    told: dict[str, Any] = (
+    tested: dict[str, Any] = (
         {"chi2": None, "freedom": None, "p": None} if same else {"chi2": squared, "freedom": freedom, "p": chance}
     )
     robots = (first.robot.name, second.robot.name)
     pair = RunPair(
-        first=names[0], second=names[1], robots=robots, robot=same_robot(first, second), shared=len(rows), **told
+        first=names[0], second=names[1], robots=robots, robot=same_robot(first, second), shared=len(rows), **tested
     )
     return rows, pair
 

@@ -19,12 +19,12 @@ from calflow.stages.stage import Stage
 from calflow.study import Study
 from calflow.study_file import StudyFile
 
-SAID = ("title", "acceptance")  # of a study: what the report alone says
+REPORTED = ("title", "acceptance")  # of a study: what the report alone says
 ELSEWHERE = {
     "stages",
     "workflow",
     "residual_field",
-    *SAID,
+    *REPORTED,
 }  # its settings have entries of their own, its stages run or do not
 
 
@@ -45,7 +45,7 @@ def stage_key(
     """Return what a stage's results depend on; upstream holds the keys of the stages before it."""
     key = dict(common)
     if stage.titled:
-        own = _asked(study, set(StudyFile.model_fields) - set(SAID))
+        own = _asked(study, set(StudyFile.model_fields) - set(REPORTED))
         key |= {f"study's {name}": value for name, value in own.items()}
     if stage.measured:
         key |= {f"file {name}": said for name, said in _measurement_hashes(study).items()}

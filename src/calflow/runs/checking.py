@@ -55,8 +55,8 @@ def check(study: Study) -> Checked | None:
     if checked is None:
         return None
     demands, there = foreseen(study, stages), memory_there()
-    told = together(*(partial(warned, name, demand, there) for name, demand in demands.items()))
-    return replace(checked, demands=demands, warnings=tuple(filter(None, told)))
+    warnings = together(*(partial(warned, name, demand, there) for name, demand in demands.items()))
+    return replace(checked, demands=demands, warnings=tuple(filter(None, warnings)))
 
 
 def _confirming(study: Study) -> None:

@@ -49,10 +49,10 @@ def examine() -> list[Examined]:
 
 
 def _versions() -> Examined:
-    said = (
+    versions = (
         f"calflow {metadata.version('calflow')} (code {code_digest()}), Python {platform.python_version()}, {machine()}"
     )
-    return Examined("versions", "ok", said)
+    return Examined("versions", "ok", versions)
 
 
 def _packages() -> Iterator[Examined]:
@@ -94,8 +94,8 @@ def _plugins() -> Examined:
         found = packages()
     except InputError as error:
         return Examined("plugins", "trouble", str(error), "mend or uninstall the package")
-    said = ", ".join(f"{name} {version}" for name, version in found.items())
-    return Examined("plugins", "ok", said or "no package brings effects or observations")
+    listed = ", ".join(f"{name} {version}" for name, version in found.items())
+    return Examined("plugins", "ok", listed or "no package brings effects or observations")
 
 
 def _compiler() -> Examined:
@@ -124,8 +124,8 @@ def _folder(what: str, folder: Path) -> Examined:
         return Examined(
             what, "trouble", f"cannot be written to: {error}", "work in another folder, or name one by --out"
         )
-    said = f"{folder}, {free / 1e9:.1f} GB free"
-    return Examined(what, "ok", said) if free > NEEDED_BYTES else Examined(what, "trouble", said, "make room")
+    room = f"{folder}, {free / 1e9:.1f} GB free"
+    return Examined(what, "ok", room) if free > NEEDED_BYTES else Examined(what, "trouble", room, "make room")
 
 
 def _temporary() -> Examined:
@@ -175,8 +175,8 @@ def _threads() -> Examined:
 
 
 def _letters() -> Examined:
-    told = (sys.stdout.encoding or "ascii").lower()
-    if told.replace("-", "").replace("_", "") == "utf8":
-        return Examined("letters", "ok", f"{told}; files are UTF-8 whatever the locale")
-    return Examined("letters", "without", f"the terminal's are {told}: other letters may not be shown; files are UTF-8",
+    encoding = (sys.stdout.encoding or "ascii").lower()
+    if encoding.replace("-", "").replace("_", "") == "utf8":
+        return Examined("letters", "ok", f"{encoding}; files are UTF-8 whatever the locale")
+    return Examined("letters", "without", f"the terminal's are {encoding}: other letters may not be shown; files are UTF-8",
                    "set PYTHONIOENCODING=utf-8, or a UTF-8 locale")  # fmt: skip

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 from calflow.files.problems import refuse
 from calflow.files.writing import inside
 
@@ -19,8 +21,6 @@ def locked(folder: Path) -> Iterator[None]:
     Raises:
         InputError: another run is at work there, or the lock is a link that leads out of it.
     """
-    from filelock import FileLock, Timeout
-
     lock = FileLock(inside(folder, NAME), timeout=0)
     try:
         lock.acquire()
@@ -34,8 +34,6 @@ def locked(folder: Path) -> Iterator[None]:
 
 def wait_until_free(folder: Path) -> None:
     """Wait until no run is at work in a folder, which may not exist yet."""
-    from filelock import FileLock
-
     if folder.is_dir():
         with FileLock(inside(folder, NAME)):
             pass
@@ -43,8 +41,6 @@ def wait_until_free(folder: Path) -> None:
 
 def is_locked(folder: Path) -> bool:
     """Return whether a run is at work in a folder, as far as whoever asks may know."""
-    from filelock import FileLock
-
     try:
         with FileLock(inside(folder, NAME), timeout=0):
             return False

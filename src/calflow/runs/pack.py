@@ -69,9 +69,9 @@ class Terms:
                 "description": "Who packed this run has not said under which terms its files may be used.",
             }  # fmt: skip
         listed = " " not in self.licence and not self.licence.startswith(REFERENCE)
-        said = f"SPDX licence expression {self.licence}: the terms under which the files may be used."
+        description = f"SPDX licence expression {self.licence}: the terms under which the files may be used."
         name = f"{SPDX}{self.licence}" if listed else LICENCE
-        return {"@id": name, "@type": "CreativeWork", "name": self.licence, "description": said}
+        return {"@id": name, "@type": "CreativeWork", "name": self.licence, "description": description}
 
 
 METADATA = "ro-crate-metadata.json"
@@ -125,16 +125,16 @@ def _named(names: Mapping[str, bytes] | list[str]) -> list[dict[str, str]]:
 def _file(name: str, content: bytes) -> dict[str, Any]:
     path = PurePosixPath(name)
     kind = KINDS.get(path.suffix) or mimetypes.guess_type(name)[0] or "application/octet-stream"
-    said: dict[str, Any] = {
+    entity: dict[str, Any] = {
         "@id": name, "@type": "File", "name": path.name, "encodingFormat": kind, "contentSize": str(len(content)),
         "sha256": hashlib.sha256(content).hexdigest(),
     }  # fmt: skip
     declared = {table: row for stage in STAGES.values() for table, row in stage.tables.items()}.get(name)
     if declared is not None:
-        said["description"] = (declared.__doc__ or "").strip().splitlines()[0]
-        said["variableMeasured"] = [one.name for one in columns(declared)]
-        said["subjectOf"] = {"@id": DATA_PACKAGE}
-    return said
+        entity["description"] = (declared.__doc__ or "").strip().splitlines()[0]
+        entity["variableMeasured"] = [one.name for one in columns(declared)]
+        entity["subjectOf"] = {"@id": DATA_PACKAGE}
+    return entity
 
 
 ENVIRONMENT = "environment.txt"
@@ -206,8 +206,8 @@ def _inputs(manifest: Manifest, folder: Path) -> dict[str, bytes]:
     """Every input by its place under the archive's inputs."""
     places = laid_out(manifest.files)
     if elsewhere := [name for name in manifest.files if name not in places]:
-        said = "is named by an absolute path, which another machine does not have: name it as seen from the study, and run again"
-        raise InputError(Problem(said, Path(manifest.study_file), key=name) for name in elsewhere)
+        message = "is named by an absolute path, which another machine does not have: name it as seen from the study, and run again"
+        raise InputError(Problem(message, Path(manifest.study_file), key=name) for name in elsewhere)
     with tempfile.TemporaryDirectory() as made:
         lay_out(manifest, folder, Path(made))
         return {place: (Path(made) / place).read_bytes() for place in places.values()}

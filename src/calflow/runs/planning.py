@@ -65,14 +65,17 @@ def reason(before: StageEntry | None, key: Mapping[str, str], folder: Path, run_
     again = [name for name in run_again if f"after {name}" in key]
     if again:
         return f"{again[0]} runs again"
-    old = before.key
-    changed = [name for name in {**old, **key} if old.get(name) != key.get(name)]
-    if changed:
-        return "; ".join(difference(name, old.get(name), key.get(name)) for name in changed)
-    return damage(before, folder)
+    return "; ".join(differences(before.key, key)) or damage(before, folder)
 
 
-def difference(name: str, old: str | None, new: str | None) -> str:
+def differences(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
+    """Say in which entries two keys differ."""
+    return [
+        _difference(name, old.get(name), new.get(name)) for name in {**old, **new} if old.get(name) != new.get(name)
+    ]
+
+
+def _difference(name: str, old: str | None, new: str | None) -> str:
     if name.startswith(("setting ", "study's ")) and len(f"{old}{new}") < LONGEST_CHANGE:
         return f"{name} changed from {old} to {new}"
     return f"{name.removeprefix('file ').removeprefix('after ')} changed"
@@ -131,8 +134,8 @@ def based(study: Study, ran: Collection[str] = ()) -> dict[str, Stage]:
     def on(stage: Stage) -> Stage:
         if not stage.bases:
             return stage
-        told = (name for there in (ran, study.stages, stage.bases) for name in stage.bases if name in there)
-        return stage.on(STAGES[next(told)])
+        bases = (name for there in (ran, study.stages, stage.bases) for name in stage.bases if name in there)
+        return stage.on(STAGES[next(bases)])
 
     return {name: on(stage) for name, stage in STAGES.items()}
 

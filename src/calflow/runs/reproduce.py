@@ -14,9 +14,9 @@ from calflow.files.csv import read_texts, write_csv
 from calflow.files.deviations import Deviation, agreeing_digits, document_deviations, table_deviations
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import to_frame
-from calflow.run_folder import Manifest, code_digest, damage, load_again, read_manifest, versions
+from calflow.run_folder import Manifest, code_digest, damage, load_again, manifest_of, read_manifest, versions
 from calflow.runs.cache_key import common_key, environment, machine, stage_key, version_changes
-from calflow.runs.planning import difference
+from calflow.runs.planning import differences
 from calflow.runs.run import Listener, Silent, run
 from calflow.stages import STAGES
 from calflow.stages.stage import Stage
@@ -78,9 +78,7 @@ def checked_run(folder: Path) -> Manifest:
     Raises:
         InputError: it does not.
     """
-    manifest = read_manifest(folder)
-    if manifest is None:
-        raise refuse("holds no run: expected a folder that 'calflow run' has filled", folder)
+    manifest = manifest_of(folder)
     if not manifest.files:
         raise refuse(
             "an earlier version of calflow made this run, which did not say where its inputs lay; run the study again",
@@ -88,9 +86,9 @@ def checked_run(folder: Path) -> Manifest:
         )
     if not finished(manifest):
         raise refuse("no stage of this run is done; run the study first", folder)
-    said = [damage(manifest.stages[name], folder) for name in finished(manifest)]
-    if any(said):
-        raise InputError(Problem(f"{one} since the run", folder) for one in said if one)
+    damages = [damage(manifest.stages[name], folder) for name in finished(manifest)]
+    if any(damages):
+        raise InputError(Problem(f"{one} since the run", folder) for one in damages if one)
     return manifest
 
 
@@ -141,15 +139,10 @@ def _check_inputs(manifest: Manifest, study: Study, stages: list[Stage]) -> None
     common, keys, problems = common_key(study), dict[str, Mapping[str, str]](), []
     for stage in stages:
         keys[stage.name] = stage_key(study, stage, common, keys)
-        old, new = (_of_inputs(key) for key in (manifest.stages[stage.name].key, keys[stage.name]))
-        changed = [name for name in {**old, **new} if old.get(name) != new.get(name)]
-        told = [difference(name, old.get(name), new.get(name)) for name in changed]
-        if told:
-            problems.append(
-                Problem(
-                    f"{stage.name} was made of other inputs than the run names now: {'; '.join(told)}; run the study again"
-                )
-            )
+        changed = differences(_of_inputs(manifest.stages[stage.name].key), _of_inputs(keys[stage.name]))
+        if changed:
+            message = f"{stage.name} was made of other inputs than the run names now: {'; '.join(changed)}; run the study again"
+            problems.append(Problem(message))
     if problems:
         raise InputError(problems)
 

@@ -31,6 +31,7 @@ from calflow.run_folder import (
     code_digest,
     default_folder,
     is_measured,
+    manifest_of,
     read_manifest,
     read_results,
     versions,
@@ -82,12 +83,12 @@ def onward(advance: Callable[[float], None]) -> Callable[[float], None]:
     """Return advance for shares that may fall: it is told the largest so far."""
     furthest = 0.0
 
-    def told(share: float) -> None:
+    def never_falling(share: float) -> None:
         nonlocal furthest
         furthest = max(furthest, share)
         advance(furthest)
 
-    return told
+    return never_falling
 
 
 def study_files(
@@ -142,7 +143,8 @@ def execute(
 ) -> None:
     """Run one stage, move its files into place and record it; an interruption leaves its work folder to go on from."""
     stage = step.stage
-    before = _entry(folder, stage)
+    manifest = read_manifest(folder)
+    before = manifest.stages.get(stage.name) if manifest else None
     work = _work_folder(folder, step, before)
     running = StageEntry(
         status="running",
@@ -186,8 +188,7 @@ def execute(
 
 def record_reuse(study: Study, folder: Path, step: PlannedStage) -> None:
     """Record that a stage's results were reused, and why; why it last ran stays."""
-    entry = _entry(folder, step.stage)
-    assert entry is not None
+    entry = manifest_of(folder).stages[step.stage.name]
     record(study, folder, step.stage, entry.model_copy(update={"reused": step.reason, "key": step.key}))
 
 
@@ -216,15 +217,9 @@ def record(study: Study, folder: Path, stage: Stage, entry: StageEntry) -> None:
 
 def _other_outputs(folder: Path, stage: Stage) -> dict[str, str]:
     """The files of a run's other stages, with their SHA-256."""
-    manifest = read_manifest(folder)
-    assert manifest is not None  # which says that the stage is running
+    manifest = manifest_of(folder)  # which says that the stage is running
     others = (name for name in manifest.stages if name != stage.name)
     return {path: digest for name in others for path, digest in manifest.outputs(name).items()}
-
-
-def _entry(folder: Path, stage: Stage) -> StageEntry | None:
-    manifest = read_manifest(folder)
-    return manifest.stages.get(stage.name) if manifest else None
 
 
 def _input_hashes(study: Study, stage: Stage, before: dict[str, str]) -> dict[str, str]:
@@ -323,8 +318,8 @@ def run(
         study.measurements()  # what is wrong with them is told before any work is done
     settings = {step.stage.name: study.validated_settings(step.stage.name, step.stage.settings) for step in steps}
     for name, demand in foreseen(study, [step.stage for step in steps if not step.reuse]).items():
-        if said := warned(name, demand, memory_there()):
-            listener.say(said)
+        if warning := warned(name, demand, memory_there()):
+            listener.say(warning)
     planned = read_manifest(folder)
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
@@ -346,9 +341,7 @@ def run(
                 started = time.monotonic()
                 execute(study, folder, step, settings[step.stage.name], results, listener)
                 listener.finish(step.stage, time.monotonic() - started)
-            manifest = read_manifest(folder)
-            assert manifest is not None
-            results |= read_results(manifest, folder, step.stage.name)
+            results |= read_results(manifest_of(folder), folder, step.stage.name)
     return Run(folder, results)
 
 

@@ -137,8 +137,7 @@ def _judged(
 def _unwritten(study: Study) -> list[Path]:
     """The study's measurement files that nobody has written yet, where no rows measured since stand for them."""
     sources = study.file.sources if not study.further else ()
-    data = os.environ.get("CALFLOW_DATA")
-    places = [study.path.parent, *([Path(data)] if data else [])]
+    places = [study.path.parent, *([study.data] if study.data else [])]
     return [
         study.path.parent / one.file
         for one in sources

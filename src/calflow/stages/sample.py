@@ -44,12 +44,12 @@ REMEDY = "keep fewer poses in the file, or leave the stage out: of so many rows 
 class SampleSettings(FileModel):
     """Settings of sample: length and mixture of the chain. independent is the share of the independence proposal."""
 
-    ensembles: int = Field(default=4, ge=4)
-    walkers: int | None = Field(default=None, ge=4)
-    block: int = Field(default=50, ge=10)
-    max_steps: int = Field(default=2000, ge=50)
-    ess: int = Field(default=4000, ge=100)
-    independent: float = Field(default=0.8, ge=0, le=1)
+    ensembles: int = Field(default=ChainLength.ensembles, ge=4)
+    walkers: int | None = Field(default=ChainLength.walkers, ge=4)
+    block: int = Field(default=ChainLength.block, ge=10)
+    max_steps: int = Field(default=ChainLength.max_steps, ge=50)
+    ess: int = Field(default=ChainLength.ess, ge=100)
+    independent: float = Field(default=ChainLength.independent, ge=0, le=1)
     task: WorkSettings | None = Field(default=None, description="a table: where the robot works")
 
 
@@ -102,10 +102,10 @@ def _files(study: Study, settings: SampleSettings) -> tuple[Path, ...]:
 def _problems(study: Study, settings: SampleSettings, data: Measurements | None) -> list[Problem]:
     """Find fewer walkers than the study's own effects need; causes that are found may need more."""
     message = too_few_walkers(settings.walkers, len(build(study.robot, study.file.effects).parameters) + 1)
-    told = settings.task.wrong(study.robot) if settings.task else ()
+    unknown = settings.task.wrong(study.robot) if settings.task else ()
     return [
         *([study.setting_problem("sample", message, "walkers")] if message else []),
-        *(study.setting_problem("sample", wrong, "task", key) for wrong, key in told),
+        *(study.setting_problem("sample", wrong, "task", key) for wrong, key in unknown),
     ]
 
 

@@ -53,8 +53,8 @@ def select_problems(study: Study, settings: SelectSettings, data: Measurements |
         named = ", ".join(filter(None, names)) or "none that has a name"
         message = f"unknown measurements '{settings.measure}'; there are {named}{nearest(settings.measure, names)}"
         found.append(study.setting_problem("select", message, "measure"))
-    elif said := _unplaced(study, settings):
-        found.append(said)
+    elif unplaced := _unplaced(study, settings):
+        found.append(unplaced)
     elif settings.sigma_unit not in ("", *(suffixes := SUFFIXES[observed(study, settings).units[0].dimension])):
         wanted = " or ".join(f"sigma_{unit}" for unit in suffixes)
         found.append(study.setting_problem("select", f"expected the unit of what is measured: {wanted}", "sigma"))
@@ -67,8 +67,8 @@ def select_problems(study: Study, settings: SelectSettings, data: Measurements |
         if name and name not in known:
             message = f"unknown {what} '{name}'; there are {', '.join(known) or 'none'}{nearest(name, known)}"
             found.append(study.setting_problem("select", message, *where))
-    told = settings.cell.wrong(study.robot) if settings.cell else ()
-    found += [study.setting_problem("select", message, "cell", key) for message, key in told]
+    unfit = settings.cell.wrong(study.robot) if settings.cell else ()
+    found += [study.setting_problem("select", message, "cell", key) for message, key in unfit]
     found += [study.setting_problem("select", message, "also_effects") for message in _untold(study, settings)]
     return found
 
@@ -164,7 +164,7 @@ def _unplaced(study: Study, settings: SelectSettings) -> Problem | None:
     return None
 
 
-SAID = 5  # gaps in words
+MOST_GAPS = 5  # gaps in words
 
 
 def _run(context: Context) -> Results:
@@ -208,22 +208,22 @@ def _isolability(context: Context, model: Model, planned: Planned, chosen: Selec
     )
     false_alarm = float(study.settings("diagnose").get("false_alarm", FALSE_ALARM))
 
-    def told(of: Visits) -> Isolability:
+    def isolability_of(of: Visits) -> Isolability:
         rng = context.rng("isolability")  # the same noise each time: what differs is the plan
         return isolability(
             study.file.effects, planned, of, rng, size=settings.isolability_size, false_alarm=false_alarm,
             holdout=study.file.split.holdout, seed=study.file.seed,
         )  # fmt: skip
 
-    now = told(visits)
+    now = isolability_of(visits)
     table = isolability_table(
-        now, settings.isolability_size, {words: told(added) for words, added in visits.additions(more)}
+        now, settings.isolability_size, {words: isolability_of(added) for words, added in visits.additions(more)}
     )
     context.say(isolability_summary(table))
     gaps = isolability_gaps(table)
-    for line in gaps[:SAID]:
+    for line in gaps[:MOST_GAPS]:
         context.say(line)
-    if more_gaps := int(table["worst"].sum()) - len(gaps[:SAID]):
+    if more_gaps := int(table["worst"].sum()) - len(gaps[:MOST_GAPS]):
         context.say(f"{more_gaps} further gaps are in select/isolability.csv")
     return table
 

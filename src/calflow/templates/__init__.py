@@ -87,7 +87,7 @@ def _of_urdf(path: Path, tip: str | None, base: str | None) -> dict[str, str]:
     """The robot file of a robot that a URDF states, and that URDF."""
     chain = urdf.find_chain(read_document(path), tip, base)
     names = [joint.name for joint in chain.moving]
-    said = {
+    words = {
         "ROBOT_NAME": json.dumps(chain.document.name),
         "URDF_FILE": json.dumps(path.name),
         "URDF_BASE": json.dumps(chain.base),
@@ -98,16 +98,16 @@ def _of_urdf(path: Path, tip: str | None, base: str | None) -> dict[str, str]:
         "FIRST_JOINT": json.dumps(names[0]),
     }
     text = path.read_text(encoding="utf-8-sig")
-    return {"robot.toml": _filled(_template("given/urdf.toml"), said), path.name: text}
+    return {"robot.toml": _filled(_template("given/urdf.toml"), words), path.name: text}
 
 
 def _beside(joint: UrdfJoint, carries: bool) -> str:
     """What is to be known of a joint."""
-    said = [
+    notes = [
         *([f"follows {joint.mimic.joint}: no column"] if joint.mimic else []),
         *(["carries what the base link is of; the robot stands beside it"] if carries else []),
     ]
-    return f"  ({'; '.join(said)})" if said else ""
+    return f"  ({'; '.join(notes)})" if notes else ""
 
 
 def _asked(study: str, described: Mapping[str, str]) -> dict[str, str]:
@@ -123,12 +123,12 @@ def _asked(study: str, described: Mapping[str, str]) -> dict[str, str]:
         for i, error in zip(turning, ERRORS_MRAD, strict=False)
     ]
     effects = '["geometry", "joint-compliance"]      # leave the second out where the masses are not to be trusted'
-    said = {
+    words = {
         "STUDY_NAME": study,
         "EFFECTS": effects if robot.has_masses else '["geometry"]',
         "VALUES": "\n\n".join(values),
     }
-    return {name: _filled(_template(f"given/{name}"), said) for name in ("study.toml", "truth.toml")}
+    return {name: _filled(_template(f"given/{name}"), words) for name in ("study.toml", "truth.toml")}
 
 
 def _template(name: str) -> str:
