@@ -21,8 +21,8 @@ from calflow.estimation.calibrated_model import CalibratedModel, expected_point,
 from calflow.estimation.noise import conditions, members
 from calflow.files.problems import refuse
 from calflow.files.units import METRE, MeasurementUnit
-from calflow.measurements.columns import POSITION
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import POSITION
 from calflow.observations import leading_units
 
 FREEDOM = 6  # numbers that a frame takes away
