@@ -42,15 +42,17 @@ def test_rivals_are_fitted_in_the_causes_place(final):
     """Fails if an alternative keeps the cause, an untestable or unlikely rival has a model, or nobody's name is left out."""
     verdicts = [judged(ratio(2.0), Rival(UNEXPLAINED, 0, 3.0, None), Rival("joint-backlash", 2, 0.0, None))]
     found = fitted_alternatives(verdicts, final)
-    assert [tuple(c.id for c in one.fit.model.effects if isinstance(c, Cause)) for one in found] == [
+    assert [tuple(c.id for c in one.alternative.model.effects if isinstance(c, Cause)) for one in found] == [
         ("gear-ratio-error",),
         (),
     ]
     p = verdicts[0].probability
-    assert [one.probability for one in found] == pytest.approx([p * np.exp(-1.0), p * np.exp(-1.5)])
+    assert [one.alternative.probability for one in found] == pytest.approx([p * np.exp(-1.0), p * np.exp(-1.5)])
     assert fitted_alternatives([judged(ratio(9.5))], final) == ()
     (likelier,) = fitted_alternatives([judged(ratio(-8.0))], final)
-    assert likelier.probability == pytest.approx(1 / (1 + np.exp(-4.0)))  # a rival may be likelier than what was named
+    assert likelier.alternative.probability == pytest.approx(
+        1 / (1 + np.exp(-4.0))
+    )  # a rival may be likelier than what was named
     assert len(fitted_alternatives([judged(*[ratio(0.1)] * (MOST_FITTED + 2))], final)) == MOST_FITTED
 
 
@@ -60,9 +62,9 @@ def test_they_are_read_as_they_were_written(final):
     rows = from_frame(alternatives_table(found, [ECCENTRIC], final), AlternativeParameter)
     again = _alternatives(rows, final.model)
     for one, other in zip(found, again, strict=True):
-        assert other.model.effects == one.fit.model.effects
-        assert other.estimate == pytest.approx(one.fit.estimate)
-        assert other.probability == pytest.approx(one.probability)
+        assert other.model.effects == one.alternative.model.effects
+        assert other.estimate == pytest.approx(one.alternative.estimate)
+        assert other.probability == pytest.approx(one.alternative.probability)
 
 
 def test_a_prediction_is_wider_by_what_the_others_say(final):

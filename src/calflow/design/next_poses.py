@@ -380,7 +380,7 @@ def _suspects(diagnosis: Diagnosis, lacks: Lacks) -> tuple[Suspect, ...]:
     every += [
         Suspect(
             name=label(one.rival.id, one.rival.joint) if one.rival else UNEXPLAINED, kind="rival",
-            probability=one.probability,
+            probability=one.alternative.probability,
         )
         for one in diagnosis.alternatives
     ]  # fmt: skip

@@ -24,8 +24,7 @@ from calflow.estimation.calibrated_model import (
     CalibratedModel,
     FitSummary,
     ModelInReach,
-    Solver,
-    discrepancies,
+    fit_figures,
     needed_conditions,
     noise_table,
     series_noise,
@@ -125,17 +124,10 @@ def diagnosis_summary(found: Diagnosis, known: CalibratedModel) -> DiagnosisSumm
     if final.noise.sources[0] == "estimated" and not found.growth:
         sigma = float(np.median(final.noise.sigma[final.noise.of_series(0)]))
     return DiagnosisSummary(
-        noise_sources=final.noise.sources,
         sigma_mm=1e3 * sigma if final.noise.leading[0] == METRE else None,
         noise_growth_mm_per_m=1e3 * found.growth.slope if found.growth else 0.0,
-        **discrepancies(final.noise),
-        elsewhere_mm=1e3 * final.elsewhere,
+        **fit_figures(final.fit, final.noise, final.lack, final.elsewhere),
         intraclass=final.intraclass,
-        loss=final.loss,
-        reduced_chi2=final.lack.reduced_chi2 if final.noise.known else None,
-        lack_of_fit_p=final.lack.p if final.noise.known else None,
-        solver=Solver(status=final.fit.status, iterations=final.fit.iterations),
-        converged=final.fit.converged,
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
         causes_tested=len(found.extended.first.places),
         tests=found.extended.first.family.places,

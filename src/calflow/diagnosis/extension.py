@@ -51,47 +51,6 @@ FINER_STEPS = 4  # at most, of one inner unknown each, when a rival is refined b
 CLEARLY_FINER = 2.0  # of BIC: by how much a variant must be better than its neighbour for another fit
 
 
-def finest(score: Score[Cause], now: Fitted) -> Score[Cause]:
-    """Return the best variant of a cause that is not in the model yet."""
-    finer = _finer(score.cause, now)
-    if not finer:
-        return score
-    scores = Screening(now.regressors(finer)).scores
-    best = max(scores, key=lambda s: s.drop, default=score)
-    return best if best.drop > score.drop else score
-
-
-def refined_causes(now: Fitted) -> Iterator[list[Cause]]:
-    """Yield a model's causes with one in a variant that is clearly better, now that the others are in the model."""
-    finer = [_finer(cause, now) for cause in now.causes]
-    if not any(finer):
-        return
-    linearisation = Linearisation.at(now, Catalogue(tuple(chain.from_iterable(finer)), {}))
-    for cause in (cause for cause, variants in zip(now.causes, finer, strict=True) if variants):
-        near = [score for score in linearisation.apart([cause]).scores if score.cause.place == cause.place]
-        bic = next((score.delta_bic for score in near if score.cause == cause), np.inf)
-        if near and near[0].delta_bic < bic - CLEARLY_FINER:
-            yield swapped(now.causes, cause, near[0].cause)
-
-
-def in_place(now: Fitted, gone: Sequence[Cause], cause: Cause) -> Cause:
-    """Return the form of a cause that is best in the place of others, from the best that was tried by steps that are better."""
-    for _ in range(FINER_STEPS):
-        finer = _finer(cause, now)
-        if not finer:
-            return cause
-        scores = Linearisation.at(now, Catalogue((cause, *finer), {})).apart(gone).scores
-        best = next((score.cause for score in scores if score.cause.place == cause.place), cause)
-        if best == cause:
-            return cause
-        cause = best
-    return cause
-
-
-def _finer(cause: Cause, now: Fitted) -> list[Cause]:
-    return [replace(cause, effect=effect) for effect in cause.effect.finer(now.data)]
-
-
 @dataclass(frozen=True)
 class FittedTrial(Trial[Cause]):
     """A fitted model that was tried, and the catalogue to look at it with."""
@@ -132,16 +91,41 @@ class FittedTrial(Trial[Cause]):
         return replace(self, fitted=self.fitted.with_causes(causes, start, added.explained))
 
     def finest(self, score: Score[Cause]) -> Score[Cause]:
-        """Return the best variant between a cause and its neighbours in the scan."""
-        return finest(score, self.fitted)
+        """Return the best variant of a cause that is not in the model yet, between it and its neighbours in the scan."""
+        finer = self._finer(score.cause)
+        if not finer:
+            return score
+        scores = Screening(self.fitted.regressors(finer)).scores
+        best = max(scores, key=lambda s: s.drop, default=score)
+        return best if best.drop > score.drop else score
 
     def refined(self) -> Iterator[list[Cause]]:
-        """Yield the causes with one in a variant between its neighbours that is clearly better."""
-        return refined_causes(self.fitted)
+        """Yield the causes with one in a variant between its neighbours that is clearly better, now that the others are there."""
+        finer = [self._finer(cause) for cause in self.causes]
+        if not any(finer):
+            return
+        linearisation = Linearisation.at(self.fitted, Catalogue(tuple(chain.from_iterable(finer)), {}))
+        for cause in (cause for cause, variants in zip(self.causes, finer, strict=True) if variants):
+            near = [score for score in linearisation.apart([cause]).scores if score.cause.place == cause.place]
+            own_bic = next((score.delta_bic for score in near if score.cause == cause), np.inf)
+            if near and near[0].delta_bic < own_bic - CLEARLY_FINER:
+                yield swapped(self.causes, cause, near[0].cause)
 
     def in_place(self, gone: Sequence[Cause], cause: Cause) -> Cause:
-        """Return the form of a cause that is best in the place of others."""
-        return in_place(self.fitted, gone, cause)
+        """Return the form of a cause that is best in the place of others, from the best that was tried by steps that are better."""
+        for _ in range(FINER_STEPS):
+            finer = self._finer(cause)
+            if not finer:
+                return cause
+            scores = Linearisation.at(self.fitted, Catalogue((cause, *finer), {})).apart(gone).scores
+            best = next((score.cause for score in scores if score.cause.place == cause.place), cause)
+            if best == cause:
+                return cause
+            cause = best
+        return cause
+
+    def _finer(self, cause: Cause) -> list[Cause]:
+        return [replace(cause, effect=effect) for effect in cause.effect.finer(self.fitted.data)]
 
     def _at_bound(self, cause: Cause) -> int:
         """How many of a cause's parameters have no effect: they were there to be fitted, and count like the others."""

@@ -22,7 +22,6 @@ from calflow.diagnosis.stepwise import WITHIN, Detection, Linearisation, swapped
 from calflow.effects.cause import Cause
 from calflow.effects.words import UNEXPLAINED, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative, AlternativeParameter, Change, ModelInReach
-from calflow.estimation.fit import Fit
 from calflow.files.tables import to_frame
 
 TEMPERED = (
@@ -113,17 +112,11 @@ MOST_FITTED = 4  # that are fitted: the likeliest
 
 @dataclass(frozen=True)
 class FittedAlternative:
-    """An alternative that was fitted: which cause (from 0) gives way, to which rival, if any, and how probable that is."""
+    """An alternative that was fitted, and how it came about: which cause (from 0) gives way, to which rival, if any."""
 
     number: int
     rival: Cause | None
-    fit: Fit
-    probability: float
-
-    @property
-    def alternative(self) -> Alternative:
-        """The model without how it came about."""
-        return Alternative(self.fit.model, self.fit.estimate, self.probability)
+    alternative: Alternative
 
 
 def fitted_alternatives(verdicts: Sequence[Verdict], final: Fitted) -> tuple[FittedAlternative, ...]:
@@ -141,9 +134,9 @@ def fitted_alternatives(verdicts: Sequence[Verdict], final: Fitted) -> tuple[Fit
     for probability, k, rival in likeliest:
         stay = [cause for cause in final.causes if cause != verdicts[k].finding.cause]
         causes = [*stay, rival] if rival is not None and rival not in stay else stay
-        alternatives.append(
-            FittedAlternative(k, rival if len(causes) > len(stay) else None, final.fit_with(causes), probability)
-        )
+        fit = final.fit_with(causes)
+        alternative = Alternative(fit.model, fit.estimate, probability)
+        alternatives.append(FittedAlternative(k, rival if len(causes) > len(stay) else None, alternative))
     return tuple(alternatives)
 
 
@@ -160,13 +153,13 @@ def alternatives_table(
     order = list(final.causes)
     rows = [
         AlternativeParameter(
-            alternative=number, probability=item.probability, instead_of=order.index(causes[item.number]) + 1,
+            alternative=number, probability=item.alternative.probability, instead_of=order.index(causes[item.number]) + 1,
             effect=item.rival.effect.id if item.rival else "", part=item.rival.part if item.rival else "",
             variant=json.dumps(item.rival.effect.figures) if item.rival else "",
             parameter=parameter.name, estimate=float(estimate),
         )
         for number, item in enumerate(alternatives, start=1)
-        for parameter, estimate in zip(item.fit.model.parameters, item.fit.estimate, strict=True)
+        for parameter, estimate in zip(item.alternative.model.parameters, item.alternative.estimate, strict=True)
     ]  # fmt: skip
     return to_frame(rows, AlternativeParameter)
 

@@ -20,7 +20,8 @@ from pydantic import TypeAdapter
 
 from calflow.effects import Effect, effect_class
 from calflow.effects.cause import Carried, Cause
-from calflow.estimation.lack_of_fit import SIGNIFICANT, NoiseDoubt
+from calflow.estimation.fit import Fit
+from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit, NoiseDoubt
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import Noise, PerUnit, Source, stated_noise
 from calflow.estimation.parameters import FittedParameter
@@ -276,13 +277,20 @@ class FitSummary:
         return self.lack_of_fit_p is not None and self.lack_of_fit_p < SIGNIFICANT and self.lack_of_fit > 1
 
 
-def discrepancies(noise: Noise) -> dict[str, Any]:
-    """Return the fields of a `FitSummary` that say what the model leaves beyond the noise."""
+def fit_figures(fit: Fit, noise: Noise, lack: LackOfFit, elsewhere: float) -> dict[str, Any]:
+    """Return the fields of a `FitSummary` that a fit, its noise and its lack of fit say; elsewhere is in m."""
     turned = RADIAN in dict(noise.further)
     return {
+        "noise_sources": noise.sources,
         "discrepancy_mm": 1e3 * noise.discrepancy[METRE],
         "rotation_discrepancy_mrad": 1e3 * noise.discrepancy[RADIAN] if turned else None,
         "discrepancies": {unit.label: unit.shown(size) for unit, size in noise.discrepancy.sizes},
+        "elsewhere_mm": 1e3 * elsewhere,
+        "loss": fit.loss,
+        "reduced_chi2": lack.reduced_chi2 if noise.known else None,
+        "lack_of_fit_p": lack.p if noise.known else None,
+        "solver": Solver(status=fit.status, iterations=fit.iterations),
+        "converged": fit.converged,
     }
 
 

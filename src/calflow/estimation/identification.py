@@ -14,8 +14,7 @@ from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
 from calflow.estimation.calibrated_model import (
     CalibratedModel,
     IdentifySummary,
-    Solver,
-    discrepancies,
+    fit_figures,
     needed_conditions,
     series_noise,
 )
@@ -86,15 +85,9 @@ class FittedEffects:
         fit, found, noise, data = self.fit, self.identifiability, self.noise, self.data
         used = data.only(data.train | data.held_out)
         return IdentifySummary(
-            noise_sources=noise.sources,
             sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
-            **discrepancies(noise),
-            elsewhere_mm=1e3 * self.elsewhere,
+            **fit_figures(fit, noise, self.lack, self.elsewhere),
             intraclass=noise.intraclass,
-            loss=self.loss,
-            reduced_chi2=self.lack.reduced_chi2 if noise.known else None,
-            lack_of_fit_p=self.lack.p if noise.known else None,
-            solver=Solver(status=fit.status, iterations=fit.iterations),
             spread_mm=1e3 * _spread(fit.model, fit.estimate, used),
             rank=found.rank,
             parameters=found.n_parameters,
@@ -102,7 +95,6 @@ class FittedEffects:
             effective_parameters=fit.effective_parameters,
             training_poses=data.table.loc[data.train, "pose"].nunique(),
             heldout_poses=data.table.loc[data.held_out, "pose"].nunique(),
-            converged=fit.converged,
             equilibrium_error_um=1e6 * fit.model.equilibrium_error(fit.estimate, used.conditions[:, :EQUILIBRIUM_ROWS]),
             starts=self.starts,
             starts_agreeing=self.agreeing,
