@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.programs.calibrated_robot import Axes, CorrectedReadings
-from calflow.programs.configuration import ArmPosture
 from calflow.programs.filtering import FilterSettings
+from calflow.programs.target import ArmPosture
 
 RAPID = """%%%
   VERSION:1

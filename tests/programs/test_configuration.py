@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.programs.configuration import ArmPosture, FanucConfiguration, Flag, KrlConfiguration, RapidConfiguration
+from calflow.programs.target import ArmPosture, FanucConfiguration, Flag, KrlConfiguration, RapidConfiguration
 
 
 def posture(*degrees, front=True, elbow=True):

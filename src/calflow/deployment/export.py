@@ -33,7 +33,7 @@ from calflow.robot.formats.rigid_chain import (
     urdf_text,
 )
 from calflow.robot.formats.urdf import Drive
-from calflow.robot.frames import Frame, Step, Vector, angles, placement, vector
+from calflow.robot.frames import Frame, Step, Vector, angles, placement_matrix, vector
 from calflow.robot.mechanism import (
     OPTIONAL,
     Deflection,
@@ -129,7 +129,7 @@ def _with(robot: Robot, dims: dict[str, np.ndarray]) -> Robot:
     steps = iter(dims["steps"].ravel())
     frames = [_frame(joint.frame, [float(next(steps)) for _ in joint.frame.steps]) for joint in robot.joints]
     joints = tuple(replace(joint, frame=frame) for joint, frame in zip(robot.joints, frames, strict=True))
-    stands = _matrix([*robot.base.origin, *robot.base.rotation]) @ _matrix(dims["base"].ravel())
+    stands = placement_matrix([*robot.base.origin, *robot.base.rotation]) @ placement_matrix(dims["base"].ravel())
     base = replace(robot.base, origin=vector(stands[:3, 3]), rotation=_angles(stands), known=True)
     markers = {
         name: replace(marker, point=vector(point), known=True)
@@ -138,7 +138,7 @@ def _with(robot: Robot, dims: dict[str, np.ndarray]) -> Robot:
     turn = dims["tool_rotation"].ravel()
     tool = robot.tool_rotation
     if tool is not None:
-        tool = _angles(_matrix([0, 0, 0, *tool]) @ _matrix([0, 0, 0, *turn]))
+        tool = _angles(placement_matrix([0, 0, 0, *tool]) @ placement_matrix([0, 0, 0, *turn]))
     loop = robot.loop
     if loop is not None:
         crank, rod, rocker = map(float, dims["bars"].ravel())
@@ -156,10 +156,6 @@ def _frame(frame: Frame, values: Sequence[float]) -> Frame:
     reach, mount = own(frame.reach), own(frame.mount)
     (turn,) = own([frame.turn])
     return replace(frame, reach=reach, mount=mount, turn=turn, body=own(frame.body))
-
-
-def _matrix(six: Sequence[float] | np.ndarray) -> np.ndarray:
-    return np.array(ca.DM(ca.evalf(placement(ca.DM(list(map(float, six)))))))
 
 
 def _angles(stands: np.ndarray) -> Vector:
@@ -204,7 +200,7 @@ def _apart(unit: str, before: float, after: float) -> float:
 def _every(robot: Robot, beside: Robot) -> Iterator[tuple[str, str, str, float]]:
     for i, joint in enumerate(robot.joints):
         for step in joint.frame.every:
-            yield (f"joint {i + 1}", step.symbol, *_shown(step))
+            yield (f"joint {i + 1}", step.symbol, *step.shown)
     if robot.loop:
         bars = {"crank": robot.loop.crank.length, "rod": robot.loop.rod.length, "rocker": robot.loop.rocker}
         yield from (("loop", name, "mm", 1e3 * length) for name, length in bars.items())
@@ -235,10 +231,6 @@ def _turn(part: str, rotation: Sequence[float], beside: Sequence[float]) -> Iter
         (part, f"v{axis}", "rad", float(v))
         for axis, v in zip("xyz", nearest_vector(turn.as_rotvec(), other.as_rotvec()), strict=True)
     )
-
-
-def _shown(step: Step) -> tuple[str, float]:
-    return ("mm", 1e3 * step.value) if step.is_length else ("deg", float(np.rad2deg(step.value)))
 
 
 Format = Literal["urdf", "xacro-properties", "dh", "json", "controller"]

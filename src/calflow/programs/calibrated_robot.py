@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -21,9 +20,8 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.noise import members
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
-from calflow.programs.configuration import ArmPosture
-from calflow.programs.target import Program, Target
-from calflow.robot.frames import placement
+from calflow.programs.target import ArmPosture, Program, Target
+from calflow.robot.frames import placement_matrix
 from calflow.robot.mechanism import Deflection, nominal_dimensions, pose, reachable
 from calflow.robot.robot import Robot
 
@@ -124,41 +122,6 @@ class CorrectedReadings:
     notes: tuple[str, ...] = ()
 
 
-class Corrector(Protocol):
-    """What knows a robot as its controller does, and as it is. Poses are transforms (4, 4) in the robot's base, in SI."""
-
-    @property
-    def axes(self) -> Axes:
-        """Which joints are the arm's, and which external axes."""
-        ...
-
-    def flange(self, readings: np.ndarray) -> np.ndarray:
-        """Return where the controller takes the flange to be, (n, 4, 4), at readings (n, n_joints)."""
-        ...
-
-    def solutions(
-        self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], external: np.ndarray
-    ) -> Sequence[np.ndarray]:
-        """Return for each of the poses (n, 4, 4) the readings (k, n_joints) at which the controller has the flange there.
-
-        Of external (n, n_joints) the readings of external axes are what they have at each pose.
-        They are looked for from so many joint positions, the more the surer it is that none is missed, and from readings near
-        each, where there are such.
-        """
-        ...
-
-    def posture(self, readings: np.ndarray) -> ArmPosture:
-        """Return how the arm stands at readings (n_joints,)."""
-        ...
-
-    def corrected(self, readings: np.ndarray, names: Sequence[str]) -> CorrectedReadings:
-        """Return readings that land the flange, and so a rigid tool on it, where the controller has it at given ones.
-
-        names are what each is called in notes.
-        """
-        ...
-
-
 APART = 1e-3  # m: axes 4 and 5 that pass each other by less meet in a wrist
 PARALLEL = 1e-6
 
@@ -242,7 +205,7 @@ MOST_CHANGE = np.deg2rad(10.0)  # a correction that turns a joint further is non
 
 @dataclass(frozen=True)
 class CalibratedRobot:
-    """A calibrated robot.
+    """A calibrated robot: known as its controller does, and as it is. Poses are transforms (4, 4) in the robot's base, in SI.
 
     rows makes the rows of a program's targets, with what they carry and under which conditions, from readings (n, n_joints).
     in_order: the targets follow each other, so that the side from which each joint comes follows from them.
@@ -280,7 +243,8 @@ class CalibratedRobot:
     ) -> list[np.ndarray]:
         """Return for each of the poses (n, 4, 4) the readings (k, n_joints) at which the controller has the flange there.
 
-        Of external (n, n_joints) the readings of external axes are what they have at each pose.
+        Of external (n, n_joints) the readings of external axes are what they have at each pose. They are looked for from so many
+        joint positions, the more the surer it is that none is missed, and from readings near each, where there are such.
         """
         found: list[np.ndarray] = [np.empty((0, self.n_joints))] * len(flanges)
         places, of = np.unique(external[:, self.robot.external], axis=0, return_inverse=True)
@@ -333,7 +297,10 @@ class CalibratedRobot:
         return self._arm.posture(readings)
 
     def corrected(self, readings: np.ndarray, names: Sequence[str]) -> CorrectedReadings:
-        """Return readings that land the flange, and so a rigid tool, where the controller has it at given readings."""
+        """Return readings that land the flange, and so a rigid tool, where the controller has it at given readings.
+
+        names are what each is called in notes.
+        """
         data = self.rows(readings)
         data = replace(data, table=data.table.assign(pose=list(names)))
         # of where base and tool are: the sides of approach come later
@@ -367,8 +334,7 @@ class CalibratedRobot:
 
     @cached_property
     def _stands(self) -> np.ndarray:
-        base = self.robot.base
-        return np.array(ca.DM(ca.evalf(placement(ca.DM([*base.origin, *base.rotation])))))
+        return placement_matrix((*self.robot.base.origin, *self.robot.base.rotation))
 
     @cached_property
     def _nominal_tool(self) -> np.ndarray:

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, Turn
-from calflow.programs.configuration import FanucConfiguration, Flag
 from calflow.programs.scanner import Reader, Token, lines_in, refusal, scan
-from calflow.programs.target import External, Left, Number, Program, Target
+from calflow.programs.target import External, FanucConfiguration, Flag, Left, Number, Program, Target
 
 SUFFIXES = (".ls",)
 MARK = "\xef\xbb\xbf"  # by which some editors begin a file in UTF-8

@@ -20,10 +20,9 @@ from calflow.files.problems import InputError, Problem, nearest, refuse
 from calflow.files.tables import column
 from calflow.files.units import split_unit, to_si
 from calflow.measurements.measurements import Measurements
-from calflow.programs.calibrated_robot import Axes, CalibratedRobot, Corrector
-from calflow.programs.configuration import NEAR, Flag
+from calflow.programs.calibrated_robot import Axes, CalibratedRobot
 from calflow.programs.formats import read_program
-from calflow.programs.target import Left, Maker, Number, Program, Target
+from calflow.programs.target import NEAR, Flag, Left, Maker, Number, Program, Target
 from calflow.robot.robot import Robot
 
 # What a number's last decimal may stand for at most: 1 µm of place, 1 µrad of orientation, of a joint what moves a tool that is
@@ -171,7 +170,7 @@ class _Aim:
     note: str = ""
 
 
-def filtered(program: Program, corrector: Corrector, choices: FilterSettings) -> Filtered:
+def filtered(program: Program, corrector: CalibratedRobot, choices: FilterSettings) -> Filtered:
     """Return a program that lands where it says.
 
     A pose becomes the one whose nominal joint readings are those that the correction found; joint readings become the corrected
@@ -264,7 +263,7 @@ def _named(
     return first
 
 
-def _with_readings(aims: list[_Aim], corrector: Corrector, choices: FilterSettings) -> list[_Aim]:
+def _with_readings(aims: list[_Aim], corrector: CalibratedRobot, choices: FilterSettings) -> list[_Aim]:
     """The readings that are meant at each pose; without them, and with a note, where that is not told."""
     flagged = [k for k, aim in enumerate(aims) if aim.readings is None and _is_told(aim.target)]
     found: dict[int, np.ndarray] = {}
@@ -281,7 +280,7 @@ def _with_readings(aims: list[_Aim], corrector: Corrector, choices: FilterSettin
 
 
 def _in_turn(
-    aims: list[_Aim], found: Mapping[int, np.ndarray], corrector: Corrector, choices: FilterSettings, alone: bool
+    aims: list[_Aim], found: Mapping[int, np.ndarray], corrector: CalibratedRobot, choices: FilterSettings, alone: bool
 ) -> list[_Aim]:
     """The readings meant, one target after the other, since what is not told follows from the target before.
 
@@ -317,7 +316,9 @@ def _flange(aim: _Aim) -> np.ndarray:
     return aim.frame @ pose_matrix(aim.target.values, aim.target.turn or "quaternion") @ inverse(aim.tool)
 
 
-def _chosen(aim: _Aim, solutions: np.ndarray, before: np.ndarray | None, corrector: Corrector, loosely: bool) -> _Aim:
+def _chosen(
+    aim: _Aim, solutions: np.ndarray, before: np.ndarray | None, corrector: CalibratedRobot, loosely: bool
+) -> _Aim:
     """The readings that the target's flags, or the readings near it, tell among all that lead there."""
     if not len(solutions):
         return replace(aim, note="the nominal robot does not get there within its joint limits")
@@ -339,7 +340,7 @@ def _chosen(aim: _Aim, solutions: np.ndarray, before: np.ndarray | None, correct
     return replace(aim, readings=_nearest(fitting, before), note=note)
 
 
-def _fitting(aim: _Aim, solutions: np.ndarray, corrector: Corrector, loosely: bool) -> tuple[np.ndarray, str]:
+def _fitting(aim: _Aim, solutions: np.ndarray, corrector: CalibratedRobot, loosely: bool) -> tuple[np.ndarray, str]:
     """The readings that have a target's flags, and what is to be said of them where these do not tell which is meant."""
     configuration = aim.target.configuration
     if configuration is None:
@@ -355,7 +356,9 @@ def _fitting(aim: _Aim, solutions: np.ndarray, corrector: Corrector, loosely: bo
     return (solutions, none) if loosely else (fitting, none)
 
 
-def _corrected(aims: Sequence[_Aim], corrector: Corrector) -> tuple[list[Edit], list[FilteredTarget], tuple[str, ...]]:
+def _corrected(
+    aims: Sequence[_Aim], corrector: CalibratedRobot
+) -> tuple[list[Edit], list[FilteredTarget], tuple[str, ...]]:
     """The edits and rows of targets whose readings are known, and what is to be known of the correction."""
     readings = np.stack([aim.readings for aim in aims if aim.readings is not None])
     correction = corrector.corrected(readings, [aim.target.name for aim in aims])

@@ -11,9 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
-from calflow.programs.configuration import Flag, KrlConfiguration
 from calflow.programs.scanner import Expressions, Node, Reader, refusal, scan
-from calflow.programs.target import External, Left, Number, Program, Target
+from calflow.programs.target import External, Flag, KrlConfiguration, Left, Number, Program, Target
 
 POSES, AXES = ("POS", "E3POS", "E6POS", "FRAME"), ("AXIS", "E3AXIS", "E6AXIS")
 PLACE, JOINTS = ("X", "Y", "Z", "A", "B", "C"), ("A1", "A2", "A3", "A4", "A5", "A6")

@@ -12,9 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
-from calflow.programs.configuration import Flag, RapidConfiguration
 from calflow.programs.scanner import Expressions, Node, Reader, refusal, scan
-from calflow.programs.target import External, Left, Number, Program, Target
+from calflow.programs.target import External, Flag, Left, Number, Program, RapidConfiguration, Target
 
 UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as the maker allows
 EXTERNAL = 6  # values of external axes that a target has

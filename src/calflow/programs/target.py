@@ -1,15 +1,176 @@
-"""Targets: where a program tells its robot to go, and where in the file each of their numbers stands."""
+"""Targets: where a program tells its robot to go, and where in the file each of their numbers stands.
+
+Configurations: by which flags a program says which of several joint positions a target means, maker by maker.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from calflow.deployment.conventions import Turn
-from calflow.programs.configuration import Configuration
+
+NEAR = np.deg2rad(0.5)  # a joint as near as this to where a flag changes may have either
+
+
+@dataclass(frozen=True)
+class ArmPosture:
+    """Joint readings (n_joints,) [rad] and how the arm stands.
+
+    front: the wrist is before the first axis and not behind it; elbow: it is on the side of the lower arm where it is when that
+    stands upright and the forearm points forward. None where the robot has no such arm.
+    """
+
+    readings: tuple[float, ...]
+    front: bool | None
+    elbow: bool | None
+
+
+@dataclass(frozen=True)
+class Flag:
+    """A flag of a configuration: the bytes [start, end) where it stands and its text there."""
+
+    start: int
+    end: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Configuration(ABC):
+    """The flags of a target, in the order of the file."""
+
+    flags: tuple[Flag, ...]
+
+    @abstractmethod
+    def agrees(self, posture: ArmPosture, margin: float = NEAR, strictly: bool = True) -> bool:
+        """Return whether the flags are a posture's, or those of one whose joints are as near to it as a margin [rad].
+
+        Not strictly: leaving aside those that some robots of the maker do not use.
+        """
+
+    @abstractmethod
+    def changes(self, before: ArmPosture, after: ArmPosture) -> tuple[tuple[Flag, str], ...]:
+        """Return the flags that are others after a correction than before it, each with its new text."""
+
+
+@dataclass(frozen=True)
+class Listed(Configuration):
+    """Flags that each have a text of their own."""
+
+    @abstractmethod
+    def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
+        """Return what the flags of a posture read; None where it cannot be told."""
+
+    def agrees(self, posture: ArmPosture, margin: float = NEAR, strictly: bool = True) -> bool:
+        """Return whether each flag is as it is at the posture, or a little to either side."""
+        around = [self.of(replace(posture, readings=tuple(np.add(posture.readings, d)))) for d in (0, -margin, margin)]
+        return all(
+            None in own or flag.text in own for flag, own in zip(self.judged(strictly), zip(*around, strict=True), strict=False)
+        )  # fmt: skip
+
+    def judged(self, strictly: bool) -> tuple[Flag, ...]:
+        """Return the flags that must agree."""
+        return self.flags
+
+    def changes(self, before: ArmPosture, after: ArmPosture) -> tuple[tuple[Flag, str], ...]:
+        """Return the flags that change between two postures."""
+        pairs = zip(self.flags, self.of(before), self.of(after), strict=True)
+        return tuple((flag, new) for flag, old, new in pairs if new not in (None, old, flag.text) and old is not None)
+
+
+@dataclass(frozen=True)
+class RapidConfiguration(Listed):
+    """ABB's cf1, cf4 and cf6, quarter turns of joints 1, 4 and 6, and cfx (RAPID reference manual, data type confdata).
+
+    cfx counts the arm's eight ways to stand: 4 where the wrist is behind axis 1, 2 where it is behind the lower arm, 1 where
+    joint 5 is negative. Old programs have a 0 there whatever the posture.
+    """
+
+    def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
+        """Return cf1, cf4, cf6 and cfx."""
+        if len(posture.readings) != 6:
+            return (None,) * 4
+        quarters = [str(int(np.floor(posture.readings[joint] / (np.pi / 2)))) for joint in (0, 3, 5)]
+        if posture.front is None or posture.elbow is None:
+            return (*quarters, None)
+        return (*quarters, str(4 * (not posture.front) + 2 * (not posture.elbow) + (posture.readings[4] < 0)))
+
+    def judged(self, strictly: bool) -> tuple[Flag, ...]:
+        """Return all flags, or those without cfx."""
+        return self.flags if strictly else self.flags[:3]
+
+
+@dataclass(frozen=True)
+class FanucConfiguration(Listed):
+    """FANUC's CONFIG: wrist F(lip) or N, elbow U(p) or D(own), arm T (front) or B (back), turns of joints 1, 4 and 6.
+
+    A wrist is not flipped where joint 5 is negative, as when the tool points down at J5 = -90 degrees.
+    """
+
+    def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
+        """Return the three letters and the three numbers of turns."""
+        if len(posture.readings) != 6:
+            return (None,) * 6
+        turns = [str(int(np.floor((posture.readings[joint] + np.pi) / (2 * np.pi)))) for joint in (0, 3, 5)]
+        elbow = None if posture.elbow is None else "U" if posture.elbow else "D"
+        front = None if posture.front is None else "T" if posture.front else "B"
+        return ("N" if posture.readings[4] < 0 else "F", elbow, front, *turns)
+
+
+@dataclass(frozen=True)
+class KrlConfiguration(Configuration):
+    """KUKA's S and T (KRL reference guide). named says which of the two each flag is.
+
+    Of S, bit 0 is set overhead, bit 1 where the elbow is as usual, bit 2 where A5 is negative; of T, bit n where A(n + 1) is
+    negative. Further bits stand for other things, and stay.
+    """
+
+    named: tuple[str, ...]
+
+    def agrees(self, posture: ArmPosture, margin: float = NEAR, strictly: bool = True) -> bool:
+        """Return whether each bit is the posture's, where its joint is not near zero."""
+        if len(posture.readings) != 6:
+            return True
+        sure = sum(1 << i for i, angle in enumerate(posture.readings) if abs(angle) >= margin)
+        known = {"T": sure, "S": 3 * (posture.front is not None) + 4 * (abs(posture.readings[4]) >= margin)}
+        bits = _krl_bits(posture)
+        return all((_krl_value(flag) ^ bits[name]) & known[name] == 0 for name, flag in self._pairs)
+
+    def changes(self, before: ArmPosture, after: ArmPosture) -> tuple[tuple[Flag, str], ...]:
+        """Return the flags of which bits change between two postures."""
+        if len(before.readings) != 6:
+            return ()
+        old, new = _krl_bits(before), _krl_bits(after)
+        found = []
+        for name, flag in self._pairs:
+            crossed = old[name] ^ new[name]
+            value = (_krl_value(flag) & ~crossed) | (new[name] & crossed)
+            if value != _krl_value(flag):
+                found.append((flag, _krl_spelled(value, flag)))
+        return tuple(found)
+
+    @property
+    def _pairs(self) -> tuple[tuple[str, Flag], ...]:
+        return tuple(zip(self.named, self.flags, strict=True))
+
+
+def _krl_bits(posture: ArmPosture) -> dict[str, int]:
+    signs = sum(1 << i for i, angle in enumerate(posture.readings) if angle < 0)
+    stance = 0 if posture.front is None or posture.elbow is None else (not posture.front) + 2 * posture.elbow
+    return {"T": signs, "S": stance + 4 * (posture.readings[4] < 0)}
+
+
+def _krl_value(flag: Flag) -> int:
+    return int(flag.text[2:-1], 2) if flag.text.startswith("'") else int(flag.text)
+
+
+def _krl_spelled(value: int, like: Flag) -> str:
+    return f"{like.text[:2]}{value:0{len(like.text) - 3}b}'" if like.text.startswith("'") else str(value)
+
 
 Maker = Literal["rapid", "krl", "fanuc", "urscript"]
 

@@ -50,6 +50,11 @@ class Step:
         """Its value's unit."""
         return "m" if self.is_length else "rad"
 
+    @property
+    def shown(self) -> tuple[Literal["mm", "deg"], float]:
+        """The unit in which people read its value, and the value in it."""
+        return ("mm", 1e3 * self.value) if self.is_length else ("deg", float(np.rad2deg(self.value)))
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -388,6 +393,11 @@ def elementary(motion: Motion, value: Scalar) -> ca.SX:
 def placement(v: ca.SX | ca.DM) -> ca.SX:
     """Translation by v[0:3], then rotations about x, y and z by v[3:6], each about the axis already turned."""
     return translation(v[0], v[1], v[2]) @ rot_x(v[3]) @ rot_y(v[4]) @ rot_z(v[5])
+
+
+def placement_matrix(six: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Return the transform (4, 4) of a shift [m] and turns about x, y and z in turn [rad], as numbers."""
+    return np.array(ca.DM(ca.evalf(placement(ca.DM(list(map(float, six)))))))
 
 
 def turning(rotation: ca.SX, by: ca.SX) -> ca.SX:

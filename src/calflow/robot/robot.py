@@ -246,12 +246,12 @@ def _table(joints: Sequence[Joint]) -> Rows:
     frames = [joint.frame for joint in joints]
     if convention_of(frames):
         listed = frames[0].listed
-        columns = [f"{step.symbol} [{_unit(step)}]" for symbol in listed for step in [frames[0].step(symbol)]]
-        figures = [tuple(_figure(_shown(frame.step(symbol))) for symbol in listed) for frame in frames]
+        columns = [f"{step.symbol} [{step.shown[0]}]" for symbol in listed for step in [frames[0].step(symbol)]]
+        figures = [tuple(_figure(frame.step(symbol).shown[1]) for symbol in listed) for frame in frames]
     else:
         columns = ["frame"]
         figures = [
-            (", ".join(f"{s.symbol} {_figure(_shown(s))} {_unit(s)}" for s in frame.steps if s.value) or "–",)
+            (", ".join(f"{s.symbol} {_figure(s.shown[1])} {s.shown[0]}" for s in frame.steps if s.value) or "–",)
             for frame in frames
         ]
     rows: Rows = [("joint", *columns, "limits")]
@@ -264,14 +264,6 @@ def _table(joints: Sequence[Joint]) -> Rows:
 
 def _row(tag: str, cells: Sequence[str]) -> str:
     return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
-
-
-def _shown(step: Step) -> float:
-    return 1e3 * step.value if step.is_length else float(np.rad2deg(step.value))
-
-
-def _unit(step: Step) -> str:
-    return "mm" if step.is_length else "deg"
 
 
 def _figure(value: float) -> str:

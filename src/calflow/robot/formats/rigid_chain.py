@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.robot.formats.urdf import Drive
-from calflow.robot.frames import Motion, Step, elementary, placement, rpy_of
+from calflow.robot.frames import Motion, Step, elementary, placement_matrix, rpy_of
 from calflow.robot.robot import Robot
 
 AXES: dict[str, tuple[float, float, float]] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -82,8 +82,8 @@ def rigid_chain(robot: Robot) -> RigidChain:
             )
         )  # fmt: skip
         at = rest
-    base = matrix((*robot.base.origin, *robot.base.rotation))
-    tool = matrix((0.0, 0.0, 0.0, *(robot.tool_rotation or (0.0, 0.0, 0.0))))
+    base = placement_matrix((*robot.base.origin, *robot.base.rotation))
+    tool = placement_matrix((0.0, 0.0, 0.0, *(robot.tool_rotation or (0.0, 0.0, 0.0))))
     markers = {name: np.array(marker.point) for name, marker in robot.markers.items()}
     return RigidChain(robot.name, tuple(joints), base, at, tool, markers)
 
@@ -134,11 +134,6 @@ def transform_of(steps: Sequence[Step]) -> np.ndarray:
     for step in steps:
         at = at @ _elementary(step.motion, step.value)
     return at
-
-
-def matrix(six: Sequence[float]) -> np.ndarray:
-    """Return the transform (4, 4) of a shift [m] and turns about x, y and z in turn [rad]."""
-    return np.array(ca.DM(ca.evalf(placement(ca.DM(list(six))))))
 
 
 def _elementary(motion: Motion, value: float) -> np.ndarray:
