@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import casadi as ca
 import numpy as np
@@ -36,15 +36,15 @@ class AxisStraightness(Effect):
     length: float = LENGTHS[0]
     turning: bool = False
 
-    id: ClassVar[str] = "axis-straightness"
-    title: ClassVar[str] = "straightness of an axis"
-    words: ClassVar[Words] = Words(
+    id = "axis-straightness"
+    title = "straightness of an axis"
+    words = Words(
         "straightness error",
         "the rail leads the carriage off a straight line, by a smooth curve over its travel",
         "rms",
     )
-    needs: ClassVar[tuple[str, ...]] = ("slide",)
-    told_by: ClassVar[str] = "move the carriage alone over all its travel, and measure closely on the way"
+    needs = ("slide",)
+    told_by = "move the carriage alone over all its travel, and measure closely on the way"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -150,6 +150,7 @@ class Effect(ABC):
 
     id: ClassVar[str]
     title: ClassVar[str]
+    forms: ClassVar[Mapping[Any, str]] = {}  # what its one field besides the robot may be, each in words
     needs: ClassVar[tuple[str, ...]] = ()  # what it cannot do without: see `needs`
     family: ClassVar[str] = ""  # what to call it when the data do not tell it from others of its family
     alike: ClassVar[tuple[str, ...]] = ()  # ids that no pose tells from it: only another sensor or load would
@@ -193,7 +194,9 @@ class Effect(ABC):
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return the forms in which to look for it in these data; none where the data cannot show it (see `lacking`)."""
-        return (cls(robot),)
+        plain = cls(robot)
+        name = next(iter(plain.figures), "")
+        return tuple(replace(plain, **{name: form}) for form in cls.forms) or (plain,)
 
     @classmethod
     def lacking(cls, robot: Robot, data: Measurements) -> str:
@@ -255,7 +258,7 @@ class Effect(ABC):
     @property
     def detail(self) -> str:
         """Say which variant it is, e.g. `order 7`."""
-        return ""
+        return self.forms.get(next(iter(self.figures.values()), None), "")
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Change lengths and angles."""

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
 
 import casadi as ca
 
 from calflow.effects.base import Effect, Variable, Words
-from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Row, State, rated_torques
 from calflow.robot.parts import Parameter
-from calflow.robot.robot import Robot
 
 TILT_SD, TILT_BOUND = 0.5e-3, 10e-3  # rad at the largest rated torque of all joints
 
@@ -22,24 +19,13 @@ class BaseCompliance(Effect):
 
     directions: int = 1
 
-    id: ClassVar[str] = "base-compliance"
-    title: ClassVar[str] = "base compliance (tilt of the foundation)"
-    words: ClassVar[Words] = Words(
-        "tilt of the base", "the base or its foundation tilts under the overturning moment", "compliance"
-    )
-    whole: ClassVar[str] = "base"
-    needs: ClassVar[tuple[str, ...]] = ("masses", "floor")
-    told_by: ClassVar[str] = "watch a marker on the robot's foot while the arm reaches out"
-
-    @classmethod
-    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return a foundation that is alike in all directions, and one that is not."""
-        return cls(robot, 1), cls(robot, 2)
-
-    @property
-    def detail(self) -> str:
-        """Say which."""
-        return "alike in all directions" if self.directions == 1 else "by direction"
+    id = "base-compliance"
+    title = "base compliance (tilt of the foundation)"
+    forms = {1: "alike in all directions", 2: "by direction"}
+    words = Words("tilt of the base", "the base or its foundation tilts under the overturning moment", "compliance")
+    whole = "base"
+    needs = ("masses", "floor")
+    told_by = "watch a marker on the robot's foot while the arm reaches out"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the compliance, or those about x and y and what couples them."""

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
-from typing import ClassVar, Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Effect, Variable, Words
-from calflow.measurements.measurements import Measurements
 from calflow.robot.frames import apply
 from calflow.robot.mechanism import Deflection, Posture, Row, State, nominal_dimensions, nominal_loads, pose
 from calflow.robot.parts import Parameter
@@ -22,11 +21,6 @@ LIGHTER = 0.5  # a link's mass over that of the link before, where nobody knows 
 LEAST = 0.1  # m: how far a short link's centre may be from its axis
 
 Shape = Literal["alike", "direction", "moments"]
-DETAILS: dict[Shape, str] = {
-    "alike": "alike in all directions",
-    "direction": "by direction",
-    "moments": "by direction, by link",
-}
 COMPLIANCES: dict[Shape, tuple[str, ...]] = {
     "alike": ("c",),
     "direction": ("x", "y", "xy"),
@@ -61,29 +55,22 @@ class BaseTilt(Effect):
 
     shape: Shape = "alike"
 
-    id: ClassVar[str] = "base-tilt"
-    title: ClassVar[str] = "base tilt (compliance of the foundation, masses unknown)"
-    words: ClassVar[Words] = Words(
-        "tilt of the base", "the base or its foundation tilts under the robot's own weight", "tilt"
-    )
-    needs: ClassVar[tuple[str, ...]] = ("floor",)
-    whole: ClassVar[str] = "base"
-    told_by: ClassVar[str] = "watch a marker on the robot's foot while the arm reaches out"
+    id = "base-tilt"
+    title = "base tilt (compliance of the foundation, masses unknown)"
+    forms = {
+        "alike": "alike in all directions",
+        "direction": "by direction",
+        "moments": "by direction, by link",
+    }
+    words = Words("tilt of the base", "the base or its foundation tilts under the robot's own weight", "tilt")
+    needs = ("floor",)
+    whole = "base"
+    told_by = "watch a marker on the robot's foot while the arm reaches out"
 
     @classmethod
     def superseded(cls, robot: Robot) -> str:
         """Say that it is not needed where moments are known."""
         return "the masses are known, so base-compliance stands for it" if robot.has_masses else ""
-
-    @classmethod
-    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return a foundation alike in all directions, one that is not, and one under moments that are fitted too."""
-        return tuple(cls(robot, shape) for shape in DETAILS)
-
-    @property
-    def detail(self) -> str:
-        """Say which."""
-        return DETAILS[self.shape]
 
     @cached_property
     def _arm(self) -> Arm:

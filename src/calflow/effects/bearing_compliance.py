@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
 
 import casadi as ca
 
 from calflow.effects.base import Effect, Variable, Words
-from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Row, State, rated_torques
 from calflow.robot.parts import Parameter
-from calflow.robot.robot import Robot
 
 ASIDE = 0.3  # m: usual distance of a bearing from the frame of its joint
 TILT_SD, TILT_BOUND = 2e-3, 20e-3  # rad at the largest rated torque of all joints
@@ -28,21 +25,12 @@ class BearingCompliance(Effect):
 
     aside: bool = False
 
-    id: ClassVar[str] = "bearing-compliance"
-    title: ClassVar[str] = "bearing compliance (tilt off the joint's axis)"
-    words: ClassVar[Words] = Words("bearing tilt", "the bearing tilts across the joint's axis under load", "compliance")
-    needs: ClassVar[tuple[str, ...]] = ("masses",)
-    told_by: ClassVar[str] = "watch a marker close behind the bearing while the load changes"
-
-    @classmethod
-    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return bearings at their joints' frames, and beside them."""
-        return cls(robot), cls(robot, aside=True)
-
-    @property
-    def detail(self) -> str:
-        """Say where the bearing is."""
-        return "beside its joint's frame" if self.aside else "at its joint's frame"
+    id = "bearing-compliance"
+    title = "bearing compliance (tilt off the joint's axis)"
+    forms = {False: "at its joint's frame", True: "beside its joint's frame"}
+    words = Words("bearing tilt", "the bearing tilts across the joint's axis under load", "compliance")
+    needs = ("masses",)
+    told_by = "watch a marker close behind the bearing while the load changes"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return two compliances a joint, and their products with the bearing's place."""

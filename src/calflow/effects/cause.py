@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -164,7 +163,7 @@ class Carried(ActingEffect):
     cause: Cause
     values: tuple[float, ...]
 
-    title: ClassVar[str] = "known beforehand"
+    title = "known beforehand"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return none."""

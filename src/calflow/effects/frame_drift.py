@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import casadi as ca
 
@@ -41,12 +41,12 @@ class FrameDrift(Effect):
     length: float = 0.0
     end: float = 0.0
 
-    id: ClassVar[str] = "frame-drift"
-    title: ClassVar[str] = "drift of the measuring device"
-    words: ClassVar[Words] = Words("drift of the measuring device", "the device wanders while measuring", "drift")
-    whole: ClassVar[str] = "device"
-    family: ClassVar[str] = OF_THE_FRAME
-    told_by: ClassVar[str] = "measure points fixed to the floor from time to time"
+    id = "frame-drift"
+    title = "drift of the measuring device"
+    words = Words("drift of the measuring device", "the device wanders while measuring", "drift")
+    whole = "device"
+    family = OF_THE_FRAME
+    told_by = "measure points fixed to the floor from time to time"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import casadi as ca
 import numpy as np
@@ -30,15 +30,13 @@ class FrameStep(Effect):
     moment: float = 0.5
     turning: bool = False
 
-    id: ClassVar[str] = "frame-step"
-    title: ClassVar[str] = "step of the measuring device"
-    words: ClassVar[Words] = Words(
-        "step of the measuring device", "the device, or the robot's foot, was moved once", "step"
-    )
-    whole: ClassVar[str] = "device"
-    family: ClassVar[str] = OF_THE_FRAME
-    needs: ClassVar[tuple[str, ...]] = ("order",)
-    told_by: ClassVar[str] = "measure points fixed to the floor from time to time"
+    id = "frame-step"
+    title = "step of the measuring device"
+    words = Words("step of the measuring device", "the device, or the robot's foot, was moved once", "step")
+    whole = "device"
+    family = OF_THE_FRAME
+    needs = ("order",)
+    told_by = "measure points fixed to the floor from time to time"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 
@@ -20,15 +19,15 @@ class FrictionWindUp(JointError):
     What it winds up without any load is backlash's and has no parameter here: both can act at one joint.
     """
 
-    id: ClassVar[str] = "friction-wind-up"
-    title: ClassVar[str] = "wind-up by friction that grows with load"
-    words: ClassVar[Words] = Words(
+    id = "friction-wind-up"
+    title = "wind-up by friction that grows with load"
+    words = Words(
         "friction under load",
         "friction leaves the drive wound up against its last motion, the more the larger its load is",
         "wind-up to one side at the rated torque",
     )
-    needs: ClassVar[tuple[str, ...]] = ("approach", "torques")
-    told_by: ClassVar[str] = "approach some poses from both sides, with and without a load"
+    needs = ("approach", "torques")
+    told_by = "approach some poses from both sides, with and without a load"
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the wind-up on the side the joint came from."""

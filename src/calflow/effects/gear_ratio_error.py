@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
-from calflow.effects.base import Readable, Words
+from calflow.effects.base import Words
 from calflow.effects.joint_error import JOINT_ALONE, JointError, Term
 from calflow.robot.mechanism import Row, State
 
@@ -15,11 +14,11 @@ from calflow.robot.mechanism import Row, State
 class GearRatioError(JointError):
     """dq = kappa q."""
 
-    id: ClassVar[str] = "gear-ratio-error"
-    title: ClassVar[str] = "gear ratio error"
-    words: ClassVar[Words] = Words("gear ratio error", "the joint turns more, or less, than its reading says", "excess")
-    readable: ClassVar[Readable] = {"1": (1e6, "µrad/rad")}
-    told_by: ClassVar[str] = JOINT_ALONE
+    id = "gear-ratio-error"
+    title = "gear ratio error"
+    words = Words("gear ratio error", "the joint turns more, or less, than its reading says", "excess")
+    readable = {"1": (1e6, "µrad/rad")}
+    told_by = JOINT_ALONE
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the joint's angle, or a slide's position."""

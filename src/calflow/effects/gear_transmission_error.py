@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 from calflow.effects.base import Words
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
-from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
-from calflow.robot.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -19,28 +17,19 @@ class GearTransmissionError(JointError):
 
     multiple: int = 1
 
-    id: ClassVar[str] = "gear-transmission-error"
-    title: ClassVar[str] = "gear transmission error"
-    words: ClassVar[Words] = Words(
+    id = "gear-transmission-error"
+    title = "gear transmission error"
+    forms = {1: "1 a motor turn", 2: "2 a motor turn"}
+    words = Words(
         "gear transmission error", "the angle is off by an amount that repeats with the turns of the motor", "amplitude"
     )
-    needs: ClassVar[tuple[str, ...]] = ("gear_ratio",)
-    family: ClassVar[str] = TRANSMISSION
-    told_by: ClassVar[str] = JOINT_ALONE
-
-    @classmethod
-    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return once and twice a turn."""
-        return cls(robot, 1), cls(robot, 2)
+    needs = ("gear_ratio",)
+    family = TRANSMISSION
+    told_by = JOINT_ALONE
 
     def same_as(self, other: Self) -> bool:
         """Return whether it repeats as often."""
         return other.multiple == self.multiple
-
-    @property
-    def detail(self) -> str:
-        """Say how often it repeats."""
-        return f"{self.multiple} a motor turn"
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the two phases."""

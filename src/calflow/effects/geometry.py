@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
 
 import casadi as ca
 
@@ -67,10 +66,10 @@ class Geometry(Effect):
     for the identifiability analysis to name. Markers whose places beside the first are known move and turn with it.
     """
 
-    id: ClassVar[str] = "geometry"
-    title: ClassVar[str] = "geometry (link lengths, twists and offsets, base, tool)"
-    words: ClassVar[Words] = Words("geometry error", "a length or an angle is not what the robot file says", "size")
-    tag: ClassVar[str] = ""
+    id = "geometry"
+    title = "geometry (link lengths, twists and offsets, base, tool)"
+    words = Words("geometry error", "a length or an angle is not what the robot file says", "size")
+    tag = ""
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the length and angle errors of this robot."""

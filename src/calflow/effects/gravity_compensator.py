@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Self
+from typing import Self
 
 import casadi as ca
 import numpy as np
@@ -39,13 +39,11 @@ class GravityCompensator(Effect):
     spring: bool = False
     gas: bool = False
 
-    id: ClassVar[str] = "gravity-compensator"
-    title: ClassVar[str] = "gravity compensator"
-    words: ClassVar[Words] = Words(
-        "gravity compensator torque", "a spring or gas cylinder carries a part of the arm's weight", "torque"
-    )
-    needs: ClassVar[tuple[str, ...]] = ("masses",)
-    told_by: ClassVar[str] = "measure some poses again with the compensator's pressure released or its spring unhooked"
+    id = "gravity-compensator"
+    title = "gravity compensator"
+    words = Words("gravity compensator torque", "a spring or gas cylinder carries a part of the arm's weight", "torque")
+    needs = ("masses",)
+    told_by = "measure some poses again with the compensator's pressure released or its spring unhooked"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

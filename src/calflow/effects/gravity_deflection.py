@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -42,9 +41,9 @@ class GravityDeflection(Effect):
     its centre is, times a figure of its own [rad/m]: its weight times the joint's compliance.
     """
 
-    id: ClassVar[str] = "gravity-deflection"
-    title: ClassVar[str] = "gravity deflection (joint compliance, masses unknown)"
-    words: ClassVar[Words] = Words("gravity deflection", "the joint sags under the robot's own weight", "size")
+    id = "gravity-deflection"
+    title = "gravity deflection (joint compliance, masses unknown)"
+    words = Words("gravity deflection", "the joint sags under the robot's own weight", "size")
 
     @classmethod
     def superseded(cls, robot: Robot) -> str:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Readable, Words
+from calflow.effects.base import Words
 from calflow.effects.link_bending import SHORTEST
 from calflow.effects.warming import Warming
 from calflow.measurements.measurements import Measurements
@@ -26,13 +25,13 @@ class HousingGrowth(Warming):
     A long offset is a link's own length (see `thermal_growth`), and along nearly parallel axes nobody can tell whose it is.
     """
 
-    id: ClassVar[str] = "housing-growth"
-    title: ClassVar[str] = "growth of a joint's housing"
-    words: ClassVar[Words] = Words(
+    id = "housing-growth"
+    title = "growth of a joint's housing"
+    words = Words(
         "growth of the housing", "the joint's housing grows along its axis as the motor in it warms up", "growth"
     )
 
-    readable: ClassVar[Readable] = {"m": (1e6, "µm"), "m/K": (1e6, "µm per °C")}
+    readable = {"m": (1e6, "µm"), "m/K": (1e6, "µm per °C")}
 
     @classmethod
     def lacking(cls, robot: Robot, data: Measurements) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 from calflow.effects.base import Variable, Words
 from calflow.effects.joint_error import REVERSALS, JointError, Term
@@ -15,15 +14,15 @@ from calflow.robot.mechanism import Row, State
 class JointBacklash(JointError):
     """dq = b/2 · direction of approach."""
 
-    id: ClassVar[str] = "joint-backlash"
-    title: ClassVar[str] = "backlash by direction of approach"
-    words: ClassVar[Words] = Words(
+    id = "joint-backlash"
+    title = "backlash by direction of approach"
+    words = Words(
         "backlash", "the gears rest on one flank or the other, depending on the side the joint came from", "play"
     )
-    needs: ClassVar[tuple[str, ...]] = ("approach",)
-    alike: ClassVar[tuple[str, ...]] = ("joint-hysteresis",)  # where it has fully developed at every pose
-    taken_for: ClassVar[tuple[str, ...]] = ("torque-backlash",)  # gravity decides the flank as often as not
-    told_by: ClassVar[str] = REVERSALS
+    needs = ("approach",)
+    alike = ("joint-hysteresis",)  # where it has fully developed at every pose
+    taken_for = ("torque-backlash",)  # gravity decides the flank as often as not
+    told_by = REVERSALS
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the half of the play, on the side the joint came from."""

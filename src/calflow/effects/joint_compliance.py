@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import casadi as ca
 
@@ -20,12 +19,12 @@ class JointCompliance(Effect):
     A spring's size goes with its joint's, so the prior is on its wind-up at the rated torque.
     """
 
-    id: ClassVar[str] = "joint-compliance"
-    title: ClassVar[str] = "joint compliance (linear torsional springs)"
-    words: ClassVar[Words] = Words("compliance", "the drive twists in proportion to its torque", "compliance")
-    tag: ClassVar[str] = ""
-    inevitable: ClassVar[bool] = True
-    needs: ClassVar[tuple[str, ...]] = ("torques",)
+    id = "joint-compliance"
+    title = "joint compliance (linear torsional springs)"
+    words = Words("compliance", "the drive twists in proportion to its torque", "compliance")
+    tag = ""
+    inevitable = True
+    needs = ("torques",)
 
     @classmethod
     def springs(cls, robot: Robot) -> bool:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 from calflow.effects.base import Words
 from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
-from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
-from calflow.robot.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -19,29 +17,20 @@ class JointEccentricity(JointError):
 
     order: int = 1
 
-    id: ClassVar[str] = "joint-eccentricity"
-    title: ClassVar[str] = "eccentricity"
-    words: ClassVar[Words] = Words(
+    id = "joint-eccentricity"
+    title = "eccentricity"
+    forms = {1: "order 1", 2: "order 2"}
+    words = Words(
         "eccentricity",
         "a gear or an encoder disc does not run true, so that the angle is off as the joint turns",
         "amplitude",
     )
-    family: ClassVar[str] = TRANSMISSION
-    told_by: ClassVar[str] = JOINT_ALONE
-
-    @classmethod
-    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return both orders."""
-        return cls(robot, 1), cls(robot, 2)
+    family = TRANSMISSION
+    told_by = JOINT_ALONE
 
     def same_as(self, other: Self) -> bool:
         """Return whether it is of the same order."""
         return other.order == self.order
-
-    @property
-    def detail(self) -> str:
-        """Say the order."""
-        return f"order {self.order}"
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the two phases."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import casadi as ca
 import numpy as np
@@ -33,13 +33,13 @@ class JointErrorMap(JointError):
     high: tuple[float, ...] = ()
     length: float = LENGTHS[0]
 
-    id: ClassVar[str] = "joint-error-map"
-    title: ClassVar[str] = "joint error map"
-    words: ClassVar[Words] = Words(
+    id = "joint-error-map"
+    title = "joint error map"
+    words = Words(
         "angle error curve", "the angle is off by a smooth curve over the joint's travel, of no single order", "rms"
     )
-    family: ClassVar[str] = TRANSMISSION
-    told_by: ClassVar[str] = JOINT_ALONE
+    family = TRANSMISSION
+    told_by = JOINT_ALONE
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import casadi as ca
 import numpy as np
@@ -24,16 +24,16 @@ class JointHysteresis(JointError):
 
     length: float = float(LENGTHS[2])
 
-    id: ClassVar[str] = "joint-hysteresis"
-    title: ClassVar[str] = "hysteresis by friction"
-    words: ClassVar[Words] = Words(
+    id = "joint-hysteresis"
+    title = "hysteresis by friction"
+    words = Words(
         "friction wind-up",
         "friction leaves the drive wound up after each reversal, until the joint has moved on far enough",
         "wind-up to one side",
     )
-    needs: ClassVar[tuple[str, ...]] = ("approach", "travel")
-    alike: ClassVar[tuple[str, ...]] = ("joint-backlash",)
-    told_by: ClassVar[str] = REVERSALS
+    needs = ("approach", "travel")
+    alike = ("joint-backlash",)
+    told_by = REVERSALS
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
 
 import casadi as ca
 
 from calflow.effects.base import Effect, Variable, Words
-from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, rated_torques, span
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
@@ -69,22 +67,13 @@ class LinkBending(Effect):
 
     oblique: bool = False
 
-    id: ClassVar[str] = "link-bending"
-    title: ClassVar[str] = "link bending"
-    words: ClassVar[Words] = Words("bending", "the link bends under what it carries", "stiffness EI")
-    place_word: ClassVar[str] = "link"
-    needs: ClassVar[tuple[str, ...]] = ("masses",)
-    told_by: ClassVar[str] = "put markers on both ends of the link, and watch them while the load changes"
-
-    @classmethod
-    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return straight links, and oblique ones."""
-        return cls(robot), cls(robot, oblique=True)
-
-    @property
-    def detail(self) -> str:
-        """Say which."""
-        return "oblique" if self.oblique else "straight"
+    id = "link-bending"
+    title = "link bending"
+    forms = {False: "straight", True: "oblique"}
+    words = Words("bending", "the link bends under what it carries", "stiffness EI")
+    place_word = "link"
+    needs = ("masses",)
+    told_by = "put markers on both ends of the link, and watch them while the load changes"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return one flexibility a long link, or its curvatures."""

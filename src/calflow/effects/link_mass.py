@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import casadi as ca
 
@@ -16,12 +15,12 @@ from calflow.robot.parts import Parameter
 class LinkMass(Effect):
     """Mass (1 + e) of each link."""
 
-    id: ClassVar[str] = "link-mass"
-    title: ClassVar[str] = "link mass"
-    words: ClassVar[Words] = Words("mass error", "the link is not as heavy as the robot file says", "error")
-    place_word: ClassVar[str] = "link"
-    needs: ClassVar[tuple[str, ...]] = ("masses",)
-    told_by: ClassVar[str] = "compare the motors' torques at standstill with those computed"
+    id = "link-mass"
+    title = "link mass"
+    words = Words("mass error", "the link is not as heavy as the robot file says", "error")
+    place_word = "link"
+    needs = ("masses",)
+    told_by = "compare the motors' torques at standstill with those computed"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return a relative error a link."""

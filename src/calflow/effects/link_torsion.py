@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import casadi as ca
 
@@ -17,14 +16,12 @@ from calflow.robot.parts import Parameter
 class LinkTorsion(Effect):
     """A twist by L/GJ times the moment about the link's own axis, 1/GJ a link."""
 
-    id: ClassVar[str] = "link-torsion"
-    title: ClassVar[str] = "link torsion"
-    words: ClassVar[Words] = Words("torsion", "the link twists under what it carries", "stiffness GJ")
-    place_word: ClassVar[str] = "link"
-    needs: ClassVar[tuple[str, ...]] = ("masses",)
-    told_by: ClassVar[str] = (
-        "put two markers on the link's end, abreast of each other, and watch them while the load changes"
-    )
+    id = "link-torsion"
+    title = "link torsion"
+    words = Words("torsion", "the link twists under what it carries", "stiffness GJ")
+    place_word = "link"
+    needs = ("masses",)
+    told_by = "put two markers on the link's end, abreast of each other, and watch them while the load changes"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return one flexibility a long link."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import casadi as ca
 
@@ -32,15 +32,15 @@ class LoadedTransmissionError(JointError):
     geared: bool = False
     warm: bool = False
 
-    id: ClassVar[str] = "loaded-transmission-error"
-    title: ClassVar[str] = "transmission error that grows with load or temperature"
-    words: ClassVar[Words] = Words(
+    id = "loaded-transmission-error"
+    title = "transmission error that grows with load or temperature"
+    words = Words(
         "transmission error under load",
         "the angle is off as the joint turns, the more the larger its torque is or the warmer the gear",
         "amplitude at the rated torque, or 10 K above 20 degC",
     )
-    family: ClassVar[str] = TRANSMISSION
-    told_by: ClassVar[str] = "move the joint alone over all its travel, with and without a load, and measure closely"
+    family = TRANSMISSION
+    told_by = "move the joint alone over all its travel, with and without a load, and measure closely"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

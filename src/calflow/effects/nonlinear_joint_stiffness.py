@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import casadi as ca
 
@@ -28,12 +28,12 @@ class NonlinearJointStiffness(JointError):
 
     knee: float = 0.0
 
-    id: ClassVar[str] = "nonlinear-joint-stiffness"
-    title: ClassVar[str] = "nonlinear joint stiffness"
-    words: ClassVar[Words] = Words(
+    id = "nonlinear-joint-stiffness"
+    title = "nonlinear joint stiffness"
+    words = Words(
         "nonlinear stiffness", "the drive does not twist in proportion to its torque", "departure at the rated torque"
     )
-    needs: ClassVar[tuple[str, ...]] = ("torques",)
+    needs = ("torques",)
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

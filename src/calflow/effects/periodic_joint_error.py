@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
@@ -24,13 +24,11 @@ class PeriodicJointError(JointError):
 
     order: float = 3.0
 
-    id: ClassVar[str] = "periodic-joint-error"
-    title: ClassVar[str] = "periodic error"
-    words: ClassVar[Words] = Words(
-        "periodic angle error", "the angle is off by an amount that repeats as the joint turns", "amplitude"
-    )
-    family: ClassVar[str] = TRANSMISSION
-    told_by: ClassVar[str] = JOINT_ALONE
+    id = "periodic-joint-error"
+    title = "periodic error"
+    words = Words("periodic angle error", "the angle is off by an amount that repeats as the joint turns", "amplitude")
+    family = TRANSMISSION
+    told_by = JOINT_ALONE
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 
@@ -16,14 +15,12 @@ from calflow.robot.parts import Parameter
 class RangeNoise(Effect):
     """Standard deviation + g · range, as makers of trackers state it (15 um + 6 um/m): no shift, but a model of the noise."""
 
-    id: ClassVar[str] = "range-noise"
-    title: ClassVar[str] = "noise that grows with range"
-    words: ClassVar[Words] = Words(
-        "noise that grows with range", "the device scatters more the further it looks", "growth"
-    )
-    whole: ClassVar[str] = "device"
-    grows_with: ClassVar[str] = "range"
-    needs: ClassVar[tuple[str, ...]] = ("range",)
+    id = "range-noise"
+    title = "noise that grows with range"
+    words = Words("noise that grows with range", "the device scatters more the further it looks", "growth")
+    whole = "device"
+    grows_with = "range"
+    needs = ("range",)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the growth per metre of range."""

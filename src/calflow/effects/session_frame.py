@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import casadi as ca
 
@@ -30,14 +30,12 @@ class SessionFrame(Effect):
     turning: bool = True
     since: int = 0
 
-    id: ClassVar[str] = "session-frame"
-    title: ClassVar[str] = "frame of a session"
-    words: ClassVar[Words] = Words(
-        "frame of a session", "the device, or the robot, was set up anew between sessions", "largest shift"
-    )
-    whole: ClassVar[str] = "sessions"
-    needs: ClassVar[tuple[str, ...]] = ("session",)
-    told_by: ClassVar[str] = "measure points fixed to the floor, and some poses again, in each session"
+    id = "session-frame"
+    title = "frame of a session"
+    words = Words("frame of a session", "the device, or the robot, was set up anew between sessions", "largest shift")
+    whole = "sessions"
+    needs = ("session",)
+    told_by = "measure points fixed to the floor, and some poses again, in each session"
 
     @classmethod
     def stated(cls, robot: Robot, data: Measurements) -> Self:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import casadi as ca
 
-from calflow.effects.base import Readable, Words
+from calflow.effects.base import Words
 from calflow.effects.link_bending import spans
 from calflow.effects.warming import Warming
 from calflow.measurements.measurements import Measurements
@@ -26,12 +26,12 @@ class ThermalGrowth(Warming):
 
     apart: bool = False
 
-    id: ClassVar[str] = "thermal-growth"
-    title: ClassVar[str] = "thermal growth"
-    words: ClassVar[Words] = Words("thermal growth", "the links grow as the robot warms up", "growth")
-    readable: ClassVar[Readable] = {"1": (1e6, "µm/m")}
-    place_word: ClassVar[str] = "link"
-    whole: ClassVar[str] = "links"
+    id = "thermal-growth"
+    title = "thermal growth"
+    words = Words("thermal growth", "the links grow as the robot warms up", "growth")
+    readable = {"1": (1e6, "µm/m")}
+    place_word = "link"
+    whole = "links"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, Self
+from typing import Literal
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Readable, Words, payload_variable
+from calflow.effects.base import Effect, Words, payload_variable
 from calflow.effects.cause import parts
-from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
-from calflow.robot.robot import Robot
 
 GIVES_SD, GIVES_BOUND = 3e-7, 1e-5  # m/N
 TURNS_SD, TURNS_BOUND = 1e-6, 4e-5  # rad/N
@@ -21,11 +19,6 @@ USUAL = 1e3  # N: of a payload whose mass nobody knows
 
 TOOL = "tool"  # the part that gives way under payloads whose masses are known
 Shape = Literal["alike", "bracket", "direction"]
-DETAILS: dict[Shape, str] = {
-    "alike": "alike in all directions",
-    "bracket": "a bracket along the flange's axis, which turns",
-    "direction": "by direction, which turns",
-}
 ENTRIES = tuple(i if i == j else i + j for j in "xyz" for i in "xyz")  # of a matrix, column by column
 GIVES: dict[Shape, tuple[str, ...]] = {
     "alike": ("c",),
@@ -47,23 +40,18 @@ class ToolDeflection(Effect):
 
     shape: Shape = "alike"
 
-    id: ClassVar[str] = "tool-deflection"
-    title: ClassVar[str] = "tool deflection"
-    words: ClassVar[Words] = Words("give of the tool", "tool or flange give way under the payload", "give")
-    readable: ClassVar[Readable] = {"m/N": (9.80665e6, "µm/kg")}
-    whole: ClassVar[str] = TOOL
-    needs: ClassVar[tuple[str, ...]] = ("payload",)
-    told_by: ClassVar[str] = "put a marker on the flange beside those on the tool"
-
-    @classmethod
-    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return one compliance, a bracket along the flange's axis, and one of any shape."""
-        return tuple(cls(robot, shape) for shape in DETAILS)
-
-    @property
-    def detail(self) -> str:
-        """Say which."""
-        return DETAILS[self.shape]
+    id = "tool-deflection"
+    title = "tool deflection"
+    forms = {
+        "alike": "alike in all directions",
+        "bracket": "a bracket along the flange's axis, which turns",
+        "direction": "by direction, which turns",
+    }
+    words = Words("give of the tool", "tool or flange give way under the payload", "give")
+    readable = {"m/N": (9.80665e6, "µm/kg")}
+    whole = TOOL
+    needs = ("payload",)
+    told_by = "put a marker on the flange beside those on the tool"
 
     @property
     def _unknown(self) -> dict[str, int]:

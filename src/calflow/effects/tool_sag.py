@@ -5,28 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Literal, Self
+from typing import Literal
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Effect, Variable, Words
 from calflow.effects.cause import parts
-from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
-from calflow.robot.robot import Robot
 
 SAG_SD, SAG_BOUND = 1e-4, 5e-3  # m
 TURN_SD, TURN_BOUND = 3e-4, 20e-3  # rad
 
 TOOL = "tool"  # the part that has all markers on it
 Shape = Literal["cantilever", "symmetric", "any"]
-DETAILS: dict[Shape, str] = {
-    "cantilever": "across the flange's axis",
-    "symmetric": "by direction",
-    "any": "by direction, one across another",
-}
 
 
 @dataclass(frozen=True)
@@ -41,23 +34,16 @@ class ToolSag(Effect):
 
     shape: Shape = "cantilever"
 
-    id: ClassVar[str] = "tool-sag"
-    title: ClassVar[str] = "tool sag (own weight)"
-    words: ClassVar[Words] = Words(
-        "sag of the tool", "the flange, the tool or a marker's mount sags under its own weight"
-    )
-    whole: ClassVar[str] = TOOL
-    told_by: ClassVar[str] = "put a marker on the flange beside those on the tool, and measure under two payloads"
-
-    @classmethod
-    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return a cantilever along the flange's axis, a bar in any direction, and anything."""
-        return tuple(cls(robot, shape) for shape in DETAILS)
-
-    @property
-    def detail(self) -> str:
-        """Say which."""
-        return DETAILS[self.shape]
+    id = "tool-sag"
+    title = "tool sag (own weight)"
+    forms = {
+        "cantilever": "across the flange's axis",
+        "symmetric": "by direction",
+        "any": "by direction, one across another",
+    }
+    words = Words("sag of the tool", "the flange, the tool or a marker's mount sags under its own weight")
+    whole = TOOL
+    told_by = "put a marker on the flange beside those on the tool, and measure under two payloads"
 
     @cached_property
     def _markers(self) -> dict[str, int]:

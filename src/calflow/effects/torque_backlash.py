@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import casadi as ca
 import numpy as np
@@ -26,13 +26,11 @@ class TorqueBacklash(JointError):
 
     crossing: float = CROSSING
 
-    id: ClassVar[str] = "torque-backlash"
-    title: ClassVar[str] = "backlash by sign of torque"
-    words: ClassVar[Words] = Words(
-        "backlash under load", "the gears change their flank where the load changes its sign", "play"
-    )
-    needs: ClassVar[tuple[str, ...]] = ("torques",)
-    told_by: ClassVar[str] = "measure some poses again with a load that turns the joint's torque around"
+    id = "torque-backlash"
+    title = "backlash by sign of torque"
+    words = Words("backlash under load", "the gears change their flank where the load changes its sign", "play")
+    needs = ("torques",)
+    told_by = "measure some poses again with a load that turns the joint's torque around"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

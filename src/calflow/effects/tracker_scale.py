@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Readable, Words
+from calflow.effects.base import Effect, Words
 from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
 
@@ -16,14 +15,12 @@ from calflow.robot.parts import Parameter
 class TrackerScale(Effect):
     """Reported position times 1 + s; all links and the tool longer by as much look the same, but for known distances."""
 
-    id: ClassVar[str] = "tracker-scale"
-    title: ClassVar[str] = "scale of the measuring device"
-    words: ClassVar[Words] = Words(
-        "scale error of the measuring device", "the device's metre is too long or too short", "error"
-    )
-    readable: ClassVar[Readable] = {"1": (1e6, "µm/m")}
-    whole: ClassVar[str] = "device"
-    needs: ClassVar[tuple[str, ...]] = ("distances",)
+    id = "tracker-scale"
+    title = "scale of the measuring device"
+    words = Words("scale error of the measuring device", "the device's metre is too long or too short", "error")
+    readable = {"1": (1e6, "µm/m")}
+    whole = "device"
+    needs = ("distances",)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the scale error."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import casadi as ca
 import numpy as np
@@ -27,8 +27,8 @@ class Warming(Effect):
 
     constant: float = 0.0
 
-    taken_for: ClassVar[tuple[str, ...]] = ("frame-drift",)
-    told_by: ClassVar[str] = "measure some poses again when the robot is cold"
+    taken_for = ("frame-drift",)
+    told_by = "measure some poses again when the robot is cold"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
-from calflow.effects.base import Readable, Variable, Words, joint_variable
+from calflow.effects.base import Variable, Words, joint_variable
 from calflow.effects.joint_error import JointError, Term
 from calflow.robot.mechanism import Row, State
 
@@ -15,12 +14,10 @@ from calflow.robot.mechanism import Row, State
 class WristCoupling(JointError):
     """dq5 = k54 q4, dq6 = k64 q4 + k65 q5, for the last three joints of a robot with six or more."""
 
-    id: ClassVar[str] = "wrist-coupling"
-    title: ClassVar[str] = "wrist coupling"
-    words: ClassVar[Words] = Words(
-        "wrist coupling", "the joint turns a little where the wrist's joints before it turn", "coupling"
-    )
-    readable: ClassVar[Readable] = {"1": (1e6, "µrad/rad")}
+    id = "wrist-coupling"
+    title = "wrist coupling"
+    words = Words("wrist coupling", "the joint turns a little where the wrist's joints before it turn", "coupling")
+    readable = {"1": (1e6, "µrad/rad")}
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the angles of the wrist's joints before this one."""

@@ -695,30 +695,33 @@ def read_rows(
     ]
     if problems:
         raise InputError(problems + wrong)
-    table, following = filled(_assembled(read, gone, layout), robot, path)
-    table, notes = labelled(table if layout.reports.measured else _to_come(table, robot), robot)
-    problems = wrong + following + check_values(table, robot, path)
-    if problems:
-        raise InputError(problems)
     to_come = conditions_only or not layout.reports.measured
-    rows = placed_in_time(table, robot, layout, to_come, time_origin)
-    table, left_out = kept(rows.table, layout, path)
-    return Rows(table, (*notes, *rows.notes, *left_out), rows.time_origin, tuple(sorted({c.unit for c in read})))
+    units = tuple(sorted({column.unit for column in read}))
+    return _completed(_assembled(read, gone, layout), robot, layout, path, wrong, to_come, time_origin, units)
 
 
-def placed_in_time(
-    table: pd.DataFrame, robot: Robot, layout: Layout, conditions_only: bool, time_origin: float | None
-) -> Rows:
-    """Add what follows from when and where a row was measured: time from the origin, order, range, approach and travel."""
+def _completed(
+    table: pd.DataFrame, robot: Robot, layout: Layout, path: Path | None, wrong: Sequence[Problem], to_come: bool,
+    time_origin: float | None, units: tuple[str, ...] = (),
+) -> Rows:  # fmt: skip
+    """Return rows with what follows from them: followers, labels, time from the origin, order, range, approach and travel.
+
+    Raises:
+        InputError: with what is wrong already, and what else is.
+    """
+    table, following = filled(table, robot, path)
+    table, notes = labelled(table if layout.reports.measured else _to_come(table, robot), robot)
+    if problems := [*wrong, *following, *check_values(table, robot, path)]:
+        raise InputError(problems)
+    origin = None
     if "time" in table:
-        time_origin = float(table["time"].min()) if time_origin is None else time_origin
-        table = table.assign(time=table["time"] - time_origin)
-    else:
-        time_origin = None
-    if conditions_only:
-        return Rows(table, (), time_origin)
-    table, notes = ordered(ranged(table, robot, layout.tracker), robot, layout.in_order)
-    return Rows(table, tuple(notes), time_origin)
+        origin = float(table["time"].min()) if time_origin is None else time_origin
+        table = table.assign(time=table["time"] - origin)
+    if not to_come:
+        table, in_order = ordered(ranged(table, robot, layout.tracker), robot, layout.in_order)
+        notes += in_order
+    table, left_out = kept(table, layout, path)
+    return Rows(table, (*notes, *left_out), origin, units)
 
 
 def _is_told(column: ReadColumn, known: dict[str, str]) -> bool:
@@ -797,7 +800,6 @@ def _to_come(table: pd.DataFrame, robot: Robot) -> pd.DataFrame:
 
 
 CONDITIONS = ("approach", "travel", "wrench", "torque", "time", "temperature")
-SIZES = ("sigma", "sigma_rotation")
 
 
 def rows_of(
@@ -810,7 +812,7 @@ def rows_of(
         InputError: with everything that is wrong in the arrays.
     """
     given = {"q": q, "position": position, **more}
-    known = ("q", "position", "rotation", *LABELS, *SIZES, *CONDITIONS)
+    known = ("q", "position", "rotation", *LABELS, *SIGMAS, *CONDITIONS)
     problems = [Problem(f"unknown array{nearest(name, known)}", key=name) for name in more if name not in known]
     n_rows = len(np.atleast_1d(np.asarray(q)))
     columns: dict[str, object] = {"line": np.arange(1, n_rows + 1)}
@@ -830,14 +832,7 @@ def rows_of(
     problems = _not_finite(table, robot, gone)
     if problems:
         raise InputError(problems)
-    table, following = filled(table, robot, None)
-    table, notes = labelled(table, robot)
-    problems = following + check_values(table, robot, None)
-    if problems:
-        raise InputError(problems)
-    rows = placed_in_time(table.assign(missing=gone), robot, layout, position is None, time_origin)
-    table, left_out = kept(rows.table, layout, None)
-    return Rows(table, (*notes, *rows.notes, *left_out), rows.time_origin)
+    return _completed(table.assign(missing=gone), robot, layout, None, (), position is None, time_origin)
 
 
 def _labels(name: str, values: ArrayLike, n_rows: int) -> dict[str, pd.Series]:
@@ -857,7 +852,7 @@ def _numbers(name: str, values: ArrayLike, n_rows: int, robot: Robot) -> dict[st
         array, names = angles(Rotation.from_matrix(array)), [*ANGLES]
     else:
         names = {"q": condition_columns("reading", robot), "position": [*POSITION]}.get(name) or (
-            [name] if name in SIZES else condition_columns(name, robot)
+            [name] if name in SIGMAS else condition_columns(name, robot)
         )
     if array.ndim == 2 and array.shape[1] == len(robot.driven) < robot.n_joints and len(names) == robot.n_joints:
         names = [names[i] for i in robot.driven]

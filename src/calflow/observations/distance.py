@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Self
 
 import casadi as ca
 import numpy as np
@@ -11,7 +11,7 @@ import pandas as pd
 from scipy.optimize import least_squares
 
 from calflow.files.toml import FileModel, Length, Lengths3, Unit
-from calflow.files.units import METRE, MeasurementUnit
+from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
@@ -41,11 +41,11 @@ class Distance(Observation):
 
     anchor: tuple[float, float, float] = NOWHERE
 
-    id: ClassVar[str] = "distance"
-    title: ClassVar[str] = "length of a wire or a bar"
-    columns: ClassVar[Reported] = Reported({"length": "length"})
-    settings: ClassVar[type[FileModel]] = DistanceSettings
-    units: ClassVar[tuple[MeasurementUnit, ...]] = (METRE,)
+    id = "distance"
+    title = "length of a wire or a bar"
+    columns = Reported({"length": "length"})
+    settings = DistanceSettings
+    units = (METRE,)
 
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:

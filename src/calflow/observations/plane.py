@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import casadi as ca
 import numpy as np
@@ -12,7 +12,7 @@ from pydantic import field_validator
 from scipy.spatial.transform import Rotation
 
 from calflow.files.toml import FileModel, Lengths3
-from calflow.files.units import METRE, MeasurementUnit
+from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
@@ -48,12 +48,12 @@ class Plane(Observation):
     planes: tuple[str, ...] = ("",)
     nominal: tuple[tuple[float, ...], ...] = (NOWHERE,)
 
-    id: ClassVar[str] = "plane"
-    title: ClassVar[str] = "points on a plane"
-    columns: ClassVar[Reported] = Reported({}, {"reading": "length"}, ("plane",))
-    settings: ClassVar[type[FileModel]] = PlaneSettings
-    units: ClassVar[tuple[MeasurementUnit, ...]] = (METRE,)
-    touches: ClassVar[bool] = True
+    id = "plane"
+    title = "points on a plane"
+    columns = Reported({}, {"reading": "length"}, ("plane",))
+    settings = PlaneSettings
+    units = (METRE,)
+    touches = True
 
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:

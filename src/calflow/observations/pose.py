@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 import pandas as pd
 
-from calflow.files.units import METRE, RADIAN, MeasurementUnit
+from calflow.files.units import METRE, RADIAN
 from calflow.measurements.measurements import rotations
-from calflow.measurements.rows import POSES, Reported
+from calflow.measurements.rows import POSES
 from calflow.observations.base import Seen
 from calflow.observations.position import Position
 
@@ -20,10 +19,10 @@ from calflow.observations.position import Position
 class Pose(Position):
     """x, y, z of the marker and the orientation of the tool, in the station's frame."""
 
-    id: ClassVar[str] = "pose"
-    title: ClassVar[str] = "position of a marker and orientation of the tool"
-    columns: ClassVar[Reported] = POSES
-    units: ClassVar[tuple[MeasurementUnit, ...]] = (METRE,) * 3 + (RADIAN,) * 3
+    id = "pose"
+    title = "position of a marker and orientation of the tool"
+    columns = POSES
+    units = (METRE,) * 3 + (RADIAN,) * 3
 
     @property
     def reports(self) -> int:

@@ -140,11 +140,11 @@ class Position(Observation):
 
     frames: Frames = HERE
 
-    id: ClassVar[str] = "position"
-    title: ClassVar[str] = "position of a marker"
-    columns: ClassVar[Reported] = Reported(dict.fromkeys(POSITION, "length"))
+    id = "position"
+    title = "position of a marker"
+    columns = Reported(dict.fromkeys(POSITION, "length"))
     units: ClassVar[tuple[MeasurementUnit, ...]] = (METRE,) * 3
-    from_outside: ClassVar[bool] = True
+    from_outside = True
 
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame, first: bool = True) -> Self:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import casadi as ca
 import numpy as np
@@ -11,7 +11,7 @@ import pandas as pd
 from pydantic import Field
 
 from calflow.files.toml import FileModel, Length, Lengths3
-from calflow.files.units import METRE, MeasurementUnit
+from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
@@ -59,12 +59,12 @@ class SamePoint(Observation):
 
     sockets: tuple[Socket, ...] = ()
 
-    id: ClassVar[str] = "same-point"
-    title: ClassVar[str] = "the tool in a socket"
-    columns: ClassVar[Reported] = Reported({"socket": ""}, {}, ("socket", "placement"))
-    settings: ClassVar[type[FileModel]] = SamePointSettings
-    units: ClassVar[tuple[MeasurementUnit, ...]] = (METRE,) * 3
-    touches: ClassVar[bool] = True
+    id = "same-point"
+    title = "the tool in a socket"
+    columns = Reported({"socket": ""}, {}, ("socket", "placement"))
+    settings = SamePointSettings
+    units = (METRE,) * 3
+    touches = True
 
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:

@@ -1,9 +1,8 @@
-"""Payload mass: a load that is heavier or lighter than the robot file says."""
+"""Payload errors: a load that is heavier or lighter than the robot file says, or whose centre is elsewhere."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import casadi as ca
 
@@ -16,12 +15,12 @@ from calflow.robot.parts import Parameter
 class PayloadMass(Effect):
     """Mass (1 + e), of all payloads alike (one scale, one density) and of each alone."""
 
-    id: ClassVar[str] = "payload-mass"
-    title: ClassVar[str] = "payload mass"
-    words: ClassVar[Words] = Words("payload mass error", "the payload is not as heavy as the robot file says", "error")
-    whole: ClassVar[str] = "payloads"
-    needs: ClassVar[tuple[str, ...]] = ("masses", "payload")
-    told_by: ClassVar[str] = "weigh the payload"
+    id = "payload-mass"
+    title = "payload mass"
+    words = Words("payload mass error", "the payload is not as heavy as the robot file says", "error")
+    whole = "payloads"
+    needs = ("masses", "payload")
+    told_by = "weigh the payload"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return a relative error of all, and of each where there are several."""
@@ -41,5 +40,30 @@ class PayloadMass(Effect):
     def _single(self) -> list[str]:
         heavy = [name for name, load in self.robot.payloads.items() if load.mass]
         return heavy if len(heavy) > 1 else []
+
+    variable = payload_variable
+
+
+@dataclass(frozen=True)
+class PayloadCom(Effect):
+    """Centre + (x, y, z) in the flange's frame, of all payloads alike."""
+
+    id = "payload-com"
+    title = "payload centre of mass"
+    words = Words("payload centre error", "the payload's centre of mass is not where the robot file says", "distance")
+    whole = "payloads"
+    needs = ("masses", "payload")
+    told_by = "weigh the payload on two supports"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the shift."""
+        return tuple(
+            Parameter(self.id, "payloads", axis, "m", 0.05, -0.5, 0.5, meaning=f"{axis} of the payloads' centre")
+            for axis in "xyz"
+        )
+
+    def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
+        """Shift the payloads' centres."""
+        return replace(loads, payload_com=loads.payload_com + ca.repmat(p, 1, len(self.robot.payloads)))
 
     variable = payload_variable
