@@ -8,7 +8,6 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 import pandas as pd
-from calflow.robot.parameter import Parameter
 from pydantic import Field
 
 from calflow.files.toml import FileModel, Lengths3
@@ -16,6 +15,7 @@ from calflow.files.units import NEWTON, MeasurementUnit
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import Observation, Seen
+from calflow.robot.parts import Parameter
 
 HOOK_SD, HOOK_BOUND = 5e-3, 0.1  # m
 PRELOAD_SD, PRELOAD_BOUND = 5.0, 100.0  # N

@@ -20,7 +20,7 @@ from scipy.stats import chi2, norm
 from calflow.deployment.attained import Alignment, can_align, rigid_slope
 from calflow.effects.base import unmet
 from calflow.effects.geometry import Geometry
-from calflow.effects.payload_errors import PayloadMass
+from calflow.effects.payload_mass import PayloadMass
 from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.effects.warming import REFERENCE
 from calflow.estimation.calibrated_model import CalibratedModel, unexplained
