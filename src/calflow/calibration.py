@@ -544,17 +544,11 @@ class Calibration(CalibratedModel):
 
     def material(self) -> Material:
         """Return what its figures and its report are made from."""
-        from calflow.reporting.material import Material, pages_of
+        from calflow.reporting.material import Material
 
         request = self.request.model_copy(update={"title": self.title})
-        return Material(
-            self.model.robot,
-            request,
-            self.request.name,
-            self.request.stages,
-            self.results,
-            calibration=pages_of(self, self.data),
-        )
+        asked = Material(self.model.robot, request, self.request.name, self.request.stages, self.results)
+        return asked.on(self, self.data)
 
     def _latest(self, name: str) -> pd.DataFrame:
         return self.results.tables[f"{self._stage}/{name}.csv"]

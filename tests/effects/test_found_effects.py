@@ -21,16 +21,16 @@ from plugin import HOSES, hoses, install
 SOURCE = """\
 import sys
 from calflow.reporting import document
-from calflow.reporting.material import Material
-from calflow.reporting.section import chosen, sections
+from calflow.reporting.section import sections
 from calflow.runs.run import run
+from calflow.stages.report import report_material
 from calflow.study import load_study
 
 study = load_study(".")
 made = run(study, "runs")
-material = Material.of(study, made.results, made.folder)
+material = report_material(study, made.results, made.folder)
 sys.stdout.buffer.write(
-    document.source("", [(s.title, s.write(material)) for s in chosen(sections(), material)]).encode()
+    document.source("", [(s.title, s.write(material)) for s in sections() if s.tells(material)]).encode()
 )
 """
 NAME = "joint1.hose-pull[slack 0.2].pull"

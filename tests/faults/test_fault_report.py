@@ -11,11 +11,11 @@ from calflow.faults.base import fault
 from calflow.faults.outlier import Outlier
 from calflow.files.results import Results
 from calflow.reporting.document import source, write_pdf
-from calflow.reporting.material import Material
-from calflow.reporting.section import advice, chosen, sections
+from calflow.reporting.section import advice, sections
 from calflow.reporting.sections import faults as section
+from calflow.stages.report import report_material
 from calflow.stages.stage import Context
-from reporting.case import context
+from reporting.case import chosen, context
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Context:
 
 def test_left_out_rows_are_in_no_figure(small: Context) -> None:
     """Fails if a row that was left out counts as held out, or its error as one of the model's."""
-    material = Material.of(small.study, small.results, small.run_folder)
+    material = report_material(small.study, small.results, small.run_folder)
     residuals = small.tables["identify/residuals.csv"]
     assert len(material.data) == len(material.error) == len(residuals) - 1
     assert material.held.sum() == (residuals["split"] == "holdout").sum()
@@ -46,7 +46,7 @@ def test_left_out_rows_are_in_no_figure(small: Context) -> None:
 
 def test_the_reader_is_told_to_correct_the_file(small: Context) -> None:
     """Fails if a fault is not told on page one, a whole column after single rows, or without its lines."""
-    material = Material.of(small.study, small.results, small.run_folder)
+    material = report_material(small.study, small.results, small.run_folder)
     text = source("", [("", section.FAULTS_SECTION.write(material))])
     for words in ("line 4", "left out", "all rows", "corrected", "The position in line 4 is 9 mm off; left out."):
         assert words in text
@@ -59,7 +59,7 @@ def test_the_reader_is_told_to_correct_the_file(small: Context) -> None:
 
 def test_the_section_is_there_where_faults_are(small: Context, tmp_path) -> None:
     """Fails if a report without faults has an empty section, or one with faults cannot be written."""
-    material = Material.of(small.study, small.results, small.run_folder)
+    material = report_material(small.study, small.results, small.run_folder)
     assert section.FAULTS_SECTION in chosen(sections(), material)
     none = small.results | Results({"identify/faults.csv": small.tables["identify/faults.csv"].iloc[:0]})
     assert section.FAULTS_SECTION not in chosen(sections(), replace(material, results=none))

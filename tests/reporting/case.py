@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,7 +32,8 @@ from calflow.estimation.calibrated_model import (
 from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
 from calflow.model import Model, build
-from calflow.reporting.material import latest
+from calflow.reporting.material import Material, latest
+from calflow.reporting.section import Section
 from calflow.robot.robot import Robot
 from calflow.sampling.models import ONLY, CauseProbability, ModelRow
 from calflow.sampling.posterior import ChainSummary
@@ -99,6 +101,11 @@ def context(folder: Path, case: Case = Case()) -> Context:
         study, IDENTIFY.settings(starts=1), Results(), folder, folder / "run", lambda line: None, lambda share: None
     )
     return replace(given, results=IDENTIFY.run(given), settings=None)
+
+
+def chosen(every: Sequence[Section], material: Material) -> list[Section]:
+    """The sections that are in the report."""
+    return [section for section in every if section.tells(material)]
 
 
 def with_select(given: Context) -> Context:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+import subprocess
 from collections.abc import Mapping
 from dataclasses import fields, replace
 
 import numpy as np
 import pandas as pd
 import pytest
+import typst
 
 from calflow.deployment import usability
 from calflow.deployment.usability import Advice, Rule
@@ -17,17 +21,18 @@ from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
 from calflow.effects.words import NamedCause
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import Extrapolation, FitSummary, IdentifySummary, Solver
+from calflow.estimation.calibrated_model import Extrapolation, FitSummary, IdentifySummary, Placed, Solver
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.lack_of_fit import NoiseDoubt
 from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
+from calflow.reporting import document
+from calflow.reporting.blocks import Paragraph, RestOfPage
 from calflow.reporting.material import ModelAccuracy
 from calflow.reporting.section import advice, sections
 from calflow.reporting.sections import accuracy, causes, faults, isolability, parameters, posterior, residuals, task
 from calflow.reporting.sections.causes import foremost
-from calflow.reporting.sections.verdict import FEWEST, headline, leftover, next_steps, split_steps
-from calflow.reporting.sections.verdict import FURTHER_STEPS_SECTION as FURTHER_STEPS
+from calflow.reporting.sections.verdict import headline, leftover
 from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import TaskSummary
 
@@ -109,7 +114,9 @@ def of_parts(**parts: str) -> pd.DataFrame:
 
 
 def placement(*markers: str) -> pd.DataFrame:
-    return pd.DataFrame({"what": ["base", *markers], "kind": ["base", *["marker"] * len(markers)]})
+    kinds = {"base": "base"} | dict.fromkeys(markers, "marker")
+    place = dict.fromkeys(("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg", "rx_rad", "ry_rad", "rz_rad"), 0.0)
+    return to_frame([Placed(what=what, kind=kind, source="", **place) for what, kind in kinds.items()], Placed)
 
 
 def predictions(inside: int, outside: int, split: str = "holdout") -> pd.DataFrame:
@@ -301,18 +308,23 @@ def test_the_most_urgent_stands_first_and_absent_tables_are_no_matter() -> None:
     assert all(isinstance(item, Advice) for item in advice(sections(), given))
 
 
-@pytest.mark.parametrize("number", [1, 5, 12, 40])
-def test_steps_without_room_on_the_first_page_are_told_further_on(number: int) -> None:
-    """Fails if a step is lost, told twice or out of its order, or if the section on further steps is there with none."""
-    lines = [f"step {k}: {'x' * 300}" for k in range(number)]
-    urgent, further = split_steps(lines, ["what the data cannot tell"] * 5)
-    assert urgent + further == lines
-    assert len(urgent) == min(number, 7)
-    assert split_steps(lines, ["x" * 300] * 40)[0] == lines[:FEWEST]
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")
+@pytest.mark.parametrize(("number", "above", "first"), [(1, 5, 1), (5, 5, 5), (12, 5, 12), (40, 5, 21), (40, 45, 3)])
+def test_steps_without_room_on_the_first_page_are_told_further_on(number: int, above: int, first: int) -> None:
+    """Fails if a step is lost, told twice or out of its order, or if there is a list of further steps with none in it."""
+    page = RestOfPage(
+        [Paragraph("what the data cannot tell") for _ in range(above)],
+        [f"step {k}: {'so much to do ' * 20}" for k in range(number)],
+    )
+    pdf = typst.compile(document.source("t", [("Verdict", [page]), ("Next", [])]).encode(), ignore_system_fonts=True)
+    made = subprocess.run(["pdftotext", "-layout", "-", "-"], input=pdf, capture_output=True).stdout.decode()
+    pages = [re.findall(r"step (\d+):", page) for page in made.split("\f")]
+    assert [int(k) for page in pages for k in page] == list(range(number))
+    assert len(pages[0]) == first
+    assert ("Further steps\n" in made) == (number > first)
+    assert (f"{number - first} further steps, less urgent" in made) == (number > first)
     tables = {name: table for name, table in QUIET.items() if name.startswith("identify/")}
-    made = results({**tables, **summary(starts=2, starts_agreeing=1)})
-    assert [len(part) for part in next_steps(made)] == [1, 0]
-    assert not FURTHER_STEPS.worth_telling(made)
+    assert len(advice(sections(), results({**tables, **summary(starts=2, starts_agreeing=1)}))) == 1
 
 
 def test_open_questions_name_what_the_data_leave_open() -> None:

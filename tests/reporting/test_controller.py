@@ -16,6 +16,7 @@ from calflow.reporting.sections.controller_figures import (
     markers,
     zeros,
 )
+from calflow.stages.report import report_material
 from reporting.case import Case, context
 
 AXES = {"alpha": "x", "beta": "y", "theta": "z"}
@@ -24,7 +25,7 @@ AXES = {"alpha": "x", "beta": "y", "theta": "z"}
 @pytest.fixture(scope="module")
 def material(tmp_path_factory: pytest.TempPathFactory) -> Material:
     given = context(tmp_path_factory.mktemp("stiff"), Case(payload=False))
-    return Material.of(given.study, given.results, given.run_folder)
+    return report_material(given.study, given.results, given.run_folder)
 
 
 def moved(rotation: Rotation, shift: np.ndarray) -> np.ndarray:

@@ -23,11 +23,12 @@ from calflow.files.words import chance, chance_figure, sureness
 from calflow.reporting import document
 from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains, waterfall
 from calflow.reporting.material import Material, ModelAccuracy, findings_of, gathered, model_steps
-from calflow.reporting.section import Section, chosen, sections
+from calflow.reporting.section import Section, sections
 from calflow.reporting.sections.causes import gain_words, lacked, name_certainty, unsure
 from calflow.reporting.sections.parameters import estimates
 from calflow.reporting.sections.search import candidate_rows, untestable
 from calflow.reporting.style import style
+from calflow.stages.report import report_material
 from calflow.stages.stage import Context
 from reporting.case import (
     BACKLASH,
@@ -41,6 +42,7 @@ from reporting.case import (
     WAVING,
     Case,
     Found,
+    chosen,
     context,
     with_diagnosis,
     with_sample,
@@ -56,7 +58,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Context:
 
 def told(given: Context) -> tuple[str, str]:
     """The first page, and the sections on causes and their search, with everything that string literals hide unescaped."""
-    material = Material.of(given.study, given.results, given.run_folder)
+    material = report_material(given.study, given.results, given.run_folder)
     own = {section.title: section for section in chosen(sections(), material)}
     causes = "".join(
         written(own[title], material)
@@ -229,7 +231,7 @@ def test_nothing_found_is_said_and_nothing_else_is_shown(small: Context) -> None
 
 def test_without_the_tables_of_diagnose_the_first_page_does_not_speak_of_causes(small: Context) -> None:
     """Fails if a run without diagnose claims that anything was looked for."""
-    material = Material.of(small.study, small.results, small.run_folder)
+    material = report_material(small.study, small.results, small.run_folder)
     with style():
         parts = [(section.title, section.write(material)) for section in chosen(sections(), material)]
     assert "lacked" not in document.source("", parts)
@@ -257,7 +259,7 @@ def test_a_report_is_written_whatever_is_known(case: Case, tmp_path: Path) -> No
     """Fails if gains that are not known, or a missing noise floor, break a section or are told as numbers."""
     found = replace(BACKLASH, gain=NO_GAIN) if not case.holdout else BACKLASH
     given = with_diagnosis(context(tmp_path, case), found, COUPLED)
-    material = Material.of(given.study, given.results, given.run_folder)
+    material = report_material(given.study, given.results, given.run_folder)
     every = {section.title: written(section, material) for section in chosen(sections(), material)}
     section = every["What the model lacked: causes"]
     assert ("No poses were held out" in section) == (not case.holdout)
@@ -279,7 +281,7 @@ def test_the_report_is_set_with_causes_and_a_sampled_extended_model(small: Conte
 def test_a_posterior_without_the_maps_is_told_as_such(small: Context, tmp_path: Path) -> None:
     """Fails if the chain of a model whose curves were held is read as one of the whole model, or nobody says so."""
     given = with_sample(with_diagnosis(small, BACKLASH, CURVE))
-    material = Material.of(given.study, given.results, given.run_folder)
+    material = report_material(given.study, given.results, given.run_folder)
     held = sum(parameter.effect == "joint-error-map" for parameter in material.calibrated.model.parameters)
     assert held > 20
     assert len(material.sampled[0].estimate) == len(material.calibrated.estimate) - held
@@ -292,7 +294,7 @@ def test_a_posterior_without_the_maps_is_told_as_such(small: Context, tmp_path: 
 def test_errors_and_accuracy_are_those_of_the_extended_model(small: Context) -> None:
     """Fails if the first page goes on telling what the study's own model reached."""
     given = with_diagnosis(small, BACKLASH)
-    material = Material.of(given.study, given.results, given.run_folder)
+    material = report_material(given.study, given.results, given.run_folder)
     np.testing.assert_allclose(material.error, 0.5 * material.error_before)
     assert material.calibrated.model.parameters[-1].effect == "joint-backlash"
     table = given.tables["diagnose/accuracy.csv"]

@@ -20,14 +20,13 @@ from calflow.files.tables import to_frame
 from calflow.files.units import METRE
 from calflow.reporting import document
 from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, Plot, RestOfPage, Table
-from calflow.reporting.material import Material
-from calflow.reporting.section import Section, advice, chosen, sections
+from calflow.reporting.section import Section, advice, sections
 from calflow.reporting.sections import residuals
 from calflow.reporting.sections.verdict import certainty
 from calflow.reporting.style import style
-from calflow.stages.report import STAGE
+from calflow.stages.report import STAGE, report_material
 from calflow.stages.stage import Context
-from reporting.case import Case, changed, context, with_sample, with_select
+from reporting.case import Case, changed, chosen, context, with_sample, with_select
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +52,7 @@ def text(small: Context) -> str:
 
 def source_of(given: Context) -> str:
     """The typst source, with everything that its string literals hide unescaped."""
-    material = Material.of(given.study, given.results, given.run_folder)
+    material = report_material(given.study, given.results, given.run_folder)
     with style():
         parts = [(section.title, section.write(material)) for section in chosen(sections(), material)]
     return document.source(material.title, parts).replace('\\"', '"').replace("\\\\", "\\")
@@ -145,7 +144,8 @@ def test_text_is_shown_letter_by_letter(name: str) -> None:
 def test_sections_are_left_out_without_their_tables(small: Context, whole: Context) -> None:
     def titles(given: Context) -> list[str]:
         return [
-            section.title for section in chosen(sections(), Material.of(given.study, given.results, given.run_folder))
+            section.title
+            for section in chosen(sections(), report_material(given.study, given.results, given.run_folder))
         ]
 
     assert set(titles(whole)) - set(titles(small)) == {
@@ -165,7 +165,7 @@ def test_the_chain_is_drawn_in_the_parameters_own_units(whole: Context) -> None:
     from calflow.reporting.sections.posterior import ThinnedChain
     from calflow.sampling.log_posterior import log_posterior_of
 
-    material = Material.of(whole.study, whole.results, whole.run_folder)
+    material = report_material(whole.study, whole.results, whole.run_folder)
     chain = ThinnedChain.read(whole.run_folder / "sample" / "chain.h5", material)
     parameters = whole.tables["identify/parameters.csv"]
     k = int(np.flatnonzero(parameters["parameter"] == "joint2.a")[0])
@@ -231,19 +231,19 @@ def test_no_noise_floor_is_claimed_where_only_the_fit_tells_the_noise(tmp_path: 
 
 
 def test_noise_floor_is_the_mean_length_of_the_noise(small: Context) -> None:
-    material = Material.of(small.study, small.results, small.run_folder)
+    material = report_material(small.study, small.results, small.run_folder)
     noise = 0.05 * np.random.default_rng(0).standard_normal((200_000, 3))
     assert material.noise_floor == pytest.approx(np.linalg.norm(noise, axis=1).mean(), rel=0.01)
 
 
 def test_of_very_many_rows_some_are_drawn_and_the_worst(small: Context, monkeypatch: pytest.MonkeyPatch) -> None:
     """Fails if a page carries a million rows, a largest error is not drawn, or nobody is told that others are not."""
-    material = Material.of(small.study, small.results, small.run_folder)
+    material = report_material(small.study, small.results, small.run_folder)
     assert material.drawn.tolist() == list(range(len(material.data)))
     assert material.drawn_words == ""
     monkeypatch.setattr("calflow.reporting.material.DRAWN", 12)
     monkeypatch.setattr("calflow.reporting.material.WORST", 3)
-    crowd = Material.of(small.study, small.results, small.run_folder)
+    crowd = report_material(small.study, small.results, small.run_folder)
     assert set(np.argsort(crowd.distance)[-3:]) <= set(crowd.drawn)
     assert 12 <= len(crowd.drawn) <= 15
     with style():
@@ -256,7 +256,7 @@ def test_of_very_many_rows_some_are_drawn_and_the_worst(small: Context, monkeypa
 
 
 def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> None:
-    material = Material.of(small.study, small.results, small.run_folder)
+    material = report_material(small.study, small.results, small.run_folder)
     known = material.calibrated
     rng = np.random.default_rng(0)
     draws = rng.multivariate_normal(known.estimate, known.covariance, 400, method="svd")
@@ -268,15 +268,15 @@ def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> No
 
 def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small: Context) -> None:
     """Fails if page one gives the parameters' certainty for that of predictions."""
-    material = Material.of(small.study, small.results, small.run_folder)
+    material = report_material(small.study, small.results, small.run_folder)
     less_sure = replace(material.calibrated, discrepancy=PerUnit().having(METRE, 1e-4), elsewhere=0.0)
-    off = replace(material, calibration=(less_sure, material.data))
+    off = material.on(less_sure, material.data)
     assert off.prediction_sd == pytest.approx(np.hypot(material.model_sd, 0.1 * np.sqrt(3)))
     left = f"{off.distance[off.judged].mean():.3f} mm are left on average"
     assert f"certain to {off.prediction_sd:.3f} mm (1 sd, its own error included" in certainty(off)
     assert left in certainty(off)
     elsewhere = Alternative(less_sure.model, less_sure.estimate + 3 * np.sqrt(np.diag(less_sure.covariance)), 0.4)
-    rivalled = replace(off, calibration=(replace(less_sure, alternatives=(elsewhere,)), material.data))
+    rivalled = off.on(replace(less_sure, alternatives=(elsewhere,)), material.data)
     assert "its own error and the choice among causes that do as well included" in certainty(rivalled)
     assert rivalled.prediction_sd > off.prediction_sd
 

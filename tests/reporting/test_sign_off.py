@@ -8,13 +8,13 @@ from dataclasses import replace
 import pytest
 
 from calflow.reporting.blocks import Signatures, Table
-from calflow.reporting.material import Material
-from calflow.reporting.section import chosen, sections
+from calflow.reporting.section import sections
 from calflow.reporting.sections import acceptance, verdict
 from calflow.reporting.sections.acceptance import Judged
 from calflow.reporting.style import style
+from calflow.stages.report import report_material
 from calflow.study_file import Acceptance
-from reporting.case import context
+from reporting.case import chosen, context
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def test_few_poses_promise_little() -> None:
 def test_a_study_that_states_it_is_signed(tmp_path) -> None:
     """Fails if page one does not give the verdict, a stated fact is lost, or a study without the table is to be signed."""
     given = context(tmp_path)
-    material = Material.of(given.study, given.results, given.run_folder)
+    material = report_material(given.study, given.results, given.run_folder)
     stated = {
         "serial_number": "R-1 <b>",
         "date": datetime.date(2025, 11, 20),

@@ -90,6 +90,12 @@ def with_sd(value: float, sd: float) -> tuple[str, str]:
     return number(value, f".{decimals}f"), f"{sd:.{decimals}f}"
 
 
+def quantity(value: float, sd: float, unit: str) -> str:
+    """Return a value in an SI unit with its standard deviation, in a unit that is easy to read."""
+    factor, shown = readable(unit)
+    return f"{' ± '.join(with_sd(factor * value, factor * sd))} {shown}"
+
+
 def two_digits(value: float) -> str:
     """Return a positive figure rounded to two digits, never as a power of ten."""
     return f"{float(f'{value:.2g}'):,.10g}"

@@ -108,7 +108,18 @@ class Columns:
 
 @dataclass(frozen=True)
 class RestOfPage:
-    """Blocks that fill what is left of a page, in the largest letters with which they have room there."""
+    """Blocks that fill what is left of a page, in the largest letters with which they have room there.
+
+    steps are a list below them, the most urgent first: those without room in letters that are pleasant to read stand further on.
+    """
+
+    blocks: Sequence[Block]
+    steps: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Newspaper:
+    """Blocks that flow through two columns, about equally long."""
 
     blocks: Sequence[Block]
 
@@ -120,8 +131,31 @@ class Signatures:
     names: Sequence[str]
 
 
-Block = Heading | Paragraph | Gap | Bullets | Table | Plot | Card | Columns | RestOfPage | Signatures
+Block = Heading | Paragraph | Gap | Bullets | Table | Plot | Card | Columns | RestOfPage | Newspaper | Signatures
 Part = tuple[str, Sequence[Block]]  # a section's title and what stands in it
+
+
+def cover(kind: str, title: str, measured: str, verdict: str, sentences: Sequence[str], gap: float = 14) -> list[Block]:
+    """Return what a report of one verdict begins with: what it is and of what, the verdict, and the sentences that say more."""
+    return [
+        Paragraph(kind),
+        Paragraph(title, 21, bold=True),
+        Paragraph(measured),
+        Gap(gap),
+        Paragraph(verdict, 14, bold=True),
+        Gap(6),
+        *(Paragraph(sentence, 11) for sentence in sentences),
+    ]
+
+
+def listing(items: Sequence[Item]) -> list[Block]:
+    """Return a list, where there is anything in it."""
+    return [Bullets(items)] if items else []
+
+
+def headed(heading: str, *blocks: Block, where: object = True) -> list[Block]:
+    """Return blocks with a heading, where there is anything to say."""
+    return [Heading(heading), *blocks] if where else []
 
 
 def plots(blocks: Sequence[Block]) -> Iterator[Plot]:
@@ -132,5 +166,5 @@ def plots(blocks: Sequence[Block]) -> Iterator[Plot]:
         elif isinstance(block, Columns):
             for part in block.parts:
                 yield from plots(part)
-        elif isinstance(block, RestOfPage):
+        elif isinstance(block, RestOfPage | Newspaper):
             yield from plots(block.blocks)

@@ -39,22 +39,21 @@ def explained_figure(
     """
     if unit == "Nm" and np.abs(x).max() >= LARGE_MOMENT:
         x, unit = x / 1000, "kNm"
-    said = f"{label} [{unit}]" if unit else label
     drawn = figure(2.15)
     first, second, third = drawn.subplots(1, 3, sharey=True, width_ratios=(1.0, 1.0, 0.72))
     size = crowded(len(x))
     values, group = np.unique(np.round(x, 9), return_inverse=True)
-    if len(values) <= FEW_VALUES:
-        for axes, error in ((first, before), (second, after)):
+    few = len(values) <= FEW_VALUES
+    for axes, error in ((first, before), (second, after)):
+        axes.set_xlabel(f"{label} [{unit}]" if unit else label)
+        if few:
             _grouped(axes, values, group, error, held, size)
-            axes.set_xlabel(said)
-        _spread(
-            first, group, fitted, 0.4, {"fmt": "D", "color": ACCENT, "markerfacecolor": "white"}, "explained: mean ± sd"
-        )
-    else:
-        for axes, error in ((first, before), (second, after)):
+        else:
             dots(axes, x, error, held, size, 3)
-            axes.set_xlabel(said)
+    if few:
+        look = {"fmt": "D", "color": ACCENT, "markerfacecolor": "white"}
+        _spread(first, group, fitted, 0.4, look, "explained: mean ± sd")
+    else:
         _curve(first, x, fitted)
     dots(third, fitted, before, held, size, 3)
     ends = np.array([min(fitted.min(), 0.0), max(fitted.max(), 0.0)])
@@ -202,9 +201,8 @@ def _grouped(
     place = group.astype(float)
     for k in range(len(values)):
         own = np.flatnonzero(group == k)
-        place[own] += np.linspace(-0.2, 0.1, len(own))[
-            np.argsort(np.argsort(own * 7919 % 1009))
-        ]  # spread out, the same each time
+        order = np.argsort(np.argsort(own * 7919 % 1009))  # spread out, the same each time
+        place[own] += np.linspace(-0.2, 0.1, len(own))[order]
     dots(axes, place, error, held, size, 3)
     _spread(axes, group, error, 0.25, {"fmt": "s", "color": "black"}, "mean ± sd")
     axes.set_xticks(range(len(values)), [number(value, "+.4g" if values.min() < 0 else ".4g") for value in values])
@@ -230,16 +228,8 @@ def _curve(axes: Axes, x: np.ndarray, fitted: np.ndarray) -> None:
         along, curve = (np.insert(values, gaps, np.nan) for values in (x[order], curve))
         axes.plot(along, curve, color="black", linewidth=1.2, label="explained by the cause", zorder=4)
     else:
-        axes.plot(
-            x,
-            fitted,
-            "x",
-            color="black",
-            markersize=2.8,
-            markeredgewidth=0.6,
-            label="explained by the cause",
-            zorder=0.9,
-        )
+        look: dict[str, Any] = {"markersize": 2.8, "markeredgewidth": 0.6, "zorder": 0.9}
+        axes.plot(x, fitted, "x", color="black", label="explained by the cause", **look)
 
 
 def _taken(axes: Axes, k: int, before: float, after: float, unit: str, said_at: float | None = None) -> None:
@@ -258,9 +248,8 @@ def _left(axes: Axes, k: int, base: float, value: float, floor: float | None, un
     axes.plot([value, value], [k - 0.67, k + 0.33], color="#444444", linewidth=0.6)
     _beside(axes, k, max(value, floor or 0.0), f"{mm(value)} {unit}")
     if floor:
-        axes.axvline(
-            floor, color="black", linestyle="--", linewidth=0.9, label=f"mean of noise alone: {mm(floor)} {unit}"
-        )
+        name = f"mean of noise alone: {mm(floor)} {unit}"
+        axes.axvline(floor, color="black", linestyle="--", linewidth=0.9, label=name)
 
 
 def _beside(axes: Axes, y: float, x: float, text: str) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from calflow.deployment.comparison import Comparison, ParameterDifference, RunAccuracy, RunPair
-from calflow.files.words import effect_words, listed, mm, plural, readable, with_sd
-from calflow.reporting.blocks import Block, Gap, Heading, Paragraph, Table
+from calflow.deployment.comparison import Comparison, RunAccuracy, RunPair
+from calflow.files.words import effect_words, listed, mm, plural, quantity
+from calflow.reporting.blocks import Gap, Paragraph, Part, Table, headed
 
 MOST_TOLD = 25  # parameters that are told, the most significant first
 DIFFERENT = 0.01  # chance below which runs are said to differ
@@ -16,40 +16,37 @@ AGREE = dict.fromkeys(("the same", "another file"), "agree as well as both know 
 SPLITS = {"train": "used for the fit", "holdout": "held out"}
 
 
-def comparison_report(names: Sequence[str], found: Comparison) -> list[tuple[str, list[Block]]]:
+def comparison_report(names: Sequence[str], comparison: Comparison) -> list[Part]:
     """Return the parts of a comparison's report; names are the runs'."""
-    blocks: list[Block] = [Paragraph("Comparison of runs", 10), Paragraph(listed(names), 16, bold=True), Gap(10)]
-    blocks += [Paragraph(line, 11) for line in comparison_lines(found)]
-    blocks += [Heading("Measurements and accuracy"), _data(found), _accuracy(found)]
-    if found.causes:
-        blocks += [Heading("What the models lacked"), _causes(found)]
-    if found.parameters:
-        blocks += [Heading("Parameters, the most different first"), _parameters(found)]
-    if found.settings:
-        blocks += [Heading("What was asked differently"), _settings(found, names)]
-    return [("", blocks)]
+    return [("", [
+        Paragraph("Comparison of runs"),
+        Paragraph(listed(names), 16, bold=True),
+        Gap(10),
+        *(Paragraph(line, 11) for line in comparison_lines(comparison)),
+        *headed("Measurements and accuracy", _data(comparison), _accuracy(comparison)),
+        *headed("What the models lacked", _causes(comparison), where=comparison.causes),
+        *headed("Parameters, the most different first", _parameters(comparison), where=comparison.parameters),
+        *headed("What was asked differently", _settings(comparison, names), where=comparison.settings),
+    ])]  # fmt: skip
 
 
-def comparison_lines(found: Comparison) -> list[str]:
+def comparison_lines(comparison: Comparison) -> list[str]:
     """Return what differs in sentences, one a pair of runs."""
-    lines = [_pair(pair, found) for pair in found.pairs]
-    last = _last(found)
-    for split, words in (("holdout", SPLITS["holdout"]), ("train", SPLITS["train"])):
-        rows = [row for row in last if row.split == split]
-        if rows:
-            errors = [f"{row.run} {mm(row.mean_mm)} mm" for row in rows]
+    lines = [_pair(pair, comparison) for pair in comparison.pairs]
+    for split, words in reversed(SPLITS.items()):
+        if errors := [f"{row.run} {mm(row.mean_mm)} mm" for row in _last(comparison) if row.split == split]:
             return [*lines, f"Mean error at poses {words}: {listed(errors)}."]
     return lines
 
 
-def _pair(pair: RunPair, found: Comparison) -> str:
+def _pair(pair: RunPair, comparison: Comparison) -> str:
     """Say whether two runs are of one robot, and differ by more than chance."""
     other = _other_robot(pair)
     if pair.p is None:
         return (f"{other}{pair.first} and {pair.second} are of the same measurements: their parameters share their errors, and no "
                 "test of chance applies.")  # fmt: skip
-    rows = [one for one in found.parameters if (one.first, one.second) == (pair.first, pair.second)]
-    differ = [one.parameter for one in rows if one.significant]
+    shared = [row for row in comparison.parameters if (row.first, row.second) == (pair.first, pair.second)]
+    differ = [row.parameter for row in shared if row.significant]
     verdict = "differ by more than both leave open" if pair.p < DIFFERENT else AGREE[pair.robot]
     alone = f"; by themselves {listed(differ, 6)}" if differ else ""
     test = f"chi² {pair.chi2:.3g} of {pair.freedom}, chance {pair.p:.2g}"
@@ -65,63 +62,47 @@ def _other_robot(pair: RunPair) -> str:
     return "" if pair.robot == "the same" else f"{pair.first} and {pair.second} have different robot files. "
 
 
-def _last(found: Comparison) -> list[RunAccuracy]:
+def _last(comparison: Comparison) -> list[RunAccuracy]:
     """The best model of each run on each split."""
-    return list({(row.run, row.split): row for row in found.accuracy}.values())
+    return list({(row.run, row.split): row for row in comparison.accuracy}.values())
 
 
-def _data(found: Comparison) -> Block:
+def _data(comparison: Comparison) -> Table:
     rows = [
-        (one.run, listed(one.files), str(one.poses), str(one.held_out), f"{mm(one.noise_mm)} ({', '.join(one.noise_from)})",
-         mm(one.discrepancy_mm))
-        for one in found.data
+        (run.run, listed(run.files), str(run.poses), str(run.held_out), f"{mm(run.noise_mm)} ({', '.join(run.noise_from)})",
+         mm(run.discrepancy_mm))
+        for run in comparison.data
     ]  # fmt: skip
     return Table(("run", "measurements", "poses", "held out", "noise [mm]", "beyond it [mm]"), rows, "llrrll")
 
 
-def _accuracy(found: Comparison) -> Block:
+def _accuracy(comparison: Comparison) -> Table:
     rows = [
-        (row.run, effect_words(row.model), SPLITS[row.split], mm(row.mean_mm), mm(row.max_mm)) for row in _last(found)
+        (row.run, effect_words(row.model), SPLITS[row.split], mm(row.mean_mm), mm(row.max_mm))
+        for row in _last(comparison)
     ]
     return Table(("run", "model", "poses", "mean [mm]", "max [mm]"), rows, "lllrr", wide=1)
 
 
-def _causes(found: Comparison) -> Block:
+def _causes(comparison: Comparison) -> Table:
     rows = []
-    for one in found.causes:
-        factor, unit = readable(one.unit) if one.unit else (1.0, "")
-        value, sd = with_sd(factor * one.estimate, factor * one.sd)
-        place = f", joint {one.joint}" if one.joint else ""
-        rows.append(
-            (
-                one.run,
-                f"{effect_words(one.cause) or 'unexplained'}{place}",
-                f"{value} ± {sd} {unit}",
-                listed(one.also_in),
-            )
-        )
+    for cause in comparison.causes:
+        name = effect_words(cause.cause) or "unexplained"
+        place = f", joint {cause.joint}" if cause.joint else ""
+        size = quantity(cause.estimate, cause.sd, cause.unit)
+        rows.append((cause.run, f"{name}{place}", size, listed(cause.also_in)))
     return Table(("run", "cause", "size", "also found in"), rows, "llrl")
 
 
-def _parameters(found: Comparison) -> Block:
-    def chance(one: ParameterDifference) -> float:
-        return 0.0 if one.p is None else one.p
-
+def _parameters(comparison: Comparison) -> Table:
     rows = []
-    for one in sorted(found.parameters, key=chance)[:MOST_TOLD]:
-        factor, unit = readable(one.unit)
-        value, sd = with_sd(factor * one.difference, float("nan") if one.sd is None else factor * one.sd)
-        rows.append(
-            (
-                f"{one.first} → {one.second}",
-                one.parameter,
-                f"{value} ± {sd} {unit}",
-                "–" if one.p is None else f"{one.p:.1g}",
-            )
-        )
+    for row in sorted(comparison.parameters, key=lambda row: 0.0 if row.p is None else row.p)[:MOST_TOLD]:
+        difference = quantity(row.difference, float("nan") if row.sd is None else row.sd, row.unit)
+        p = "–" if row.p is None else f"{row.p:.1g}"
+        rows.append((f"{row.first} → {row.second}", row.parameter, difference, p))
     return Table(("runs", "parameter", "difference", "p"), rows, "llrr")
 
 
-def _settings(found: Comparison, names: Sequence[str]) -> Block:
-    rows = [[one.setting, *(one.of[name] for name in names)] for one in found.settings]
+def _settings(comparison: Comparison, names: Sequence[str]) -> Table:
+    rows = [[setting.setting, *(setting.of[name] for name in names)] for setting in comparison.settings]
     return Table(("setting", *names), rows, "l" * (1 + len(names)), size=8)

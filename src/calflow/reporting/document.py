@@ -23,6 +23,7 @@ from calflow.reporting.blocks import (
     Columns,
     Gap,
     Heading,
+    Newspaper,
     Paragraph,
     Part,
     Plot,
@@ -32,7 +33,7 @@ from calflow.reporting.blocks import (
     plots,
 )
 from calflow.reporting.material import Material
-from calflow.reporting.section import chosen, sections
+from calflow.reporting.section import sections
 from calflow.reporting.style import style
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ def _table(block: Table) -> str:
     for k, row in enumerate(block.rows):
         if isinstance(row, str):
             across = f"colspan: {len(block.header)}, align: left, inset: (top: 6pt, rest: 3pt)"
-            lines.append(f"table.cell({across})[#emph[{plain(row)}]],")
+            lines.append(f"table.header(level: 2, repeat: false, table.cell({across})[#emph[{plain(row)}]]),")
         else:
             fill = "fill: luma(232)" if k in block.shaded else ""
             lines.append(" ".join(f"table.cell({fill})[{plain(cell)}]," for cell in row))
@@ -191,7 +192,13 @@ def _columns(block: Columns) -> str:
 
 @markup.register
 def _rest_of_page(block: RestOfPage) -> str:
-    return f"#rest-of-page[\n{_joined(block.blocks)}\n]"
+    steps = "".join(f"[{plain(step)}], " for step in block.steps)
+    return f"#rest-of-page(({steps}))[\n{_joined(block.blocks)}\n]"
+
+
+@markup.register
+def _newspaper(block: Newspaper) -> str:
+    return f"#newspaper[\n{_joined(block.blocks)}\n]"
 
 
 @markup.register
@@ -210,14 +217,15 @@ def source(title: str, parts: Sequence[Part], families: Sequence[str] = ()) -> s
 
     Letters that the report's own font lacks are taken from families.
     """
+    whole_page = bool(parts) and any(isinstance(block, RestOfPage) for block in parts[0][1])
     body = [
         f"#let families = ({', '.join(map(_quoted, (SERIF, *families)))},)",
         f"#set document(title: {plain(title)[1:-1]}, date: none)\n#let title-text = [{plain(title)}]",
         TEMPLATE.read_text(encoding="utf-8"),
     ]
     for k, (name, blocks) in enumerate(parts):
-        if k == 1 and any(isinstance(block, RestOfPage) for block in parts[0][1]):
-            body.append("#pagebreak()")
+        if k == 1 and whole_page:
+            body.append("#pagebreak()\n#further-steps")
         said = _joined([Heading(name, 1), *blocks] if k else blocks)
         body.append(f"#last-section[\n{said}\n]" if 0 < k == len(parts) - 1 else said)
     return "\n\n".join(body) + "\n"
@@ -270,10 +278,11 @@ def write_report(material: Material, folder: Path, say: Say = nobody, advance: A
     """Write report.pdf, report.html and figures/*.svg into a folder."""
     with style():
         parts = []
-        there = chosen(sections(), material)
-        for k, section in enumerate(there):
-            parts.append((section.title, section.write(material)))
-            advance(0.7 * (k + 1) / len(there))
+        every = sections()
+        for k, section in enumerate(every, start=1):
+            if section.tells(material):
+                parts.append((section.title, section.write(material)))
+            advance(0.7 * k / len(every))
         n_figures = write_pdf(material.title, parts, folder)
         page.write_html(material.title, parts, folder)
     say(f"report.pdf, report.html: {n_figures} figures, {len(parts)} sections")

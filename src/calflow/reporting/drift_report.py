@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from calflow.deployment.drift import Drift, Moved, Recalibrated, Status
-from calflow.files.words import first_up, listed, mm, plural, readable, with_sd
-from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, Plot, Table
+from calflow.files.words import first_up, listed, mm, plural, quantity, readable, with_sd
+from calflow.reporting.blocks import Bullets, Paragraph, Part, Plot, Table, cover, headed
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
 
 VERDICTS: dict[Status, str] = {
@@ -20,153 +18,125 @@ VERDICTS: dict[Status, str] = {
 }
 MOST_TOLD = 12  # movements in the table of what was tested
 SURE = 0.95  # probability from which a movement is named without a doubt
+EACH_ALONE = (
+    "Each by itself against nothing having moved, the likeliest first. The last column is the shift that these check poses "
+    "would show in 95 of 100 cases; of several numbers, that of the first."
+)
 
 
-def drift_report(found: Drift, title: str, file: str) -> list[tuple[str, list[Block]]]:
+def drift_report(drift: Drift, title: str, file: str) -> list[Part]:
     """Return the parts of a drift check's report; file is the name of the check poses."""
-    summary = found.summary
-    poses = len({one.pose for one in found.poses})  # each with a row a marker
+    summary = drift.summary
+    poses = len({pose.pose for pose in drift.poses})  # each with a row a marker
     measured = f"{file}  ·  {plural(poses, 'check pose')}  ·  {plural(summary.sessions, 'session')}"
-    blocks: list[Block] = [
-        Paragraph("Drift check", 10),
-        Paragraph(title, 21, bold=True),
-        Paragraph(measured, 10),
-        Gap(14),
-        Paragraph(VERDICTS[summary.status], 14, bold=True),
-        Gap(6),
-        *(Paragraph(line, 11) for line in drift_lines(found)[1:]),
-        Plot("check_poses", _drawn(found)),
+    notes = [first_up(f"{note}.") for note in summary.notes]
+    blocks = [
+        *cover("Drift check", title, measured, VERDICTS[summary.status], drift_lines(drift)[1:]),
+        Plot("check_poses", _check_poses(drift)),
+        *headed("The smallest recalibration", _recalibration(drift), where=drift.recalibration),
+        *(headed("Poses that would settle it", _next_poses(drift)) if drift.next_poses else ()),
+        *headed("What was assumed", Bullets(notes, 9.5), where=notes),
     ]
-    if found.recalibration:
-        blocks += [Heading("The smallest recalibration"), _recalibration(found.recalibration)]
-    if found.next_poses:
-        blocks += [Heading("Poses that would settle it"), _next(found)]
-    if summary.notes:
-        blocks += [Heading("What was assumed"), Bullets([first_up(f"{note}.") for note in summary.notes], 9.5)]
-    return [("", blocks), ("What was tested", [_explained(), _tested(found)])]
+    return [("", blocks), ("What was tested", [Paragraph(EACH_ALONE, 9.5), _tested(drift)])]
 
 
-def drift_lines(found: Drift) -> list[str]:
+def drift_lines(drift: Drift) -> list[str]:
     """Return the verdict in sentences, the shortest first."""
-    summary = found.summary
+    summary = drift.summary
     lines = [VERDICTS[summary.status]]
-    lines += [f"{first_up(_moved(one, found))}." for one in found.moved]
+    lines += [f"{first_up(_moved(movement, drift))}." for movement in drift.moved]
     off = f"The check poses are off by {mm(summary.error_mm)} mm on average"
-    if found.recalibration:
+    if drift.recalibration:
         lines.append(f"The smallest recalibration adds that to what was calibrated and leaves all else (recalibration.csv). {off}; "
                      f"{mm(summary.left_mm)} mm are left with it.")  # fmt: skip
-    elif found.moved:
+    elif drift.moved:
         lines.append(f"{off}; without what is named, {mm(summary.left_mm)} mm are left.")
     else:
         lines.append(f"{off}; {mm(summary.expected_mm)} mm (root mean square) were expected where nothing moved.")
-    if found.next_poses:
-        lines.append(
-            f"{plural(len(found.next_poses), 'further pose')} (next_poses.csv), measured and added to these rows, {_gain(found)}."
-        )
-    if not found.moved:
-        lines.append(seen_from(found))
+    if drift.next_poses:
+        number = plural(len(drift.next_poses), "further pose")
+        lines.append(f"{number} (next_poses.csv), measured and added to these rows, {_gain(drift)}.")
+    if not drift.moved:
+        lines.append(seen_from(drift))
     lines.append(f"Where nothing moved, so much would be told in {100 * summary.false_alarm:g} of 100 checks.")
     return lines
 
 
-def _moved(one: Moved, found: Drift) -> str:
+def _moved(movement: Moved, drift: Drift) -> str:
     """Say what moved, by how much, how surely, and since when."""
-    own = [row for row in found.recalibration if row.movement == one.movement]
-    size = f" by {listed([_shift(row) for row in own])}" if own else ""
-    since = f", since {one.since} (not yet in {one.before})" if one.since else ""
-    if not one.since and found.summary.sessions > 1:
-        since = f", in all {found.summary.sessions} sessions"
-    sure = "" if one.probability >= SURE else f" (probability {one.probability:.2f})"
-    meanings = {other.movement: other.meaning for other in found.candidates}
-    others = [meanings.get(name, name) for name in one.cannot_tell_from]
+    shifts = [_shift(row) for row in drift.recalibration if row.movement == movement.movement]
+    size = f" by {listed(shifts)}" if shifts else ""
+    since = f", since {movement.since} (not yet in {movement.before})" if movement.since else ""
+    if not movement.since and drift.summary.sessions > 1:
+        since = f", in all {drift.summary.sessions} sessions"
+    sure = "" if movement.probability >= SURE else f" (probability {movement.probability:.2f})"
+    meanings = {candidate.movement: candidate.meaning for candidate in drift.candidates}
+    others = [meanings.get(name, name) for name in movement.cannot_tell_from]
     rivals = f"; it cannot be told from a change of: {listed(others, 6)}" if others else ""
-    verb = "differs" if one.kind == "condition" else "has changed"
-    return f"{one.meaning} {verb}{size}{since}{sure}{rivals}"
+    verb = "differs" if movement.kind == "condition" else "has changed"
+    return f"{movement.meaning} {verb}{size}{since}{sure}{rivals}"
 
 
-def _gain(found: Drift) -> str:
+def _gain(drift: Drift) -> str:
     """Say what the poses proposed would tell."""
-    if not found.moved[0].cannot_tell_from:
+    if not drift.moved[0].cannot_tell_from:
         return "would tell by how much more surely"
-    if found.summary.chance is None:
+    if drift.summary.chance is None:
         return "would tell more"
-    return f"would exclude the wrong ones with a chance of {found.summary.chance:.2f}"
+    return f"would exclude the wrong ones with a chance of {drift.summary.chance:.2f}"
 
 
 def _shift(row: Recalibrated) -> str:
-    factor, unit = readable(row.unit)
-    value, sd = with_sd(factor * row.shift, factor * row.sd)
-    return f"{row.symbol + ' ' if row.symbol != 'zero' else ''}{value} ± {sd} {unit}"
+    return f"{row.symbol + ' ' if row.symbol != 'zero' else ''}{quantity(row.shift, row.sd, row.unit)}"
 
 
-def seen_from(found: Drift) -> str:
+def seen_from(drift: Drift) -> str:
     """Say how far each joint's zero may have moved unseen."""
     limits = []
-    for one in sorted((one for one in found.candidates if one.kind == "zero"), key=lambda one: one.joint or 0):
-        factor, unit = readable(one.units[0])
-        limits.append(
-            f"{one.joint}: {factor * one.limits[0]:.2g} {unit}" if np.isfinite(one.limits[0]) else f"{one.joint}: any"
-        )
+    zeros = [candidate for candidate in drift.candidates if candidate.kind == "zero"]
+    for zero in sorted(zeros, key=lambda zero: zero.joint or 0):
+        (factor, unit), limit = readable(zero.units[0]), zero.limits[0]
+        limits.append(f"{zero.joint}: {f'{factor * limit:.2g} {unit}' if np.isfinite(limit) else 'any'}")
     return f"A shift of a joint's zero would be found in 95 of 100 checks from this size on: joint {', '.join(limits)}."
 
 
-def _recalibration(rows: Sequence[Recalibrated]) -> Block:
-    said = [(row.movement, row.symbol, _shift(row), row.parameter or "–") for row in rows]
-    return Table(("what moved", "number", "add to what was calibrated", "model's parameter"), said, "llrl")
+def _recalibration(drift: Drift) -> Table:
+    rows = [(row.movement, row.symbol, _shift(row), row.parameter or "–") for row in drift.recalibration]
+    return Table(("what moved", "number", "add to what was calibrated", "model's parameter"), rows, "llrl")
 
 
-def _next(found: Drift) -> Block:
-    header = [*found.next_poses[0].readings, "payload", "marker"]
+def _next_poses(drift: Drift) -> Table:
+    header = [*drift.next_poses[0].readings, "payload", "marker"]
     rows = [
-        [*(f"{value:.2f}" for value in one.readings.values()), one.payload or "none", one.marker]
-        for one in found.next_poses
+        [*(f"{value:.2f}" for value in pose.readings.values()), pose.payload or "none", pose.marker]
+        for pose in drift.next_poses
     ]
     return Table(header, rows, "r" * (len(header) - 2) + "ll")
 
 
-def _explained() -> Block:
-    return Paragraph(
-        "Each by itself against nothing having moved, the likeliest first. The last column is the shift that these check poses "
-        "would show in 95 of 100 cases; of several numbers, that of the first.", 9.5,
-    )  # fmt: skip
-
-
-def _tested(found: Drift) -> Block:
+def _tested(drift: Drift) -> Table:
     rows = []
-    for one in found.candidates[:MOST_TOLD]:
-        factor, unit = readable(one.units[0])
-        value, sd = with_sd(factor * one.shifts[0], factor * one.sds[0])
-        limit = f"{factor * one.limits[0]:.2g}" if np.isfinite(one.limits[0]) else "–"
-        rows.append((one.movement, unit, value, sd, f"{one.p:.1g}", f"{one.probability:.3f}", limit))
+    for tested in drift.candidates[:MOST_TOLD]:
+        factor, unit = readable(tested.units[0])
+        value, sd = with_sd(factor * tested.shifts[0], factor * tested.sds[0])
+        limit = f"{factor * tested.limits[0]:.2g}" if np.isfinite(tested.limits[0]) else "–"
+        rows.append((tested.movement, unit, value, sd, f"{tested.p:.1g}", f"{tested.probability:.3f}", limit))
     return Table(("what may have moved", "unit", "shift", "sd", "p alone", "probability", "seen from"), rows, "llrrrrr")
 
 
-def _drawn(found: Drift) -> Figure:
+def _check_poses(drift: Drift) -> Figure:
     """Draw each check pose's error, what was expected, and what is left."""
     drawn = figure(2.0)
     axes = drawn.add_subplot()
-    at = np.arange(len(found.poses))
-    axes.bar(at, [one.error_mm for one in found.poses], 0.6, color=MIDDLE, label="off")
-    axes.plot(
-        at,
-        [2 * one.expected_mm for one in found.poses],
-        "_",
-        color=ACCENT,
-        markersize=14,
-        label="2 sd of what is expected",
-    )
-    if found.moved:
-        axes.plot(
-            at,
-            [one.left_mm for one in found.poses],
-            "^",
-            color=DARK,
-            markersize=4,
-            label="left with what is named put right",
-        )
-    axes.set_xticks(at, [one.pose for one in found.poses])
-    axes.set_xlabel("check pose")
-    axes.set_ylabel("error [mm]")
+    at = np.arange(len(drift.poses))
+    axes.bar(at, [pose.error_mm for pose in drift.poses], 0.6, color=MIDDLE, label="off")
+    expected = [2 * pose.expected_mm for pose in drift.poses]
+    axes.plot(at, expected, "_", color=ACCENT, markersize=14, label="2 sd of what is expected")
+    if drift.moved:
+        left = [pose.left_mm for pose in drift.poses]
+        axes.plot(at, left, "^", color=DARK, markersize=4, label="left with what is named put right")
+    axes.set_xticks(at, [pose.pose for pose in drift.poses])
+    axes.set(xlabel="check pose", ylabel="error [mm]")
     axes.grid(axis="x", visible=False)
     drawn.legend(loc="outside upper center", ncols=3)
     return drawn

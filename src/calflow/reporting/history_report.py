@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import ceil
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from calflow.deployment.history import History, MovedParameter, ParameterInRun, Verdict
-from calflow.files.words import effect_words, first_up, listed, plural, readable, with_sd
-from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, Plot, Table
+from calflow.files.words import effect_words, first_up, listed, plural, quantity, readable
+from calflow.reporting.blocks import Bullets, Part, Plot, Table, cover, headed
 from calflow.reporting.style import ACCENT, DARK, panels, turned
 
 VERDICTS: dict[Verdict, str] = {
@@ -22,128 +21,102 @@ SHOWN, ACROSS = 9, 3  # parameters that are drawn, and how many beside each othe
 MOST_TOLD = 15  # parameters in a sentence
 
 
-def history_report(found: History, title: str) -> list[tuple[str, list[Block]]]:
+CAPTION = (
+    "What each run's measurements say by themselves, ± 2 standard deviations, as distance from the first run; lines: means "
+    "between changes. Those that moved first, then those that differ most."
+)
+
+
+def history_report(history: History, title: str) -> list[Part]:
     """Return the parts of a history's report."""
-    first, last = found.runs[0].run, found.runs[-1].run
-    blocks: list[Block] = [
-        Paragraph("History of a robot", 10),
-        Paragraph(title, 21, bold=True),
-        Paragraph(f"{plural(len(found.runs), 'calibration')}  ·  {first} to {last}", 10),
-        Gap(14),
-        Paragraph(VERDICTS[found.status], 14, bold=True),
-        Gap(6),
-        *(Paragraph(line, 11) for line in history_lines(found)[1:]),
-    ]
-    if found.parameters:
-        blocks.append(Plot("history", _drawn(found), _caption(found), found.results.tables["parameters.csv"]))
-    if found.moved:
-        blocks += [Heading("What moved"), _moved_table(found.moved)]
-    blocks += [Heading("From run to run"), _runs(found)]
-    if found.notes:
-        blocks += [Heading("What was left out"), Bullets([first_up(f"{note}.") for note in found.notes], 9.5)]
-    return [("", blocks)]
+    runs = f"{plural(len(history.runs), 'calibration')}  ·  {history.runs[0].run} to {history.runs[-1].run}"
+    notes = [first_up(f"{note}.") for note in history.notes]
+    return [("", [
+        *cover("History of a robot", title, runs, VERDICTS[history.status], history_lines(history)[1:]),
+        *([Plot("history", _course(history), CAPTION, history.results.tables["parameters.csv"])] if history.parameters else []),
+        *headed("What moved", _moved_table(history), where=history.moved),
+        *headed("From run to run", _runs(history)),
+        *headed("What was left out", Bullets(notes, 9.5), where=notes),
+    ])]  # fmt: skip
 
 
-def history_lines(found: History) -> list[str]:
+def history_lines(history: History) -> list[str]:
     """Return the verdict in sentences, the shortest first."""
-    lines = [VERDICTS[found.status], *(f"{first_up(_moved(one))}." for one in found.moved)]
+    lines = [VERDICTS[history.status], *(f"{first_up(_moved(moved))}." for moved in history.moved)]
     lines += [
-        f"Before {one.run} something moved (chance {one.p:.1g} otherwise), but the measurements do not tell which parameter."
-        for one in found.nameless
+        f"Before {change.run} something moved (chance {change.p:.1g} otherwise), but the measurements do not tell which parameter."
+        for change in history.nameless
     ]
-    if renew := [one.parameter for one in found.present if one.recalibrate]:
+    if renew := [present.parameter for present in history.present if present.recalibrate]:
         lines.append(f"To recalibrate: {listed(renew, MOST_TOLD)}; present.csv has their figures since they moved, and those of "
                      "all that stayed by all runs together.")  # fmt: skip
-    if unknown := [one.parameter for one in found.present if not one.told]:
+    if unknown := [present.parameter for present in history.present if not present.told]:
         lines.append(f"Of {plural(len(unknown), 'parameter')} no change can be told, as the measurements of some run do not "
                      f"determine them by themselves: {listed(unknown, MOST_TOLD)}.")  # fmt: skip
-    lines.append(f"Where nothing moved, anything would be told in {100 * found.false_alarm:g} of 100 such histories.")
+    lines.append(f"Where nothing moved, anything would be told in {100 * history.false_alarm:g} of 100 such histories.")
     return lines
 
 
-def _moved(one: MovedParameter) -> str:
+def _moved(moved: MovedParameter) -> str:
     """Say what moved, when, and by how much."""
-    when = f"between {one.after} and {one.before}"
-    if (one.after, one.before) != (one.surely_after, one.surely_before):
-        when = f"between {one.surely_after} and {one.surely_before}, most likely after {one.after}"
-    return f"{one.meaning} ({one.parameter}) moved {when} by {_shift(one)}, {abs(one.in_sd):.0f} standard deviations"
+    when = f"between {moved.after} and {moved.before}"
+    if (moved.after, moved.before) != (moved.surely_after, moved.surely_before):
+        when = f"between {moved.surely_after} and {moved.surely_before}, most likely after {moved.after}"
+    size = quantity(moved.shift, moved.sd, moved.unit)
+    return f"{moved.meaning} ({moved.parameter}) moved {when} by {size}, {abs(moved.in_sd):.0f} standard deviations"
 
 
-def _shift(one: MovedParameter) -> str:
-    factor, unit = readable(one.unit)
-    value, sd = with_sd(factor * one.shift, factor * one.sd)
-    return f"{value} ± {sd} {unit}"
-
-
-def _moved_table(moved: Sequence[MovedParameter]) -> Block:
+def _moved_table(history: History) -> Table:
     rows = [
-        (one.parameter, effect_words(one.effect), f"{one.after} → {one.before}", _shift(one), f"{one.in_sd:.1f}", f"{one.p:.1g}")
-        for one in moved
+        (moved.parameter, effect_words(moved.effect), f"{moved.after} → {moved.before}",
+         quantity(moved.shift, moved.sd, moved.unit), f"{moved.in_sd:.1f}", f"{moved.p:.1g}")
+        for moved in history.moved
     ]  # fmt: skip
     return Table(("parameter", "of", "runs", "shift", "in sd", "p of all"), rows, "lllrrr")
 
 
-def _runs(found: History) -> Block:
+def _runs(history: History) -> Table:
     rows = [
-        (
-            one.run, one.date or "–", "–" if one.chi2 is None else f"{one.chi2:.3g} of {one.freedom}",
-            "–" if one.p is None else f"{one.p:.1g}", "–" if one.p is None else "moved" if one.moved else "in place",
-        )
-        for one in found.runs
+        (run.run, run.date or "–", "–" if run.chi2 is None else f"{run.chi2:.3g} of {run.freedom}",
+         "–" if run.p is None else f"{run.p:.1g}", "–" if run.p is None else "moved" if run.moved else "in place")
+        for run in history.runs
     ]  # fmt: skip
     return Table(("run", "measured", "chi² since the one before", "p", "verdict"), rows, "llrrl")
 
 
-def _shown(found: History) -> list[str]:
+def _shown(history: History, courses: dict[str, list[ParameterInRun]]) -> list[str]:
     """The parameters that are drawn: those that moved, then those that differ most between runs, of those told."""
-    moved = list(dict.fromkeys(one.parameter for one in sorted(found.moved, key=lambda one: -abs(one.in_sd))))
+    moved = [moved.parameter for moved in sorted(history.moved, key=lambda moved: -abs(moved.in_sd))]
     spread: dict[str, float] = {}
-    for name, own in _by_parameter(found).items():
-        if own[0].told:
-            value, weight = np.array([one.value for one in own]), np.array([one.sd for one in own]) ** -2.0
+    for name, course in courses.items():
+        if course[0].told:
+            value, weight = np.array([run.value for run in course]), np.array([run.sd for run in course]) ** -2.0
             spread[name] = float((weight * (value - weight @ value / weight.sum()) ** 2).sum())
     return list(dict.fromkeys((*moved, *sorted(spread, key=lambda name: -spread[name]))))[:SHOWN]
 
 
-def _by_parameter(found: History) -> dict[str, list[ParameterInRun]]:
-    every: dict[str, list[ParameterInRun]] = {}
-    for one in found.parameters:
-        every.setdefault(one.parameter, []).append(one)
-    return every
-
-
-def _caption(found: History) -> str:
-    return (
-        "What each run's measurements say by themselves, ± 2 standard deviations, as distance from the first run; lines: means "
-        "between changes. Those that moved first, then those that differ most."
-    )
-
-
-def _drawn(found: History) -> Figure:
+def _course(history: History) -> Figure:
     """Draw parameters over the runs."""
-    names, every = _shown(found), _by_parameter(found)
-    runs = [one.run for one in found.runs]
+    courses: dict[str, list[ParameterInRun]] = {}
+    for parameter in history.parameters:
+        courses.setdefault(parameter.parameter, []).append(parameter)
+    names, runs = _shown(history, courses), [run.run for run in history.runs]
     rows = max(1, ceil(len(names) / ACROSS))
-    drawn, axes = panels(rows, ACROSS, 1.5 * rows + 0.3 + turned(runs), sharex=True)
+    drawn, grid = panels(rows, ACROSS, 1.5 * rows + 0.3 + turned(runs), sharex=True)
     at = np.arange(len(runs))
-    for k, panel in enumerate(axes.flat):
-        if k >= len(names):
-            panel.set_visible(False)
-            continue
-        own = every[names[k]]
-        factor, unit = readable(own[0].unit)
-        value = factor * (np.array([one.value for one in own]) - own[0].value)
-        sd = factor * np.array([one.sd for one in own])
-        panel.errorbar(at, value, 2 * sd, fmt="o", color=DARK, capsize=1.8, elinewidth=1.0)
-        steps = sorted(runs.index(one.before) for one in found.moved if one.parameter == names[k])
+    for k, (axes, name) in enumerate(zip(grid.flat, names, strict=False)):
+        factor, unit = readable(courses[name][0].unit)
+        value, sd = factor * np.array([(run.value - courses[name][0].value, run.sd) for run in courses[name]]).T
+        axes.errorbar(at, value, 2 * sd, fmt="o", color=DARK, capsize=1.8, elinewidth=1.0)
+        steps = sorted(runs.index(moved.before) for moved in history.moved if moved.parameter == name)
         for begin, end in zip([0, *steps], [*steps, len(runs)], strict=True):
             weight = sd[begin:end] ** -2.0
             mean = weight @ value[begin:end] / weight.sum()
-            panel.plot([begin - 0.3, end - 0.7], [mean, mean], color=ACCENT)
-        panel.set_title(names[k])
-        panel.set_ylabel(f"change [{unit}]")
-        panel.set_xticks(at, runs, rotation=90)
-        panel.set_xlim(-0.5, len(runs) - 0.5)
+            axes.plot([begin - 0.3, end - 0.7], [mean, mean], color=ACCENT)
+        axes.set(title=name, ylabel=f"change [{unit}]", xlim=(-0.5, len(runs) - 0.5))
+        axes.set_xticks(at, runs, rotation=90)
         if k + ACROSS >= len(names):
-            panel.tick_params(labelbottom=True)
+            axes.tick_params(labelbottom=True)
+    for axes in grid.flat[len(names) :]:
+        axes.set_visible(False)
     return drawn

@@ -19,21 +19,18 @@ from calflow.estimation.accuracy import Accuracy, errors, judged_unit
 from calflow.estimation.calibrated_model import (
     CalibratedModel,
     FitSummary,
-    calibrated,
     parameter_variance,
     position_variance,
     with_maps_held,
 )
 from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.registration import in_measuring_frame
-from calflow.faults import corrected
 from calflow.files.results import Results
 from calflow.files.tables import Tables
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import effect_words
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
-from calflow.study import Study
 from calflow.study_file import StudyFile
 
 MEAN_OF_NOISE = np.sqrt(
@@ -70,7 +67,10 @@ class Material:
 
     request is what a study file says, settings are those of each stage of the workflow, in their order; chain is the file of the
     sampled posterior. calibration is the calibrated model, without its residual field, and the measurements without the rows that
-    are left out: a section that asks for them needs results of identify.
+    are left out: a section that asks for them needs results of identify. Of the rows by which it is judged (`judged`) are
+    noise_floor, the mean error that noise alone would give [unit], None where only the fit tells the noise; model_sd, how sure
+    the parameters make the model's position, and prediction_sd, how sure predicted positions are with the choice of the model and
+    its own error, see `position_variance`: root mean squares [mm].
     """
 
     robot: Robot
@@ -80,20 +80,26 @@ class Material:
     results: Results
     chain: Path | None = None
     calibration: tuple[CalibratedModel, Measurements] | None = None
+    noise_words: str = ""
+    noise_floor: float | None = None
+    model_sd: float = np.nan
+    prediction_sd: float = np.nan
 
-    @staticmethod
-    def of(study: Study, results: Results, run_folder: Path) -> Material:
-        """Read a study's measurements and rebuild the calibrated model, if there is one."""
-        settings = {stage: study.settings(stage) for stage in study.stages}
-        chain = run_folder / "sample" / "chain.h5"
-        asked = Material(
-            study.robot, study.file, study.workflow.name, settings, results, chain if chain.exists() else None
+    def on(self, calibration: CalibratedModel, data: Measurements) -> Material:
+        """Return the material with a calibration and its rows, of which pages tell: of causes, and of the rows used."""
+        shown = replace(self, calibration=(replace(calibration, field=None), data.only(data.train | data.held_out)))
+        rows = shown.data.conditions[:, shown.judged]
+        variances = (variance(shown.calibrated, rows) for variance in (parameter_variance, position_variance))
+        model_sd, prediction_sd = (1e3 * float(np.sqrt(variance.sum(axis=1).mean())) for variance in variances)
+        units = [observation.units for observation in shown.calibrated.model.observations]
+        mean = MEAN_OF_NOISE[np.array([own.count(own[0]) for own in units])[shown.data.series_number]] * shown.sigma
+        return replace(
+            shown,
+            noise_words=shown.calibrated.noise(shown.data).words,
+            noise_floor=float(mean[shown.judged].mean()) if shown.calibrated.noise_known else None,
+            model_sd=model_sd,
+            prediction_sd=prediction_sd,
         )
-        if "identify/faults.csv" not in results:
-            return asked
-        data = corrected(study.measurements(), results.tables["identify/faults.csv"])
-        model = calibrated(study.robot, results, data.given)
-        return replace(asked, calibration=pages_of(model, data.on(model.model.robot)))
 
     @property
     def data(self) -> Measurements:
@@ -201,32 +207,6 @@ class Material:
         """Noise of each row per axis, shape (n_rows,) [unit]; nan where its values are in another."""
         noise = self.calibrated.noise(self.data)
         return np.where(noise.in_unit(self.unit), self.unit.scale * noise.sigma, np.nan)
-
-    @property
-    def noise_floor(self) -> float | None:
-        """Mean error that noise alone would give in the judged rows [unit]; None where only the fit tells the noise."""
-        if not self.calibrated.noise_known:
-            return None
-        values = [observation.units.count(observation.units[0]) for observation in self.calibrated.model.observations]
-        mean = MEAN_OF_NOISE[np.array(values)[self.data.series_number]] * self.sigma
-        return float(mean[self.judged].mean())
-
-    @cached_property
-    def model_sd(self) -> float:
-        """How sure the parameters make the model's position: root mean square over the judged rows [mm]."""
-        variance = parameter_variance(self.calibrated, self.data.conditions[:, self.judged])
-        return 1e3 * float(np.sqrt(variance.sum(axis=1).mean()))
-
-    @property
-    def prediction_sd(self) -> float:
-        """How sure predicted positions are, with the choice of the model and its own error: see `predict_positions` [mm]."""
-        variance = position_variance(self.calibrated, self.data.conditions[:, self.judged])
-        return 1e3 * float(np.sqrt(variance.sum(axis=1).mean()))
-
-
-def pages_of(model: CalibratedModel, data: Measurements) -> tuple[CalibratedModel, Measurements]:
-    """Return a model and its measurements as pages tell of them: of causes, not of a residual field, and of the rows used."""
-    return replace(model, field=None), data.only(data.train | data.held_out)
 
 
 def _errors(residuals: pd.DataFrame) -> np.ndarray:

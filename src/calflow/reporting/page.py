@@ -31,6 +31,7 @@ from calflow.reporting.blocks import (
     Columns,
     Gap,
     Heading,
+    Newspaper,
     Paragraph,
     Part,
     Plot,
@@ -159,16 +160,9 @@ class Page:
 
     @of.register
     def _paragraph(self, block: Paragraph) -> Html:
-        look = (
-            "large"
-            if block.size >= LARGE
-            else "middle"
-            if block.size >= MIDDLE
-            else "small"
-            if block.size < SMALL
-            else ""
-        )
-        return element("p", block.text, class_=" ".join(filter(None, (look, "strong" if block.bold else ""))))
+        large = "large" if block.size >= LARGE else "middle" if block.size >= MIDDLE else ""
+        looks = (large, "small" if block.size < SMALL else "", "strong" if block.bold else "")
+        return element("p", block.text, class_=" ".join(filter(None, looks)))
 
     @of.register
     def _gap(self, block: Gap) -> Html:
@@ -187,9 +181,8 @@ class Page:
         groups: list[list[Html]] = [[]]
         for k, row in enumerate(block.rows):
             if isinstance(row, str):
-                groups.append(
-                    [element("tr", element("th", row, colspan=len(block.header), scope="rowgroup"), class_="group")]
-                )
+                across = element("th", row, colspan=len(block.header), scope="rowgroup")
+                groups.append([element("tr", across, class_="group")])
                 continue
             cells = [element("td", cell, class_=_side(side)) for cell, side in zip(row, block.align, strict=True)]
             groups[-1].append(element("tr", *cells, class_="shaded" if k in block.shaded else ""))
@@ -200,18 +193,15 @@ class Page:
         bodies = [element("tbody", *rows) for rows in groups if rows]
         table = element("table", element("thead", element("tr", *head)), *bodies)
         save = element("button", "This table as CSV", type="button", class_="save", data_file=self._named("table"))
-        return element(
-            "div", element("div", table, class_="scroll", tabindex=0), element("p", save, class_="get"), class_="table"
-        )
+        scroll = element("div", table, class_="scroll", tabindex=0)
+        return element("div", scroll, element("p", save, class_="get"), class_="table")
 
     @of.register
     def _plot(self, block: Plot) -> Html:
         drawing, columns = self._drawing(block), self.store.numbers(block.data)
-        seen = (
-            scene(block.scene, columns, block.caption, drawing)
-            if block.scene
-            else element("div", drawing, class_="scroll", tabindex=0)
-        )
+        seen = element("div", drawing, class_="scroll", tabindex=0)
+        if block.scene:
+            seen = scene(block.scene, columns, block.caption, drawing)
         save = element("button", "Data as CSV", type="button", class_="save", data_file=self._named(block.name),
                        data_columns=json.dumps(columns))  # fmt: skip
         if not block.caption:
@@ -223,23 +213,21 @@ class Page:
     @of.register
     def _card(self, block: Card) -> Html:
         big = element("p", element("strong", block.big), " mm", class_="big")
-        return element(
-            "div",
-            element("p", block.head),
-            big,
-            element("p", block.small),
-            class_="card dark" if block.dark else "card",
-        )
+        look = "card dark" if block.dark else "card"
+        return element("div", element("p", block.head), big, element("p", block.small), class_=look)
 
     @of.register
     def _columns(self, block: Columns) -> Html:
         cards = all(isinstance(inner, Card) for part in block.parts for inner in part)
-        return element(
-            "div", *(element("div", self.all(part)) for part in block.parts), class_="cards" if cards else "columns"
-        )
+        parts = [element("div", self.all(part)) for part in block.parts]
+        return element("div", *parts, class_="cards" if cards else "columns")
 
     @of.register
     def _rest_of_page(self, block: RestOfPage) -> Html:
+        return self.all([*block.blocks, *([Bullets(block.steps)] if block.steps else [])])
+
+    @of.register
+    def _newspaper(self, block: Newspaper) -> Html:
         return self.all(block.blocks)
 
     @of.register
@@ -264,17 +252,12 @@ class Page:
 
 def scene(given: Scene, columns: Mapping[str, int], caption: str, drawing: Html) -> Html:
     """Return points with their errors that a script turns; without scripts the drawing is there."""
+    does = {"+": ("nearer", "nearer"), "−": ("farther", "farther"), "Reset": ("reset", "as at first")}
     buttons = [
-        element("button", said, type="button", data_does=does, title=title)
-        for said, does, title in (
-            ("+", "nearer", "nearer"),
-            ("−", "farther", "farther"),
-            ("Reset", "reset", "as at first"),
-        )
+        element("button", name, type="button", data_does=what, title=title) for name, (what, title) in does.items()
     ]
-    factor = element(
-        "input", type="range", min=0, max=300, step=1, data_does="factor", aria_label="enlargement of the errors"
-    )
+    enlarged = "enlargement of the errors"
+    factor = element("input", type="range", min=0, max=300, step=1, data_does="factor", aria_label=enlarged)
     shows = [
         element("label", element("input", type="checkbox", checked=True, data_does=name), f" {said}")
         for name, said in (("used", "used for the fit"), ("held", "held out"))

@@ -30,6 +30,15 @@ class Section:
     worth_telling: Callable[[Results], bool] = lambda results: True
     asked: Callable[[StudyFile], bool] = lambda request: True
 
+    def is_served(self, results: Results) -> bool:
+        """Whether its tables are there."""
+        return all(path in results for path in self.needs)
+
+    def tells(self, material: Material) -> bool:
+        """Whether its tables are there and hold something to tell."""
+        results = material.results
+        return self.is_served(results) and self.asked(material.request) and self.worth_telling(results)
+
 
 def sections() -> list[Section]:
     """Return all sections in their order."""
@@ -38,21 +47,18 @@ def sections() -> list[Section]:
     modules = [
         importlib.import_module(f"{folder.__name__}.{module.name}") for module in pkgutil.iter_modules(folder.__path__)
     ]
-    every = dict.fromkeys(one for module in modules for one in vars(module).values() if isinstance(one, Section))
+    every = dict.fromkeys(part for module in modules for part in vars(module).values() if isinstance(part, Section))
     return sorted(every, key=lambda section: section.order)
 
 
-def chosen(every: Sequence[Section], material: Material) -> list[Section]:
-    """Return the sections whose tables are there and hold something to tell."""
-    there = [section for section in every if _served(section, material.results) and section.asked(material.request)]
-    return [section for section in there if section.worth_telling(material.results)]
+def advise(urgency: int, sentence: str, where: object = True) -> list[Advice]:
+    """Return advice of one sentence, where there is reason for it."""
+    return [Advice(urgency, sentence)] if where else []
 
 
 def advice(every: Sequence[Section], results: Results) -> list[Advice]:
     """Return what all sections advise, the most urgent first."""
-    found = [item for section in every if _served(section, results) for rule in section.rules for item in rule(results)]
-    return sorted(found, key=lambda item: item.urgency)
-
-
-def _served(section: Section, results: Results) -> bool:
-    return all(path in results for path in section.needs)
+    items = [
+        item for section in every if section.is_served(results) for rule in section.rules for item in rule(results)
+    ]
+    return sorted(items, key=lambda item: item.urgency)

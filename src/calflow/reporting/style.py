@@ -85,16 +85,8 @@ def dots(axes: Axes, x: np.ndarray, y: np.ndarray, held: np.ndarray, size: float
     axes.scatter(x[~held], y[~held], size, facecolors="none", edgecolors=DARK, linewidths=0.2 * size**0.5, rasterized=picture,
                  label="used for the fit")  # fmt: skip
     if held.any():
-        axes.scatter(
-            x[held],
-            y[held],
-            size * 1.3,
-            marker="^",
-            color=ACCENT,
-            linewidths=0,
-            rasterized=picture,
-            label="held out",
-        )
+        look: dict[str, Any] = {"marker": "^", "color": ACCENT, "linewidths": 0, "rasterized": picture}
+        axes.scatter(x[held], y[held], size * 1.3, label="held out", **look)
 
 
 def crowded(n_rows: int) -> float:
@@ -130,9 +122,7 @@ def same_scale(space: Axes3D, segments: np.ndarray) -> None:
         space.locator_params(axis=axis, nbins=5)
         space.tick_params(axis=axis, pad=-2, labelsize=6.5)
     space.set_box_aspect(size, zoom=0.88)
-    space.set_xlabel("x [m]", labelpad=-3)
-    space.set_ylabel("y [m]", labelpad=-3)
-    space.set_zlabel("z [m]", labelpad=-6)
-    space.xaxis.pane.set_facecolor("white")
-    space.yaxis.pane.set_facecolor("white")
-    space.zaxis.pane.set_facecolor("white")
+    for name, axis, pad in zip("xyz", (space.xaxis, space.yaxis, space.zaxis), (-3, -3, -6), strict=True):
+        axis.set_label_text(f"{name} [m]")
+        axis.labelpad = pad
+        axis.pane.set_facecolor("white")

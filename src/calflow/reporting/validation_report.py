@@ -10,9 +10,9 @@ from matplotlib.ticker import FuncFormatter
 from scipy.stats import norm
 
 from calflow.deployment.attained import CYCLES
-from calflow.deployment.validation import Status, ValidatedModel, ValidatedPose, Validation, ValidationSummary
+from calflow.deployment.validation import Status, ValidatedModel, Validation, ValidationSummary
 from calflow.files.words import first_up, mm, plural
-from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Paragraph, Plot, Table
+from calflow.reporting.blocks import Bullets, Card, Columns, Gap, Paragraph, Part, Plot, Table, cover, headed
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
 
 NAMES = {
@@ -22,6 +22,10 @@ NAMES = {
 }
 BEYOND = 0.025  # chance that any point errs by more than promised
 MOST_NAMED = 60  # poses that are named in a figure
+POSE_ERROR = (
+    "A pose's error is the distance from where it should be to the barycentre of its rows: ISO 9283's pose accuracy AP. RP is "
+    "the mean distance of its rows from their barycentre and three standard deviations."
+)
 VERDICTS: dict[Status, str] = {
     "met": "The tolerance is met.",
     "not met": "The tolerance is not met.",
@@ -30,31 +34,34 @@ VERDICTS: dict[Status, str] = {
 }
 
 
-def validation_report(found: Validation, title: str, file: str) -> list[tuple[str, list[Block]]]:
+def validation_report(validation: Validation, title: str, file: str) -> list[Part]:
     """Return the parts of a validation's report; file is the name of the measurements."""
-    first = [
-        Paragraph("Validation report", 10),
-        Paragraph(title, 21, bold=True),
-        Paragraph(_measured(found.summary, file), 10),
-        Gap(16),
-        Paragraph(VERDICTS[found.summary.status], 14, bold=True),
-        Gap(6),
-        *(Paragraph(line, 11) for line in verdict_lines(found)[1:]),
-        Gap(12),
-        Columns([[_card(one, one is found.judged)] for one in found.accuracy], [1] * len(found.accuracy), 8),
-        Gap(12),
-        _statistics(found.accuracy),
-        Plot("poses", _drawn(found)),
-        Heading("What was assumed"),
-        Bullets([first_up(f"{note}.") for note in (_frame(found.summary), *found.summary.notes)], 9.5),
+    summary = validation.summary
+    measured = f"{file}  ·  {plural(summary.poses, 'pose')}  ·  {plural(summary.rows, 'measured point')}"
+    cards = [
+        [Card(NAMES[row.model], mm(row.mean_mm), f"largest {mm(row.max_mm)} mm", dark=row is validation.judged)]
+        for row in validation.accuracy
     ]
-    return [("", first), ("Every pose", [_explained(found.summary), _poses(found)])]
+    first = [
+        *cover("Validation report", title, measured, VERDICTS[summary.status], verdict_lines(validation)[1:], 16),
+        Gap(12),
+        Columns(cards, [1] * len(cards), 8),
+        Gap(12),
+        _statistics(validation.accuracy),
+        Plot("poses", _errors_by_pose(validation)),
+        *headed("What was assumed", Bullets([first_up(f"{note}.") for note in (_frame(summary), *summary.notes)], 9.5)),
+    ]
+    fewer = f" The standard has {CYCLES} cycles; here a pose has {summary.fewest_cycles} at least."
+    explained = Paragraph(POSE_ERROR + fewer * (summary.fewest_cycles < CYCLES), 9.5)
+    return [("", first), ("Every pose", [explained, _poses(validation)])]
 
 
-def verdict_lines(found: Validation) -> list[str]:
+def verdict_lines(validation: Validation) -> list[str]:
     """Return the verdict with its probabilities in sentences, the shortest first."""
-    summary, judged, before = found.summary, found.judged, found.of("nominal")
-    mean = _interval(judged.mean_mm, judged.mean_low_mm, judged.mean_high_mm)
+    summary, judged, before = validation.summary, validation.judged, validation.of("nominal")
+    mean = f"{mm(judged.mean_mm)} mm"
+    if np.isfinite(judged.mean_low_mm):
+        mean += f" ({mm(judged.mean_low_mm)} to {mm(judged.mean_high_mm)} mm)"
     lines = [
         VERDICTS[summary.status],
         f"At {plural(summary.poses, 'new pose')} the mean error is {mean} ({NAMES[judged.model]}, before {mm(before.mean_mm)} mm); "
@@ -66,7 +73,7 @@ def verdict_lines(found: Validation) -> list[str]:
         lines.append(
             f"A further pose like these errs by less than {mm(judged.further_mm)} mm with a probability of 95 %."
         )
-    return [*lines, _promise(found), _iso(summary)]
+    return [*lines, _promise(validation), _iso(summary)]
 
 
 def _iso(summary: ValidationSummary) -> str:
@@ -98,28 +105,27 @@ def _chance(probability: float) -> str:
     return "over 0.999" if probability > 0.999 else "under 0.001" if probability < 0.001 else f"{probability:.3f}"
 
 
-def _promise(found: Validation) -> str:
+def _promise(validation: Validation) -> str:
     """Say whether the errors are what the calibration promised."""
-    judged, summary = found.judged, found.summary
-    said = (
+    judged, summary = validation.judged, validation.summary
+    promise = (
         f"The calibration promised {mm(summary.promised_mm)} mm (root mean square); found were {mm(judged.rms_mm)} mm"
     )
     if not np.isfinite(judged.rms_low_mm):
-        return f"{said}."
-    more = judged.rms_low_mm > summary.promised_mm or _one_is_beyond(found)
+        return f"{promise}."
+    more = judged.rms_low_mm > summary.promised_mm or _any_beyond(validation)
     less = judged.rms_high_mm < summary.promised_mm
-    return f"{said}, {'more than chance allows' if more else 'less than promised' if less else 'which agrees'}."
+    return f"{promise}, {'more than chance allows' if more else 'less than promised' if less else 'which agrees'}."
 
 
-def _one_is_beyond(found: Validation) -> bool:
+def _any_beyond(validation: Validation) -> bool:
     """Whether any point errs by more than its promise allows of so many (normal, Bonferroni).
 
     A wild pose widens the mean's interval, so that this alone would agree with any promise. All of an error may lie along one
     axis, along which the promise is its standard deviation.
     """
-    own = [one.commanded_mm if found.summary.judged == "commanded" else one.calibrated_mm for one in found.poses]
-    promised = np.array([one.promised_mm for one in found.poses])
-    return bool((np.array(own) > norm.isf(BEYOND / 2 / len(own)) * promised).any())
+    promised = np.array([pose.promised_mm for pose in validation.poses])
+    return bool((_judged_errors(validation) > norm.isf(BEYOND / 2 / len(promised)) * promised).any())
 
 
 def _frame(summary: ValidationSummary) -> str:
@@ -134,78 +140,53 @@ def _frame(summary: ValidationSummary) -> str:
     return f"the device stood where it stood in the calibration{fits}"
 
 
-def _measured(summary: ValidationSummary, file: str) -> str:
-    return f"{file}  ·  {plural(summary.poses, 'pose')}  ·  {plural(summary.rows, 'measured point')}"
-
-
-def _interval(value: float, low: float, high: float) -> str:
-    return f"{mm(value)} mm ({mm(low)} to {mm(high)} mm)" if np.isfinite(low) else f"{mm(value)} mm"
-
-
-def _card(one: ValidatedModel, last: bool) -> Block:
-    return Card(NAMES[one.model], mm(one.mean_mm), f"largest {mm(one.max_mm)} mm", dark=last)
-
-
-def _statistics(accuracy: Sequence[ValidatedModel]) -> Block:
+def _statistics(accuracy: Sequence[ValidatedModel]) -> Table:
     rows = [
-        (NAMES[one.model], mm(one.mean_mm), f"{mm(one.mean_low_mm)} … {mm(one.mean_high_mm)}", mm(one.rms_mm), mm(one.max_mm),
-         mm(one.further_mm))
-        for one in accuracy
+        (NAMES[row.model], mm(row.mean_mm), f"{mm(row.mean_low_mm)} … {mm(row.mean_high_mm)}", mm(row.rms_mm), mm(row.max_mm),
+         mm(row.further_mm))
+        for row in accuracy
     ]  # fmt: skip
     header = ("error", "mean [mm]", "95 % interval", "rms [mm]", "largest [mm]", "95 % of further poses below [mm]")
     return Table(header, rows, "lrrrrr")
 
 
-def _explained(summary: ValidationSummary) -> Block:
-    fewer = f" The standard has {CYCLES} cycles; here a pose has {summary.fewest_cycles} at least."
-    said = (
-        "A pose's error is the distance from where it should be to the barycentre of its rows: ISO 9283's pose accuracy AP. RP is "
-        "the mean distance of its rows from their barycentre and three standard deviations."
-    )
-    return Paragraph(said + fewer * (summary.fewest_cycles < CYCLES), 9.5)
-
-
-def _poses(found: Validation) -> Block:
+def _poses(validation: Validation) -> Table:
     """A row a point."""
-    commanded = "commanded" in [one.model for one in found.accuracy]
+    commanded = "commanded" in [row.model for row in validation.accuracy]
     errors = ["nominal [mm]", "calibrated [mm]", *["command [mm]"] * commanded]
-    judged = found.summary.tolerance_mm is not None
+    judged = validation.summary.tolerance_mm is not None
     header = ["pose", "marker", "rows", *errors, "promised sd [mm]", "RP [mm]", *["within"] * judged]
     rows = []
-    for one in found.poses:
-        sizes = [one.nominal_mm, one.calibrated_mm, *[one.commanded_mm] * commanded, one.promised_mm, one.rp_mm]
-        within = {None: "", True: "yes", False: "no"}[one.within]
-        rows.append([one.pose, one.marker, str(one.rows), *map(mm, sizes), *[within] * judged])
-    beyond = frozenset(k for k, one in enumerate(found.poses) if one.within is False)
+    for pose in validation.poses:
+        sizes = [pose.nominal_mm, pose.calibrated_mm, *[pose.commanded_mm] * commanded, pose.promised_mm, pose.rp_mm]
+        within = {None: "", True: "yes", False: "no"}[pose.within]
+        rows.append([pose.pose, pose.marker, str(pose.rows), *map(mm, sizes), *[within] * judged])
+    beyond = frozenset(k for k, pose in enumerate(validation.poses) if pose.within is False)
     return Table(header, rows, "ll" + "r" * (len(header) - 2 - judged) + "l" * judged, beyond)
 
 
-def _drawn(found: Validation) -> Figure:
+def _errors_by_pose(validation: Validation) -> Figure:
     """Draw the errors of every pose before and after, the largest first, with the tolerance."""
-    poses = sorted(found.poses, key=lambda one: -_judged(one, found))
+    order, tolerance = np.argsort(-_judged_errors(validation), kind="stable"), validation.summary.tolerance_mm
+    poses = [validation.poses[k] for k in order]
     drawn = figure(2.2)
     axes = drawn.add_subplot()
     at = np.arange(len(poses))
-    axes.plot(at, [one.nominal_mm for one in poses], "o", color=MIDDLE, markersize=3, label="nominal")
-    axes.plot(at, [_judged(one, found) for one in poses], "^", color=DARK, markersize=4, label=found.summary.judged)
-    axes.plot(at, [one.promised_mm for one in poses], "_", color="black", markersize=6, label="promised (1 sd)")
-    if found.summary.tolerance_mm is not None:
-        axes.axhline(
-            found.summary.tolerance_mm,
-            color=ACCENT,
-            linestyle="--",
-            label=f"tolerance {found.summary.tolerance_mm:g} mm",
-        )
-    axes.set_yscale("log")
+    axes.plot(at, [pose.nominal_mm for pose in poses], "o", color=MIDDLE, markersize=3, label="nominal")
+    axes.plot(at, _judged_errors(validation)[order], "^", color=DARK, markersize=4, label=validation.summary.judged)
+    axes.plot(at, [pose.promised_mm for pose in poses], "_", color="black", markersize=6, label="promised (1 sd)")
+    if tolerance is not None:
+        axes.axhline(tolerance, color=ACCENT, linestyle="--", label=f"tolerance {tolerance:g} mm")
+    axes.set(yscale="log", ylabel="error [mm]", xlabel="pose, the largest error first")
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.set_ylabel("error [mm]")
     if len(poses) <= MOST_NAMED:
-        axes.set_xticks(at, [one.pose for one in poses], rotation=90 if len(poses) > 20 else 0)
-    axes.set_xlabel("pose, the largest error first")
+        axes.set_xticks(at, [pose.pose for pose in poses], rotation=90 if len(poses) > 20 else 0)
     axes.grid(axis="x", visible=False)
     drawn.legend(loc="outside upper center", ncols=4)
     return drawn
 
 
-def _judged(one: ValidatedPose, found: Validation) -> float:
-    return one.commanded_mm if found.summary.judged == "commanded" else one.calibrated_mm
+def _judged_errors(validation: Validation) -> np.ndarray:
+    """The errors of all points by the model that is judged, shape (n_points,) [mm]."""
+    commanded = validation.summary.judged == "commanded"
+    return np.array([pose.commanded_mm if commanded else pose.calibrated_mm for pose in validation.poses])

@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 from calflow.files.results import Results
 from calflow.files.toml import FileModel
 from calflow.stages.stage import Context, Stage
+from calflow.study import Study
+
+if TYPE_CHECKING:
+    from calflow.reporting.material import Material
 
 
 class ReportSettings(FileModel):
@@ -13,12 +20,27 @@ class ReportSettings(FileModel):
 
 def _run(context: Context) -> Results:
     """Write report.pdf, report.html and figures/*.svg into the stage's folder; the report has no tables of its own."""
-    from calflow.reporting.document import write_report
-    from calflow.reporting.material import Material  # drawing and typesetting are loaded only where a report is made
+    from calflow.reporting.document import (
+        write_report,
+    )  # drawing and typesetting are loaded only where a report is made
 
-    material = Material.of(context.study, context.results, context.run_folder)
+    material = report_material(context.study, context.results, context.run_folder)
     write_report(material, context.folder, context.say, context.advance)
     return Results()
+
+
+def report_material(study: Study, results: Results, run_folder: Path) -> Material:
+    """Return what the report of a study is written from: what was asked, and the calibration where there is one."""
+    from calflow.calibration import Calibration
+    from calflow.reporting.material import Material
+
+    settings, chain = {stage: study.settings(stage) for stage in study.stages}, run_folder / "sample" / "chain.h5"
+    workflow, sampled = study.workflow.name, chain if chain.exists() else None
+    asked = Material(study.robot, study.file, workflow, settings, results, sampled)
+    if "identify/faults.csv" not in results:
+        return asked
+    calibration = Calibration.of(study.robot, study.file, results, study.measurements)
+    return asked.on(calibration, calibration.data)
 
 
 STAGE = Stage(

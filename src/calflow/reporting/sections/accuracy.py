@@ -31,7 +31,7 @@ from calflow.reporting.material import (
     latest_summary,
     model_steps,
 )
-from calflow.reporting.section import Section
+from calflow.reporting.section import Section, advise
 from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, figure, panels, plain_decades
 
 NOISE_DRAWS = 200_000
@@ -140,9 +140,8 @@ def _base(steps: Sequence[ModelAccuracy], floor: float | None) -> float:
 
 def _floor(axes: Axes, floor: float | None, unit: str) -> None:
     if floor:
-        axes.axhline(
-            floor, color="black", linestyle="--", linewidth=0.9, label=f"mean of noise alone: {mm(floor)} {unit}"
-        )
+        name = f"mean of noise alone: {mm(floor)} {unit}"
+        axes.axhline(floor, color="black", linestyle="--", linewidth=0.9, label=name)
 
 
 def _level(axes: Axes, k: int, value: float) -> None:
@@ -179,6 +178,10 @@ WORSE = 1.5  # held-out over training mean error from which the model does not c
 
 
 DISTANCE = "Distance between predicted and measured tool position"
+HELD_OUT_POSES = (
+    "Held-out poses were never shown to a fit: they tell how the model does at poses that were not measured."
+)
+WENT = "Where the mean error went ({} poses; logarithmic scale)."
 DIFFERENCE = "Difference between what is predicted and what was measured, each row's as a whole"
 
 
@@ -204,15 +207,12 @@ def _accuracy(material: Material) -> list[Block]:
     name = "noise alone" if known else "normal noise"
     spread = distribution(material.distance, material.held, material.sigma, name, unit)
     return [
-        Paragraph(
-            f"{DISTANCE if unit == METRE.label else DIFFERENCE}. Held-out poses were never shown to a fit: they tell "
-            "how the model does at poses that were not measured."
-        ),
+        Paragraph(f"{DISTANCE if unit == METRE.label else DIFFERENCE}. {HELD_OUT_POSES}"),
         Table(("model", "poses", "rows", "mean", "rms", "max", "unit"), rows, "llrrrrl", final),
         Plot(
             "error_budget",
             spent,
-            f"Where the mean error went ({words[split]} poses; logarithmic scale).{DASHED * known}",
+            WENT.format(words[split]) + DASHED * known,
             accuracy_frame(model_steps(results, split)),
         ),
         Plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if known else NORMAL), errors),
@@ -222,89 +222,75 @@ def _accuracy(material: Material) -> list[Block]:
 def starts_disagree(results: Results) -> list[Advice]:
     """Fits from different starts should find the same optimum."""
     summary = _identified(results)
-    if summary.starts_agreeing >= summary.starts:
-        return []
     sentence = (
         f"Only {summary.starts_agreeing} of {summary.starts} fits from different starting points came to the same result; the "
         "best is reported. Raise stages.identify.starts and compare, and check the nominal dimensions."
     )
-    return [Advice(2, sentence)]
+    return advise(2, sentence, where=summary.starts_agreeing < summary.starts)
 
 
 def model_lacks(results: Results) -> list[Advice]:
-    """A model that leaves more than the noise lacks something."""
+    """A model that leaves more than the noise lacks something; what is known of the structure is told where it was found."""
     summary = latest_summary(results)
-    times = summary.lack_of_fit
-    if not times > LACKS or any(found.status == "unexplained" for found in findings_of(results)):
-        return []  # what is known of the structure is told where it was found
+    times, known = summary.lack_of_fit, any(finding.status == "unexplained" for finding in findings_of(results))
     stated = "file" in summary.noise_sources
     doubt = "the noise is larger than stated" if stated else "poses repeat worse than repeats in a row show"
     sentence = (
         f"The model leaves {ratio(times)} times the noise: something is missing in the model, or {doubt}. See the "
         "residuals against each joint; a trend there points to the cause."
     )
-    return [Advice(2, sentence)]
+    return advise(2, sentence, where=times > LACKS and not known)
 
 
 def noise_doubtful(results: Results) -> list[Advice]:
     """A fit cannot leave much less than the noise."""
     times = latest_summary(results).lack_of_fit
-    if not times < TOO_GOOD or _identified(results).noise_doubts:
-        return []
     sentence = (
         f"The model leaves only {times:.2f} times the noise: the measurements are better than that. Correct sigma, or "
         "measure repeats; the standard deviations given here are too large."
     )
-    return [Advice(3, sentence)]
+    return advise(3, sentence, where=times < TOO_GOOD and not _identified(results).noise_doubts)
 
 
 def noise_unknown(results: Results) -> list[Advice]:
     """Without a noise level known apart from the fit nothing tells whether the model is complete."""
-    if _identified(results).noise_known:
-        return []
     sentence = (
         "Measure some poses several times, coming back to each from elsewhere: the noise is not known, so an incomplete "
         f"model cannot be told from noise. {-(-MIN_REPEATS // 3)} repeats in all are a beginning, 10 are better; or state "
         "sigma_mm."
     )
-    return [Advice(2, sentence)]
+    return advise(2, sentence, where=not _identified(results).noise_known)
 
 
 def nothing_held_out(results: Results) -> list[Advice]:
     """Accuracy on the poses of the fit flatters."""
-    if split_judged(results) == "holdout":
-        return []
     sentence = (
         "Hold out some poses (split.holdout = 0.3 in the study): the accuracy given here is that of the poses that were "
         "fitted, which flatters the model."
     )
-    return [Advice(2, sentence)]
+    return advise(2, sentence, where=split_judged(results) != "holdout")
 
 
 def does_not_carry_over(results: Results) -> list[Advice]:
     """A model much worse at held-out poses was fitted to too few or too similar poses."""
     if split_judged(results) == "train" or not model_steps(results, "train"):
         return []
-    train, held = model_steps(results, "train")[-1], model_steps(results, "holdout")[-1]
-    if held.mean <= WORSE * train.mean:
-        return []
+    train, held = (model_steps(results, split)[-1] for split in ("train", "holdout"))
     sentence = (
         f"The error at held-out poses is {ratio(held.mean / train.mean)} times that at fitted ones ({mm(held.mean)} {held.unit} "
         f"against {mm(train.mean)} {held.unit}): measure more poses, spread over all the space where the robot is to work."
     )
-    return [Advice(2, sentence)]
+    return advise(2, sentence, where=held.mean > WORSE * train.mean)
 
 
 def reaches_beyond(results: Results) -> list[Advice]:
     """Held-out poses beyond the readings that were fitted ask more of the model than it was taught."""
-    said = [joint.words for joint in _identified(results).extrapolation]
-    if not said:
-        return []
+    joints = [joint.words for joint in _identified(results).extrapolation]
     sentence = (
-        f"Some held-out poses reach further than any fitted one ({listed(said, 6)}): measure training poses that cover "
+        f"Some held-out poses reach further than any fitted one ({listed(joints, 6)}): measure training poses that cover "
         "the whole range of these joints."
     )
-    return [Advice(3, sentence)]
+    return advise(3, sentence, where=joints)
 
 
 def _identified(results: Results) -> IdentifySummary:

@@ -8,11 +8,11 @@ from importlib.metadata import version
 import numpy as np
 
 from calflow.diagnosis.diagnosis import DiagnosisSummary
-from calflow.estimation.calibrated_model import DeviceNoise, FitSummary, IdentifySummary
+from calflow.estimation.calibrated_model import DeviceNoise, FitSummary, IdentifySummary, Placed
 from calflow.estimation.noise import Noise
 from calflow.files.units import MeasurementUnit
 from calflow.files.words import effect_words
-from calflow.reporting.blocks import Block, Columns, Paragraph, Table
+from calflow.reporting.blocks import Block, Newspaper, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 
@@ -81,7 +81,6 @@ def _told(value: float | None, form: str) -> str:
     return "cannot tell" if value is None else format(value, form)
 
 
-LETTERS = 42  # of a value in a line
 PACKAGES = ("calflow", "casadi", "emcee", "numpy", "scipy", "pandas")
 
 
@@ -104,17 +103,8 @@ def _appendix(material: Material) -> list[Block]:
     return [
         Paragraph("Hashes of all input files, durations and the state of each stage are in manifest.json; all tables named in "
                   "this report lie beside it as CSV, in SI units unless a column says otherwise."),
-        Columns([[Table(("what", "value"), half, "ll", size=None, wide=1)] for half in _halves(facts)], [1, 1]),
+        Newspaper([Table(("what", "value"), facts, "ll", size=None, wide=1)]),
     ]  # fmt: skip
-
-
-def _halves(facts: list[tuple[str, str] | str]) -> tuple[list[tuple[str, str] | str], list[tuple[str, str] | str]]:
-    """Part what stands in two columns where both take about as many lines; a heading stays with what it is for."""
-    lines = np.cumsum([1 if isinstance(fact, str) else 1 + len(fact[1]) // LETTERS for fact in facts])
-    middle = int((lines <= lines[-1] / 2).sum())
-    if isinstance(facts[middle - 1], str):
-        middle -= 1
-    return facts[:middle], facts[middle:]
 
 
 def _identified(material: Material) -> list[tuple[str, str] | str]:
@@ -149,15 +139,16 @@ def _plainly(value: object) -> str:
 
 
 def _placement(material: Material) -> list[tuple[str, str]]:
-    rows = material.tables["identify/placement.csv"].to_dict("records")
-    return [
-        ("nominal place",
-         f"{row['what']}: "
-         + ", ".join(f"{axis} {1e3 * row[f'{axis}_m']:.2f} mm" for axis in "xyz")
-         + (", " + ", ".join(f"{a} {row[f'{a}_deg']:.3f} deg" for a in ("rx", "ry", "rz")) if row["what"] == "base" else "")
-         + f" ({row['source']})")
-        for row in rows
-    ]  # fmt: skip
+    facts = []
+    for placed in material.results.rows("identify/placement.csv", Placed):
+        place = [
+            f"{axis} {1e3 * value:.2f} mm"
+            for axis, value in zip("xyz", (placed.x_m, placed.y_m, placed.z_m), strict=True)
+        ]
+        turn = [f"rx {placed.rx_deg:.3f} deg", f"ry {placed.ry_deg:.3f} deg", f"rz {placed.rz_deg:.3f} deg"]
+        said = ", ".join(place + turn * (placed.what == "base"))
+        facts.append(("nominal place", f"{placed.what}: {said} ({placed.source})"))
+    return facts
 
 
 APPENDIX_SECTION = Section(90, "Appendix: the run", (), _appendix)

@@ -29,10 +29,10 @@ from calflow.files.words import (
     ratio,
     sureness,
 )
-from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
+from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.cause_figures import errors_in_space, explained_figure, gains
 from calflow.reporting.material import Material, findings_of, study_steps
-from calflow.reporting.section import Section
+from calflow.reporting.section import Section, advise
 from calflow.reporting.sections.search import candidate_rows, strongest, threshold, untestable
 from calflow.reporting.style import magnification
 
@@ -47,37 +47,31 @@ def gain_words(finding: Finding, floor: float | None) -> str:
     gain, low, high = finding.gain
     if math.isnan(gain):
         return "No poses were held out, so what it is worth at other poses is not known."
-    unit = finding.error_unit
-    interval = f"95 % interval {_signed(low)} to {_signed(high)} {unit}"
-    noise = f"; noise alone would leave {mm(floor)} {finding.error_unit}" if floor else ""
+    unit, interval = finding.error_unit, _interval(finding)
+    noise = f"; noise alone would leave {mm(floor)} {unit}" if floor else ""
     if low > 0:
         return (
-            f"At poses that no fit has seen it takes {mm(gain)} {finding.error_unit} off the mean error ({interval}) and leaves "
-            f"{mm(finding.left)} {finding.error_unit}{noise}."
+            f"At poses that no fit has seen it takes {mm(gain)} {unit} off the mean error ({interval}) and leaves "
+            f"{mm(finding.left)} {unit}{noise}."
         )
     if high < 0:
         return f"At poses that no fit has seen it makes the mean error {mm(-gain)} {unit} larger ({interval}): do not rely on it."
     return (
         f"At poses that no fit has seen the step that added it gained {_signed(gain)} {unit}, which cannot be told from nothing "
-        f"({interval}); {mm(finding.left)} {finding.error_unit} are left{noise}."
+        f"({interval}); {mm(finding.left)} {unit} are left{noise}."
     )
 
 
-def gain_cells(finding: Finding) -> tuple[str, str]:
-    """Return a gain and its interval for a table."""
-    gain, low, high = finding.gain
-    if math.isnan(gain):
-        return "–", "–"
-    return _signed(gain), f"{_signed(low)} … {_signed(high)}"
+def _interval(finding: Finding) -> str:
+    low, high = map(_signed, finding.gain[1:])
+    return f"95 % interval {low} to {high} {finding.error_unit}"
 
 
-def gain_of_process(finding: Finding) -> str:
+def _gain_of_process(finding: Finding) -> str:
     """Say what a Gaussian process would gain."""
-    gain, low, high = finding.gain
+    (gain, low, _), unit, interval = finding.gain, finding.error_unit, _interval(finding)
     if math.isnan(gain):
         return ""
-    unit = finding.error_unit
-    interval = f"95 % interval {_signed(low)} to {_signed(high)} {unit}"
     if low <= 0:
         return f" How much it matters at other poses cannot be told (a Gaussian process gains {_signed(gain)} {unit}, {interval})."
     taken = f"{mm(gain)} {unit}"
@@ -91,16 +85,16 @@ def gained(material: Material, causes: Sequence[Finding]) -> list[Block]:
     moved = [finding for finding in causes if math.isfinite(finding.gain[0])]
     if not moved:
         return []
-    start = study_steps(material.results, split_judged(material.results))[-1].mean
-    drawn = gains(start, labels(moved), [finding.left for finding in moved], np.array([finding.gain[1:] for finding in moved]),
-                  material.noise_floor, material.unit.label)  # fmt: skip
-    data = pd.DataFrame(
-        [(name, *finding.gain, finding.left) for name, finding in zip(labels(moved), moved, strict=True)],
-        columns=[
-            "cause",
-            *(f"{name}_{material.unit.label}" for name in ("gain_mean", "gain_low", "gain_high", "heldout_mean")),
-        ],
+    start, unit, names = (
+        study_steps(material.results, split_judged(material.results))[-1].mean,
+        material.unit.label,
+        labels(moved),
     )
+    figures = np.array([(*finding.gain, finding.left) for finding in moved])
+    drawn = gains(start, names, figures[:, 3].tolist(), figures[:, 1:3], material.noise_floor, unit)
+    columns = [f"{name}_{unit}" for name in ("gain_mean", "gain_low", "gain_high", "heldout_mean")]
+    data = pd.DataFrame(figures, columns=columns)
+    data.insert(0, "cause", names)
     unknown = (
         "" if material.noise_floor else " What noise alone would leave is not known: it was estimated from the fit."
     )
@@ -122,19 +116,14 @@ def _signed(value: float) -> str:
 
 def still_unexplained(left: Sequence[Finding]) -> list[Block]:
     """Tell what stays unexplained."""
-    if not left:
-        return []
     items = [
         ("The model as a whole:", f"{first_up(finding.statement)}.") if finding.is_misfit else
         (f"{first_up(finding.inputs_in_words)}:", f"part of the error depends on it, and no cause of the catalogue explains it. "
-         f"The chance that noise looks like this is {chance(finding.p_family)}.{gain_of_process(finding)}")
+         f"The chance that noise looks like this is {chance(finding.p_family)}.{_gain_of_process(finding)}")
         for finding in left
     ]  # fmt: skip
-    return [
-        Heading("What stays unexplained"),
-        Bullets(items),
-        Paragraph("It is not in the model. Where it acts, predictions are off by more than noise."),
-    ]
+    so = Paragraph("It is not in the model. Where it acts, predictions are off by more than noise.")
+    return headed("What stays unexplained", Bullets(items), so, where=left)
 
 
 def structure(results: Results) -> str:
@@ -161,15 +150,15 @@ def lack_of_fit_words(results: Results) -> str:
 def look_for_structure(results: Results) -> list[Advice]:
     """Structure without a cause is to be looked for at the robot."""
     if not unexplained_findings(results):
-        return [_look_there(results)] if lack_of_fit_words(results) else []
+        return _look_there(results) if lack_of_fit_words(results) else []
     sentence = (
         f"Something depends on {structure(results)} that no cause of the catalogue explains. Look at the robot for what changes "
         "with it (hoses and cables, loose bolts, collisions, the device's support), and measure again."
     )
-    return [Advice(2, sentence)]
+    return advise(2, sentence)
 
 
-def _look_there(results: Results) -> Advice:
+def _look_there(results: Results) -> list[Advice]:
     """What to do about a lack of fit that no input explains."""
     worst = results.document("diagnose/summary.json", DiagnosisSummary).worst
     where = f"where {worst.where}" if worst else "at the poses with the largest errors (diagnose/residuals.csv)"
@@ -177,16 +166,14 @@ def _look_there(results: Results) -> Advice:
         f"More is left than noise, and nothing that was tested explains it. Measure again {where}, coming back to some poses from "
         "elsewhere: what repeats is the robot's, what does not is the device's or the set-up's."
     )
-    return Advice(2, sentence)
+    return advise(2, sentence)
 
 
 def untested(results: Results) -> list[Advice]:
     """Where something stays unexplained, what would make more causes testable is worth its while."""
     needs = {lacking: names for lacking, names in untestable(candidate_rows(results)).items() if lacking}
-    if not needs or not look_for_structure(results):
-        return []
-    said = "; ".join(f"{what} ({listed(names, 4)})" for what, names in list(needs.items())[:3])
-    return [Advice(3, f"More causes could be tested with {said}.")]
+    most = "; ".join(f"{what} ({listed(names, 4)})" for what, names in list(needs.items())[:3])
+    return advise(3, f"More causes could be tested with {most}.", where=needs and look_for_structure(results))
 
 
 STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
@@ -219,10 +206,14 @@ def _causes(material: Material) -> list[Block]:
 
 def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
     summary = material.results.document(SUMMARY, DiagnosisSummary)
+    faults = dict.fromkeys(effect_words(finding.cause) for finding in every if finding.status == FAULT)
+    mended = (
+        f" Faults of the data ({listed(list(faults))}) were seen to before: see the section on them." if faults else ""
+    )
     searched = (
         f"What the study's model leaves was searched for {summary.causes_tested} causes, each at its place in the robot or its "
         f"surroundings. A cause counts as found where, with nothing hidden, fewer than {100 * threshold(material):.2g} % of such "
-        f"searches would find anything.{_mended(every)}"
+        f"searches would find anything.{mended}"
     )
     found = [finding for finding in every if finding.status != FAULT]
     if not found:
@@ -233,36 +224,20 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
     rows = [
         (str(next(order)) if finding.is_cause else "–", _title(finding),
          finding.amount if finding.is_cause and finding.unit else "–", STATUS.get(finding.status, finding.status),
-         chance_figure(finding.p_family), sureness(finding.probability), *gain_cells(finding))
+         chance_figure(finding.p_family), sureness(finding.probability),
+         *(("–", "–") if math.isnan(finding.gain[0]) else (_signed(finding.gain[0]), " … ".join(map(_signed, finding.gain[1:])))))
         for finding in found
     ]  # fmt: skip
-    header = (
-        "",
-        "finding",
-        "size (± 1 sd)",
-        "name",
-        "false alarm",
-        "probability",
-        f"gain [{found[0].error_unit}]",
-        "95 % interval",
-    )
-    told = any(finding.is_cause for finding in found)
-    first = [] if told else [Paragraph("No cause of the catalogue was found.", bold=True)]
-    listing: list[Block] = [Paragraph(NO_PROOF), Table(header, rows, "rlrlrrrr", size=8, wide=1)]
+    gain = f"gain [{found[0].error_unit}]"
+    header = ("", "finding", "size (± 1 sd)", "name", "false alarm", "probability", gain, "95 % interval")
+    none = not any(finding.is_cause for finding in found)
     return [
-        *first,
+        *([Paragraph("No cause of the catalogue was found.", bold=True)] if none else []),
         Paragraph(searched),
-        *listing,
+        Paragraph(NO_PROOF),
+        Table(header, rows, "rlrlrrrr", size=8, wide=1),
         *([Paragraph(CURVES)] if any(moves(material, finding) for finding in found) else []),
     ]
-
-
-def _mended(every: Sequence[Finding]) -> str:
-    """Say that the search was made on data whose faults were seen to."""
-    faults = dict.fromkeys(effect_words(finding.cause) for finding in every if finding.status == FAULT)
-    return (
-        f" Faults of the data ({listed(list(faults))}) were seen to before: see the section on them." if faults else ""
-    )
 
 
 def _title(finding: Finding) -> str:
@@ -300,17 +275,23 @@ def advised_poses(results: Results) -> list[Advice]:
     plans: dict[tuple[object, ...], list[NextPose]] = {}
     for pose in results.rows("diagnose/next_poses.csv", NextPose):
         plans.setdefault((pose.cause, pose.joint, pose.rival_causes, pose.rival_joints), []).append(pose)
-    found = []
+    sentences = []
     for poses in plans.values():
         first = poses[0]
         own, others = cause_name(first.cause, first.joint), _names(first.rival_causes, first.rival_joints)
-        sentence = (
+        open_pairs = zip(
+            _names(first.open_causes, first.open_joints),
+            _names(first.open_other_causes, first.open_other_joints),
+            strict=True,
+        )
+        pairs = [" or ".join(pair) for pair in open_pairs]
+        left_open = f" They leave open whether it is {listed(pairs, 3)}." if pairs else ""
+        sentences.append(
             f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that tell {own} from {listed(others)}: they "
             f"would be at least {first.separation_after_sd:.1f} standard deviations apart instead of "
-            f"{first.separation_before_sd:.1f}.{_left_open(first)}"
+            f"{first.separation_before_sd:.1f}.{left_open}"
         )
-        found.append(Advice(3, sentence))
-    return found
+    return [Advice(3, sentence) for sentence in sentences]
 
 
 def other_means(results: Results) -> list[Advice]:
@@ -328,13 +309,6 @@ def _separations(results: Results) -> list[SeparationRow]:
     return results.rows("diagnose/separations.csv", SeparationRow)
 
 
-def _left_open(pose: NextPose) -> str:
-    first = _names(pose.open_causes, pose.open_joints)
-    second = _names(pose.open_other_causes, pose.open_other_joints)
-    pairs = [" or ".join(pair) for pair in zip(first, second, strict=True)]
-    return f" They leave open whether it is {listed(pairs, 3)}." if pairs else ""
-
-
 def _names(causes: tuple[str, ...], joints: tuple[int, ...]) -> list[str]:
     return [cause_name(cause, joint) for cause, joint in zip(causes, joints, strict=True)]
 
@@ -345,18 +319,12 @@ ARROWS = 700  # arrows in the workspace
 
 def _finding(material: Material, finding: Finding, number: int) -> list[Block]:
     """Tell a cause, the number of which counts those found, in words and figures."""
-    head = f"{number}. {first_up(finding.names)}"
-    text = " ".join(
-        part
-        for part in (
-            _what(finding),
-            name_certainty(finding),
-            *apart(finding, material.results),
-            _gained_words(material, finding),
-        )
-        if part
-    )
-    return [Heading(head), Paragraph(text), *_curves(material, finding)]
+    moved = moves(material, finding)
+    unmoved = "It changes how much each row counts, not where the tool is predicted."
+    gain = gain_words(finding, material.noise_floor) if moved else unmoved
+    sentences = (_what(finding), name_certainty(finding), *apart(finding, material.results), gain)
+    head = Heading(f"{number}. {first_up(finding.names)}")
+    return [head, Paragraph(" ".join(filter(None, sentences))), *_curves(material, finding)]
 
 
 def _what(finding: Finding) -> str:
@@ -364,11 +332,8 @@ def _what(finding: Finding) -> str:
     size = f"{words.size} {finding.amount}" if finding.unit else ""
     if finding.of_family:
         best = f"{words.name} ({finding.detail})" if finding.detail else words.name
-        off = (
-            f"The angle of joint {finding.joint} is off by an amount that goes with the angle"
-            if finding.joint
-            else WANDERED
-        )
+        turned = f"The angle of joint {finding.joint} is off by an amount that goes with the angle"
+        off = turned if finding.joint else WANDERED
         return f"{off}; best described as {best}: {size}."
     said = first_up(words.what or words.name)
     return f"{said}: {size} (1 sd)." if size and "±" in size else f"{said}{f': {size}' if size else ''}."
@@ -407,12 +372,6 @@ def name_certainty(finding: Finding) -> str:
     return " ".join(said)
 
 
-def _gained_words(material: Material, finding: Finding) -> str:
-    if not moves(material, finding):
-        return "It changes how much each row counts, not where the tool is predicted."
-    return gain_words(finding, material.noise_floor)
-
-
 def moves(material: Material, finding: Finding) -> bool:
     """Whether a finding is in the model of the position, and not in that of the noise."""
     return finding.is_cause and bool((material.tables["diagnose/curves.csv"]["finding"].isin(finding.numbers)).any())
@@ -420,30 +379,17 @@ def moves(material: Material, finding: Finding) -> bool:
 
 def _curves(material: Material, finding: Finding) -> list[Block]:
     every = material.tables["diagnose/curves.csv"]
-    drawn = [
-        every[(every["finding"] == number) & every["split"].isin(["train", "holdout"])] for number in finding.numbers
-    ]
-    return [
-        _curve_figure(finding, rows, number, material.unit)
-        for rows, number in zip(drawn, finding.numbers, strict=True)
-        if not rows.empty
-    ]
+    used = every[every["split"].isin(["train", "holdout"])]
+    courses = {number: used[used["finding"] == number] for number in finding.numbers}
+    return [_curve_figure(finding, rows, number, material.unit) for number, rows in courses.items() if not rows.empty]
 
 
 def _curve_figure(finding: Finding, rows: pd.DataFrame, number: int, error_unit: MeasurementUnit) -> Block:
     errors = [f"{name}_mm" if error_unit == METRE else name for name in ("before", "after", "fitted")]
     x, before, after, fitted = rows[["x", *errors]].to_numpy(dtype=float).T
     unit = "" if pd.isna(rows["variable_unit"].iloc[0]) else str(rows["variable_unit"].iloc[0])
-    drawn = explained_figure(
-        x,
-        before,
-        after,
-        fitted,
-        (rows["split"] != "train").to_numpy(),
-        str(rows["variable"].iloc[0]),
-        unit,
-        error_unit.label,
-    )
+    held, variable = (rows["split"] != "train").to_numpy(), str(rows["variable"].iloc[0])
+    drawn = explained_figure(x, before, after, fitted, held, variable, unit, error_unit.label)
     said = finding.name if len(finding.numbers) == 1 else cause_name(str(rows["cause"].iloc[0]), finding.joint)
     caption = f"{first_up(said)}: errors without it, with it, and against what it explains."
     told = rows[["variable", "variable_unit", "x", *errors, "split"]]
@@ -494,7 +440,8 @@ def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
         unseen = f" {first_up(summary.unseen)}." if summary.unseen else ""
         return [f"{told}: {summary.causes_tested} causes were tested.{unseen}"]
     named = list(zip(causes, labels(causes), strict=True))
-    worth = sorted((pair for pair in named if not _in_vain(pair[0])), key=lambda pair: -_mean_gain(pair[0]))
+    worth = [pair for pair in named if not _in_vain(pair[0])]
+    worth.sort(key=lambda pair: -np.nan_to_num(pair[0].gain[0]))  # a gain that is not known is none
     vain = [name for cause, name in named if _in_vain(cause)]
     said: list[str | tuple[str, str]] = [(f"{first_up(name)}:", _line(cause)) for cause, name in worth[:most]]
     if len(worth) > most:
@@ -512,18 +459,9 @@ def _in_vain(finding: Finding) -> bool:
     return math.isfinite(finding.gain[0]) and not finding.gain[1] > 0
 
 
-def _mean_gain(finding: Finding) -> float:
-    """What a cause takes off the mean error; nothing where that is not known."""
-    return finding.gain[0] if math.isfinite(finding.gain[0]) else 0.0
-
-
 def _line(finding: Finding) -> str:
-    gained = (
-        f"; it takes {mm(finding.gain[0])} {finding.error_unit} off the mean error"
-        if math.isfinite(finding.gain[0])
-        else ""
-    )
-    return f"{finding.amount}{gained}."
+    taken = f"; it takes {mm(finding.gain[0])} {finding.error_unit} off the mean error"
+    return f"{finding.amount}{taken if math.isfinite(finding.gain[0]) else ''}."
 
 
 def unsure(results: Results) -> list[str]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import math
+from collections.abc import Sequence
 
-import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause
 from calflow.files.words import mm
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.material import Material
@@ -48,13 +48,12 @@ CAPTION = "Joint errors as found here (line) and on the other series alone (dash
 
 def _confirmation(material: Material) -> list[Block]:
     """Show each joint's curve on both series, how well they agree, and what carries over."""
-    rows = material.tables["diagnose/confirmation.csv"]
     curves = material.tables["diagnose/confirmation_curves.csv"]
-    accuracy = material.tables["diagnose/confirmation_accuracy.csv"]
+    accuracy = material.results.rows("diagnose/confirmation_accuracy.csv", CarriedAccuracy)
     cells = [
-        (f"joint {row['joint']}", _number(row["correlation"], "{:.3f}"), _either(row, "rms_here_urad", "rms_here_um", "µm"),
-         _either(row, "rms_there_urad", "rms_there_um", "µm"), _either(row, "common_deg", "common_mm", "mm"), str(row["words"]))
-        for row in rows.to_dict("records")
+        (f"joint {cause.joint}", _number(cause.correlation, ".3f"), _either(cause.rms_here_urad, cause.rms_here_um, "µm"),
+         _either(cause.rms_there_urad, cause.rms_there_um, "µm"), _either(cause.common_deg, cause.common_mm, "mm"), cause.words)
+        for cause in material.results.rows("diagnose/confirmation.csv", ConfirmedCause)
     ]  # fmt: skip
     header = ("joint", "correlation", "here [µrad]", "there [µrad]", "common [deg]", "what it means")
     blocks: list[Block] = [Paragraph(INTRODUCTION, keep=True), Table(header, cells, "lrrrrl", wide=5)]
@@ -71,28 +70,24 @@ def _faults(faults: pd.DataFrame | None) -> list[Block]:
     return [Paragraph(f"In the other series' file, before it was fitted: {said}. Correct that file too.")]
 
 
-def _carried(accuracy: object) -> str:
-    found = accuracy.set_index("model")  # type: ignore[attr-defined]
-    n = int(found["n"].iloc[0])
+def _carried(accuracy: Sequence[CarriedAccuracy]) -> str:
+    n = accuracy[0].n
     if n == 0:
         return (
             "The model does not carry over as a whole: no held-out row of the other series lies within the travel that all "
             "these joint errors were found on."
         )
-    parts = [f"{mm(value)} mm {name}" for name, value in found["heldout_mean_mm"].items()]
+    parts = [f"{mm(carried.heldout_mean_mm)} mm {carried.model}" for carried in accuracy]
     return f"At the {n} held-out rows of the other series within the travel covered here the mean error is {', '.join(parts)}."
 
 
-def _either(row: Mapping[Any, Any], turns: str, slides: str, unit: str) -> str:
+def _either(turns: float, slides: float, unit: str) -> str:
     """A turning joint's figure in the column's unit, or a slide's with its own."""
-    if np.isfinite(float(row[slides])):
-        return f"{_number(row[slides], '{:.0f}')} {unit}"
-    return _number(row[turns], "{:.0f}")
+    return f"{slides:.0f} {unit}" if math.isfinite(slides) else _number(turns, ".0f")
 
 
-def _number(value: object, form: str) -> str:
-    number = float(value)  # type: ignore[arg-type]
-    return form.format(number) if np.isfinite(number) else "–"
+def _number(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else "–"
 
 
 CONFIRMATION_SECTION = Section(

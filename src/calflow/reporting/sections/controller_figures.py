@@ -12,7 +12,7 @@ from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import errors
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.words import effect_words, listed, mm, number
-from calflow.reporting.blocks import Block, Heading, Paragraph, Table
+from calflow.reporting.blocks import Block, Paragraph, Table, headed
 from calflow.reporting.material import Material, latest_parameters
 from calflow.reporting.section import Section
 from calflow.robot.frames import angles
@@ -153,27 +153,24 @@ def _controller_figures(material: Material) -> list[Block]:
     joints = links(material)
     curved = any(figure.symbol == "beta" and figure.calibrated for figures in joints for figure in figures)
     order = ORDER.get(robot.kinematics, "") + NO_BETA * curved
+    lengths, header = bars(material), [f"joint {i} [{joint.shown[0]}]" for i, joint in enumerate(robot.joints, start=1)]
+    added = Table(header, [[number(value, "+.4f") for value in zeros(material)]], "r" * len(header), size=8)
     return [
         Paragraph(f"{INTRODUCTION} {order} {_worth(material)}", keep=True),
         _matrix("joint", [(str(i), figures) for i, figures in enumerate(joints, start=1)]),
-        *_loop(material),
-        Heading("Zeros of the joints"),
-        Paragraph(ZEROS + LOOPED * (robot.loop is not None), keep=True),
-        _zeros(material),
-        Heading("Tool"),
-        Paragraph(TOOL, keep=True),
-        _matrix("marker", list(markers(material).items())),
-        Heading("Base"),
-        *_base(material),
+        *headed("Bars of the loop", _matrix("", [("length of", lengths)]), where=lengths),
+        *headed("Zeros of the joints", Paragraph(ZEROS + LOOPED * (robot.loop is not None), keep=True), added),
+        *headed("Tool", Paragraph(TOOL, keep=True), _matrix("marker", list(markers(material).items()))),
+        *headed("Base", *_base(material)),
     ]
 
 
 def _worth(material: Material) -> str:
     """Say what the figures are worth without the rest of the model, which a controller may not take."""
-    others = list(
-        dict.fromkeys(one.effect for one in material.calibrated.model.parameters if one.effect != Geometry.id)
-    )
-    others = [effect for effect in others if effect in {row.effect for row in latest_parameters(material.results)}]
+    fitted = {row.effect for row in latest_parameters(material.results)} - {Geometry.id}
+    others = [
+        effect for effect in dict.fromkeys(p.effect for p in material.calibrated.model.parameters) if effect in fitted
+    ]
     if not others:
         return ""
     mean, largest = geometry_alone(material)
@@ -188,9 +185,8 @@ def _worth(material: Material) -> str:
 def _matrix(what: str, rows: Sequence[tuple[str, Sequence[Figure]]]) -> Table:
     """Return a table with a row for each joint or marker: every figure that any of them has, with its difference."""
     every = [figure for _, figures in rows for figure in figures]
-    columns = {
-        (figure.symbol, figure.unit): None for figure in every if figure.nominal or figure.difference is not None
-    }
+    there = [figure for figure in every if figure.nominal or figure.difference is not None]
+    columns = dict.fromkeys((figure.symbol, figure.unit) for figure in there)
     header = [what, *(name for symbol, unit in columns for name in (f"{symbol} [{unit}]", "Δ"))]
     cells = []
     for name, figures in rows:
@@ -207,19 +203,6 @@ def _cells(figure: Figure | None) -> tuple[str, str]:
         return number(figure.calibrated, digits), ""
     difference = number(figure.difference, f"+{digits}")
     return number(figure.calibrated, digits), difference if figure.measured else f"({difference})"
-
-
-def _loop(material: Material) -> list[Block]:
-    lengths = bars(material)
-    if not lengths:
-        return []
-    return [Heading("Bars of the loop"), _matrix("", [("length of", lengths)])]
-
-
-def _zeros(material: Material) -> Table:
-    joints = material.calibrated.model.robot.joints
-    header = [f"joint {i} [{joint.shown[0]}]" for i, joint in enumerate(joints, start=1)]
-    return Table(header, [[number(value, "+.4f") for value in zeros(material)]], "r" * len(joints), size=8)
 
 
 def _base(material: Material) -> list[Block]:

@@ -10,7 +10,7 @@ from calflow.files.results import Results
 from calflow.files.words import effect_words, first_up, plural
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import Section, advise
 
 FAULTS = "identify/faults.csv"
 SHOWN = 12  # places that a list of lines names
@@ -36,11 +36,9 @@ def _data_faults(material: Material) -> list[Block]:
 def correct_the_file(results: Results) -> list[Advice]:
     """What is wrong in the file is to be corrected there, once and for all."""
     faults = _faults(results)
-    advised = [Advice(2, f"Correct the measurement file: {own[0].statement}.") for own in faults[:TOLD]]
-    if len(faults) > TOLD:
-        further = plural(len(faults) - TOLD, "further fault")
-        advised.append(Advice(2, f"Correct the measurement file: {further}, see the section on data faults."))
-    return advised
+    advised = [Advice(2, f"Correct the measurement file: {rows[0].statement}.") for rows in faults[:TOLD]]
+    further = f"{plural(len(faults) - TOLD, 'further fault')}, see the section on data faults"
+    return advised + advise(2, f"Correct the measurement file: {further}.", where=len(faults) > TOLD)
 
 
 def _faults(results: Results) -> list[list[FaultyRow]]:

@@ -11,6 +11,7 @@ from matplotlib.patches import Patch
 from calflow.deployment.usability import Advice
 from calflow.design.separability import isolability_gaps, isolability_summary
 from calflow.files.results import Results
+from calflow.files.words import first_up
 from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -29,7 +30,10 @@ def apart_figure(table: pd.DataFrame) -> Figure:
     """Draw a row a cause and a column a rival: told apart, not told apart, or not seen at all."""
     tested = table[(table["part"] != "") & table["part"].notna()]
     own = tested[tested["rival"].fillna("") == ""]
-    names = [_cause_label(*cause) for cause in zip(own["cause"], own["joint"], own["part"], strict=True)]
+    names = [
+        f"{cause} {joint:.0f}" if joint > 0 else f"{cause} ({part})"  # its part where that has no number
+        for cause, joint, part in zip(own["cause"], own["joint"].astype(float), own["part"], strict=True)
+    ]
     number = {place: k for k, place in enumerate(zip(own["cause"], own["part"], strict=True))}
     cells = np.full((len(names), len(names)), SEEN)
     for row in tested.to_dict("records"):
@@ -45,9 +49,8 @@ def apart_figure(table: pd.DataFrame) -> Figure:
     axes = drawn.subplots()
     edges = np.arange(len(names) + 1) - 0.5
     colours = ListedColormap(COLOURS)
-    axes.pcolormesh(
-        edges, edges, cells, cmap=colours, norm=BoundaryNorm(np.arange(5) - 0.5, 4), edgecolors="#cccccc", linewidth=0.3
-    )
+    norm = BoundaryNorm(np.arange(5) - 0.5, 4)
+    axes.pcolormesh(edges, edges, cells, cmap=colours, norm=norm, edgecolors="#cccccc", linewidth=0.3)
     for k in unseen:
         axes.axhspan(k - 0.5, k + 0.5, facecolor="none", edgecolor="#888888", hatch=HATCH, linewidth=0)
     axes.grid(False)
@@ -64,13 +67,6 @@ def apart_figure(table: pd.DataFrame) -> Figure:
     return drawn
 
 
-def _cause_label(cause: str, joint: float | None, part: str) -> str:
-    """Name a cause with its joint, or with its part where that has no number."""
-    if joint is not None and joint == joint and joint:
-        return f"{cause} {joint:.0f}"
-    return f"{cause} ({part})"
-
-
 ISOLABILITY_TABLE = "select/isolability.csv"
 GAPS_ADVISED = 3  # gaps on the first page
 APART_CAPTION = (
@@ -84,23 +80,18 @@ def _isolability(material: Material) -> list[Block]:
     """Show the matrix, and say every gap that something fills."""
     table = material.tables[ISOLABILITY_TABLE]
     return [
-        Paragraph(f"{_as_sentence(isolability_summary(table))} Before anything is measured this follows from the model, the "
+        Paragraph(f"{first_up(isolability_summary(table))}. Before anything is measured this follows from the model, the "
                   "device's noise and the tests of diagnose; a cause is taken at its usual size, in any direction.", keep=True),
         Plot("isolability", apart_figure(table), APART_CAPTION, table),
-        *(Paragraph(_as_sentence(words)) for words in isolability_gaps(table)),
+        *(Paragraph(f"{first_up(words)}.") for words in isolability_gaps(table)),
         Paragraph(f"All chances, and what nothing tried fills, are in {ISOLABILITY_TABLE}."),
     ]  # fmt: skip
 
 
 def add_to_the_plan(results: Results) -> list[Advice]:
     """Say on the first page what should be added to the plan."""
-    return [
-        Advice(3, _as_sentence(words)) for words in isolability_gaps(results.tables[ISOLABILITY_TABLE])[:GAPS_ADVISED]
-    ]
-
-
-def _as_sentence(words: str) -> str:
-    return f"{words[0].upper()}{words[1:]}."
+    gaps = isolability_gaps(results.tables[ISOLABILITY_TABLE])[:GAPS_ADVISED]
+    return [Advice(3, f"{first_up(words)}.") for words in gaps]
 
 
 ISOLABILITY_SECTION = Section(71, "What these poses tell apart", (ISOLABILITY_TABLE,), _isolability, (add_to_the_plan,))

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
 from calflow.effects.words import place_name
-from calflow.files.results import Results
 from calflow.files.words import number, percent
-from calflow.reporting.blocks import Block, Bullets, Paragraph, Plot, Table
+from calflow.reporting.blocks import Block, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.style import DARK, MIDDLE, figure
@@ -25,23 +25,13 @@ def cause_probabilities(names: Sequence[str], probability: np.ndarray, by_tests:
     drawn = figure(0.9 + ROW * len(names))
     axes = drawn.subplots()
     place = np.arange(len(names))
-    axes.hlines(
-        place, np.minimum(probability, by_tests), np.maximum(probability, by_tests), color=MIDDLE, linewidth=0.8
-    )
-    axes.plot(
-        by_tests,
-        place,
-        "o",
-        markerfacecolor="white",
-        color=DARK,
-        label="by the linear tests of diagnose",
-        clip_on=False,
-    )
-    axes.plot(probability, place, "o", color=DARK, label="probability", clip_on=False)
+    ends = np.sort([probability, by_tests], axis=0)
+    axes.hlines(place, *ends, color=MIDDLE, linewidth=0.8)
+    look: dict[str, Any] = {"color": DARK, "clip_on": False}
+    axes.plot(by_tests, place, "o", markerfacecolor="white", label="by the linear tests of diagnose", **look)
+    axes.plot(probability, place, "o", label="probability", **look)
     axes.set_yticks(place, names)
-    axes.set_ylim(len(names) - 0.4, -0.6)
-    axes.set_xlim(0, 1)
-    axes.set_xlabel("probability that it acts")
+    axes.set(xlim=(0, 1), ylim=(len(names) - 0.4, -0.6), xlabel="probability that it acts")
     drawn.legend(ncols=2, loc="outside upper center")
     return drawn
 
@@ -76,22 +66,21 @@ def _model_choice(material: Material) -> list[Block]:
         Paragraph(INTRODUCTION, keep=True),
         *([Paragraph(SHARED)] if pd.isna(models[0].log_evidence) else []),
         Plot("cause_probabilities", drawn, CAUSES, table),
-        *_differing(shown),
+        *listing(differing(shown)),
         Table(("model", "log evidence", "probability"), [_row(row) for row in models if row.probability >= LEAST][:SHOWN],
               "lrr", wide=0),
     ]  # fmt: skip
 
 
-def _differing(causes: list[CauseProbability]) -> list[Block]:
+def differing(causes: list[CauseProbability]) -> list[str]:
     """Say where the tests of diagnose made a cause much more or less probable."""
-    said = [
+    return [
         f"{place_name(row.cause, row.joint or 0, row.part)}: {percent(row.probability)}, where the linear tests say "
         f"{percent(row.by_tests)}. They go by one linearisation and count parameters; this one integrates over all sizes that "
         "bounds and priors allow."
         for row in causes
         if abs(row.probability - row.by_tests) > FAR
     ]
-    return [Bullets(said)] if said else []
 
 
 def _row(row: ModelRow) -> tuple[str, str, str]:
@@ -104,14 +93,10 @@ def _row(row: ModelRow) -> tuple[str, str, str]:
     return ", ".join(named or ["none of them"]) + words, told, f"{row.probability:.3f}"
 
 
-def _any(results: Results) -> bool:
-    return len(results.tables["sample/models.csv"]) > 0
-
-
 MODEL_CHOICE_SECTION = Section(
     77,
     "Which causes: all models in reach",
     ("sample/models.csv", "sample/cause_probabilities.csv"),
     _model_choice,
-    worth_telling=_any,
+    worth_telling=lambda results: len(results.tables["sample/models.csv"]) > 0,
 )

@@ -9,19 +9,25 @@ from textwrap import fill
 
 import numpy as np
 import pandas as pd
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calflow.deployment.usability import Advice
-from calflow.estimation.calibrated_model import IdentifySummary
-from calflow.estimation.identifiability import Redundant, Statement, scale_words, silent_words, trade_words
+from calflow.estimation.calibrated_model import IdentifySummary, Placed
+from calflow.estimation.identifiability import (
+    Correlation,
+    Counted,
+    Redundant,
+    Statement,
+    scale_words,
+    silent_words,
+    trade_words,
+)
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.results import Results
 from calflow.files.words import cut, effect_words, first_up, interval, listed, number, part_words, readable, with_sd
-from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
+from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.material import IDENTIFIED_PARAMETERS, Material, latest_parameters
-from calflow.reporting.section import Section
+from calflow.reporting.section import Section, advise
 from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, turned
 
 AT_BOUND = "at a bound, no sd"
@@ -38,9 +44,8 @@ def estimates(
     """
     groups = [(effect, len(list(own))) for effect, own in groupby(effects)]
     titles = [_title(effect, number) for effect, number in groups]
-    widths = np.array(
-        [max(number, CHARACTER * _longest(title)) for (_, number), title in zip(groups, titles, strict=True)]
-    )
+    longest = [max(map(len, title.split("\n"))) for title in titles]
+    widths = np.array([max(number, CHARACTER * long) for (_, number), long in zip(groups, longest, strict=True)])
     edges = np.concatenate([[0.0], np.cumsum(widths + 1)]) - 1  # of the groups, one place between them
     at = np.concatenate([
         middle + np.arange(number) - (number - 1) / 2
@@ -68,7 +73,9 @@ def estimates(
     axes.set_xlim(edges[0], edges[-1])
     axes.grid(axis="x", visible=False)
     axes.set_ylabel("estimate − nominal, ± 2 sd\n[prior standard deviations]")
-    drawn.legend(*_errorbars_first(axes), loc="outside upper center", ncols=3)
+    handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    first = sorted(handles, key=lambda label: label == AT_BOUND)  # errorbars
+    drawn.legend([handles[label] for label in first], first, loc="outside upper center", ncols=3)
     return drawn
 
 
@@ -76,16 +83,6 @@ def _title(effect: str, number: int) -> str:
     """Break a group's name into lines as long as its parameters give room for, or as its longest word."""
     words = effect.split(" ")
     return fill(effect, max(int(number / CHARACTER), *map(len, words)), break_on_hyphens=False)
-
-
-def _longest(title: str) -> int:
-    return max(map(len, title.split("\n")))
-
-
-def _errorbars_first(axes: Axes) -> tuple[list[Artist], list[str]]:
-    handles, labels = axes.get_legend_handles_labels()
-    order = sorted(range(len(labels)), key=lambda k: labels[k] == AT_BOUND)
-    return [handles[k] for k in order], [labels[k] for k in order]
 
 
 MANY = 20  # figures of one part's curve beyond which one line tells of all: the curve is drawn with its cause
@@ -131,12 +128,7 @@ def _parameters(material: Material) -> list[Block]:
     )
     curves = "" if single.all() else CURVES
     return [
-        Paragraph(
-            LEGEND
-            + (REGISTERED if not material.calibrated.model.robot.base.known else "")
-            + (ADDED if added else "")
-            + curves
-        ),
+        Paragraph(LEGEND + REGISTERED * (not material.calibrated.model.robot.base.known) + ADDED * added + curves),
         Table(("parameter", "unit", "estimate", "sd", "allowed", "known from"), rows, "llrrrl", shaded, 8.6),
         Plot("parameters", drawn, ESTIMATES_CAPTION, scaled),
     ]
@@ -221,34 +213,21 @@ def at_bound(results: Results) -> list[Advice]:
     pushed = [row for row in latest_parameters(results) if row.at_bound and row.prior_share <= BY_PRIOR]
     zero = [row for row in pushed if row.lower == 0 and row.estimate < NEAR_ZERO * row.upper]
     far = [row for row in pushed if row not in zero]
-    found = []
-    if far:
-        sentence = (
-            f"The data push {listed([row.parameter for row in far])} to the end of the allowed range ({_ranges(far)}): check "
-            "the robot file's dimensions and units, and the payload's mass."
-        )
-        found.append(Advice(2, sentence))
-    if zero:
-        sentence = (
-            f"{listed([row.parameter for row in zero])} came out at zero, the least allowed: stiffer than the data can "
-            "tell, or the masses and payload in the robot file are wrong."
-        )
-        found.append(Advice(3, sentence))
-    return found
-
-
-def _ranges(rows: Sequence[FittedParameter]) -> str:
-    return listed(list(dict.fromkeys(map(_range, rows))), 4)
+    ranges = listed(list(dict.fromkeys(map(_range, far))), 4)
+    pushed_far = (
+        f"The data push {listed([row.parameter for row in far])} to the end of the allowed range ({ranges}): check "
+        "the robot file's dimensions and units, and the payload's mass."
+    )
+    at_zero = (
+        f"{listed([row.parameter for row in zero])} came out at zero, the least allowed: stiffer than the data can "
+        "tell, or the masses and payload in the robot file are wrong."
+    )
+    return advise(2, pushed_far, where=far) + advise(3, at_zero, where=zero)
 
 
 def _range(row: FittedParameter) -> str:
     factor, unit = readable(row.unit)
     return f"{interval(factor * row.lower, factor * row.upper)} {unit}".rstrip()
-
-
-def prior_names(results: Results) -> list[str]:
-    """Return the parameters that the data leave to the prior."""
-    return [row.parameter for row in _identified(results) if row.prior_share > BY_PRIOR]
 
 
 def _identified(results: Results) -> list[FittedParameter]:
@@ -263,6 +242,11 @@ NAMED = 3  # parameters that a trade on the first page names
 HARMLESS = (
     "What they leave open does not harm predictions under conditions like those measured: any value serves. It matters "
     "for other tools, loads or directions, and to whoever reads a value as a true dimension."
+)
+TRADED = "If one of a pair were a little larger, the other could make up for it: their standard deviations are not independent."
+COUNTED = (
+    "With the number of parameters that the study counts, a model would keep those that add most to what the data can tell. "
+    "Those left out take no accuracy with them where the others can stand in for them."
 )
 BRACKETS = (
     "Numbers in brackets: by how many of its prior standard deviations a parameter makes up for one of the first."
@@ -296,16 +280,12 @@ def left_out_words(results: Results) -> list[Block]:
         return []
     left_out = results.rows("identify/redundant.csv", Redundant)
     rows = []
-    for joint, own in groupby(left_out, key=lambda one: one.joint):
-        figures = list(own)
-        rows.append(
-            (str(joint), ", ".join(one.symbol for one in figures), f"{figures[0].same}{TOGETHER * (joint > 1)}")
-        )
-    return [
-        Heading("Figures that are no parameters"),
-        Paragraph(LEFT_OUT, keep=True),
-        Table(("joint", "left out", "the same is done by"), rows, "rll", wide=2),
-    ]
+    for joint, group in groupby(left_out, key=lambda figure: figure.joint):
+        figures = list(group)
+        symbols = ", ".join(figure.symbol for figure in figures)
+        rows.append((str(joint), symbols, f"{figures[0].same}{TOGETHER * (joint > 1)}"))
+    table = Table(("joint", "left out", "the same is done by"), rows, "rll", wide=2)
+    return headed("Figures that are no parameters", Paragraph(LEFT_OUT, keep=True), table)
 
 
 def _statements(results: Results) -> list[Block]:
@@ -328,49 +308,27 @@ def _bound_words(row: FittedParameter) -> str:
 
 
 def _correlations(results: Results) -> list[Block]:
-    if "identify/correlations.csv" not in results or results.tables["identify/correlations.csv"].empty:
-        return []
-    pairs = results.tables["identify/correlations.csv"]
-    rows = [
-        (row["first"], row["second"], number(row["correlation"], "+.4f"))
-        for row in pairs.head(PAIRS_SHOWN).to_dict("records")
-    ]
+    path = "identify/correlations.csv"
+    pairs = results.rows(path, Correlation) if path in results else []
+    rows = [(pair.first, pair.second, number(pair.correlation, "+.4f")) for pair in pairs[:PAIRS_SHOWN]]
     more = f" The strongest {PAIRS_SHOWN} of {len(pairs)} are shown." if len(pairs) > PAIRS_SHOWN else ""
-    return [
-        Heading("Known better together than apart"),
-        Paragraph(
-            "If one of a pair were a little larger, the other could make up for it: their standard deviations are not "
-            f"independent.{more}",
-            keep=True,
-        ),
-        Table(("parameter", "with", "correlation"), rows, "llr"),
-    ]
+    table = Table(("parameter", "with", "correlation"), rows, "llr")
+    return headed("Known better together than apart", Paragraph(TRADED + more, keep=True), table, where=pairs)
 
 
 def _count(results: Results) -> list[Block]:
-    if "identify/count.csv" not in results:
-        return []
-    items = []
-    for effect, rows in results.tables["identify/count.csv"].groupby("effect", sort=False):
-        kept = rows["kept"].astype(bool)
-        inside, outside = (listed(rows.loc[mask, "parameter"].tolist(), 40) for mask in (kept, ~kept))
-        lead = f"{effect_words(str(effect))}, {kept.sum()} of {len(rows)} parameters."
-        items.append((lead, f"Kept: {inside}. Left out: {outside}."))
-    return [
-        Heading("A model with fewer parameters"),
-        Paragraph(
-            "With the number of parameters that the study counts, a model would keep those that add most to what the data "
-            "can tell. Those left out take no accuracy with them where the others can stand in for them.",
-            keep=True,
-        ),
-        Bullets(items),
-    ]
+    path, items = "identify/count.csv", []
+    for effect, rows in groupby(results.rows(path, Counted) if path in results else (), key=lambda row: row.effect):
+        counted = list(rows)
+        kept, out = ([row.parameter for row in counted if row.kept == kept] for kept in (True, False))
+        lead = f"{effect_words(effect)}, {len(kept)} of {len(kept) + len(out)} parameters."
+        items.append((lead, f"Kept: {listed(kept, 40)}. Left out: {listed(out, 40)}."))
+    return headed("A model with fewer parameters", Paragraph(COUNTED, keep=True), Bullets(items), where=path in results)
 
 
 def second_marker(results: Results) -> list[Advice]:
     """A trade between the last link and the only marker ends with a second marker."""
-    placed = results.tables["identify/placement.csv"]
-    markers = list(placed.loc[placed["kind"] == "marker", "what"])
+    markers = [placed.what for placed in results.rows("identify/placement.csv", Placed) if placed.kind == "marker"]
     if len(markers) != 1:
         return []
     marker = markers[0]
@@ -379,27 +337,23 @@ def second_marker(results: Results) -> list[Advice]:
     for trade in _of_kind(results, "trade"):
         own = places & set(trade.parameters)
         links |= set(trade.parameters) - own if own else set()
-    if not links:
-        return []
     sentence = (
         f"To tell {listed(sorted(links), 6)} from where marker {marker} sits, measure two or three markers on the tool, far "
         "apart."
     )
-    return [Advice(3, sentence)]
+    return advise(3, sentence, where=links)
 
 
 def unseen_compliance(results: Results) -> list[Advice]:
     """A joint that no load turned keeps an unknown compliance."""
     compliant = {row.parameter: row.part for row in _identified(results) if row.unit in LOAD_DRIVEN}
     unseen = [name for one in _of_kind(results, "silent") for name in one.parameters if name in compliant]
-    if not unseen:
-        return []
     joints = listed([part_words(compliant[name]) for name in unseen], 8)
     sentence = (
         f"The loads measured do not twist {joints}, so {listed(unseen, 8)} {'stays' if len(unseen) == 1 else 'stay'} "
         "unknown. This does no harm under such loads; to know more, apply a known side force."
     )
-    return [Advice(3, sentence)]
+    return advise(3, sentence, where=unseen)
 
 
 def left_open(results: Results) -> list[Statement]:
@@ -417,7 +371,7 @@ def open_questions(results: Results) -> list[str]:
     silent = [name for one in _of_kind(results, "silent") for name in one.parameters]
     bound = [name for one in _of_kind(results, "bound") for name in one.parameters if name not in silent]
     told = {*silent, *bound, *(name for one in trades for name in one.parameters)}
-    prior = [name for name in prior_names(results) if name not in told]
+    prior = [row.parameter for row in _identified(results) if row.prior_share > BY_PRIOR and row.parameter not in told]
     said = [_statement_words(one) for one in _of_kind(results, "scale")]
     if silent:
         it = "it" if len(silent) == 1 else "them"
@@ -427,9 +381,8 @@ def open_questions(results: Results) -> list[str]:
         apart = "; ".join(_trade(one.parameters, results) for one in trades[:4])
         said.append(f"Apart from each other: {apart}{more}. Only what they do together is known.")
     if bound:
-        said.append(
-            f"The size of {_spoken(bound, results)}: at the end of the allowed range, so no standard deviation is given."
-        )
+        size = _spoken(bound, results)
+        said.append(f"The size of {size}: at the end of the allowed range, so no standard deviation is given.")
     if prior:
         said.append(f"More about {_spoken(prior, results)} than was known before.")
     if pairs:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
@@ -51,27 +52,33 @@ def observability_figure(table: pd.DataFrame, certificate: Certificate) -> Figur
     left.set(xlabel="number of poses", ylabel="observability index\n[relative to all poses]", ylim=(0, None))
     if left.lines:  # with fewer poses than it takes there is no index
         left.legend(ncols=2)
-    for (name, label), (colour, line, marker) in zip(CURVES.items(), ALONE, strict=False):
-        right.plot(poses, table[name], color=colour, linestyle=line, marker=marker, markersize=2.5, label=label)
+    _expected(right, table)
     if certificate.criterion != "parameters":
         right.axhline(certificate.least_loss, color=DARK, linewidth=0.8, label="least possible")
-    right.set(xlabel="number of poses", ylabel="expected sd of the\npredicted position [mm]", ylim=(0, None))
+    right.set(ylabel="expected sd of the\npredicted position [mm]")
     right.legend()
     return drawn
+
+
+def _expected(axes: Axes, table: pd.DataFrame) -> None:
+    """Draw the tool's expected sd [mm] against the number of poses."""
+    for (name, label), (colour, line, marker) in zip(CURVES.items(), ALONE, strict=False):
+        axes.plot(
+            table["n_poses"], table[name], color=colour, linestyle=line, marker=marker, markersize=2.5, label=label
+        )
+    axes.set(xlabel="number of poses", ylim=(0, None))
 
 
 def expected_error(table: pd.DataFrame, how_many: HowMany) -> Figure:
     """Draw the tool's expected sd [mm] against the number of poses, with the knee and the tolerance that was asked for."""
     drawn = figure(2.3, 3.4)
     axes = drawn.add_subplot()
-    for (name, label), (colour, line, marker) in zip(CURVES.items(), ALONE, strict=False):
-        axes.plot(
-            table["n_poses"], table[name], color=colour, linestyle=line, marker=marker, markersize=2.5, label=label
-        )
+    _expected(axes, table)
     axes.axvline(how_many.knee_poses, color=MIDDLE, linestyle=":", linewidth=0.9, label="knee")
     if how_many.tolerance_mm is not None:
         axes.axhline(how_many.tolerance_mm, color=DARK, linewidth=0.8, label="asked for")
-    axes.set(xlabel="number of poses", ylabel="expected sd of the tool [mm]", ylim=(0, None))
+    axes.set(ylabel="expected sd of the tool [mm]")
+    axes.set_ylim(0, None)
     axes.legend()
     return drawn
 
@@ -135,11 +142,11 @@ def _plan(material: Material) -> list[Block]:
 
 def _plan_verdict(how_many: HowMany) -> str:
     """Say what the poses are worth."""
-    said = f"{plural(how_many.n_poses, 'pose')} make the tool's position certain to {mm(how_many.expected_sd_mm)} mm"
+    certain = f"{plural(how_many.n_poses, 'pose')} make the tool's position certain to {mm(how_many.expected_sd_mm)} mm"
     if how_many.tolerance_mm is None:
-        return f"{said}."
+        return f"{certain}."
     met = "met" if how_many.expected_sd_mm <= how_many.tolerance_mm else "not met"
-    return f"{said}: the {mm(how_many.tolerance_mm)} mm asked for are {met}."
+    return f"{certain}: the {mm(how_many.tolerance_mm)} mm asked for are {met}."
 
 
 def _how_many_words(how_many: HowMany) -> list[Item]:
@@ -162,15 +169,9 @@ def _how_many_words(how_many: HowMany) -> list[Item]:
 def _held_out(material: Material, how_many: HowMany) -> list[Item]:
     """Say that poses which are held out do not count."""
     share = material.request.split.holdout
-    if not share:
-        return []
     more = math.ceil(how_many.n_poses / (1 - share))
-    return [
-        (
-            "Held out:",
-            f"these are poses that are fitted. The study holds out {percent(share)}: for that measure {more}.",
-        )
-    ]
+    words = f"these are poses that are fitted. The study holds out {percent(share)}: for that measure {more}."
+    return [("Held out:", words)] if share else []
 
 
 def _planned(material: Material) -> str:
@@ -193,9 +194,7 @@ def _gaps(results: Results) -> list[Item]:
     table = results.tables[ISOLABILITY]
     gaps = isolability_gaps(table)
     left = int(table["worst"].sum()) - len(gaps[:GAPS])
-    more: list[Item] = (
-        [f"{plural(left, 'further gap')} in {ISOLABILITY}, some of which nothing tried fills."] if left else []
-    )
+    more = [f"{plural(left, 'further gap')} in {ISOLABILITY}, some of which nothing tried fills."] if left else []
     return [*(f"{first_up(words)}." for words in (isolability_summary(table), *gaps[:GAPS])), *more]
 
 
@@ -225,6 +224,7 @@ AIMS: dict[Aim, str] = {
     "tool": "make the tool's position over the task as sure as can be",
     "worst": "make the tool's position sure also where in the task it is least so",
 }
+MAP_CAPTION = "The tool at the chosen poses, in measuring order; the square is the first."
 NUMBER_CAPTION = (
     "What more poses are worth. Left: observability indices O1 to O5 (the higher, the better parameters are told apart), "
     "each relative to its value with all poses. Right: expected standard deviation of the predicted tool position over the "
@@ -248,12 +248,7 @@ def _planned_poses(material: Material) -> list[Block]:
         ),
         Paragraph(_number_words(material.results.document("select/how_many.json", HowMany))),
         Plot("observability", observability_figure(worth, certificate), NUMBER_CAPTION, worth),
-        Plot(
-            "poses",
-            map_of_poses(position),
-            "The tool at the chosen poses, in measuring order; the square is the first.",
-            poses,
-        ),
+        Plot("poses", map_of_poses(position), MAP_CAPTION, poses),
         *_first_poses(poses, material.robot),
     ]
 

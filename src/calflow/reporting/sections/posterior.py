@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +15,13 @@ from scipy.ndimage import gaussian_filter
 from scipy.stats import binom
 
 from calflow.deployment.usability import Advice
-from calflow.effects.cause import Cause
 from calflow.effects.words import cause_name
 from calflow.files.results import Results
 from calflow.files.units import METRE
 from calflow.files.words import cut, listed, percent, readable, with_sd
-from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
+from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material, latest_parameters
-from calflow.reporting.section import Section
+from calflow.reporting.section import Section, advise
 from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, MIDDLE, WIDTH, figure, panels, turned
 from calflow.robot.parts import Parameter
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
@@ -54,21 +54,13 @@ def traces(steps: np.ndarray, chain: np.ndarray, labels: Sequence[str], discard:
     chain has shape (n_ensembles, n_steps, n_walkers, n_parameters); steps before discard were not used.
     """
     drawn, grid = panels(len(labels), 1, 0.5 + 0.95 * len(labels), sharex=True)
-    for k, label in enumerate(labels):
-        axes = grid[k, 0]
-        low, middle, high = np.quantile(chain[..., k], [0.025, 0.5, 0.975], axis=2)
+    for k, (axes, label) in enumerate(zip(grid[:, 0], labels, strict=True)):
+        bands = np.quantile(chain[..., k], [0.5, 0.025, 0.975], axis=2)
         axes.axvspan(0, discard, color=LIGHT, alpha=0.6, linewidth=0)
-        for e, (colour, line, _) in zip(range(len(chain)), ALONE * (len(chain) // len(ALONE) + 1), strict=False):
-            axes.plot(
-                steps,
-                middle[e],
-                color=colour,
-                linestyle=line,
-                linewidth=0.9,
-                label=f"ensemble {e + 1}" if k == 0 else None,
-            )
-            axes.plot(steps, low[e], color=colour, linestyle=line, linewidth=0.5)
-            axes.plot(steps, high[e], color=colour, linestyle=line, linewidth=0.5)
+        for e, (colour, line, _) in zip(range(len(chain)), cycle(ALONE), strict=False):
+            for band, width in zip(bands, (0.9, 0.5, 0.5), strict=True):
+                named = f"ensemble {e + 1}" if k == 0 and width == 0.9 else None
+                axes.plot(steps, band[e], color=colour, linestyle=line, linewidth=width, label=named)
         axes.set_ylabel(label)
         axes.margins(x=0)
         axes.locator_params(axis="y", nbins=4)
@@ -122,13 +114,10 @@ def predictions(
     size = float(np.clip(500 / len(error), 2, 14))
     picture = len(error) > 5000
     axes.scatter(at[covered], error[covered], size, color=DARK, linewidths=0, rasterized=picture, label="inside")
-    if (~covered).any():
-        axes.scatter(
-            at[~covered], error[~covered], 2.2 * size, color=ACCENT, marker="x", linewidths=1.0, label="outside"
-        )
-    axes.set(
-        xlabel="rows, ordered by expected error", ylabel=f"error [{unit}]", xlim=(0.3, len(error) + 0.7), ylim=(0, None)
-    )
+    if (out := ~covered).any():
+        axes.scatter(at[out], error[out], 2.2 * size, color=ACCENT, marker="x", linewidths=1.0, label="outside")
+    axes.set(xlabel="rows, ordered by expected error", ylabel=f"error [{unit}]", xlim=(0.3, len(error) + 0.7))
+    axes.set_ylim(0, None)
     axes.legend(loc="upper left", ncols=3)
     return drawn
 
@@ -203,6 +192,13 @@ CORNER = (
 )
 
 
+HELD = (
+    "Held at their estimates, having too many parameters to sample: {}. What is not known of them is not in the sampled "
+    "standard deviations."
+)
+NOISE = "The noise itself was sampled too: {:.2f} times what the fit used (95 % between {:.2f} and {:.2f})."
+
+
 def _posterior(material: Material) -> list[Block]:
     """Show mixing, the comparison with Laplace's approximation and the pairs that are not simply normal."""
     posterior, summary = material.tables["sample/posterior.csv"], _summary(material.results)
@@ -214,24 +210,31 @@ def _posterior(material: Material) -> list[Block]:
     return [
         Paragraph(INTRODUCTION, keep=True),
         Table(("check", "found", "wanted"), _checks(posterior, summary), "lll"),
-        *_cuts(summary),
-        *_priors(posterior),
-        *_held(held),
+        *listing(cut_words(summary)),
+        *listing(prior_words(posterior)),
+        *([Paragraph(HELD.format(listed([cause_name(cause.id, cause.joint) for cause in held])))] if held else []),
         Plot("posterior_sd", against_laplace(names, ratio), RATIO, ratios),
         *_chain(material),
-        *_noise(posterior),
+        *(
+            Paragraph(NOISE.format(q500, q025, q975))
+            for name, q025, q500, q975 in posterior[["parameter", "q025", "q500", "q975"]].to_numpy()
+            if name == "noise.factor"
+        ),
     ]
 
 
 def _checks(posterior: pd.DataFrame, summary: ChainSummary) -> list[tuple[str, str, str]]:
     worst, least = posterior.sort_values("rhat").iloc[-1], posterior.sort_values("ess").iloc[0]
+    forgets, low, high = summary.autocorrelation_steps, summary.sd_over_laplace_least, summary.sd_over_laplace_most
+    over = "every parameter is at a bound" if low is None or high is None else f"{low:.3f} to {high:.3f}"
     return [
         ("ensembles agree (largest R-hat)", f"{worst['rhat']:.4f} ({worst['parameter']})", f"below {SAME:g}"),
         ("independent samples (smallest)", f"{least['ess']:,.0f} ({least['parameter']})", "some thousand"),
         ("length", f"{summary.steps} steps, {summary.ensembles} of {summary.walkers} walkers", _length(summary)),
-        ("steps until a walker forgets", _forgets(summary.autocorrelation_steps), "at most a fiftieth of the steps"),
-        ("sampled sd over approximation", _over_laplace(summary), "near 1"),
-    ]
+        ("steps until a walker forgets", "not known: some never moved" if forgets is None else f"{forgets:.3g}",
+         "at most a fiftieth of the steps"),
+        ("sampled sd over approximation", over, "near 1"),
+    ]  # fmt: skip
 
 
 def _length(summary: ChainSummary) -> str:
@@ -244,58 +247,26 @@ def _length(summary: ChainSummary) -> str:
     )
 
 
-def _forgets(steps: float | None) -> str:
-    return "not known: some never moved" if steps is None else f"{steps:.3g}"
-
-
-def _over_laplace(summary: ChainSummary) -> str:
-    least, most = summary.sd_over_laplace_least, summary.sd_over_laplace_most
-    return "every parameter is at a bound" if least is None or most is None else f"{least:.3f} to {most:.3f}"
-
-
-def _cuts(summary: ChainSummary) -> list[Block]:
-    said = [
-        f"The bounds {one.lower:.3g} to {one.upper:.3g} {one.unit} cut the posterior of {one.parameter}: read its quantiles, "
-        "not its mean and sd."
-        for one in summary.cut
+def cut_words(summary: ChainSummary) -> list[str]:
+    """Say which parameters' posteriors their bounds cut."""
+    return [
+        f"The bounds {parameter.lower:.3g} to {parameter.upper:.3g} {parameter.unit} cut the posterior of {parameter.parameter}: "
+        "read its quantiles, not its mean and sd."
+        for parameter in summary.cut
     ]
-    return [Bullets(said)] if said else []
 
 
-def _priors(posterior: pd.DataFrame) -> list[Block]:
+def prior_words(posterior: pd.DataFrame) -> list[str]:
     """Say which parameters are what was assumed of them, and which are partly so."""
     names = posterior["parameter"].astype(str)
     assumed, both = names[prior_dominates(posterior)].tolist(), names[shared(posterior)].tolist()
-    said = []
-    if assumed:
-        said.append(
-            f"{listed(assumed)}: {'this is' if len(assumed) == 1 else 'these are'} your prior, not your data. Where "
-            f"{'it lies' if len(assumed) == 1 else 'they lie'} changes with what was assumed beforehand, of the parameter itself "
-            "or of one it trades with, and hardly with what was measured."
-        )
-    if both:
-        said.append(f"{listed(both)}: prior and data both count; a narrower prior would be seen in the result.")
-    return [Bullets(said)] if said else []
-
-
-def _held(held: Sequence[Cause]) -> list[Block]:
-    """Say which causes were not sampled."""
-    if not held:
-        return []
-    names = listed([cause_name(cause.id, cause.joint) for cause in held])
-    return [Paragraph(f"Held at their estimates, having too many parameters to sample: {names}. What is not known of them is "
-                      "not in the sampled standard deviations.")]  # fmt: skip
-
-
-def _noise(posterior: pd.DataFrame) -> list[Block]:
-    rows = posterior[posterior["parameter"] == "noise.factor"].to_dict("records")
-    return [
-        Paragraph(
-            f"The noise itself was sampled too: {row['q500']:.2f} times what the fit used (95 % between {row['q025']:.2f} "
-            f"and {row['q975']:.2f})."
-        )
-        for row in rows
-    ]
+    this, lies = ("this is", "it lies") if len(assumed) == 1 else ("these are", "they lie")
+    alone = (
+        f"{listed(assumed)}: {this} your prior, not your data. Where {lies} changes with what was assumed beforehand, of the "
+        "parameter itself or of one it trades with, and hardly with what was measured."
+    )
+    partly = f"{listed(both)}: prior and data both count; a narrower prior would be seen in the result."
+    return [alone] * bool(assumed) + [partly] * bool(both)
 
 
 def _chain(material: Material) -> list[Block]:
@@ -320,9 +291,8 @@ def _chain(material: Material) -> list[Block]:
     if len(pairs) > 1:
         draws = chain.draws(np.array(pairs), CORNER_DRAWS) * factors(pairs)
         drawn = corner(draws, labels(pairs))
-        told = pd.DataFrame(
-            draws[:: max(1, len(draws) // TOLD_DRAWS)], columns=[_in_line(name) for name in labels(pairs)]
-        )
+        some = draws[:: max(1, len(draws) // TOLD_DRAWS)]
+        told = pd.DataFrame(some, columns=[name.replace("\n", " ") for name in labels(pairs)])
         width = round(100 * drawn.get_figwidth() / WIDTH)
         rows = [_row(posterior.iloc[k]) for k in pairs]
         blocks += [
@@ -340,12 +310,8 @@ def _courses(chain: ThinnedChain, which: Sequence[int], labels: Sequence[str], f
     for e, k in np.ndindex(quantiles.shape[1], len(labels)):
         low, middle, high = quantiles[:, e, :, k]
         own = {"step": chain.steps, "q025": low, "median": middle, "q975": high}
-        tables.append(pd.DataFrame({"parameter": _in_line(labels[k]), "ensemble": e + 1, **own}))
+        tables.append(pd.DataFrame({"parameter": labels[k].replace("\n", " "), "ensemble": e + 1, **own}))
     return pd.concat(tables)
-
-
-def _in_line(label: str) -> str:
-    return label.replace("\n", " ")
 
 
 def corner_names(results: Results) -> list[str]:
@@ -355,9 +321,8 @@ def corner_names(results: Results) -> list[str]:
     if "identify/correlations.csv" in results:
         names += results.tables["identify/correlations.csv"][["first", "second"]].to_numpy().ravel().tolist()
     names += [row.parameter for row in parameters if row.effect == parameters[-1].effect]
-    sampled = (
-        set(results.tables["sample/posterior.csv"]["parameter"]) if "sample/posterior.csv" in results else set(names)
-    )
+    path = "sample/posterior.csv"
+    sampled = set(results.tables[path]["parameter"] if path in results else names)
     chosen = [name for name in dict.fromkeys(names) if name in sampled][:PAIRED]
     return [row.parameter for row in parameters if row.parameter in chosen]
 
@@ -381,19 +346,17 @@ def _row(row: pd.Series) -> tuple[str, ...]:
 def too_short(results: Results) -> list[Advice]:
     """A chain that is too short is to be lengthened."""
     summary = _summary(results)
-    return [Advice(2, f"The sampling is {_length(summary)}.")] if summary.missing_steps else []
+    return advise(2, f"The sampling is {_length(summary)}.", where=summary.missing_steps)
 
 
 def ensembles_disagree(results: Results) -> list[Advice]:
     """Ensembles that disagree have not found all of the posterior."""
     worst = results.tables["sample/posterior.csv"].sort_values("rhat").iloc[-1]
-    if not worst["rhat"] > SAME:
-        return []
     sentence = (
         f"The ensembles disagree on {worst['parameter']} (R-hat {worst['rhat']:.3f}, wanted below {SAME:g}): the sampled "
         "intervals are not to be trusted yet; raise stages.sample.max_steps."
     )
-    return [Advice(2, sentence)]
+    return advise(2, sentence, where=worst["rhat"] > SAME)
 
 
 def _summary(results: Results) -> ChainSummary:
@@ -443,13 +406,12 @@ def too_narrow(results: Results) -> list[Advice]:
     """Intervals that miss more held-out errors than chance allows promise too much."""
     rows, words = _judged(results)
     inside = int(rows["covered"].astype(bool).sum())
-    if words != HELD_OUT or binom.cdf(inside, len(rows), LEVEL) > SURPRISE:
-        return []
+    chance = binom.cdf(inside, len(rows), LEVEL)
     sentence = (
         f"Only {inside} of {len(rows)} held-out errors lie inside their 95 % interval: the standard deviations promise too "
         "much. Something varies that the model or the training poses lack."
     )
-    return [Advice(2, sentence)]
+    return advise(2, sentence, where=words == HELD_OUT and chance <= SURPRISE)
 
 
 PREDICTIONS_SECTION = Section(

@@ -21,7 +21,7 @@ from calflow.files.units import METRE
 from calflow.files.words import listed, mm, plural, ratio
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Scene, Table
 from calflow.reporting.material import Material, latest
-from calflow.reporting.section import Section
+from calflow.reporting.section import Section, advise
 from calflow.reporting.style import DARK, MANY, crowded, dots, figure, magnification, panels, same_scale
 from calflow.robot.mechanism import reading_columns, reading_labels, shown_readings
 
@@ -58,9 +58,8 @@ def in_workspace(
         ((0.63, 0.085, 0.36, 0.30), (1, 2), "from the front"),
     ):
         axes = drawn.add_axes(box)
-        axes.add_collection(
-            LineCollection(list(segments[:, :, [i, j]]), colors=colours, linewidths=1.0, rasterized=picture)
-        )
+        lines = list(segments[:, :, [i, j]])
+        axes.add_collection(LineCollection(lines, colors=colours, linewidths=1.0, rasterized=picture))
         for mask, marker, name in ((~held, "o", "used for the fit"), (held, "^", "held out")):
             if mask.any():
                 axes.scatter(position[mask, i] / 1000, position[mask, j] / 1000, c=colours[mask], marker=marker, linewidths=0,
@@ -86,15 +85,14 @@ def against_joints(
     """
     n_joints = reading.shape[1]
     drawn, grid = panels(len(parts), n_joints, 1.3 * max(len(parts), 1.5), sharey=True, sharex="col")
+    size = 0.6 * crowded(len(shown))
     limit = 1.1 * max(np.nanmax(np.abs(error)) for error in parts.values()) or 1.0
     for k, (name, error) in enumerate(parts.items()):
         there = np.isfinite(error)
         dotted = shown[there[shown]]
         for i in range(n_joints):
             axes = grid[k, i]
-            dots(
-                axes, reading[dotted, i], error[dotted], held[dotted], 0.6 * crowded(len(shown)), len(parts) * n_joints
-            )
+            dots(axes, reading[dotted, i], error[dotted], held[dotted], size, len(parts) * n_joints)
             running_mean(axes, reading[there, i], error[there])
             axes.set_ylim(-limit, limit)
             axes.locator_params(axis="x", nbins=3)
@@ -113,13 +111,12 @@ def against_place(
     shown are the rows that get a dot; the mean is that of all.
     """
     drawn, grid = panels(1, 3, 2.1, sharey=True)
-    order = np.arange(1, len(distance) + 1)
-    for axes, values, label in zip(
-        grid[0],
-        (reach, height, order),
-        ("horizontal distance from axis 1 [m]", "height z [m]", "row of the file"),
-        strict=True,
-    ):
+    along = {
+        "horizontal distance from axis 1 [m]": reach,
+        "height z [m]": height,
+        "row of the file": np.arange(1, len(distance) + 1),
+    }
+    for axes, (label, values) in zip(grid[0], along.items(), strict=True):
         dots(axes, values[shown], distance[shown], held[shown], crowded(len(shown)), 3)
         running_mean(axes, values, distance)
         axes.set_xlabel(label)
@@ -132,9 +129,8 @@ def against_place(
 
 def running_mean(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
     """Draw the mean of y in bins of x that hold about equally many rows; rows with the same x stay together."""
-    edges = (
-        np.unique(np.quantile(x, np.linspace(0, 1, min(BINS, len(x) // 5) + 1)[1:-1])) if len(x) >= 10 else np.array([])
-    )
+    shares = np.linspace(0, 1, min(BINS, len(x) // 5) + 1)[1:-1]
+    edges = np.unique(np.quantile(x, shares)) if len(x) >= 10 else np.array([])
     bins = np.searchsorted(edges, x, side="left")
     count = np.bincount(bins)
     full = count > 0
@@ -187,9 +183,8 @@ def by_row(material: Material) -> pd.DataFrame:
     place = {f"{axis}_mm": 1e3 * material.place[:, k] for k, axis in enumerate("xyz")}
     joints = shown_readings(robot, material.data.joints)
     readings = {name: joints[:, k] for k, name in enumerate(reading_columns(robot))}
-    error = {f"d{axis}_mm": material.error[:, k] for k, axis in enumerate("xyz")} | {
-        f"error_{material.unit.label}": material.distance
-    }
+    error = {f"d{axis}_mm": material.error[:, k] for k, axis in enumerate("xyz")}
+    error[f"error_{material.unit.label}"] = material.distance
     named = {name: told[name].astype(str).to_numpy() for name in ("pose", "marker")}
     return pd.DataFrame({**named, "held_out": material.held, **place, **readings, **error}).iloc[material.drawn]
 
@@ -235,9 +230,8 @@ def _shown(material: Material) -> np.ndarray:
 
 def _components(material: Material) -> dict[str, np.ndarray]:
     """The errors' parts (n_rows,) by their names and units, nan where a row does not have one."""
-    parts = {f"d{axis} [mm]": material.error[:, k] for k, axis in enumerate("xyz")} | {
-        "length [mm]": material.length_error
-    }
+    parts = {f"d{axis} [mm]": error for axis, error in zip("xyz", material.error.T, strict=True)}
+    parts["length [mm]"] = material.length_error
     if material.unit != METRE:
         parts = {f"value {k} [{material.unit.label}]": values for k, values in enumerate(material.values.T, start=1)}
     return {name: values for name, values in parts.items() if np.isfinite(values).any()}
@@ -272,14 +266,12 @@ def flagged_rows(results: Results) -> list[Advice]:
     """Rows that do not fit are to be looked at."""
     rows = _flags(results)
     lines = rows.loc[rows["flagged"].astype(bool), "line"].tolist()
-    if not lines:
-        return []
     noun = "line" if len(lines) == 1 else "lines"
     sentence = (
         f"Check {plural(len(lines), 'row')} of the measurement file ({noun} {listed(lines)}): the error there is too large "
         "for noise. Measure again, or leave out what was mistaken."
     )
-    return [Advice(2, sentence)]
+    return advise(2, sentence, where=lines)
 
 
 RESIDUALS_SECTION = Section(50, "What is left: residuals", ("identify/residuals.csv",), _residuals, (flagged_rows,))

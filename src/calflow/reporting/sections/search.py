@@ -12,7 +12,7 @@ from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, WITHIN
 from calflow.effects.words import cause_words, place_name, place_names, readable_size
 from calflow.files.results import Results
 from calflow.files.words import chance, first_up, listed, two_digits
-from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table
+from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.cause_figures import evidence
 from calflow.reporting.material import Material, findings_of
 from calflow.reporting.section import Section
@@ -42,12 +42,12 @@ def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
         return []
     places = {(one.cause, one.joint) for one in causes}
     added = np.array([(row.cause, row.joint) in places for row in rows])
-    drawn = evidence([_candidate_words(row) for row in rows], np.array([-row.delta_bic for row in rows]),
-                     np.array([row.p_family for row in rows]), added, WITHIN, threshold(material))  # fmt: skip
-    data = pd.DataFrame(
-        [(_candidate_words(row), -row.delta_bic, row.p_family) for row in rows],
-        columns=["place", "fall_of_bic", "chance_of_a_false_alarm"],
-    ).assign(in_the_model=added)
+    data = pd.DataFrame({
+        "place": [_candidate_words(row) for row in rows], "fall_of_bic": [-row.delta_bic for row in rows],
+        "chance_of_a_false_alarm": [row.p_family for row in rows], "in_the_model": added,
+    })  # fmt: skip
+    names, fall, p = data["place"].tolist(), data["fall_of_bic"].to_numpy(), data["chance_of_a_false_alarm"].to_numpy()
+    drawn = evidence(names, fall, p, added, WITHIN, threshold(material))
     return [Heading("How the search went"), Plot("evidence", drawn, EVIDENCE, data)]
 
 
@@ -77,16 +77,10 @@ def limits(rows: Sequence[CandidateRow]) -> list[Block]:
 def not_tested(rows: Sequence[CandidateRow]) -> list[Block]:
     """List what could not be tested, by the reason why."""
     groups = untestable(rows)
-    if not groups:
-        return []
-    items = [(f"{first_up(_why(lacking))}:", f"{listed(names, 12)}.") for lacking, names in groups.items()]
-    return [
-        Heading("Not testable with these data"),
-        Paragraph(
-            "Of these causes the data say nothing, neither that they are there nor that they are not.", keep=True
-        ),
-        Bullets(items),
-    ]
+    why = {lacking: first_up(f"needs {lacking}" if lacking else IMITATED) for lacking in groups}
+    items = [(f"{why[lacking]}:", f"{listed(names, 12)}.") for lacking, names in groups.items()]
+    silent = "Of these causes the data say nothing, neither that they are there nor that they are not."
+    return headed("Not testable with these data", Paragraph(silent, keep=True), Bullets(items), where=groups)
 
 
 def untestable(rows: Sequence[CandidateRow]) -> dict[str, list[str]]:
@@ -115,10 +109,6 @@ def strongest(rows: Sequence[CandidateRow]) -> str:
 def threshold(material: Material) -> float:
     """Chance of a false alarm below which a cause passes."""
     return SHARES["causes"] * float(material.settings.get("diagnose", {}).get("false_alarm", FALSE_ALARM))
-
-
-def _why(lacking: str) -> str:
-    return f"needs {lacking}" if lacking else IMITATED
 
 
 def _tested(rows: Sequence[CandidateRow]) -> list[CandidateRow]:

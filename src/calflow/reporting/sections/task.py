@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 from calflow.deployment.usability import Advice
 from calflow.files.results import Results
 from calflow.files.words import mm
-from calflow.reporting.blocks import Block, Bullets, Paragraph, Plot, Table
+from calflow.reporting.blocks import Block, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import Section, advise
 from calflow.reporting.style import ALONE, crowded, figure
 from calflow.sampling.task_points import LIKELY, TaskSummary
 
@@ -33,12 +33,8 @@ def task_of(results: Results) -> TaskSummary | None:
 
 def asked(task: TaskSummary) -> str:
     """Say what is asked of it."""
-    parts = []
-    if task.tolerance_mm is not None:
-        parts.append(f"{mm(task.tolerance_mm)} mm")
-    if task.turn_tolerance_mrad is not None:
-        parts.append(f"{mm(task.turn_tolerance_mrad)} mrad")
-    return " and ".join(parts)
+    limits = ((task.tolerance_mm, "mm"), (task.turn_tolerance_mrad, "mrad"))
+    return " and ".join(f"{mm(limit)} {unit}" for limit, unit in limits if limit is not None)
 
 
 def answer(task: TaskSummary) -> str | None:
@@ -171,7 +167,7 @@ def _task(material: Material) -> list[Block]:
         *_pictures(task, table),
         Table(WORST_HEADER, _worst(task, table), "llrrrr"),
         *([Paragraph(TOGETHER)] if said else []),
-        *([Bullets(list(task.notes))] if task.notes else []),
+        *listing(task.notes),
     ]  # fmt: skip
 
 
@@ -217,30 +213,25 @@ def _worst(task: TaskSummary, table: pd.DataFrame) -> list[tuple[str, ...]]:
 
 def not_met(results: Results) -> list[Advice]:
     """Tolerances that some points hardly meet, and points unlike those measured, are to be acted on."""
-    task, found = _summary(results), list[Advice]()
+    task = _summary(results)
     sure = f"with {100 * LIKELY:.0f} % probability"
-    if task.likely_positions is not None and (short := task.points - task.likely_positions):
-        found.append(
-            Advice(
-                2,
-                f"{short} of {task.points} points of the task are not within {mm(task.tolerance_mm or 0.0)} mm {sure}: "
-                "sample/task.csv says which; poses near them, under their payload, tell most ([stages.select.task] chooses such).",
-            )
-        )
-    if task.likely_turns is not None and (short := task.points - task.likely_turns):
-        how = "poses near them tell most" if task.orientation_measured else (
-            "no orientation was measured; measure some, or markers whose places on the tool are known"
-        )  # fmt: skip
-        found.append(
-            Advice(
-                2,
-                f"{short} of {task.points} points of the task are not turned within {mm(task.turn_tolerance_mrad or 0.0)} mrad "
-                f"{sure}: {how}.",
-            )
-        )
-    if task.beyond_measured:
-        found.append(Advice(2, f"{strange(task)} Measure there too."))
-    return found
+    far = 0 if task.likely_positions is None else task.points - task.likely_positions
+    turned = 0 if task.likely_turns is None else task.points - task.likely_turns
+    unmeasured = "no orientation was measured; measure some, or markers whose places on the tool are known"
+    how = "poses near them tell most" if task.orientation_measured else unmeasured
+    positions = (
+        f"{far} of {task.points} points of the task are not within {mm(task.tolerance_mm or 0.0)} mm {sure}: "
+        "sample/task.csv says which; poses near them, under their payload, tell most ([stages.select.task] chooses such)."
+    )
+    turns = (
+        f"{turned} of {task.points} points of the task are not turned within {mm(task.turn_tolerance_mrad or 0.0)} mrad "
+        f"{sure}: {how}."
+    )
+    return [
+        *advise(2, positions, where=far),
+        *advise(2, turns, where=turned),
+        *advise(2, f"{strange(task)} Measure there too.", where=task.beyond_measured),
+    ]
 
 
 def _summary(results: Results) -> TaskSummary:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-
-import numpy as np
 
 from calflow.deployment.usability import is_useless, split_judged
 from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.files.results import Results
 from calflow.files.units import METRE
 from calflow.files.words import first_up, listed, mm, plural, ratio
-from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Paragraph, Plot, RestOfPage
+from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Paragraph, Plot, RestOfPage, headed
 from calflow.reporting.material import (
     Material,
     ModelAccuracy,
@@ -32,9 +29,6 @@ from calflow.reporting.sections.task import task_lines
 ENOUGH = 1.1  # times the noise up to which a model counts as complete
 CARDS = 3
 TEXT = 10.5  # points, of what is beside the figure
-ROOM, LETTERS = 27, 119  # lines below the figure, and letters in a line, as small as it is pleasant to read
-FEWEST = 3  # steps that are told on the first page whether there is room or not
-Listed = tuple[str, list[str | tuple[str, str]]]
 CHOICE = " and the choice among causes that do as well"
 ALL_TOLD = "Nothing: the data determine every parameter."
 FINE = "Nothing needs attention: the parameters can be used for the tools, loads and workspace that were measured."
@@ -42,44 +36,41 @@ FINE = "Nothing needs attention: the parameters can be used for the tools, loads
 
 def _first_page(material: Material) -> list[Block]:
     """Put the verdict on one page."""
-    split, found = split_judged(material.results), gathered_steps(material.results)
-    shown = [found[0], *found[1:][-(CARDS - 1) :]]
-    cards = [
-        [
-            Card(
-                step.label,
-                mm(step.mean),
-                f"largest {mm(step.max)} {step.unit}",
-                dark=step is found[-1] and len(found) > 1,
-            )
-        ]
-        for step in shown
-    ]
-    urgent, further = next_steps(material.results)
-    more = [f"{plural(len(further), 'further step')}, less urgent, under “Further steps”."] if further else []
-    lists: list[Listed] = [*_lists(material.results), ("What to do next", [*urgent, *more] or [FINE])]
-    first = foremost(material.results)
+    results = material.results
+    split, steps = split_judged(results), gathered_steps(results)
+    shown = [steps[0], *steps[1:][-(CARDS - 1) :]]
+    cards = [[_card(step, step is steps[-1] and len(steps) > 1)] for step in shown]
     verdict = held_against_tolerance(material)
+    diagnosed = "diagnose/findings.csv" in results
+    figure = Plot("before_after", before_after(steps, material.noise_floor), data=accuracy_frame(steps))
     return [
         Paragraph("Calibration report", 10),
         Heading(material.title, 0),
         Paragraph(_measured(material), 10),
         Gap(20),
-        Paragraph(judgement(material.results), 14, bold=True),
+        Paragraph(judgement(results), 14, bold=True),
         Gap(6),
         *([Paragraph(verdict.verdict, 11, bold=True)] if verdict else []),
-        *(Paragraph(said, 11, bold=True) for said in (*task_lines(material.results), *first)),
-        Paragraph(headline(found, split), 12),
+        *(Paragraph(sentence, 11, bold=True) for sentence in (*task_lines(results), *foremost(results))),
+        Paragraph(headline(steps, split), 12),
         Gap(16),
         Columns(cards, [1] * len(cards), 8),
         Gap(16),
-        Columns(
-            [[Plot("before_after", before_after(found, material.noise_floor), data=accuracy_frame(found))],
-             [Heading("How sure is this?"), Bullets(how_sure(material), TEXT)]],
-            [1, 1],
+        Columns([[figure], [Heading("How sure is this?"), Bullets(how_sure(material), TEXT)]], [1, 1]),
+        RestOfPage(
+            [
+                *(headed("What the study's model lacked", Bullets(lacked(results), None)) if diagnosed else ()),
+                Heading("What the data cannot tell"),
+                Bullets((*unsure(results), *open_questions(results)) or (ALL_TOLD,), None),
+                Heading("What to do next"),
+            ],
+            [step.sentence for step in advice(sections(), results)] or [FINE],
         ),
-        RestOfPage([block for title, lines in lists for block in (Heading(title), Bullets(lines, None))]),
-    ]  # fmt: skip
+    ]
+
+
+def _card(step: ModelAccuracy, dark: bool) -> Card:
+    return Card(step.label, mm(step.mean), f"largest {mm(step.max)} {step.unit}", dark)
 
 
 def judgement(results: Results) -> str:
@@ -88,7 +79,7 @@ def judgement(results: Results) -> str:
         return "Do not use this model: see what to do next."
     summary = latest_summary(results)
     times = summary.lack_of_fit
-    if any(found.status == "unexplained" for found in findings_of(results)):
+    if any(finding.status == "unexplained" for finding in findings_of(results)):
         return "Usable where it was measured, but something unexplained is left."
     if math.isnan(times):
         return "Usable where it was measured; how much better it could be is not known."
@@ -97,11 +88,11 @@ def judgement(results: Results) -> str:
     return "Usable where it was measured, but the model lacks something."
 
 
-def headline(found: list[ModelAccuracy], split: str) -> str:
+def headline(steps: list[ModelAccuracy], split: str) -> str:
     """Say in one sentence what calibration gained."""
-    first, last = found[0], found[-1]
+    first, last = steps[0], steps[-1]
     seen = "that no fit has seen" if split == "holdout" else "used for the fit (none were held out)"
-    if len(found) == 1:
+    if len(steps) == 1:
         return f"At poses {seen}, the nominal robot is off by {mm(first.mean)} {first.unit} on average."
     verb, unit = "reduces" if last.mean < first.mean else "increases", last.unit
     error = "the tool-position error" if unit == METRE.label else "the error of what was measured"
@@ -117,7 +108,7 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     floor = f" Noise alone would give a mean error of {mm(alone)} {unit.label}." if alone else ""
     summary = latest_summary(material.results)
     said = [
-        ("Noise:", f"{material.calibrated.noise(material.data).words}.{floor}"),
+        ("Noise:", f"{material.noise_words}.{floor}"),
         (
             "Left over:",
             leftover(
@@ -169,38 +160,6 @@ def leftover(
     return f"the model leaves {ratio(times)} times the noise: {lacks}.{own}"
 
 
-def next_steps(results: Results) -> tuple[list[str], list[str]]:
-    """Return what all sections advise, the most urgent first: what there is room for on the first page, and the rest."""
-    above = _plain(_lists(results)) + foremost(results) + task_lines(results)
-    return split_steps([step.sentence for step in advice(sections(), results)], above)
-
-
-def split_steps(steps: Sequence[str], above: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the first steps, for which there is room on the first page below the lines above, and the others."""
-    left = ROOM - 1 - _rows(above)  # a line is kept for what says that there are others
-    ends = np.cumsum([_rows([step]) for step in steps])
-    many = len(steps) if not len(ends) or ends[-1] <= left + 1 else max(FEWEST, int((ends <= left).sum()))
-    return list(steps[:many]), list(steps[many:])
-
-
-def _lists(results: Results) -> list[Listed]:
-    """What the model lacked, and what the data cannot tell."""
-    open_: list[str | tuple[str, str]] = [*unsure(results), *open_questions(results)] or [ALL_TOLD]
-    lists: list[Listed] = [("What the data cannot tell", open_)]
-    if "diagnose/findings.csv" in results:
-        lists.insert(0, ("What the study's model lacked", lacked(results)))
-    return lists
-
-
-def _plain(lists: Sequence[Listed]) -> list[str]:
-    return [" ".join(line) if isinstance(line, tuple) else line for _, lines in lists for line in lines]
-
-
-def _rows(lines: Sequence[str]) -> int:
-    """How many lines of print they take."""
-    return sum(-(-len(line) // LETTERS) for line in lines)
-
-
 def _measured(material: Material) -> str:
     summary = material.results.document("identify/summary.json", IdentifySummary)
     robot, data = material.robot, material.data.table
@@ -218,20 +177,6 @@ def _measured(material: Material) -> str:
 
 VERDICT_SECTION = Section(
     0, "Verdict", ("identify/accuracy.csv", "identify/summary.json", "identify/identifiability.csv"), _first_page
-)
-
-
-def _further_steps(material: Material) -> list[Block]:
-    """List them, the most urgent first."""
-    return [Bullets(next_steps(material.results)[1])]
-
-
-FURTHER_STEPS_SECTION = Section(
-    4,
-    "Further steps",
-    ("identify/accuracy.csv", "identify/summary.json", "identify/identifiability.csv"),
-    _further_steps,
-    worth_telling=lambda results: bool(next_steps(results)[1]),
 )
 
 
