@@ -21,6 +21,8 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from forked import forked
+
 SMALL = {
     "robot.toml": """\
 # a robot with three joints
@@ -157,6 +159,10 @@ class Folder:
             [sys.executable, *map(str, arguments)], capture_output=True, text=True, cwd=self.path, **options
         )
 
+    def forked(self, *arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
+        """The same in a process that has loaded all libraries before, for what does not concern python itself; see `forked`."""
+        return forked(*arguments, cwd=self.path, **options)
+
     def refused(self, *command: object) -> list[str]:
         """Run a command that must be refused; its problems, without this folder's name."""
         answer = self.calflow(*(command or ("check",)))
@@ -248,5 +254,6 @@ def looped(tmp_path, monkeypatch):
 
 
 def pytest_collection_modifyitems(items):
-    """Begin with the longest, whole studies, so that no worker is left alone with them at the end."""
-    items.sort(key=lambda item: item.path.name != "test_studies.py")
+    """Begin with the longest, whole studies and pages, so that no worker is left alone with them at the end."""
+    longest = ("test_studies.py", "test_docs.py", "test_notebook.py")
+    items.sort(key=lambda item: longest.index(item.path.name) if item.path.name in longest else len(longest))

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +13,7 @@ import pytest
 
 from calflow.study import load_study
 from conftest import in_process
+from forked import forked
 
 STUDIES = Path(__file__).parents[1] / "studies"
 UR10 = STUDIES / "ur10-tmac"
@@ -26,8 +25,7 @@ measured_data = pytest.mark.skipif(
 
 def calflow(*arguments: object) -> str:
     """Run the command line; its output."""
-    command = [sys.executable, "-m", "calflow", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = forked("-m", "calflow", *arguments, cwd=Path.cwd())
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -46,7 +46,7 @@ class Shop:
     def apart(self, *arguments: object) -> str:
         """Run python; what it printed."""
         path = os.pathsep.join(filter(None, (str(self.site), os.environ.get("PYTHONPATH"))))
-        done = self.folder.apart(*arguments, env={**os.environ, "PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"})
+        done = self.folder.forked(*arguments, env={**os.environ, "PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"})
         assert done.returncode == 0, done.stderr
         return done.stdout
 
@@ -192,7 +192,7 @@ def test_a_mistake_of_another_package_ends_a_command_without_a_traceback(small, 
     """Fails if the user sees a traceback, or another exit code than that of refused input."""
     site = install(tmp_path / "site", "bad_toy", TOY.format(id="toy", more="boom = 1 / 0"), "toy = bad_toy:Toy")
     path = os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH"))))
-    answer = small.apart("-m", "calflow", "check", ".", env={**os.environ, "PYTHONPATH": path})
+    answer = small.forked("-m", "calflow", "check", ".", env={**os.environ, "PYTHONPATH": path})
     assert answer.returncode == 2
     assert "package 'bad_toy'" in answer.stderr
     assert "Traceback" not in answer.stderr

@@ -74,7 +74,7 @@ def study(
 
 def said(folder: Folder, environment: dict[str, str], *command: object) -> str:
     """Return what a command prints; it must end well."""
-    done = folder.apart("-m", "calflow", *command, env=environment)
+    done = folder.forked("-m", "calflow", *command, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Traceback" not in done.stderr
     return done.stdout + done.stderr

@@ -64,7 +64,7 @@ def test_a_found_observation_is_read_fitted_and_planned(small, tmp_path):
     path = os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH"))))
     small.edit("quick.toml", (', "sample"]', "]"), ("[settings.sample]\nmax_steps = 60\nblock = 20\ness = 100\n", ""))
     environment = {**os.environ, "PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"}
-    done = small.apart("-m", "calflow", "run", ".", "--out", "runs", env=environment)
+    done = small.forked("-m", "calflow", "run", ".", "--out", "runs", env=environment)
     assert done.returncode == 0, done.stderr
     found = pd.read_csv(small / "runs" / "identify" / "parameters.csv").set_index("parameter")
     own = found.loc["floor-height.zero"]

@@ -11,23 +11,30 @@ import pytest
 
 from calflow.runs import doctor
 from calflow.runs.doctor import examine
+from forked import forked
+
+DOCTOR = ("-m", "calflow", "doctor")
+
+
+def environment(**changed):
+    """The environment, some variables of which are changed (None: not there)."""
+    kept = {name: value for name, value in os.environ.items() if name not in changed}
+    return kept | {name: str(value) for name, value in changed.items() if value is not None}
 
 
 def asked(cwd, **changed):
-    """Call the doctor in a process of its own, in an environment of which some variables are changed (None: not there)."""
-    environment = {name: value for name, value in os.environ.items() if name not in changed}
-    environment |= {name: str(value) for name, value in changed.items() if value is not None}
-    command = [sys.executable, "-m", "calflow", "doctor"]
-    return subprocess.run(command, capture_output=True, env=environment, cwd=cwd)
+    """Call the doctor in a process of its own, in such an environment."""
+    return forked(*DOCTOR, cwd=cwd, env=environment(**changed))
 
 
 def test_a_poor_machine_is_slow_and_can_be_relied_on(tmp_path):
     """Fails if without compiler, home, cache and UTF-8 the doctor breaks, calls it trouble, or does not say what is slow."""
     (tmp_path / "file").write_text("", encoding="utf-8")
-    done = asked(
-        tmp_path, CC="no-such-compiler", HOME="/proc/nowhere", XDG_CACHE_HOME=None, XDG_CONFIG_HOME=None, MPLCONFIGDIR=None,
+    poor = environment(
+        CC="no-such-compiler", HOME="/proc/nowhere", XDG_CACHE_HOME=None, XDG_CONFIG_HOME=None, MPLCONFIGDIR=None,
         LC_ALL="de_DE.ISO-8859-1", PYTHONIOENCODING="latin-1", CALFLOW_DATA=None, COLUMNS="300",
     )  # fmt: skip
+    done = subprocess.run([sys.executable, *DOCTOR], capture_output=True, env=poor, cwd=tmp_path)
     said = done.stdout.decode("latin-1")
     assert done.returncode == 0, (said, done.stderr)
     assert "there is no C compiler 'no-such-compiler'" in said
@@ -41,7 +48,7 @@ def test_a_cache_that_cannot_be_written_is_told(tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
     done = asked(tmp_path, XDG_CACHE_HOME=tmp_path / "file", CALFLOW_DATA=None, COLUMNS="300")
     assert done.returncode == 0
-    assert b"the folder of machine code cannot be used" in done.stdout
+    assert "the folder of machine code cannot be used" in done.stdout
 
 
 def test_temporary_files_that_lie_elsewhere_are_told(tmp_path):
@@ -49,16 +56,16 @@ def test_temporary_files_that_lie_elsewhere_are_told(tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
     done = asked(tmp_path, TMPDIR=tmp_path / "file", CALFLOW_DATA=None, COLUMNS="300")
     assert done.returncode == 0
-    assert b"is full or cannot be written to" in done.stdout
-    assert b"temporary files" in done.stdout.splitlines()[-2]
+    assert "is full or cannot be written to" in done.stdout
+    assert "temporary files" in done.stdout.splitlines()[-2]
 
 
 def test_what_must_be_mended_ends_with_1(tmp_path):
     """Fails if scripts cannot see that data would not be found."""
     done = asked(tmp_path, CALFLOW_DATA=tmp_path / "nowhere", COLUMNS="300")
     assert done.returncode == 1
-    assert b"names no folder" in done.stdout
-    assert done.stdout.splitlines()[-1] == b"to be mended first: CALFLOW_DATA"
+    assert "names no folder" in done.stdout
+    assert done.stdout.splitlines()[-1] == "to be mended first: CALFLOW_DATA"
 
 
 def test_packages_that_are_too_old_or_not_there_are_named(monkeypatch):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from trouble.workplace import few_sections
+
 
 @pytest.fixture
 def outside(tmp_path):
@@ -25,7 +27,8 @@ def untouched(outside):
 def test_a_temporary_file_that_is_a_link_is_not_written_through(finished, outside, name):
     """Fails if a command that writes anew what is there writes through a link beside it."""
     (finished / "runs" / name).symlink_to(outside / "mine.svg")
-    assert finished.calflow("report").code == 0
+    with few_sections():
+        assert finished.calflow("report").code == 0
     assert finished.calflow("run", "--force", "--stage", "identify").code == 0
     assert untouched(outside)
 

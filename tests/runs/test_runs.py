@@ -8,6 +8,7 @@ import json
 import resource
 import shutil
 import signal
+from functools import partial
 from importlib import metadata
 
 import h5py
@@ -304,7 +305,7 @@ def test_a_run_killed_while_it_writes_leaves_nothing_half_written(small, finishe
     """Fails if a half-written or half-moved stage passes for a whole one, or the next run does not finish it."""
     if what == "manifest.json":  # the very first: nothing has happened yet
         (small / "runs").mkdir()
-    killed = small.apart("-c", KILL, how, what, "run", small.path, "--out", small / "runs", "--stage", "identify")
+    killed = small.forked("-c", KILL, how, what, "run", small.path, "--out", small / "runs", "--stage", "identify")
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     expected = {name: content for name, content in finished.results().items() if name.startswith("identify")}
     left = small.results()
@@ -320,7 +321,7 @@ def test_a_run_killed_while_it_writes_leaves_nothing_half_written(small, finishe
 
 def test_a_run_killed_while_it_samples_goes_on_where_it_was(small, finished):
     """Fails if saved steps are sampled again, or the chain differs by a bit from that of a run that was left alone."""
-    killed = small.apart("-c", KILL, "save", 7, "run", small.path, "--out", small / "runs")
+    killed = small.forked("-c", KILL, "save", 7, "run", small.path, "--out", small / "runs")
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     assert not (small / "runs" / "sample").exists()
     answer = small.calflow("run")
@@ -485,19 +486,14 @@ def test_a_chain_with_turned_bits_is_not_sampled_on(finished, interrupted, damag
 
 
 def limited(size):
-    """What a process does before it starts, so that its files cannot grow beyond a size, as on a full disk."""
-
-    def limit():
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
-
-    return limit
+    """What a process does first, so that its files cannot grow beyond a size, as on a full disk; Python ignores SIGXFSZ."""
+    return partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
 
 
 @pytest.mark.parametrize(("size", "stage"), [(20_000, "identify"), (1_000_000, "sample")])
 def test_a_full_disk_is_told_and_the_same_command_goes_on(small, finished, size, stage):
     """Fails if a full disk ends in a traceback or a crash, loses finished stages, or leaves halves that pass for wholes."""
-    full = small.apart("-m", "calflow", "run", small.path, "--out", small / "runs", preexec_fn=limited(size))
+    full = small.forked("-m", "calflow", "run", small.path, "--out", small / "runs", begin=limited(size))
     assert full.returncode == 1, full.stderr
     assert full.stderr.splitlines()[-1].startswith("error: ") or "File too large" in full.stderr
     assert full.stderr.endswith("Finished stages are kept; when this is mended the same command goes on.\n")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from conftest import Answer
+from forked import forked
 from trouble.campaign import chosen, spoilt, unreadable
 from trouble.workplace import OF_FILES, READ, Workplace
 
@@ -53,9 +53,7 @@ def called(place: Workplace, seed: int, number: int, kept: Path | None = None) -
 def _apart(place: Workplace, arguments: tuple[str, ...]) -> Answer:
     with place.here():
         try:
-            done = subprocess.run(
-                [sys.executable, "-m", "calflow", *arguments], capture_output=True, text=True, timeout=PATIENCE
-            )
+            done = forked("-m", "calflow", *arguments, cwd=place.path, timeout=PATIENCE)
         except subprocess.TimeoutExpired:
             return Answer(-1, "", "hangs")
     return Answer(done.returncode, done.stdout, done.stderr)

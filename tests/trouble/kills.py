@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
 import shutil
 import signal
@@ -17,18 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from conftest import SMALL, in_process
+from forked import processes
 
 STAGES = ("select", "identify", "diagnose", "sample", "report")
 EVERY = SMALL["quick.toml"].replace('"sample"]', '"diagnose", "sample", "report"]')
-LOADED = (
-    "calflow.runs.run",
-    "calflow.reporting.document",
-    "matplotlib.pyplot",
-    "emcee",
-    "h5py",
-    "typst",
-    "arviz_stats",
-)
 SIGNALS = (signal.SIGKILL, signal.SIGTERM)
 
 
@@ -123,11 +114,9 @@ class _Running:
     """A run in a process of its own, forked from one that has loaded all but run nothing: threads do not outlive a fork."""
 
     def __init__(self, study: Path, run: Path) -> None:
-        apart = multiprocessing.get_context("forkserver")  # this process may have set a report, by threads of typst's
-        apart.set_forkserver_preload(list(LOADED))
         self._log = run.with_name(f"{run.name}.log")
         self._log.unlink(missing_ok=True)
-        self.process = apart.Process(target=_run, args=(study, run, self._log))
+        self.process = processes().Process(target=_run, args=(study, run, self._log))
         self.process.start()
 
     @property

@@ -161,7 +161,7 @@ def test_a_name_that_the_terminal_cannot_show_is_spelled_out(small):
 
 def test_a_folder_that_cannot_be_written_is_told(small):
     """Fails if a place where nobody may write ends a run with a traceback or anything but a message."""
-    done = small.apart("-m", "calflow", "run", small.path, "--out", "/sys/calflow", "--stage", "select")
+    done = small.forked("-m", "calflow", "run", small.path, "--out", "/sys/calflow", "--stage", "select")
     assert done.returncode == 1, done.stderr
     assert done.stderr.startswith("error: [Errno ")
     assert done.stderr.endswith("when this is mended the same command goes on.\n")

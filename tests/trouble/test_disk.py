@@ -22,7 +22,7 @@ def test_a_full_disk_is_told_and_what_it_stopped_goes_on(finished, tmp_path, lef
             shutil.copytree(finished.path, at / "study", ignore=shutil.ignore_patterns("runs"))
             resize(at, used(at) + left)
             study = at / "study"
-            answer = finished.apart("-m", "calflow", "run", study, "--out", study / "runs")
+            answer = finished.forked("-m", "calflow", "run", study, "--out", study / "runs")
             assert unreadable(Answer(answer.returncode, answer.stdout, answer.stderr), (1,)) == ""
             assert "No space left on device" in answer.stderr
             assert answer.stderr.endswith("when this is mended the same command goes on.\n")
