@@ -7,6 +7,8 @@ The relaxed design, in which poses may be taken in part, and the bound that it p
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,12 +29,13 @@ class Relaxed:
     """How much of each candidate to take, each at most once, shape (n_candidates,), and what that proves.
 
     sensitivity (n_candidates,) is how fast the loss falls with each candidate; bound is a loss that no choice of as many whole
-    poses gets below.
+    poses gets below, loss the design's own.
     """
 
     weights: np.ndarray
     sensitivity: np.ndarray
     bound: float
+    loss: float
 
 
 def relaxed(
@@ -44,6 +47,26 @@ def relaxed(
     candidates, which those join of all that would lower the loss most, until the equivalence theorem (Kiefer and Wolfowitz
     1960) says that none would by more than a thousandth.
     """
+    return deque(_rounds(jacobians, prior, number, criterion, start), maxlen=1).pop()
+
+
+def bound_allows(jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion, loss: float) -> bool:
+    """Return whether the relaxed design's bound leaves it open that so many poses get to a loss.
+
+    The search for the design ends where that is clear: with a bound above the loss, or a design that gets to it.
+    """
+    for design in _rounds(jacobians, prior, number, criterion, None):
+        if design.bound > loss:
+            return False
+        if design.loss <= loss:  # no later bound lies above what a design gets to
+            return True
+    return True
+
+
+def _rounds(
+    jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion, start: np.ndarray | None
+) -> Iterator[Relaxed]:
+    """Yield the design after each round, with the best bound so far."""
     n = len(jacobians)
     first = min(n, max(FIRST, 3 * number))
     active = np.linspace(0, n - 1, first).astype(int) if start is None else np.flatnonzero(start)
@@ -56,16 +79,18 @@ def relaxed(
         level = criterion.loss(covariance)
         bound = level * np.sqrt(_reached(slope, covariance) / _most(slope, prior, sensitivity, number))
         best = max(best, bound)
-        if (level / bound) ** 2 < 1 + CLOSE:
-            break
-        kept = weights > NEGLIGIBLE
-        joining = np.setdiff1d(np.argsort(sensitivity)[-ADDED:], active[kept])
-        started = np.full(len(joining), NEGLIGIBLE * number)
-        active = np.concatenate([active[kept], joining])
-        weights = _capped(np.concatenate([weights[kept], started]), number)
-    everywhere = np.zeros(n)
-    everywhere[active] = weights
-    return Relaxed(everywhere, sensitivity, best)
+        close = (level / bound) ** 2 < 1 + CLOSE
+        if not close:
+            kept = weights > NEGLIGIBLE
+            joining = np.setdiff1d(np.argsort(sensitivity)[-ADDED:], active[kept])
+            started = np.full(len(joining), NEGLIGIBLE * number)
+            active = np.concatenate([active[kept], joining])
+            weights = _capped(np.concatenate([weights[kept], started]), number)
+        everywhere = np.zeros(n)
+        everywhere[active] = weights
+        yield Relaxed(everywhere, sensitivity, best, level)
+        if close:
+            return
 
 
 def sensitivities(jacobians: np.ndarray, slope: np.ndarray) -> np.ndarray:

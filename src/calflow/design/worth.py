@@ -18,7 +18,7 @@ from calflow.design.candidates import packed_conditions
 from calflow.design.exchange import greedy, information
 from calflow.design.optimality import ToolError
 from calflow.design.planned import Planned
-from calflow.design.search import SHORTLIST, relaxed, search_poses, sensitivities
+from calflow.design.search import SHORTLIST, bound_allows, search_poses, sensitivities
 from calflow.files.tables import column
 from calflow.measurements.series import Series, Station
 from calflow.model import Model, build
@@ -216,7 +216,7 @@ def enough(
     """
 
     def possible(number: int) -> bool:
-        return relaxed(jacobians, prior, number, tool).bound <= tolerance
+        return bound_allows(jacobians, prior, number, tool, tolerance)
 
     if tool.loss(np.linalg.inv(prior)) <= tolerance:
         return 0, 0
