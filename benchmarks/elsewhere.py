@@ -1,0 +1,405 @@
+"""Promises elsewhere and later: whether intervals of predictions hold where, and when, nothing was measured.
+
+    python benchmarks/elsewhere.py real --cases 6          splits of measured robots (CALFLOW_DATA)
+    python benchmarks/elsewhere.py simulated --cases 60    a third of the joint space measured, predicted in the rest
+    python benchmarks/elsewhere.py parameters --cases 300  intervals of parameters, and of plain least squares beside them
+    python benchmarks/elsewhere.py later --cases 60        device and robot wander; predicted one hour and a day on
+
+Simulated arms are of foreign_physics.py; joints err by smooth random functions of several joints' angles, rms 1 to 5 times the
+noise at the tool, which no catalogue has. Real robots' base and tool are placed anew where they are predicted: by 20 poses drawn
+there, the others judged, or by all. Intervals of what a placement leaves are worked out from the promise: its parameters' part with
+their covariance, all else for independent from row to row. Worst is calibrated over nominal (placed alike), rms, in the worst of
+eight regions; promise is the pooled standard deviation over the pooled error. `later` tells of what the device sees then, without
+noise: a frame that walks at random (device), an arm that warms up and cools in pauses (warm-up), or both. The FANUC is split by
+joint 2: joint 1 stood still in all but three of its 24 poses.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+
+import kept_cases
+import numpy as np
+import pandas as pd
+from foreign_physics import ARMS, Arm, Array, Rows, Yielding, flange, likeness, measured_rows, points, worn
+from foreign_study import identified, names_of, predicted, write_study
+from kept_cases import Place, Row
+from real_data import DATA
+from scipy.spatial.transform import Rotation
+
+import calflow as cf
+from calflow.deployment.prediction import predict_rows
+from calflow.measurements.measurements import Measurements
+from calflow.study import load_study
+
+WITHIN = 1.959964
+PLACED_BY = 20  # poses of the new place
+FEWEST = 8  # coordinates of a region to be judged
+HOUR = 3600.0
+
+# --- What a promise is worth ---------------------------------------------------------------------------
+
+
+def promised(error: Array, sd: Array, nominal: Array, place: Array) -> Row:
+    """Compare errors (rows, 3) [m] with their standard deviations, and with the nominal robot's by region of the places."""
+    inside = np.abs(error) < WITHIN * sd
+    region = (place > np.median(place, axis=0)) @ [1, 2, 4]
+    regions = [region == k for k in np.unique(region) if (region == k).sum() * 3 >= FEWEST]
+    by_axis = dict(zip(("covered_x", "covered_y", "covered_z"), inside.mean(axis=0), strict=True))
+    sizes = {"promised_mm": 1e3 * _rms(sd), "found_mm": 1e3 * _rms(error), "nominal_mm": 1e3 * _rms(nominal)}
+    worst = max((_rms(error[here]) / _rms(nominal[here]) for here in regions), default=np.nan)
+    return {"covered": inside.mean(), **by_axis, "coordinates": error.size, **sizes, "worst": worst}
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def tell_promises(rows: pd.DataFrame) -> str:
+    """Coverage of all coordinates, promise over found, and how often calibrated is worse than nominal by more than 5 %."""
+    keys = [
+        name for name in ("split", "stage", "placed", "wander", "ahead_h") if name in rows and rows[name].notna().any()
+    ]
+    by_case = [_pooled(rows, ["case", "seed", *keys])] if rows["case"].nunique() <= 8 else []
+    parts = [_pooled(rows, keys[1:] if "split" in keys else keys), *by_case]
+    others = [name for name in ("converged", "told") if name in rows]
+    if others:
+        parts.append(rows.groupby(keys[:1])[others].agg(lambda x: x.astype(float).mean()).round(3).to_string())
+    return "\n\n".join(parts)
+
+
+def _pooled(rows: pd.DataFrame, keys: list[str]) -> str:
+    def of(group: pd.DataFrame) -> pd.Series:
+        weight = group["coordinates"] / group["coordinates"].sum()
+        share = {name: (group[name] * weight).sum() for name in ("covered", "covered_x", "covered_y", "covered_z")}
+        sd, error = (np.sqrt((group[name] ** 2 * weight).sum()) for name in ("promised_mm", "found_mm"))
+        return pd.Series(share | {"promise": sd / error, "found_mm": error, "worst": group["worst"].max(),
+                                  "harmed": (group["worst"] > 1.05).mean(), "rows": len(group)})  # fmt: skip
+
+    return rows.groupby(keys, dropna=False).apply(of, include_groups=False).round(3).to_string()
+
+
+def stages(first: cf.Calibration) -> dict[str, cf.Calibration]:
+    """The calibration as identified and as diagnosed."""
+    return {"identify": first, "diagnose": first.diagnose()}
+
+
+# --- Measured robots -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Split:
+    """A robot's rows here, to calibrate by, and there, to predict."""
+
+    name: str
+    here: Measurements
+    there: Measurements
+
+
+def work_real(place: Place) -> list[Row]:
+    """Calibrate in one place, predict in the other."""
+    (name, way), rng = SPLITS[place.number % len(SPLITS)], place.rng
+    split = _split(name, way)
+    study = load_study(DATA[name.replace("ur10", "ur10-c")])
+    data = split.here.split(holdout=0.2, seed=place.seed)
+    first = cf.identify(study.robot, data, study.file.effects, starts=1, seed=place.seed)
+    found = []
+    for (stage, known), placed in product(stages(first).items(), ("few", "all")):
+        of_row = split.there.table["pose"].to_numpy()
+        poses = np.unique(of_row)
+        few = rng.choice(poses, min(PLACED_BY, len(poses) // 2), replace=False)
+        row: Row = {"split": split.name, "stage": stage, "placed": placed}
+        found.append(row | placed_anew(known, split.there, np.isin(of_row, few if placed == "few" else poses)))
+    return found
+
+
+SPLITS = tuple(product(("ur10", "ur5", "fanuc"), (False, True)))
+
+
+def _split(name: str, back: bool) -> Split:
+    if name == "ur10":
+        c, b = (load_study(DATA[key]).measurements() for key in ("ur10-c", "ur10-b"))
+        here, there = (_whole(data) for data in ((b, c) if back else (c, b)))
+        return Split("ur10 B to C" if back else "ur10 C to B", here, there)
+    data = load_study(DATA[name]).measurements()
+    if name == "ur5":
+        data = data.only(data.train)  # the grid
+        far = np.linalg.norm(data.position - data.position.mean(axis=0), axis=1)
+    else:
+        far = data.joints[:, 1]
+    beyond = far > np.median(far) if name == "ur5" else far > 0
+    here, there = (_whole(data.only(which)) for which in ((beyond, ~beyond) if back else (~beyond, beyond)))
+    names = {"ur5": ("inner to outer", "outer to inner"), "fanuc": ("joint 2 low to high", "joint 2 high to low")}[name]
+    return Split(f"{name} {names[back]}", here, there)
+
+
+def _whole(data: Measurements) -> Measurements:
+    return replace(data, table=data.table.drop(columns="split", errors="ignore"))
+
+
+def placed_anew(known: cf.Calibration, data: Measurements, used: Array) -> Row:
+    """Place base and markers by the rows used (rows,), and judge the others, or all where all are used."""
+    data = data.on(known.model.robot).stating(known.model.given)
+    prediction, measured = predict_rows(known, data, "widen"), data.position
+    jacobian = known.model.point_jacobian(known.estimate, data.conditions)
+    turn, marker = known.model.rotation(known.estimate, data.conditions), data.table["marker"].to_numpy()
+    of_parameters = np.einsum("nai,ij,naj->na", jacobian, known.covariance, jacobian)
+    noise = known.noise(data).sigma if known.noise_known else np.zeros(len(data))
+    rest = np.maximum(prediction.sd**2 - of_parameters, 0) + noise[:, None] ** 2
+    design = _placing(prediction.position, turn, marker)
+    root = np.linalg.cholesky(known.covariance + 1e-24 * np.eye(len(known.covariance)))
+    spread = jacobian.reshape(len(design), -1) @ root
+    flat = np.repeat(used, 3)
+    judged = flat if used.all() else ~flat
+    fit, rest = np.linalg.pinv(design[flat], rcond=1e-10), rest.ravel()
+    left = spread[judged] - design[judged] @ (fit @ spread[flat])
+    parts = np.array_split(design[judged], len(design) // 500 + 1)
+    variance = (left**2).sum(axis=1) + rest[judged] + np.concatenate([(part @ fit) ** 2 @ rest[flat] for part in parts])
+    if used.all():  # what places them is of their own errors too
+        variance = variance - 2 * (design * fit.T).sum(axis=1) * rest
+    off = (prediction.position - measured).ravel()
+    error = (off[judged] - design[judged] @ (fit @ off[flat])).reshape(-1, 3)
+    nominal = _replaced(measured, known.model.point(known.model.nominal, data.conditions), turn, marker, used)
+    here = judged[::3]
+    return promised(error, np.sqrt(variance).reshape(-1, 3), nominal[here], measured[here])
+
+
+def _placing(at: Array, turn: Array, marker: Array) -> Array:
+    """Derivatives (3 · rows, 6 + 3 · markers) of points by a shift and a turn of the base, and by markers' places on the flange."""
+    arm = at - at.mean(axis=0)
+    cross = np.stack([np.cross(axis, arm) for axis in np.eye(3)], axis=2)
+    shift = np.broadcast_to(np.eye(3), (len(at), 3, 3))
+    tools = [turn * (marker == name)[:, None, None] for name in np.unique(marker)]
+    return np.concatenate([shift, cross, *tools], axis=2).reshape(3 * len(at), -1)
+
+
+def _replaced(measured: Array, at: Array, turn: Array, marker: Array, used: Array) -> Array:
+    """What is left of points placed by the rows used, in rounds: frames may be far apart."""
+    flat, design = np.repeat(used, 3), _placing(at, turn, marker)
+    for _ in range(20):
+        step = np.linalg.lstsq(design[flat], (measured - at).ravel()[flat], rcond=1e-10)[0]
+        rest = design[:, 6:] @ step[6:]
+        middle = at.mean(axis=0)
+        at = Rotation.from_rotvec(step[3:6]).apply(at - middle) + middle + step[:3] + rest.reshape(-1, 3)
+        turn = Rotation.from_rotvec(step[3:6]).as_matrix() @ turn
+        design = _placing(at, turn, marker)
+    return measured - at
+
+
+# --- Simulated arms ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Wavering:
+    """Two joints that err by smooth random functions of two or three joints' angles, over rows drawn together (rows, n) [rad]."""
+
+    error: Array
+
+    @staticmethod
+    def drawn(arm: Arm, rows: Rows, size: float, rng: np.random.Generator) -> Wavering:
+        """Draw it, so that it moves the tool by size [m] rms per axis."""
+        error = np.zeros((len(rows), arm.n))
+        for joint in rng.choice(arm.n - 1, 2, replace=False):
+            inputs = rng.choice(arm.n, int(rng.choice([2, 3])), replace=False)
+            kernel = likeness(arm, rows, inputs, rng.uniform(0.7, 1.5))
+            error[:, joint] = np.linalg.cholesky(kernel + 1e-8 * np.eye(len(rows))) @ rng.standard_normal(len(rows))
+        error = error * np.where(arm.slide, 0.3, 1.0)
+        tiny = Wavering(1e-6 * error)
+        moved = tiny.points(arm, rows) - points(arm, rows)
+        return Wavering(1e-6 * error * size / _rms(moved - moved.mean(axis=0)))
+
+    def points(self, arm: Arm, rows: Rows) -> Array:
+        """Where an arm is with it."""
+        return points(arm, rows, [lambda arm, rows, now: replace(Yielding.none(len(rows), arm.n), joint=self.error)])
+
+
+def _sigma(arm: Arm, rng: np.random.Generator) -> float:
+    return float(rng.uniform(3e-5, 5e-5) if arm.name == "large-6" else rng.uniform(1.5e-5, 3e-5))
+
+
+def work_simulated(place: Place) -> list[Row]:
+    """Measure in a third of the range of one of the first joints, predict in the rest."""
+    rng = place.rng
+    arm, size = ARMS[list(ARMS)[place.number % len(ARMS)]], float(rng.uniform(1, 5))
+    sigma, joint = _sigma(arm, rng), int(rng.integers(0, 2))
+    rows = measured_rows(arm, 420, rng, payloads=(2,))
+    third = np.quantile(rows.q[:, joint], np.array([0, 1 / 3]) + rng.uniform(0, 2 / 3))
+    here = (rows.q[:, joint] >= third[0]) & (rows.q[:, joint] <= third[1])
+    seen = Wavering.drawn(arm, rows, size * sigma, rng).points(worn(arm, rng), rows)
+    known = _calibrated(place, arm, rows.only(here), seen[here] + sigma * rng.standard_normal(seen[here].shape), sigma)
+    there, found = rows.only(~here), []
+    for stage, calibration in stages(known).items():
+        at = predicted(calibration, there)
+        nominal = _replaced(seen, points(arm, rows), _turns(arm, rows), rows.marker, here)[~here]
+        row: Row = {"arm": arm.name, "size": size, "stage": stage}
+        found.append(row | promised(at.position - seen[~here], at.sd, nominal, seen[~here]))
+    return found
+
+
+def _turns(arm: Arm, rows: Rows) -> Array:
+    return arm.base.as_matrix() @ flange(arm, rows).turn
+
+
+def _calibrated(place: Place, arm: Arm, rows: Rows, seen: Array, sigma: float, **more: object) -> cf.Calibration:
+    with tempfile.TemporaryDirectory() as apart:
+        folder = place.folder or Path(apart) / "case"
+        write_study(folder, arm, rows, seen, sigma=sigma, **more)
+        return identified(folder)
+
+
+# --- Parameters ----------------------------------------------------------------------------------------
+
+FIELDS = ("alpha", "a", "d", "theta", "beta")
+TOLD = 0.5  # of its prior's standard deviation: what is less sure than that is the prior's
+
+
+def work_parameters(place: Place) -> list[Row]:
+    """Calibrate an arm drawn from the priors, and hold each parameter's interval against the truth."""
+    rng = place.rng
+    arm, size = ARMS[list(ARMS)[place.number % len(ARMS)]], float(rng.uniform(1, 5))
+    sigma = _sigma(arm, rng)
+    rows = measured_rows(arm, 100, rng)
+    with tempfile.TemporaryDirectory() as apart:
+        write_study(Path(apart), arm, rows, points(arm, rows), sigma=sigma)
+        study = load_study(Path(apart) / "study.toml")
+        expected = cf.Parameters.of(study.robot, study.measurements(), study.file.effects)
+    geometry = [name for name in expected if name.startswith("joint") and name.partition(".")[2] in FIELDS]
+    priors = {name: expected[name].prior for name in geometry}
+    truth = {name: rng.normal(*prior) for name, prior in priors.items()}
+    real = replace(_with(arm, truth), compliance=arm.compliance * rng.normal(1, 0.1, arm.n))
+    seen = Wavering.drawn(arm, rows, size * sigma, rng).points(real, rows)
+    noisy = seen + sigma * rng.standard_normal(seen.shape)
+    known = _calibrated(place, arm, rows, noisy, sigma)
+    plain = _least_squares(real, rows, noisy, truth, priors)
+    found = []
+    for name, true in truth.items():
+        mine = known.parameters[name]
+        row: Row = {
+            "arm": arm.name,
+            "size": size,
+            "parameter": name,
+            "z": (mine.value - true) / mine.sd,
+            "plain_z": plain[name],
+        }
+        found += [row] if mine.sd < TOLD * priors[name][1] else []
+    return found
+
+
+def _with(arm: Arm, off: dict[str, float]) -> Arm:
+    changed = {field: np.array(getattr(arm, field)) for field in FIELDS}
+    for name, value in off.items():
+        part, _, field = name.partition(".")
+        changed[field][int(part.removeprefix("joint")) - 1] += value
+    return replace(arm, **changed)
+
+
+def _least_squares(real: Arm, rows: Rows, seen: Array, truth: dict[str, float], priors: dict) -> dict[str, float]:
+    """Errors over standard deviations of plain least squares, linear about the truth; noise by what is left, the same priors."""
+    start, step, spring = points(real, rows), 1e-6, 1e-9
+    columns = [(points(_with(real, {name: step}), rows) - start).ravel() / step for name in truth]
+    columns += [(points(replace(real, compliance=real.compliance + spring * np.eye(real.n)[i]), rows) - start).ravel() / spring
+                for i in range(real.n)]  # fmt: skip
+    design = np.column_stack([*columns, _placing(start, _turns(real, rows), rows.marker)])
+    scale = np.maximum(np.linalg.norm(design, axis=0), 1e-12)
+    wide = np.full(design.shape[1] - len(truth), 1.0)
+    error, design = (seen - start).ravel(), design / scale
+    sd = np.concatenate([[priors[name][1] for name in truth], wide]) * scale
+    off = np.concatenate([[priors[name][0] - truth[name] for name in truth], 0 * wide]) * scale
+    left, level = error, _rms(error)
+    for _ in range(5):
+        inverse = np.linalg.inv(design.T @ design / level**2 + np.diag(1 / sd**2))
+        at = inverse @ (design.T @ error / level**2 + off / sd**2)
+        left = error - design @ at
+        level = np.sqrt((left**2).sum() / max(len(left) - np.trace(inverse @ design.T @ design) / level**2, 1))
+    return dict(zip(truth, at[: len(truth)] / np.sqrt(np.diag(inverse)[: len(truth)]), strict=True))
+
+
+def tell_parameters(rows: pd.DataFrame) -> str:
+    """The share of parameters within their 95 % intervals, beside plain least squares', by arm and by the background's size."""
+    rows = rows.assign(all="all", background=pd.cut(rows["size"], [1, 2, 3, 4, 5]), covered=rows["z"].abs() < WITHIN,
+                       plain=rows["plain_z"].abs() < WITHIN)  # fmt: skip
+    shares = {"n": ("covered", "size"), "covered": ("covered", "mean"), "plain": ("plain", "mean")}
+    tables = (rows.groupby(key, observed=True).agg(**shares).round(3) for key in ("all", "arm", "background"))
+    return "\n\n".join(table.to_string() for table in tables)
+
+
+# --- Later -----------------------------------------------------------------------------------------------
+
+AHEAD = (1.0, 24.0)  # hours
+OFF = 1.5 * HOUR
+MEASURED, EACH = 120, 60  # poses to calibrate by, and to predict at each time ahead
+
+
+def work_later(place: Place) -> list[Row]:
+    """Measure through hours with a pause while device or robot wander, and predict an hour and a day on."""
+    rng = place.rng
+    arm, wander = (
+        ARMS[list(ARMS)[place.number % len(ARMS)]],
+        ("device", "warm-up", "both")[place.number // len(ARMS) % 3],
+    )
+    sigma, size = _sigma(arm, rng), float(rng.uniform(1, 5))
+    rows = measured_rows(arm, MEASURED + EACH * len(AHEAD), rng, payloads=(2,))
+    measured = np.cumsum(rng.uniform(30, 90, MEASURED)) + rng.uniform(2, 9) * HOUR * (
+        np.arange(MEASURED) >= MEASURED // 2
+    )
+    time = np.concatenate([measured, *(measured[-1] + ahead * HOUR + 10.0 * np.arange(EACH) for ahead in AHEAD)])
+    rows = replace(rows, time=time, temperature=np.full(len(time), 21.0))
+    block = np.repeat(np.arange(len(AHEAD) + 1), [MEASURED, *[EACH] * len(AHEAD)])
+    seen = _wandering(worn(arm, rng), rows, size * sigma, wander, rng)
+    here = block == 0
+    noisy = seen + sigma * rng.standard_normal(seen.shape)
+    known = _calibrated(place, arm, rows.only(here), noisy[here], sigma, columns=("approach", "time"))
+    found = []
+    for stage, calibration in stages(known).items():
+        names = set(names_of(calibration)["cause"]) if stage == "diagnose" else set()
+        told = bool(names & {"frame-drift", "frame-step", "session-frame", "thermal-growth"})
+        told = told or (stage == "diagnose" and (calibration.findings.table["status"] == "unexplained").any())
+        for k, ahead in enumerate(AHEAD, start=1):
+            those = block == k
+            there = rows.only(those)
+            at = predicted(calibration, there, timed=True)
+            nominal = _replaced(seen, points(arm, rows), _turns(arm, rows), rows.marker, here)[those]
+            found.append({"arm": arm.name, "wander": wander, "size": size, "stage": stage, "ahead_h": ahead, "told": told,
+                          "names": ";".join(sorted(names)), "converged": calibration.fit_summary.converged}
+                         | promised(at.position - seen[those], at.sd, nominal, seen[those]))  # fmt: skip
+    return found
+
+
+def _wandering(real: Arm, rows: Rows, size: float, wander: str, rng: np.random.Generator) -> Array:
+    """Points (rows, 3) of an arm that warms up and cools in pauses, seen by a device whose frame walks at random.
+
+    size is each one's rms per axis over the measured rows [m].
+    """
+    there = points(real, rows)
+    total = np.zeros_like(there)
+    if wander in ("device", "both"):
+        walk = np.cumsum(
+            np.sqrt(np.diff(rows.time, prepend=rows.time[0]))[:, None] * rng.standard_normal((len(rows), 6)), axis=0
+        )
+        moved = walk[:, :3] + np.cross(walk[:, 3:] / 3.0, there)
+        total = total + size * moved / _rms((moved - moved[:MEASURED].mean(axis=0))[:MEASURED])
+    if wander in ("warm-up", "both"):
+        warm, constant, at = np.empty(len(rows)), rng.uniform(0.3, 1.5) * HOUR, 0.0
+        for k, gone in enumerate(np.diff(rows.time, prepend=rows.time[0])):
+            aim = 0.0 if gone > OFF else 1.0  # it is switched off in pauses
+            at = aim + (at - aim) * np.exp(-gone / constant)
+            warm[k] = at
+        grown = replace(real, a=real.a * (1 + 1e-6 * warm[:, None] * rng.uniform(0.3, 1.5, real.n)),
+                        d=real.d * (1 + 1e-6 * warm[:, None] * rng.uniform(0.3, 1.5, real.n)))  # fmt: skip
+        moved = points(grown, rows) - there
+        total = total + size * moved / _rms((moved - moved[:MEASURED].mean(axis=0))[:MEASURED])
+    return there + total
+
+
+KINDS = {
+    "real": (work_real, tell_promises),
+    "simulated": (work_simulated, tell_promises),
+    "parameters": (work_parameters, tell_parameters),
+    "later": (work_later, tell_promises),
+}
+
+if __name__ == "__main__":
+    kept_cases.run_cases(__doc__, KINDS)

@@ -1,0 +1,125 @@
+"""Eight to twenty poses: whether the error promised at new poses holds, and what is named.
+
+    python benchmarks/few_poses.py --cases 200
+
+Arms of foreign_physics.py with one or three markers; in half of the cases a form of foreign_forms.py acts at 3 limits (of as many
+poses, see other_forms.py), or at less where it would move the tool by more than ten times the noise. None, or three in ten poses
+are held out. What is promised is the distribution of the root mean square error at 300 new poses, without the device's noise: by
+draws of the parameters from their covariance, and what the standard deviations of predictions hold besides, alike everywhere. The
+true one is to lie in its middle 95 % (within; below: not above it). Refused are cases that identify says no to.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import kept_cases
+import numpy as np
+import pandas as pd
+from foreign_forms import FORMS, Hidden, measured
+from foreign_physics import ARMS, Array, Rows, measured_rows, points, worn
+from foreign_study import identified, joint_of, names_of, predicted, rows_there, write_study
+from kept_cases import Place, Row
+from other_forms import LARGEST, World, judged, placed, resized
+
+import calflow as cf
+
+NUMBERS = (8, 12, 15, 20)
+NEW, DRAWS, LIMITS = 300, 400, 3.0
+MIDDLE = (0.025, 0.975)
+FIGURES = ("within", "below", "covered", "other_names", "promised_mm", "found_mm", "nominal_mm")
+FULL = {"no masses", "session"}  # what these cases do not have
+
+
+def work(place: Place) -> list[Row]:
+    """Draw a case, calibrate it by few poses, and hold what is promised of new ones against the truth."""
+    rng, number = place.rng, NUMBERS[place.number % len(NUMBERS)]
+    arm, hiding = ARMS[list(ARMS)[place.number // 4 % len(ARMS)]], place.number % 2 == (place.number // 4) % 2
+    sigma = float(rng.uniform(3e-5, 5e-5) if arm.name == "large-6" else rng.uniform(1.5e-5, 3e-5))
+    rows = measured_rows(arm, number + NEW, rng, markers=int(rng.choice([1, 3])))
+    here = rows.pose < number
+    real, h = worn(arm, rng), None
+    if hiding:
+        forms = [form for form in FORMS if arm.name in form.arms and not FULL & set(form.needs)]
+        world = World(arm, real, rows.only(here), np.zeros(0), sigma * np.eye(here.sum()))
+        h, rms = placed(forms[int(rng.integers(len(forms)))], world, LIMITS, True, rng)
+        h = resized(h, min(1.0, LARGEST * sigma / rms))
+    seen = measured(real, rows, (h,) if h else ())
+    holdout = float(rng.choice([0.0, 0.3]))
+    known: Row = {"arm": arm.name, "poses": number, "holdout": holdout, "hidden": f"{h.form.cause}:{h.joint}" if h else "",
+                  "form": h.form.name if h else "nothing", "markers": int(rows.marker.max()) + 1}  # fmt: skip
+    with tempfile.TemporaryDirectory() as apart:
+        folder = place.folder or Path(apart) / "case"
+        write_study(folder, arm, rows.only(here), seen[here] + sigma * rng.standard_normal((here.sum(), 3)), sigma=sigma,
+                    columns={"approach", "travel", "time", "temperature"}, holdout=holdout)  # fmt: skip
+        try:
+            first = identified(folder)
+            last = first.diagnose()
+        except cf.InputError as error:
+            return [known | {"stage": stage, "refused": str(error)} for stage in ("identify", "diagnose")]
+    there = rows.only(~here)
+    nominal = np.sqrt(np.mean(((points(arm, there) - seen[~here]) ** 2).sum(axis=1)))
+    return [known | {"stage": stage, "refused": None, "nominal_mm": 1e3 * nominal} | _promise(calibration, there, seen[~here], rng)
+            | _names(h, calibration, stage) for stage, calibration in (("identify", first), ("diagnose", last))]  # fmt: skip
+
+
+def _promise(calibration: cf.Calibration, rows: Rows, true: Array, rng: np.random.Generator) -> Row:
+    """The true root mean square error at new poses, and where it lies in the distribution that is promised."""
+    at, data = predicted(calibration, rows, timed=True), rows_there(calibration, rows, timed=True)
+    model = replace(calibration.model, given=data.given)
+    slope = model.point_jacobian(calibration.estimate, data.conditions)
+    told = np.einsum("nai,ij,naj->na", slope, calibration.covariance, slope)
+    rest = np.maximum(at.sd**2 - told, 0).sum(axis=1).mean()
+    deviations, directions = np.linalg.eigh(calibration.covariance)
+    drawn = (
+        slope
+        @ directions
+        @ (np.sqrt(np.maximum(deviations, 0))[:, None] * rng.standard_normal((len(deviations), DRAWS)))
+    )
+    promised = np.sqrt((drawn**2).sum(axis=1).mean(axis=0) + rest)
+    found = np.sqrt(np.mean(((at.position - true) ** 2).sum(axis=1)))
+    low, high = np.quantile(promised, MIDDLE)
+    return {
+        "promised_mm": 1e3 * np.sqrt((at.sd**2).sum(axis=1).mean()), "found_mm": 1e3 * found, "within": low <= found <= high,
+        "below": found <= high, "covered": float(np.mean(np.abs(at.position - true) < 1.959964 * at.sd)),
+    }  # fmt: skip
+
+
+def _names(h: Hidden | None, calibration: cf.Calibration, stage: str) -> Row:
+    if stage == "identify":
+        return {}
+    names = names_of(calibration)
+    told = judged(h, calibration.findings.table, names)
+    return {name: told[name] for name in ("in_set", "other_names", "certain_and_wrong", "unexplained")} | {
+        "names": ";".join(f"{row['cause']}:{joint_of(row)}" for _, row in names.iterrows())
+    }
+
+
+def tell(rows: pd.DataFrame) -> str:
+    """Coverage of the true error, false names and refusals, by poses, and with and without something hidden."""
+    hidden = np.where(rows["form"] == "nothing", "nothing", "a form")
+    rows = rows.reindex(columns=[*dict.fromkeys([*rows, *FIGURES])])
+    rows = rows.assign(
+        hidden_is=hidden, false_name=rows["other_names"].astype(float) > 0, said_no=rows["refused"].notna()
+    )
+    tables = [_table(rows, keys) for keys in (["stage"], ["stage", "hidden_is"], ["stage", "poses"], ["stage", "arm"])]
+    said = rows["refused"].dropna().value_counts()
+    return "\n\n".join([*tables, *([said.to_string()] if len(said) else [])])
+
+
+def _table(rows: pd.DataFrame, keys: list[str]) -> str:
+    def of(group: pd.DataFrame) -> pd.Series:
+        done = group[~group["said_no"]]
+        names = ("within", "below", "covered", "false_name")
+        promise = np.sqrt((done["promised_mm"] ** 2).mean() / (done["found_mm"] ** 2).mean())
+        shares = {name: done[name].astype(float).mean() for name in names}
+        sizes = {"promise": promise, "found_mm": done["found_mm"].median(), "nominal_mm": done["nominal_mm"].median()}
+        return pd.Series({"n": len(group), "refused": group["said_no"].mean()} | shares | sizes)
+
+    return rows.groupby(keys).apply(of, include_groups=False).round(3).to_string()
+
+
+if __name__ == "__main__":
+    kept_cases.run_cases(__doc__, {"few": (work, tell)})
