@@ -3,8 +3,8 @@
     python benchmarks/rival_pairs.py linear --cases 600    100 to 10,000 rows, the two alone, without a robot
     python benchmarks/rival_pairs.py robot --cases 60      100 to 1,000 rows, identify and diagnose with the whole catalogue
 
-Both truths equally often. Sizes are usual ones of a 170 kg arm (log-uniform over USUAL), those of several parameters in a direction
-drawn at random; joints travel a part of their range, and come from the side to which gravity turns them more often than not. What a
+Both truths equally often. Sizes are a 170 kg arm's (log-uniform, from a fifth of the least usual one to the largest), those of
+several parameters in a direction drawn at random; joints travel a part of their range, and come from the side to which gravity turns them more often than not. What a
 cause does is a lever of foreign_physics' arms times an input, all geometry and springs are fitted beside it.
 """
 
@@ -29,6 +29,7 @@ from calflow.diagnosis.linear import Block, diagnose_linear
 ROWS = {"linear": (100, 10_000), "robot": (100, 1_000)}
 BINS = [0, 0.5, 0.8, 0.9, 0.95, 1]
 CERTAIN = 0.95
+SMALLEST = 0.2  # of the least usual size
 SHOWN = 1e-8  # of the largest, from which a direction of the fitted parameters counts
 USUAL = {  # rad, of device causes m, of what gives way rad/Nm
     "joint-eccentricity": (20e-6, 300e-6), "periodic-joint-error": (50e-6, 400e-6), "gear-ratio-error": (20e-6, 400e-6),
@@ -152,7 +153,8 @@ class Truth:
         variants, act = FORMS[hidden]
         columns = act(world, float(rng.choice(variants)))
         direction = rng.normal(size=columns.shape[2])
-        size = np.exp(rng.uniform(*np.log(USUAL[hidden])))
+        least, most = USUAL[hidden]
+        size = np.exp(rng.uniform(np.log(SMALLEST * least), np.log(most)))
         return Truth(
             world,
             pair,
