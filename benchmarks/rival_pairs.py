@@ -4,8 +4,9 @@
     python benchmarks/rival_pairs.py robot --cases 60      100 to 1,000 rows, identify and diagnose with the whole catalogue
 
 Both truths equally often. Sizes are a 170 kg arm's (log-uniform, from a fifth of the least usual one to the largest), those of
-several parameters in a direction drawn at random; joints travel a part of their range, and come from the side to which gravity turns them more often than not. What a
-cause does is a lever of foreign_physics' arms times an input, all geometry and springs are fitted beside it.
+several parameters in a direction drawn at random; joints travel a part of their range, and come from the side to which gravity
+turns them more often than not. What a cause does is a lever of foreign_physics' arms times an input; all geometry and springs are
+fitted beside it.
 """
 
 from __future__ import annotations
