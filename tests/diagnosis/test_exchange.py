@@ -50,10 +50,10 @@ def regressors():
 FAMILY = Family({}, 30.0)
 
 
-def chi2(regressors, columns):
-    """What a fit with some candidates' columns leaves, by ordinary least squares with the priors as rows."""
+def chi2(regressors, columns, sizes=()):
+    """What a fit with some candidates' columns leaves, by ordinary least squares with the priors of these sizes as rows."""
     whole = np.hstack([regressors.jacobian, regressors.matrix.values[:, columns]])
-    prior = np.diag(np.sqrt([*regressors.precision, *regressors.prior_sd[columns] ** -2.0]))
+    prior = np.diag(np.sqrt([*regressors.precision, *(regressors.prior_sd[columns] * sizes) ** -2.0]))
     left = np.append(regressors.residual, np.zeros(len(prior)))
     return float(np.linalg.lstsq(np.vstack([whole, prior]), left, rcond=None)[1][0])
 
@@ -64,10 +64,16 @@ def test_a_pair_costs_what_a_fit_of_both_would(regressors):
     exchange = Exchange.of(screening, FAMILY, [causes()[2]])
     found = {frozenset((pair.first.cause.place, pair.second.cause.place)): pair for pair in exchange.better()}
     before = chi2(regressors, [])
+    sizes, costs = exchange.likeliest_sizes
+    at = {score.cause.place: k for k, score in enumerate(exchange.scores)}
+    own = screening.information(np.arange(3)) * np.outer(regressors.prior_sd[:3], regressors.prior_sd[:3])
     for first, second in ((0, 1), (0, 2), (1, 2)):
         columns = [first, second]
         places = frozenset(causes()[k].place for k in columns)
-        expected = ROWS * np.log(chi2(regressors, columns) / before) + 2 * np.log(ROWS)
+        pair = [at[causes()[k].place] for k in columns]
+        narrowed = np.eye(2) + own[np.ix_(columns, columns)] * np.outer(sizes[pair], sizes[pair])
+        fallen = ROWS * np.log(chi2(regressors, columns, sizes[pair]) / before)
+        expected = fallen + np.linalg.slogdet(narrowed)[1] + costs[pair].sum()
         if places in found:
             assert found[places].delta_bic == pytest.approx(expected, abs=0.02)
     assert frozenset(causes()[k].place for k in (0, 1)) in found

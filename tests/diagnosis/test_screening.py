@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binom, kstest
 
 from calflow.diagnosis.regressors import ErrorCorrelation, RegressorProducts, Regressors, shared_error
-from calflow.diagnosis.screening import Catalogue, Screening, prior_cost
+from calflow.diagnosis.screening import Catalogue, Screening
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import fit
@@ -43,14 +43,6 @@ def regressors(data, fitted):
     """A small catalogue's regressors there."""
     scale = catalogue()["tracker-scale"](data.robot)  # not in the catalogue where no distance between markers is known
     return Regressors.of(*fitted, (*Catalogue.of(data, ("geometry",), TESTED).effects, scale))
-
-
-def test_a_cause_far_beyond_its_prior_pays_by_the_logarithm():
-    """Breaks if usual sizes pay anything but the prior's pull, huge ones by its square, or the cost jumps between them."""
-    assert prior_cost(np.array([0.0, 1.5, 18.0]), 2) == pytest.approx([0.0, 1.5, 18.0])
-    far = prior_cost(np.array([18.1, 180.0, 1800.0]), 2)
-    assert far[0] == pytest.approx(18.1, abs=1e-3)
-    assert far[2] - far[1] == pytest.approx(18.0 * np.log(10))
 
 
 def test_a_score_is_what_a_refit_gains(data, fitted, regressors):

@@ -24,20 +24,21 @@ import numpy as np
 from scipy.stats import t as student
 
 from calflow.diagnosis.background import BackgroundBasis, Sizes, background, possible
+from calflow.diagnosis.evidence import size_cost
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Regressors
-from calflow.diagnosis.screening import Catalogue, Score, Screening, prior_cost
+from calflow.diagnosis.screening import Catalogue, Score, Screening
 from calflow.diagnosis.stepwise import (
     SPLIT,
+    Amplitudes,
     CauseAcceptance,
     Detection,
     Linearisation,
     Screened,
     Stepwise,
     Trial,
-    bic,
     is_new,
-    relief,
+    refitted_cost,
     same,
     second_thoughts,
     swapped,
@@ -78,10 +79,12 @@ class FittedTrial(Trial[Cause]):
         """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
         fitted = self.fitted
         scale = float(np.median(replace(fitted.noise, sigma=fitted.noise.sigma / fitted.far).total))
-        misfit = (fitted.misfit - sum(map(self._relief, self.causes))) * scale**2
-        parameters = fitted.fit.effective_parameters + sum(map(self._at_bound, self.causes))
-        variants = [self.catalogue.variants.get(cause.place, 1) for cause in self.causes]
-        return bic(misfit, self.n_residuals, parameters, variants)
+        every = [self._amplitudes(cause) for cause in self.causes]
+        misfit = (fitted.misfit - sum(amplitudes.pulled for amplitudes in every)) * scale**2
+        own = [int(k) for cause in self.causes for k in fitted.model.columns(cause) if not fitted.fit.at_bound[k]]
+        sd = fitted.model.prior_sd[own]
+        narrowed = float(np.linalg.slogdet(fitted.fit.covariance[np.ix_(own, own)] / np.outer(sd, sd))[1])
+        return refitted_cost(misfit, self.n_residuals, every, narrowed)
 
     def with_causes(self, causes: Sequence[Cause], added: Score[Cause] | None = None) -> FittedTrial:
         """Fit the study's own effects with these causes, a new one from where it is expected."""
@@ -127,14 +130,13 @@ class FittedTrial(Trial[Cause]):
     def _finer(self, cause: Cause) -> list[Cause]:
         return [replace(cause, effect=effect) for effect in cause.effect.finer(self.fitted.data)]
 
-    def _at_bound(self, cause: Cause) -> int:
-        """How many of a cause's parameters have no effect: they were there to be fitted, and count like the others."""
-        return int(self.fitted.fit.at_bound[self.fitted.model.columns(cause)].sum())
-
-    def _relief(self, cause: Cause) -> float:
-        model = self.fitted.model
+    def _amplitudes(self, cause: Cause) -> Amplitudes:
+        model, fit = self.fitted.model, self.fitted.fit
         columns = model.columns(cause)
-        return relief(self.fitted.fit.estimate[columns] - model.prior_mean[columns], model.prior_sd[columns])
+        free = columns[~fit.at_bound[columns]]
+        pulled = float((((fit.estimate[free] - model.prior_mean[free]) / model.prior_sd[free]) ** 2).sum())
+        variants = self.catalogue.variants.get(cause.place, 1)
+        return Amplitudes(pulled, len(free), len(columns) - len(free), variants)
 
 
 def among(trail: Sequence[Fitted], causes: Sequence[Cause]) -> Fit:
@@ -338,9 +340,9 @@ def unnamed(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> dict[
         columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
         pull = value[columns] * np.sqrt(regressors.precision[columns])
         without = regressors.without(columns, value[columns])
-        spent = _occam(covariance, regressors.precision, columns) + 2 * np.log(variants.get(cause.place, 1))
+        spent = _narrowed(covariance, regressors.precision, columns) + 2 * np.log(variants.get(cause.place, 1))
         other = _evidence(without, basis, weight, cause.effect.smooth_in)
-        evidence[cause] = float(other - whole - spent - _unusual(pull))
+        evidence[cause] = float(other - whole - spent - _of_size(pull))
     return evidence
 
 
@@ -353,23 +355,19 @@ def unnamed_evidence(fitted: Fitted, basis: BackgroundBasis, variants: Variants)
     covariance = np.linalg.inv(regressors.jacobian.T @ regressors.jacobian + np.diag(precision))
     columns = [np.flatnonzero(np.isin(free, fitted.model.columns(cause))) for cause in fitted.causes]
     spent = sum(2 * np.log(variants.get(cause.place, 1)) for cause in fitted.causes)
-    return (
-        whole
-        + _occam(covariance, precision, np.concatenate([[], *columns]).astype(int))
-        + float(spent)
-        + sum(_unusual(value[columns_of_cause] * np.sqrt(precision[columns_of_cause])) for columns_of_cause in columns)
-    )
+    narrowed = _narrowed(covariance, precision, np.concatenate([[], *columns]).astype(int))
+    return whole + narrowed + float(spent) + sum(_of_size(value[own] * np.sqrt(precision[own])) for own in columns)
 
 
-def _occam(covariance: np.ndarray, precision: np.ndarray, columns: np.ndarray) -> float:
+def _narrowed(covariance: np.ndarray, precision: np.ndarray, columns: np.ndarray) -> float:
     """What it costs to have parameters with these columns: how much smaller than their priors they have become, -2 log."""
     scale = np.sqrt(precision[columns])
     return -float(np.linalg.slogdet(covariance[np.ix_(columns, columns)] * np.outer(scale, scale))[1])
 
 
-def _unusual(pull: np.ndarray) -> float:
-    """What their sizes cost beyond that, in priors' standard deviations."""
-    return float(pull @ pull - prior_cost(np.array(pull @ pull), len(pull)))
+def _of_size(pull: np.ndarray) -> float:
+    """What amplitudes (n,), over their usual sizes, cost by being as large as they are, beyond their normal priors."""
+    return size_cost(float(pull @ pull), len(pull)) - float(pull @ pull)
 
 
 def _evidence(

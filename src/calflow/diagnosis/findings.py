@@ -358,7 +358,10 @@ class CandidateRow:
     joint: int | None = column("number of its joint or link; empty: none", default=None)
     statistic: float = column("fall of chi²", default=NAN)
     p_family: float = column("chance that noise alone makes any of all tests look like this", default=NAN)
-    delta_bic: float = column("change of BIC: below 0 it explains more than its parameters cost", default=NAN)
+    delta_bic: float = column(
+        "twice minus the logarithm of its evidence, which BIC approximates: below 0 it explains more than it costs",
+        default=NAN,
+    )
     probability: float = column("that it is this place rather than another, or nothing", default=NAN)
     visible_share: float = column("what the model's own parameters cannot imitate", default=NAN)
     estimate: float = column("its size", UNIT, sd="sd", default=NAN)

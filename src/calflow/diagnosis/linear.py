@@ -21,13 +21,13 @@ from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Reg
 from calflow.diagnosis.screening import Family, Score
 from calflow.diagnosis.stepwise import (
     FALSE_ALARM,
+    Amplitudes,
     CauseAcceptance,
     Detection,
     Linearisation,
     Stepwise,
     Trial,
-    bic,
-    relief,
+    refitted_cost,
     verified,
 )
 from calflow.diagnosis.verdict import verdict
@@ -166,6 +166,14 @@ class Solution:
         shown = np.linalg.svd(scaled, compute_uv=False) ** 2
         return float((shown / (shown + 1)).sum())
 
+    def narrowed(self, columns: np.ndarray) -> float:
+        """Return the logarithm of the determinant of some parameters' covariance, in units of their priors, those held left out."""
+        free = ~self.at_bound
+        scaled = (self.design * self.prior_sd)[:, free]
+        own = np.isin(np.flatnonzero(free), columns)
+        covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(own)))[np.ix_(own, own)]
+        return float(np.linalg.slogdet(covariance)[1])
+
     @property
     def misfit(self) -> float:
         """Chi², and the priors'."""
@@ -214,10 +222,17 @@ class LinearTrial(Trial[Block]):
     def bic(self) -> float:
         """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
         solution, spans = self.solution, self._own
-        pulled = sum(relief(solution.estimate[columns], solution.prior_sd[columns]) for columns in spans)
-        parameters = solution.effective_parameters + float(solution.at_bound.sum())
-        variants = [sum(block.name == other.name for other in self.problem.blocks) for block in self.blocks]
-        return bic((solution.misfit - pulled) * solution.level**2, self.n_residuals, parameters, variants)
+        every = [self._amplitudes(block, columns) for block, columns in zip(self.blocks, spans, strict=True)]
+        misfit = (solution.misfit - sum(amplitudes.pulled for amplitudes in every)) * solution.level**2
+        return refitted_cost(
+            misfit, self.n_residuals, every, solution.narrowed(np.concatenate([[], *spans]).astype(int))
+        )
+
+    def _amplitudes(self, block: Block, columns: np.ndarray) -> Amplitudes:
+        free = columns[~self.solution.at_bound[columns]]
+        pulled = float(((self.solution.estimate[free] / self.solution.prior_sd[free]) ** 2).sum())
+        variants = sum(block.name == other.name for other in self.problem.blocks)
+        return Amplitudes(pulled, len(free), len(columns) - len(free), variants)
 
     @cached_property
     def linearisation(self) -> Linearisation[Block]:

@@ -21,6 +21,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 from scipy.stats import f as f_distribution
 
+from calflow.diagnosis.evidence import explained, mixed
 from calflow.diagnosis.regressors import Candidate, H, Regressors
 from calflow.effects import Effect, catalogue, effect_class
 from calflow.effects.cause import parts
@@ -73,9 +74,9 @@ class Score(Generic[H]):
     """What one candidate would gain, without a refit.
 
     drop is that of chi² and share its part of all, degrees_of_freedom those that it costs, p the p-value of this test
-    alone; delta_bic is negative where it pays. visible_share is how much of the effect the model's own parameters cannot
-    imitate, information S, shown how many directions of it the data show, left the degrees of freedom besides them. unusual is
-    what delta_bic would lose if priors were taken for what they say (see `prior_cost`).
+    alone; delta_bic, twice minus the logarithm of its evidence (see `evidence`), which BIC is named for, is negative where it pays.
+    visible_share is how much of the effect the model's own parameters cannot imitate, information S, shown how many directions
+    of it the data show, left the degrees of freedom besides them.
     """
 
     candidate: Candidate[H]
@@ -90,7 +91,6 @@ class Score(Generic[H]):
     information: np.ndarray
     shown: int
     left: float
-    unusual: float = 0.0
 
     @property
     def explained(self) -> float:
@@ -160,7 +160,6 @@ class Trials(Generic[H]):
 
 MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
 INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
-TAIL = 3.0  # prior standard deviations
 DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
 
 
@@ -168,15 +167,15 @@ DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
 class _Block:
     """Candidates with equally many columns d, stacked.
 
-    roots (n_members, d, d) turns scores into independent standard normals, zero in directions that the data cannot show;
-    weight (n_members, d) is what the priors leave of each, degrees_of_freedom (n_members,) how many there are; information
-    (n_members, d, d) is S, share (n_members,) how much of a candidate the model's parameters cannot imitate.
+    roots (n_members, d, d) turns scores into independent standard normals, zero in directions that the data cannot show; value
+    (n_members, d) is what the data know of each over the prior, zero likewise, degrees_of_freedom (n_members,) how many there
+    are; information (n_members, d, d) is S, share (n_members,) how much of a candidate the model's parameters cannot imitate.
     """
 
     members: tuple[int, ...]
     columns: np.ndarray
     roots: np.ndarray
-    weight: np.ndarray
+    value: np.ndarray
     degrees_of_freedom: np.ndarray
     information: np.ndarray
     share: np.ndarray
@@ -212,14 +211,13 @@ class _Contest:
 class _Weighed:
     """A block's candidates weighed by some draws of their scores, (n_members, n_draws) each.
 
-    squared is the drop of chi² without priors and bounds, drops that with them, relief what far priors cost less than stated;
+    squared is the drop of chi² without priors and bounds, drops that with them;
     estimate is (n_members, d, n_draws), covariance (n_members, d, d).
     """
 
     squared: np.ndarray
     drops: np.ndarray
     bic: np.ndarray
-    relief: np.ndarray
     estimate: np.ndarray
     covariance: np.ndarray
 
@@ -329,19 +327,18 @@ class Screening(Generic[H]):
             values, vectors = np.linalg.eigh(s * sd[:, :, None] * sd[:, None, :])
             shown = values > INVISIBLE
             normal = vectors * np.where(shown, np.abs(values) + 1e-300, np.inf)[:, None, :] ** -0.5
-            weight = np.where(shown, values / (values + 1), 0.0)
+            value = np.where(shown, values, 0.0)
             some = shown.any(axis=1)
             roots = normal.transpose(0, 2, 1) * sd[:, None, :]
             moved = np.maximum(np.einsum("mii,mi->m", whole, sd**2), np.finfo(float).tiny)
             share = np.sqrt(np.maximum(np.einsum("mii,mi->m", s, sd**2), 0.0) / moved)
-            parts = (columns, roots, weight, shown.sum(axis=1), s, share)
+            parts = (columns, roots, value, shown.sum(axis=1), s, share)
             blocks.append(_Block(tuple(members[some]), *(part[some] for part in parts)))
         return [block for block in blocks if block.members]
 
     @cached_property
     def scores(self) -> list[Score[H]]:
         """Every visible candidate's score, best first."""
-        n = len(self.regressors.residual)
         scores = []
         for block in self._blocks:
             sure = np.median(
@@ -350,14 +347,12 @@ class Screening(Generic[H]):
             left = np.maximum(np.minimum(sure, self.degrees_of_freedom - block.degrees_of_freedom), 1.0)
             weighed = self._weighed(block, self.score[block.columns, None], np.array([self.chi2]))
             p = self._p(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
-            drops, bic, relief = weighed.drops[:, 0], weighed.bic[:, 0], weighed.relief[:, 0]
-            spent = block.weight.sum(axis=1)
+            drops, bic = weighed.drops[:, 0], weighed.bic[:, 0]
+            spent = (block.value / (block.value + 1)).sum(axis=1)
             scores += [
                 Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),
                       float(p[k]), float(bic[k]), float(block.share[k]), weighed.estimate[k, :, 0], weighed.covariance[k],
-                      block.information[k], int(block.degrees_of_freedom[k]), 
-                      float(left[k]),
-                      float(n * relief[k] / self.chi2))
+                      block.information[k], int(block.degrees_of_freedom[k]), float(left[k]))
                 for k, member in enumerate(block.members)
             ]  # fmt: skip
         return sorted(scores, key=lambda score: score.delta_bic)
@@ -373,15 +368,15 @@ class Screening(Generic[H]):
         inside = np.clip(estimate, bounds[:, 0, :, None], bounds[:, 1, :, None])
         beyond = estimate - inside
         lost = (beyond * (block.information @ beyond)).sum(axis=1) + (precision[..., None] * beyond**2).sum(axis=1)
-        pulled = (precision[..., None] * inside**2).sum(axis=1)
-        relief = pulled - prior_cost(pulled, score.shape[1])
-        drops = np.maximum((squared * block.weight[..., None]).sum(axis=1) - lost + relief, 0.0)
-        spent = block.weight.sum(axis=1)
+        known = block.value / (block.value + 1)
+        drops = np.maximum((squared * known[..., None]).sum(axis=1) - lost, 0.0)
+        fallen, cost = explained(squared.transpose(0, 2, 1), block.value[:, None, :])
+        gone = np.minimum((fallen - lost) / chi2, 1 - 1e-12)
         scans = np.array([self.variants[r.candidates[member].cause.place] for member in block.members])
-        explained = np.minimum(drops / chi2, 1 - 1e-12)
-        dearer = spent * np.log(n) + 2 * (spent * np.log(r.scale) + np.log(scans))
-        bic = n * np.log1p(-explained) + dearer[:, None]  # rivals are weighed alike; how sure each is p says
-        return _Weighed(squared.sum(axis=1), drops, bic, relief, inside, covariance)
+        bic = -2 * mixed(-(n * np.log1p(-gone) + cost) / 2) + 2 * np.log(scans)[:, None]
+        return _Weighed(
+            squared.sum(axis=1), drops, bic, inside, covariance
+        )  # rivals are weighed alike; how sure each is p says
 
     def trials(self, score: np.ndarray, chi2: np.ndarray, family: Family, false_alarm: float) -> Trials[H]:
         """Test all visible candidates at once by many scores (n_columns, n_draws), where the model leaves a chi² (n_draws,)."""
@@ -455,16 +450,6 @@ def _drawn(rng: np.random.Generator, n: int, precision: np.ndarray, count: int) 
     """Draw the signs (n, count) of so many residuals, and the pull (n_free, count) of priors of a precision (n_free,)."""
     signs = rng.choice(np.array([-1, 1], dtype=np.int8), (n, count))
     return signs, np.sqrt(precision)[:, None] * rng.standard_normal((len(precision), count))
-
-
-def prior_cost(pulled: np.ndarray, number: int) -> np.ndarray:
-    """Return what a cause's parameters cost beyond their number, pulled (…) squared prior standard deviations from zero.
-
-    Priors state usual sizes: within TAIL standard deviations they are normal. What is far beyond them (a file's mistake, say)
-    pays with the logarithm of its distance, as under a prior with heavy tails.
-    """
-    usual = number * TAIL**2
-    return np.where(pulled <= usual, pulled, usual * (1 + np.log(np.maximum(pulled, usual) / usual)))
 
 
 def by_place(scores: Sequence[Score[H]]) -> dict[tuple[str, str], tuple[float, Score[H]]]:

@@ -26,9 +26,10 @@ from typing import Any, Generic, Self
 import numpy as np
 from scipy.special import fdtrc
 
+from calflow.diagnosis.evidence import LOG_PRIOR, SIZES, explained, mixed, size_cost
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Candidate, H, Regressors
-from calflow.diagnosis.screening import INVISIBLE, MATERIAL, Catalogue, Family, Score, Screening, by_place, prior_cost
+from calflow.diagnosis.screening import INVISIBLE, MATERIAL, Catalogue, Family, Score, Screening, by_place
 from calflow.effects.cause import Cause
 
 
@@ -153,7 +154,7 @@ class Trial(ABC, Generic[H]):
     @property
     @abstractmethod
     def bic(self) -> float:
-        """What it costs, to be compared with other trials: see `bic`."""
+        """What it costs, to be compared with other trials: see `refitted_cost`."""
 
     @cached_property
     @abstractmethod
@@ -186,15 +187,36 @@ class Trial(ABC, Generic[H]):
         return tuple(self.linearisation.findings(self.family)) if self.causes else ()
 
 
-def bic(misfit: float, n: int, parameters: float, variants: Sequence[int]) -> float:
-    """Return BIC of a model whose misfit may be compared with others': parameters, and the variants that were tried of causes."""
-    return float(n * np.log(misfit) + parameters * np.log(n) + 2 * sum(np.log(number) for number in variants))
+def refitted_cost(misfit: float, n: int, fitted: Sequence[Amplitudes], log_determinant: float) -> float:
+    """Return twice minus the logarithm of a refitted model's evidence, to be compared with others' of the same data.
+
+    The causes' amplitudes are integrated out by Laplace's approximation; a model's own parameters are common to all.
+
+    Args:
+        misfit: what the model leaves of n residuals, without what the causes pull at their own priors.
+        n: number of residuals.
+        fitted: the causes' amplitudes.
+        log_determinant: of the covariance of the amplitudes that are off their bounds, over their usual sizes.
+    """
+    return n * float(np.log(misfit)) + sum(amplitudes.cost(n) for amplitudes in fitted) - log_determinant
 
 
-def relief(offset: np.ndarray, prior_sd: np.ndarray) -> float:
-    """Return by how much a cause's parameters (n,) pull at their priors beyond what that costs."""
-    pulled = float(((offset / prior_sd) ** 2).sum())
-    return pulled - float(prior_cost(np.array(pulled), len(offset)))
+@dataclass(frozen=True)
+class Amplitudes:
+    """What a refit says of a cause's amplitudes: squared estimates over their usual sizes, how many are free and how many held.
+
+    variants is how many forms of the cause were tried. What sits at a bound has no effect; it was there to be fitted, and counts
+    as by BIC (Schwarz 1978).
+    """
+
+    pulled: float
+    free: int
+    held: int
+    variants: int
+
+    def cost(self, n: int) -> float:
+        """Return twice minus the logarithm of what they are by the prior."""
+        return size_cost(self.pulled, self.free) + self.held * float(np.log(n)) + 2 * float(np.log(self.variants))
 
 
 def forget_all_but(best: Trial, tried: Sequence[Trial]) -> None:
@@ -364,23 +386,34 @@ class Exchange(Generic[H]):
     def _bic(self) -> np.ndarray:
         """Return delta BIC of every pair, shape (m, m)."""
         identity = np.eye(FEW_COLUMNS)
-        m = len(self.scores)
-        diagonal = self.information[np.arange(m), np.arange(m)]
+        m, n, chi2 = len(self.scores), len(self.screening.regressors.residual), self.screening.chi2
+        size, cost = self.likeliest_sizes
+        information = self.information * size[:, None, None, None] * size[:, None, None]
+        score, diagonal = self.score * size[:, None], information[np.arange(m), np.arange(m)]
         alone = np.linalg.inv(diagonal + identity)
-        drop_alone = np.einsum("ma,mab,mb->m", self.score, alone, self.score)
+        drop_alone = np.einsum("ma,mab,mb->m", score, alone, score)
         # What j shows beside i, and what is left for it to explain.
-        taken = np.einsum("ijab,iac->ijbc", self.information, alone, optimize=True)
-        beside = diagonal + identity - np.einsum("ijbc,ijcd->ijbd", taken, self.information, optimize=True)
+        taken = np.einsum("ijab,iac->ijbc", information, alone, optimize=True)
+        beside = diagonal + identity - np.einsum("ijbc,ijcd->ijbd", taken, information, optimize=True)
         beside[np.arange(m), np.arange(m)] = identity
-        left = self.score - np.einsum("ijbc,ic->ijb", taken, self.score, optimize=True)
-        inverse = np.linalg.inv(beside)
-        drop = drop_alone[:, None] + np.einsum("ijb,ijbc,ijc->ij", left, inverse, left, optimize=True)
-        kept = np.trace(inverse, axis1=2, axis2=3)
-        spent = 2 * FEW_COLUMNS - kept - kept.T
-        scans = np.log([self.screening.variants[score.cause.place] for score in self.scores])
-        n = len(self.screening.regressors.residual)
-        share = np.minimum(drop / self.screening.chi2, 1 - 1e-12)
-        return np.asarray(n * np.log1p(-share) + spent * np.log(n) + 2 * (scans[:, None] + scans))
+        left = score - np.einsum("ijbc,ic->ijb", taken, score, optimize=True)
+        drop = drop_alone[:, None] + np.einsum("ijb,ijbc,ijc->ij", left, np.linalg.inv(beside), left, optimize=True)
+        narrowed = np.linalg.slogdet(diagonal + identity)[1][:, None] + np.linalg.slogdet(beside)[1]
+        cost = cost + 2 * np.log([self.screening.variants[score.cause.place] for score in self.scores])
+        share = np.minimum(drop / chi2, 1 - 1e-12)
+        return np.asarray(n * np.log1p(-share) + narrowed + cost[:, None] + cost)
+
+    @property
+    def likeliest_sizes(self) -> tuple[np.ndarray, np.ndarray]:
+        """The size over the usual one at which each candidate alone explains the data best (m,), and what it costs to take it."""
+        value, vectors = np.linalg.eigh(self.information[np.arange(len(self.scores)), np.arange(len(self.scores))])
+        value = np.maximum(value, np.finfo(float).tiny)
+        squared = np.einsum("mab,ma->mb", vectors, self.score) ** 2 / value
+        fallen, cost = explained(squared, value)
+        n, chi2 = len(self.screening.regressors.residual), self.screening.chi2
+        logs = -(n * np.log1p(-np.minimum(fallen / chi2, 1 - 1e-12)) + cost) / 2
+        best = np.argmax(logs + LOG_PRIOR[:, None], axis=0)
+        return SIZES[best], -2 * (mixed(logs) - logs[best, np.arange(len(best))])
 
     def _p(self, i: int, j: int) -> float:
         """Return the family-wise p-value of candidate j where i is in the model."""
@@ -595,7 +628,7 @@ def _added(
         passed = [score for score in now.scores if acceptance.accepts(score, now.family)]
     if not passed:
         return
-    best = trial.finest(min(passed, key=lambda score: score.delta_bic + score.unusual))  # usual sizes first
+    best = trial.finest(min(passed, key=lambda score: score.delta_bic))
     message = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
     yield Proposal([*trial.causes, best.cause], message, best)
 
@@ -626,9 +659,8 @@ def second_thoughts(findings: Sequence[Detection[H]], acceptance: CauseAcceptanc
             return [cause for cause in causes if cause != finding.cause]
     for finding in weakest:
         places = by_place(finding.scores)
-        usual = {place: evidence + score.unusual for place, (evidence, score) in places.items()}
-        best = places[min(usual, key=lambda place: usual[place])][1]
-        if usual[best.cause.place] < usual[finding.cause.place] and acceptance.accepts(best, finding.family):
+        cost, best = min(places.values(), key=lambda scored: scored[0])
+        if cost < places[finding.cause.place][0] and acceptance.accepts(best, finding.family):
             return swapped(causes, finding.cause, best.cause)
     return causes
 

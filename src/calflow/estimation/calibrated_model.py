@@ -170,7 +170,7 @@ class CauseInReach:
     )
     log_prior: float = column("logarithm of its prior probability, over that of a model without causes")
     log_weight: float = column(
-        "the same of how likely diagnose's linear tests make it (BIC), prior included, over what was found"
+        "the same of how likely diagnose's linear tests make it (their evidence), prior included, over what was found"
     )
     independent: bool = column(
         "whether what is left counts as independent noise: no background (see method), nothing that the rows of a pose share"

@@ -185,7 +185,7 @@ class ModelRow:
     probability: float = column(
         "that it is right, if one of these models is: by its evidence, or where errors are not independent by the tests of diagnose"
     )
-    by_tests: float = column("the same by the linear tests of diagnose (BIC)")
+    by_tests: float = column("the same by the evidence of diagnose's linear tests")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,7 +198,7 @@ class CauseProbability:
     probability: float = column(
         "that it acts, in whatever form and beside whatever else, if one of these models is right"
     )
-    by_tests: float = column("the same by the linear tests of diagnose (BIC)")
+    by_tests: float = column("the same by the evidence of diagnose's linear tests")
     found: bool = column("whether diagnose put it into the model")
 
 
