@@ -182,7 +182,7 @@ class Sized:
     """A case with its causes in it, and what to expect of it, by calculation.
 
     beside has each cause's size in limits where the other causes are known to act too; set_size is how many causes these
-    data could not tell from the first one if they were without noise; first is how often at most its BIC is the least.
+    data could not tell from the first one if they were without noise; first is how often at most its cost is the least.
     """
 
     case: Case
@@ -267,26 +267,26 @@ def _expected(bare: Bare, h: Hidden, shift: np.ndarray) -> tuple[int, float]:
     scores = [
         replace(
             score,
-            delta_bic=n * np.log1p(-score.drop / (n + seen.chi2)) + score.degrees_of_freedom * np.log(n)
+            cost=n * np.log1p(-score.drop / (n + seen.chi2)) + score.degrees_of_freedom * np.log(n)
             + 2 * np.log(seen.variants[score.cause.place]),
         )
         for score in seen.scores
     ]  # fmt: skip
     own = [score for score in scores if (score.cause.id, score.cause.joint) == (h.cause, h.joint)]
-    best = min(own, key=lambda score: score.delta_bic)
+    best = min(own, key=lambda score: score.cost)
     rivals = verdict(Detection(best.cause, tuple(scores), bare.screened.family)).rivals
     chances = [
-        _leads(rival.bic, best.drop - rival.score.drop, rival.score.shown - best.shown)
+        _leads(rival.cost, best.drop - rival.score.drop, rival.score.shown - best.shown)
         for rival in rivals
         if rival.score is not None
     ]
     return 1 + len({rival.id for rival in rivals}), min(chances, default=1.0)
 
 
-def _leads(bic: float, apart: float, more: int) -> float:
-    """The chance that a cause's BIC stays below a rival's, bic and apart in chi² above it without noise, with more parameters."""
+def _leads(cost: float, apart: float, more: int) -> float:
+    """The chance that a cause's cost stays below a rival's, cost and apart in chi² above it without noise, with more parameters."""
     fitted = np.sign(more) * chi2.ppf(QUANTILES, abs(more)) if more else np.zeros(1)
-    return float(norm.cdf((bic - fitted) / (2 * np.sqrt(max(apart, 1e-6)))).mean())
+    return float(norm.cdf((cost - fitted) / (2 * np.sqrt(max(apart, 1e-6)))).mean())
 
 
 def _screened(bare: Bare, residual: np.ndarray, others: Sequence[np.ndarray] = ()) -> Screening:

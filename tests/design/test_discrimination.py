@@ -48,7 +48,7 @@ def explanations(fitted, *rivals):
     """The gear ratio as it was fitted, and rivals in its place."""
     looked = Linearisation.at(fitted, Catalogue(rivals, {})).apart([RATIO]).scores
     scores = [next(score for score in looked if score.cause == cause) for cause in (RATIO, *rivals)]
-    return [Explanation(score, score.delta_bic - scores[0].delta_bic) for score in scores]
+    return [Explanation(score, score.cost - scores[0].cost) for score in scores]
 
 
 def separation(fitted, true, rival, conditions):
@@ -103,7 +103,7 @@ def test_poses_for_all_serve_the_closest_pair(fitted, choices):
 
 
 def test_a_rival_is_excluded_as_often_as_is_said():
-    """Breaks if the chance of excluding a rival is anything but how often its BIC comes out WITHIN above the true one's."""
+    """Breaks if the chance of excluding a rival is anything but how often its cost comes out WITHIN above the true one's."""
     rng = np.random.default_rng(3)
     true, rival = rng.standard_normal((2, 90))
     effect, dearer = 0.45 * true, -3.0  # the rival has fewer parameters

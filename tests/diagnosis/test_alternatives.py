@@ -27,15 +27,15 @@ def final():
 
 
 def judged(*rivals):
-    """A verdict on the cause with these rivals' BIC above its own."""
+    """A verdict on the cause with these rivals' cost above its own."""
     found = verdict(Detection(ECCENTRIC, (score(-50.0, "joint-eccentricity", 2, order=1),), Family({}, 1.0)))
-    weight = 1 + sum(np.exp(-rival.bic / 2) for rival in rivals)
+    weight = 1 + sum(np.exp(-rival.cost / 2) for rival in rivals)
     return replace(found, rivals=rivals, probability=1 / weight)
 
 
-def ratio(bic):
+def ratio(cost):
     """The rival gear ratio error of the same joint."""
-    return Rival("gear-ratio-error", 2, bic, score(-50.0 + bic, "gear-ratio-error", 2))
+    return Rival("gear-ratio-error", 2, cost, score(-50.0 + cost, "gear-ratio-error", 2))
 
 
 def test_rivals_are_fitted_in_the_causes_place(final):

@@ -30,9 +30,9 @@ def finding(fitted):
 
 
 def with_evidence(finding, change):
-    """The finding with the first order's BIC set beside that of the second."""
+    """The finding with the first order's cost set beside that of the second."""
     scores = [
-        replace(score, delta_bic=finding.own.delta_bic + change) if score.cause.place == SECOND.place
+        replace(score, cost=finding.own.cost + change) if score.cause.place == SECOND.place
         and score.cause.detail == FIRST.detail else score
         for score in finding.scores
     ]  # fmt: skip

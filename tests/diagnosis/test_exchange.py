@@ -75,7 +75,7 @@ def test_a_pair_costs_what_a_fit_of_both_would(regressors):
         fallen = ROWS * np.log(chi2(regressors, columns, sizes[pair]) / before)
         expected = fallen + np.linalg.slogdet(narrowed)[1] + costs[pair].sum()
         if places in found:
-            assert found[places].delta_bic == pytest.approx(expected, abs=0.02)
+            assert found[places].cost == pytest.approx(expected, abs=0.02)
     assert frozenset(causes()[k].place for k in (0, 1)) in found
 
 

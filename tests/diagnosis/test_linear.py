@@ -71,7 +71,7 @@ def test_look_alikes_are_rivals():
     fan = switching("fan", 1.05)
     (one,) = found(0.15 * HEATER, (*EVERY, fan)).findings
     assert {one.name, *(rival.name for rival in one.rivals)} == {"heater", "fan"}
-    assert abs(one.rivals[0].delta_bic) < 10
+    assert abs(one.rivals[0].cost) < 10
     assert one.probability < 0.999
     (alone,) = found(0.3 * HEATER, (*EVERY, switching("fan", 2.0))).findings
     assert (alone.name, alone.rivals) == ("heater", ())

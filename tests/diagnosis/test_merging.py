@@ -56,7 +56,7 @@ def test_waves_give_way_to_the_curve_that_they_imitate():
     several = trial(smooth(), [*WAVES, OTHER])
     first = next(merged(several))
     assert first == [OTHER, CURVE]
-    assert several.with_causes(first).bic < several.bic
+    assert several.with_causes(first).cost < several.cost
     search = Stepwise(CauseAcceptance(0.01, 10), several.linearisation.screened(np.random.default_rng(1)),
                       np.random.default_rng(1), lambda _: None, lambda _: None)  # fmt: skip
     better = search.improved(several, [several])
@@ -68,4 +68,4 @@ def test_waves_give_way_to_the_curve_that_they_imitate():
 def test_true_waves_stay():
     """Fails if a family takes the place of its members whatever the evidence."""
     two = trial(WAVES[1].matrix @ [1.0, 0.5] + WAVES[3].matrix @ [0.3, -0.6], [WAVES[1], WAVES[3]])
-    assert all(two.with_causes(causes).bic > two.bic for causes in merged(two))
+    assert all(two.with_causes(causes).cost > two.cost for causes in merged(two))

@@ -18,7 +18,7 @@ Path = Callable[[int], tuple[tuple[str, ...], float]]
 
 @dataclass(frozen=True)
 class Wandering(Trial[Block]):
-    """A model that always has something clearly better to try: a path leads from each step to names and a BIC."""
+    """A model that always has something clearly better to try: a path leads from each step to names and a cost."""
 
     path: Path
     step: int = 0
@@ -34,7 +34,7 @@ class Wandering(Trial[Block]):
         return 100
 
     @property
-    def bic(self) -> float:
+    def cost(self) -> float:
         """What the path says."""
         return self.path(self.step)[1]
 

@@ -54,9 +54,11 @@ def test_a_lack_of_fit_has_a_row_though_no_input_explains_it(uneven):
     assert told(diagnosis(uneven)) == []
 
 
-def member(number, bic, name, **variant):
+def member(number, cost, name, **variant):
     """A finding of joint 2, as the table tells it alone, with its verdict."""
-    verdict_ = judged(score(bic, name, 2, **variant), *([score(bic + 3, "gear-ratio-error", 2)] if number == 1 else []))
+    verdict_ = judged(
+        score(cost, name, 2, **variant), *([score(cost + 3, "gear-ratio-error", 2)] if number == 1 else [])
+    )
     row = Finding(status=verdict_.status, cause=verdict_.finding.cause.id, joint=2, estimate=3e-4 * number, sd=1e-5, unit="rad",
                      p_family=1e-4 * number, probability=0.9, detail=verdict_.finding.cause.detail, statement="alone",
                      cannot_tell_from=tuple(rival.id for rival in verdict_.rivals), numbers=(number,))  # fmt: skip

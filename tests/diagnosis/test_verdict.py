@@ -18,20 +18,31 @@ from robots import industrial
 ROBOT = industrial()
 
 
-def score(bic, name, joint=0, **variant):
-    """A cause's score by its BIC against the model without it."""
+def score(cost, name, joint=0, **variant):
+    """A cause's score by its cost against the model without it."""
     effect = catalogue()[name](ROBOT, **variant)
     part = f"joint{joint}" if joint else effect.declared[0].part
     cause = Cause(ROBOT, effect, part)
     n = len(cause.declared)
     return Score(
-        Candidate(cause, np.arange(n)), -bic, 0.1, float(n), 1e-9, bic, 1.0, np.zeros(n), np.eye(n), np.eye(n), n, 200.0
+        Candidate(cause, np.arange(n)),
+        -cost,
+        0.1,
+        float(n),
+        1e-9,
+        cost,
+        1.0,
+        np.zeros(n),
+        np.eye(n),
+        np.eye(n),
+        n,
+        200.0,
     )
 
 
 def judged(*scores):
     """The verdict on the first score's cause, the others tested in its place."""
-    ordered = sorted(scores, key=lambda s: s.delta_bic)
+    ordered = sorted(scores, key=lambda s: s.cost)
     return verdict(Detection(scores[0].cause, tuple(ordered), Family({}, 1.0)))
 
 
@@ -41,17 +52,17 @@ def names(found):
 
 
 def test_variants_are_averaged_as_evidence():
-    """Fails if a place is as good as its best variant, however many were tried, or as the mean of their BICs."""
+    """Fails if a place is as good as its best variant, however many were tried, or as the mean of their costs."""
     raw = np.array([-40.0, -38.0, -10.0])
     paid = raw + 2 * np.log(len(raw))  # a score pays for its place's scan
     scores = [
-        score(bic, "periodic-joint-error", 2, order=order) for bic, order in zip(paid, (3.0, 4.0, 5.0), strict=True)
+        score(cost, "periodic-joint-error", 2, order=order) for cost, order in zip(paid, (3.0, 4.0, 5.0), strict=True)
     ]
     alone = score(-20.0, "gear-ratio-error", 2)
     places = by_place([*scores, alone])
     assert list(places) == [("periodic-joint-error", "joint2"), ("gear-ratio-error", "joint2")]
-    bic, best = places["periodic-joint-error", "joint2"]
-    assert bic == pytest.approx(-2 * np.log(np.mean(np.exp(-raw / 2))))
+    cost, best = places["periodic-joint-error", "joint2"]
+    assert cost == pytest.approx(-2 * np.log(np.mean(np.exp(-raw / 2))))
     assert best is scores[0]
     assert places["gear-ratio-error", "joint2"] == (pytest.approx(-20.0), alone)
 
@@ -67,19 +78,19 @@ def test_equal_variants_are_no_better_than_one():
 
 
 def test_huge_evidence_does_not_overflow():
-    """Fails if exponentials are taken of BICs themselves."""
+    """Fails if exponentials are taken of costs themselves."""
     found = judged(score(-9e5, "gear-ratio-error", 2), score(-8e5, "joint-compliance", 3))
     assert (found.status, found.probability) == ("named", 1.0)
 
 
 @pytest.mark.parametrize(("apart", "status"), [(WITHIN - 0.1, "one_of"), (WITHIN + 0.1, "named"), (-5.0, "one_of")])
 def test_a_name_is_given_where_no_rival_is_near(apart, status):
-    """Fails if a rival within a BIC of 10 is passed over, or one beyond it is held against the name."""
+    """Fails if a rival within a cost of 10 is passed over, or one beyond it is held against the name."""
     assert WITHIN == 10
     found = judged(score(-50.0, "gear-ratio-error", 2), score(-50.0 + apart, "joint-compliance", 2))
     assert found.status == status
     assert names(found) == ([("joint-compliance", 2)] if status == "one_of" else [])
-    assert [rival.bic for rival in found.rivals] == pytest.approx([apart] if status == "one_of" else [])
+    assert [rival.cost for rival in found.rivals] == pytest.approx([apart] if status == "one_of" else [])
     assert found.probability == pytest.approx(1 / (1 + np.exp(-apart / 2)))
 
 
@@ -94,7 +105,7 @@ def test_all_places_share_the_probability_and_near_ones_are_ordered():
     )
     own = -50 - 2 * np.log(1 + np.exp(-0.5))
     assert names(found) == [("periodic-joint-error", 3), ("gear-ratio-error", 2)]
-    assert [rival.bic for rival in found.rivals] == pytest.approx([-46 - own, -42 - own])
+    assert [rival.cost for rival in found.rivals] == pytest.approx([-46 - own, -42 - own])
     weights = np.exp(-(np.array([-42.0, -46.0, -30.0]) - own) / 2)
     assert found.probability == pytest.approx(1 / (1 + weights.sum()))
 
@@ -104,7 +115,7 @@ def test_what_was_not_tested_but_looks_alike_has_an_equal_share():
     found = judged(score(-50.0, "joint-backlash", 3), score(-10.0, "gear-ratio-error", 3))
     assert found.status == "one_of"
     assert names(found) == [("joint-hysteresis", 3)]
-    assert (found.rivals[0].bic, found.rivals[0].score) == (0.0, None)
+    assert (found.rivals[0].cost, found.rivals[0].score) == (0.0, None)
     assert found.probability == pytest.approx(0.5)
     assert found.family == ""
 
@@ -159,7 +170,7 @@ def test_a_family_is_named_where_all_rivals_are_of_it(rivals, family):
                 0.1,
                 2.0,
                 1e-9,
-                own.delta_bic,
+                own.cost,
                 1.0,
                 np.zeros(2),
                 np.eye(2),

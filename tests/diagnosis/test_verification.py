@@ -20,7 +20,7 @@ class Seen:
     """A trial as verification sees it: what was found, what it costs, and the best form of every rival."""
 
     findings: tuple
-    bic: float = 0.0
+    cost: float = 0.0
     forms: dict = field(default_factory=dict)
     n_residuals: int = N
 
@@ -36,7 +36,7 @@ class Seen:
 
 def finding(*scores):
     """A finding of the first one's cause."""
-    return Detection(scores[0].cause, tuple(sorted(scores, key=lambda s: s.delta_bic)), Family({}, 1.0))
+    return Detection(scores[0].cause, tuple(sorted(scores, key=lambda s: s.cost)), Family({}, 1.0))
 
 
 def test_only_a_large_cause_leaves_doubts():
@@ -50,17 +50,17 @@ def test_only_a_large_cause_leaves_doubts():
 def test_a_fitted_rival_is_as_near_as_its_fit_says():
     """Breaks if the linear comparison decides although there is a fit, or what was not fitted moves."""
     own, other = score(-1000.0, "gravity-compensator", 2), score(-800.0, "gear-ratio-error", 2)
-    rivals = [score(bic, "joint-eccentricity", 2, order=order) for bic, order in ((-960.0, 1), (-700.0, 2))]
+    rivals = [score(cost, "joint-eccentricity", 2, order=order) for cost, order in ((-960.0, 1), (-700.0, 2))]
     place = rivals[0].cause.place
     seen = finding(own, other, *rivals)
     assert verdict(seen).status == "named"
     now = corrected_rivals(seen, {place: 1.5}, N)
     (rival,) = verdict(now).rivals
-    assert (rival.id, rival.bic) == ("joint-eccentricity", pytest.approx(1.5))
+    assert (rival.id, rival.cost) == ("joint-eccentricity", pytest.approx(1.5))
     places = by_place(now.scores)
     assert places[other.cause.place][0] == pytest.approx(-800.0)
     before, after = (next(s for s in one.scores if s.cause == rivals[0].cause) for one in (seen, now))
-    assert N * np.log1p(-after.share) - N * np.log1p(-before.share) == pytest.approx(after.delta_bic - before.delta_bic)
+    assert N * np.log1p(-after.share) - N * np.log1p(-before.share) == pytest.approx(after.cost - before.cost)
     assert after.drop / after.share == pytest.approx(before.drop / before.share)
 
 
@@ -70,7 +70,7 @@ def test_a_rival_is_fitted_in_its_best_form():
     best = score(-990.0, "gravity-compensator", 2, ratio=0.3, hinge=40.0).cause
     trial = Seen((finding(own, rival),), forms={("gravity-compensator", 1): best})
     assert list(doubted(trial)) == [[best]]
-    (seen,) = verified(trial, [trial, Seen((finding(score(-990.0, best.id, 2, ratio=0.3, hinge=40.0)),), bic=-2.0)])
+    (seen,) = verified(trial, [trial, Seen((finding(score(-990.0, best.id, 2, ratio=0.3, hinge=40.0)),), cost=-2.0)])
     assert by_place(seen.scores)[best.place][0] == pytest.approx(-1002.0)
 
 

@@ -207,7 +207,7 @@ def _asked(
     choices: Choices,
 ) -> Question:
     """Look for poses that tell a finding from some rivals."""
-    explanations = [Explanation(finding.own, 0.0), *(Explanation(r.score, r.bic) for r in rivals if r.score)]
+    explanations = [Explanation(finding.own, 0.0), *(Explanation(r.score, r.cost) for r in rivals if r.score)]
     criteria = TCriterion.between(fitted, explanations, choices, planned)
     before = {pair: closest(criteria, pair) for pair in combinations(range(len(explanations)), 2)}
     alone = {pair: propose(criteria, [pair], POSES)[1][pair] for pair in before}

@@ -206,9 +206,9 @@ def chances(
 
 def _left_open(by_place: Mapping[Place, tuple[np.ndarray, np.ndarray]]) -> dict[Place, np.ndarray]:
     """In which draws (n_draws,) a place is among what the finding may be: the best that passes, and all that are near it."""
-    bic, passed = (np.array([values[k] for values in by_place.values()]) for k in (0, 1))
-    best = np.where(passed, bic, np.inf).min(axis=0)
-    return dict(zip(by_place, (bic - best < WITHIN) & np.isfinite(best), strict=True))
+    cost, passed = (np.array([values[k] for values in by_place.values()]) for k in (0, 1))
+    best = np.where(passed, cost, np.inf).min(axis=0)
+    return dict(zip(by_place, (cost - best < WITHIN) & np.isfinite(best), strict=True))
 
 
 def amplitudes(

@@ -41,14 +41,14 @@ class Choices:
 
 @dataclass(frozen=True)
 class Explanation:
-    """A cause in a finding's place as it was scored, and its place's BIC relative to the finding's."""
+    """A cause in a finding's place as it was scored, and its place's cost relative to the finding's."""
 
     score: Score
-    bic: float
+    cost: float
 
-    def cost(self, n: int) -> float:
-        """What its parameters and variants cost in BIC, up to a constant of the finding; n is the number of residuals."""
-        return float(self.bic - n * np.log1p(-self.score.share))
+    def complexity(self, n: int) -> float:
+        """What its parameters and variants cost, up to a constant of the finding; n is the number of residuals."""
+        return float(self.cost - n * np.log1p(-self.score.share))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ class TCriterion:
 
     squared [sd²] is what they cannot imitate in the data, unexplained (n_poses, n_units) what the imitation that is best there
     leaves at each further pose, spread (n_poses, n_units, n_units) how surely that is known. taken are the poses measured since:
-    what each of them has in common with every pose, its own spread being 1. cost is by how much the other is dearer in BIC.
+    what each of them has in common with every pose, its own spread being 1. cost is by how much the other is dearer.
     """
 
     squared: float
@@ -138,7 +138,7 @@ class TCriterion:
         """
         model, fit = fitted.model, fitted.fit
         scores = [explanation.score for explanation in explanations]
-        costs = [explanation.cost(fit.residual.size) for explanation in explanations]
+        costs = [explanation.complexity(fit.residual.size) for explanation in explanations]
         both = replace(model, effects=(*model.effects, *(score.cause for score in scores[1:])))
         columns = [both.columns(score.cause) for score in scores]
         rest = np.setdiff1d(np.arange(len(both.parameters)), np.concatenate(columns))
@@ -178,7 +178,7 @@ class TCriterion:
 
     @property
     def lead(self) -> float:
-        """By how many of its standard deviations the BIC is expected to exclude the other (to be WITHIN above the true one's)."""
+        """By how many of its standard deviations the other's cost is expected to be WITHIN above the true one's."""
         apart = max(self.separation, 1e-9)
         return (apart**2 + self.cost - WITHIN) / (2 * apart)
 

@@ -49,7 +49,7 @@ from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 
 FINER_STEPS = 4  # at most, of one inner unknown each, when a rival is refined before it is fitted
-CLEARLY_FINER = 2.0  # of BIC: by how much a variant must be better than its neighbour for another fit
+CLEARLY_FINER = 2.0  # of cost: by how much a variant must be better than its neighbour for another fit
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class FittedTrial(Trial[Cause]):
         return Linearisation.at(self.fitted, self.catalogue)
 
     @cached_property
-    def bic(self) -> float:
+    def cost(self) -> float:
         """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
         fitted = self.fitted
         scale = float(np.median(replace(fitted.noise, sigma=fitted.noise.sigma / fitted.far).total))
@@ -110,8 +110,8 @@ class FittedTrial(Trial[Cause]):
         linearisation = Linearisation.at(self.fitted, Catalogue(tuple(chain.from_iterable(finer)), {}))
         for cause in (cause for cause, variants in zip(self.causes, finer, strict=True) if variants):
             near = [score for score in linearisation.apart([cause]).scores if score.cause.place == cause.place]
-            own_bic = next((score.delta_bic for score in near if score.cause == cause), np.inf)
-            if near and near[0].delta_bic < own_bic - CLEARLY_FINER:
+            own_cost = next((score.cost for score in near if score.cause == cause), np.inf)
+            if near and near[0].cost < own_cost - CLEARLY_FINER:
                 yield swapped(self.causes, cause, near[0].cause)
 
     def in_place(self, gone: Sequence[Cause], cause: Cause) -> Cause:
@@ -450,7 +450,7 @@ def _searched(
     best = _second_thought(search.settled(tried), tried, search)
     for trial in fitted_trials:
         more = len(best.causes) - len(trial.causes)
-        if more > 0 and search.stands(trial) and best.bic > trial.bic - SPLIT * more:
+        if more > 0 and search.stands(trial) and best.cost > trial.cost - SPLIT * more:
             best = trial  # two that together are what one was: as in an exchange, they must be clearly better
     return replace(extended(best, tried, first), first=extension.first)
 
@@ -458,7 +458,7 @@ def _searched(
 def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepwise[Cause]) -> Trial[Cause]:
     """The best model, or the one with a rival in the place of a cause that the background explains nearly as well.
 
-    BIC of fits takes the background's size for known; the rivals' comparison in a cause's place does not.
+    The evidence of fits takes the background's size for known; the rivals' comparison in a cause's place does not.
     """
     for _ in range(THOUGHTS):
         wanted = second_thoughts(best.findings, search.acceptance)

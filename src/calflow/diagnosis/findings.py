@@ -230,12 +230,12 @@ def found_amplitude(finding: Detection, fitted: Fitted) -> tuple[float, float]:
         return estimate, sd  # at a bound
     forms = [score for score in finding.scores if score.cause.place == cause.place]
     others = [s for s in forms if s.cause != cause and same_quantities(s.cause, cause)]
-    least = min(score.delta_bic for score in forms)
-    variances, weights = [sd**2], [np.exp((least - finding.own.delta_bic) / 2)]
+    least = min(score.cost for score in forms)
+    variances, weights = [sd**2], [np.exp((least - finding.own.cost) / 2)]
     for score in others:
         other, other_sd = amplitude(score.cause, score.estimate, score.covariance)
         variances.append(other_sd**2 + (other - estimate) ** 2)
-        weights.append(np.exp((least - score.delta_bic) / 2))
+        weights.append(np.exp((least - score.cost) / 2))
     return estimate, float(np.sqrt(np.average(variances, weights=weights)))
 
 
@@ -420,17 +420,17 @@ def candidates_table(diagnosis: Diagnosis) -> pd.DataFrame:
     """Return diagnose/candidates.csv: every place in its best variant, as first tested, and what could not be tested."""
     first = diagnosis.extended.first
     places = by_place(first.scores)
-    least = min((bic for bic, _ in places.values()), default=0.0)
-    weights = {place: np.exp(-(bic - least) / 2) for place, (bic, _) in places.items()}
+    least = min((cost for cost, _ in places.values()), default=0.0)
+    weights = {place: np.exp(-(cost - least) / 2) for place, (cost, _) in places.items()}
     total = sum(weights.values()) + np.exp(least / 2)  # nothing at all is a candidate too
     rows = []
-    for place, (bic, score) in sorted(places.items(), key=lambda item: item[1][0]):
+    for place, (cost, score) in sorted(places.items(), key=lambda item: item[1][0]):
         tested = _score(score)
         rows.append(
             replace(
                 tested,
                 p_family=first.family.p(score),
-                delta_bic=bic,
+                delta_bic=cost,
                 probability=weights[place] / total,
                 limit=detection_limit(score, first.family, diagnosis.false_alarm),
                 tests=first.family.tests(score),
@@ -478,7 +478,7 @@ def _kept_together(causes: Sequence[Cause]) -> list[list[int]]:
 
 def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     """One row of several causes of a family at one place: named by the family, best described as the one that explains most."""
-    order = sorted(range(len(rows)), key=lambda k: verdicts[k].finding.own.delta_bic)
+    order = sorted(range(len(rows)), key=lambda k: verdicts[k].finding.own.cost)
     lead, causes = rows[order[0]], [verdicts[k].finding.cause for k in order]
     family, where = causes[0].effect.family, f", {_place(causes[0])}" if causes[0].joint else ""
     kin = {(name, causes[0].joint) for name in (causes[0].id, *_relatives(causes[0]))}

@@ -219,7 +219,7 @@ class LinearTrial(Trial[Block]):
         return replace(self, blocks=tuple(causes))
 
     @cached_property
-    def bic(self) -> float:
+    def cost(self) -> float:
         """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
         solution, spans = self.solution, self._own
         every = [self._amplitudes(block, columns) for block, columns in zip(self.blocks, spans, strict=True)]
@@ -274,11 +274,11 @@ FLAT = 1e4  # by how much a parameter without a prior may move the residuals, ov
 
 @dataclass(frozen=True)
 class LinearRival:
-    """What else may explain the data: a block's name, its best variant, and its BIC above the finding's (variants averaged)."""
+    """What else may explain the data: a block's name, its best variant, and its cost above the finding's (variants averaged)."""
 
     name: str
     variant: str
-    delta_bic: float
+    cost: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +287,7 @@ class LinearFinding:
 
     estimate and sd (n_parameters,) are in the parameters' units, sd nan at a bound; p is the chance that anything in the family
     looks like this where nothing is hidden, probability that it is this block rather than a rival; rivals are those that the
-    data do not exclude (a BIC within 10), the nearest first.
+    data do not exclude (a cost within 10), the nearest first.
     """
 
     name: str
@@ -359,7 +359,7 @@ def diagnose_linear(
 def _finding(finding: Detection[Block]) -> LinearFinding:
     named, score = verdict(finding), finding.own
     rivals = tuple(
-        LinearRival(rival.id, rival.cause.detail if rival.cause else "", rival.bic) for rival in named.rivals
+        LinearRival(rival.id, rival.cause.detail if rival.cause else "", rival.cost) for rival in named.rivals
     )
     held = (score.estimate == finding.cause.bounds).any(axis=0)
     sd = np.where(held, np.nan, np.sqrt(np.diag(score.covariance)))

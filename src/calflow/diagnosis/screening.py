@@ -74,7 +74,7 @@ class Score(Generic[H]):
     """What one candidate would gain, without a refit.
 
     drop is that of chi² and share its part of all, degrees_of_freedom those that it costs, p the p-value of this test
-    alone; delta_bic, twice minus the logarithm of its evidence (see `evidence`), which BIC is named for, is negative where it pays.
+    alone; cost, twice minus the logarithm of its evidence (see `evidence`), is negative where it pays.
     visible_share is how much of the effect the model's own parameters cannot imitate, information S, shown how many directions
     of it the data show, left the degrees of freedom besides them.
     """
@@ -84,7 +84,7 @@ class Score(Generic[H]):
     share: float
     degrees_of_freedom: float
     p: float
-    delta_bic: float
+    cost: float
     visible_share: float
     estimate: np.ndarray
     covariance: np.ndarray
@@ -138,20 +138,20 @@ def worth(smallest: np.ndarray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Trials(Generic[H]):
-    """Visible candidates, the BIC that each would gain (n_candidates, n_draws), and whether it would be found, likewise."""
+    """Visible candidates, what each would cost (n_candidates, n_draws), and whether it would be found, likewise."""
 
     causes: tuple[H, ...]
-    bic: np.ndarray
+    cost: np.ndarray
     passed: np.ndarray
 
     def by_place(self) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
-        """Return each place's BIC (n_draws,), averaged over its variants as evidence is, and whether any would be found."""
+        """Return each place's cost (n_draws,), averaged over its variants as evidence is, and whether any would be found."""
         members: dict[tuple[str, str], list[int]] = {}
         for k, cause in enumerate(self.causes):
             members.setdefault(cause.place, []).append(k)
         return {
             place: (
-                -2 * np.logaddexp.reduce(-self.bic[columns] / 2, axis=0),
+                -2 * np.logaddexp.reduce(-self.cost[columns] / 2, axis=0),
                 np.asarray(self.passed[columns].any(axis=0)),
             )
             for place, columns in members.items()
@@ -217,7 +217,7 @@ class _Weighed:
 
     squared: np.ndarray
     drops: np.ndarray
-    bic: np.ndarray
+    cost: np.ndarray
     estimate: np.ndarray
     covariance: np.ndarray
 
@@ -347,15 +347,15 @@ class Screening(Generic[H]):
             left = np.maximum(np.minimum(sure, self.degrees_of_freedom - block.degrees_of_freedom), 1.0)
             weighed = self._weighed(block, self.score[block.columns, None], np.array([self.chi2]))
             p = self._p(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
-            drops, bic = weighed.drops[:, 0], weighed.bic[:, 0]
+            drops, cost = weighed.drops[:, 0], weighed.cost[:, 0]
             spent = (block.value / (block.value + 1)).sum(axis=1)
             scores += [
                 Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),
-                      float(p[k]), float(bic[k]), float(block.share[k]), weighed.estimate[k, :, 0], weighed.covariance[k],
+                      float(p[k]), float(cost[k]), float(block.share[k]), weighed.estimate[k, :, 0], weighed.covariance[k],
                       block.information[k], int(block.degrees_of_freedom[k]), float(left[k]))
                 for k, member in enumerate(block.members)
             ]  # fmt: skip
-        return sorted(scores, key=lambda score: score.delta_bic)
+        return sorted(scores, key=lambda score: score.cost)
 
     def _weighed(self, block: _Block, score: np.ndarray, chi2: np.ndarray) -> _Weighed:
         """Weigh a block's candidates by any scores (n_members, d, n_draws) of theirs where the model leaves a chi² (n_draws,)."""
@@ -370,17 +370,17 @@ class Screening(Generic[H]):
         lost = (beyond * (block.information @ beyond)).sum(axis=1) + (precision[..., None] * beyond**2).sum(axis=1)
         known = block.value / (block.value + 1)
         drops = np.maximum((squared * known[..., None]).sum(axis=1) - lost, 0.0)
-        fallen, cost = explained(squared.transpose(0, 2, 1), block.value[:, None, :])
+        fallen, narrowed = explained(squared.transpose(0, 2, 1), block.value[:, None, :])
         gone = np.minimum((fallen - lost) / chi2, 1 - 1e-12)
         scans = np.array([self.variants[r.candidates[member].cause.place] for member in block.members])
-        bic = -2 * mixed(-(n * np.log1p(-gone) + cost) / 2) + 2 * np.log(scans)[:, None]
+        cost = -2 * mixed(-(n * np.log1p(-gone) + narrowed) / 2) + 2 * np.log(scans)[:, None]
         return _Weighed(
-            squared.sum(axis=1), drops, bic, inside, covariance
+            squared.sum(axis=1), drops, cost, inside, covariance
         )  # rivals are weighed alike; how sure each is p says
 
     def trials(self, score: np.ndarray, chi2: np.ndarray, family: Family, false_alarm: float) -> Trials[H]:
         """Test all visible candidates at once by many scores (n_columns, n_draws), where the model leaves a chi² (n_draws,)."""
-        members, bic, passed = list[int](), [], []
+        members, cost, passed = list[int](), [], []
         total = self.degrees_of_freedom
         for block in self._blocks:
             weighed, spent = self._weighed(block, score[block.columns], chi2), block.degrees_of_freedom
@@ -390,10 +390,10 @@ class Screening(Generic[H]):
             threshold = f_distribution.isf(-np.expm1(np.log1p(-false_alarm) / tests), spent, left)
             ratio = weighed.squared / np.maximum(chi2 - weighed.squared, 1e-12 * chi2) * (left / spent)[:, None]
             members += block.members
-            bic.append(weighed.bic)
-            passed.append((ratio > threshold[:, None]) & (weighed.bic < 0) & (weighed.drops > MATERIAL * chi2))
+            cost.append(weighed.cost)
+            passed.append((ratio > threshold[:, None]) & (weighed.cost < 0) & (weighed.drops > MATERIAL * chi2))
         causes = [self.regressors.candidates[member].cause for member in members]
-        return Trials(tuple(causes), np.vstack(bic), np.vstack(passed))
+        return Trials(tuple(causes), np.vstack(cost), np.vstack(passed))
 
     def family(self, rng: np.random.Generator) -> Family:
         """Return how many independent tests each place's scan and all places together are worth, by a bootstrap.
@@ -453,13 +453,13 @@ def _drawn(rng: np.random.Generator, n: int, precision: np.ndarray, count: int) 
 
 
 def by_place(scores: Sequence[Score[H]]) -> dict[tuple[str, str], tuple[float, Score[H]]]:
-    """Return each place's BIC, averaged over its variants as evidence is, and its best score."""
+    """Return each place's cost, averaged over its variants as evidence is, and its best score."""
     groups: dict[tuple[str, str], list[Score[H]]] = {}
     for score in scores:
         groups.setdefault(score.cause.place, []).append(score)
     places = {}
     for place, members in groups.items():
-        values = np.array([score.delta_bic for score in members])
+        values = np.array([score.cost for score in members])
         least = float(values.min())
         places[place] = (least - 2 * float(np.log(np.exp((least - values) / 2).sum())), members[int(values.argmin())])
     return places

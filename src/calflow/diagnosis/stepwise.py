@@ -37,7 +37,7 @@ from calflow.effects.cause import Cause
 class Detection(Generic[H]):
     """A cause in the extended model, with all candidates' scores where it is taken out and the others stay.
 
-    unnamed is the BIC of what nobody can name in its place, above its own; carries_over whether it holds at blocks of training
+    unnamed is the cost of what nobody can name in its place, above its own; carries_over whether it holds at blocks of training
     poses that were left out, None where that was not tried.
     """
 
@@ -130,9 +130,9 @@ def _besides(candidates: Sequence[Candidate[H]], causes: Sequence[H]) -> tuple[C
     )
 
 
-WITHIN = 10.0  # of the best BIC: closer rivals cannot be told apart (Kass and Raftery 1995: "very strong" beyond)
+WITHIN = 10.0  # of the least cost: closer rivals cannot be told apart (Kass and Raftery 1995: "very strong" beyond)
 PATIENCE = 3  # models with causes at the same places that may be no better than one before them
-BETTER = 1.0  # of BIC: by how much one must be better to count as that
+BETTER = 1.0  # of cost: by how much one must be better to count as that
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Trial(ABC, Generic[H]):
 
     @property
     @abstractmethod
-    def bic(self) -> float:
+    def cost(self) -> float:
         """What it costs, to be compared with other trials: see `refitted_cost`."""
 
     @cached_property
@@ -243,7 +243,7 @@ def is_worth_trying(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
     and dropped in turns for ever.
     """
     where = sorted(cause.place for cause in causes)
-    costs = [trial.bic for trial in tried if sorted(cause.place for cause in trial.causes) == where]
+    costs = [trial.cost for trial in tried if sorted(cause.place for cause in trial.causes) == where]
     stuck = len(costs) > PATIENCE and min(costs[-PATIENCE:]) > min(costs[:-PATIENCE]) - BETTER
     return not stuck and is_new(causes, tried)
 
@@ -266,7 +266,7 @@ class CauseAcceptance:
 
     def accepts(self, score: Score, family: Family) -> bool:
         """Whether a candidate pays, matters, and is no accident."""
-        return score.delta_bic < 0 and score.share > MATERIAL and family.p(score) < self.false_alarm
+        return score.cost < 0 and score.share > MATERIAL and family.p(score) < self.false_alarm
 
     def keeps(self, finding: Detection) -> bool:
         """Whether a cause that is in the model would pass again."""
@@ -298,7 +298,7 @@ def merged(trial: Trial[H]) -> Iterator[list[H]]:
 
 FEW_COLUMNS = 4  # of a candidate at most: error maps have rivals of their own
 BEST_VARIANTS = 8  # of one place, the best
-SPLIT = 10.0  # of BIC: by how much two must explain the data better than one (Kass and Raftery 1995: "very strong")
+SPLIT = 10.0  # of cost: by how much two must explain the data better than one (Kass and Raftery 1995: "very strong")
 
 
 @dataclass(frozen=True)
@@ -307,7 +307,7 @@ class Pair(Generic[H]):
 
     first: Score[H]
     second: Score[H]
-    delta_bic: float
+    cost: float
     p: float
 
 
@@ -354,8 +354,8 @@ class Exchange(Generic[H]):
     def alone(self) -> Score[H] | None:
         """Return the best candidate that explains the data better than the two that are gone do together."""
         at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
-        best = min(self.scores, key=lambda score: score.delta_bic, default=None)
-        if len(at) < 2 or best is None or not best.delta_bic < self._bic[at[0], at[1]]:
+        best = min(self.scores, key=lambda score: score.cost, default=None)
+        if len(at) < 2 or best is None or not best.cost < self._costs[at[0], at[1]]:
             return None
         return best
 
@@ -364,15 +364,15 @@ class Exchange(Generic[H]):
         at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
         if len(at) < len(self.gone):
             return  # what is gone does not show here
-        every = self._bic
-        now = every[at[0], at[1]] if len(at) == 2 else self.scores[at[0]].delta_bic - SPLIT
+        every = self._costs
+        now = every[at[0], at[1]] if len(at) == 2 else self.scores[at[0]].cost - SPLIT
         limit = now - MATERIAL * len(self.screening.regressors.residual)
-        bic = np.where(self._of_different_places, every, np.inf)
-        for k in np.argsort(bic, axis=None, kind="stable"):
-            i, j = (int(x) for x in np.unravel_index(k, bic.shape))
-            if not bic[i, j] < limit:
+        cost = np.where(self._of_different_places, every, np.inf)
+        for k in np.argsort(cost, axis=None, kind="stable"):
+            i, j = (int(x) for x in np.unravel_index(k, cost.shape))
+            if not cost[i, j] < limit:
                 return
-            yield Pair(self.scores[i], self.scores[j], float(bic[i, j]), max(self._p(i, j), self._p(j, i)))
+            yield Pair(self.scores[i], self.scores[j], float(cost[i, j]), max(self._p(i, j), self._p(j, i)))
 
     @property
     def _of_different_places(self) -> np.ndarray:
@@ -383,11 +383,11 @@ class Exchange(Generic[H]):
         return np.triu(where[:, None] != where, 1)
 
     @cached_property
-    def _bic(self) -> np.ndarray:
-        """Return delta BIC of every pair, shape (m, m)."""
+    def _costs(self) -> np.ndarray:
+        """Return the cost of every pair, shape (m, m)."""
         identity = np.eye(FEW_COLUMNS)
         m, n, chi2 = len(self.scores), len(self.screening.regressors.residual), self.screening.chi2
-        size, cost = self.likeliest_sizes
+        size, taken_for = self.likeliest_sizes
         information = self.information * size[:, None, None, None] * size[:, None, None]
         score, diagonal = self.score * size[:, None], information[np.arange(m), np.arange(m)]
         alone = np.linalg.inv(diagonal + identity)
@@ -399,9 +399,9 @@ class Exchange(Generic[H]):
         left = score - np.einsum("ijbc,ic->ijb", taken, score, optimize=True)
         drop = drop_alone[:, None] + np.einsum("ijb,ijbc,ijc->ij", left, np.linalg.inv(beside), left, optimize=True)
         narrowed = np.linalg.slogdet(diagonal + identity)[1][:, None] + np.linalg.slogdet(beside)[1]
-        cost = cost + 2 * np.log([self.screening.variants[score.cause.place] for score in self.scores])
+        spent = taken_for + 2 * np.log([self.screening.variants[score.cause.place] for score in self.scores])
         share = np.minimum(drop / chi2, 1 - 1e-12)
-        return np.asarray(n * np.log1p(-share) + narrowed + cost[:, None] + cost)
+        return np.asarray(n * np.log1p(-share) + narrowed + spent[:, None] + spent)
 
     @property
     def likeliest_sizes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -409,9 +409,9 @@ class Exchange(Generic[H]):
         value, vectors = np.linalg.eigh(self.information[np.arange(len(self.scores)), np.arange(len(self.scores))])
         value = np.maximum(value, np.finfo(float).tiny)
         squared = np.einsum("mab,ma->mb", vectors, self.score) ** 2 / value
-        fallen, cost = explained(squared, value)
+        fallen, narrowed = explained(squared, value)
         n, chi2 = len(self.screening.regressors.residual), self.screening.chi2
-        logs = -(n * np.log1p(-np.minimum(fallen / chi2, 1 - 1e-12)) + cost) / 2
+        logs = -(n * np.log1p(-np.minimum(fallen / chi2, 1 - 1e-12)) + narrowed) / 2
         best = np.argmax(logs + LOG_PRIOR[:, None], axis=0)
         return SIZES[best], -2 * (mixed(logs) - logs[best, np.arange(len(best))])
 
@@ -433,19 +433,19 @@ class Exchange(Generic[H]):
 
 
 DOUBT = 0.05  # share of a cause's evidence by which the linear comparison with a rival may err
-WORTH = WITHIN  # of BIC: smaller doubts do not decide anything
+WORTH = WITHIN  # of cost: smaller doubts do not decide anything
 
 Place = tuple[str, str]
 
 
 def doubtful(finding: Detection[H]) -> list[Score[H]]:
     """Return the best variants of the rivals that might explain the data as well, the nearest first; none of a small cause."""
-    doubt = -DOUBT * finding.own.delta_bic
+    doubt = -DOUBT * finding.own.cost
     if doubt < WORTH:
         return []
     places = by_place(finding.scores)
-    named_bic = places.pop(finding.cause.place)[0]
-    near = [(bic, score) for bic, score in places.values() if bic - named_bic < WITHIN + doubt]
+    named_cost = places.pop(finding.cause.place)[0]
+    near = [(cost, score) for cost, score in places.values() if cost - named_cost < WITHIN + doubt]
     return [score for _, score in sorted(near, key=lambda scored: scored[0])]
 
 
@@ -475,7 +475,7 @@ def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Detection[H], .
         above = {
             score.cause.place: min(fitted)
             for score in doubtful(finding)
-            if (fitted := [other.bic - best.bic for other in tried if _has(other, stay, score.cause)])
+            if (fitted := [other.cost - best.cost for other in tried if _has(other, stay, score.cause)])
         }
         detections.append(corrected_rivals(finding, above, best.n_residuals))
     return tuple(detections)
@@ -488,21 +488,19 @@ def _has(trial: Trial[H], stay: Sequence[H], rival: H) -> bool:
 
 
 def corrected_rivals(finding: Detection[H], above: Mapping[Place, float], n: int) -> Detection[H]:
-    """Return the finding with some places' BICs as they were fitted, above that of the cause; n is the number of residuals."""
+    """Return the finding with some places' costs as they were fitted, above that of the cause; n is the number of residuals."""
     places = by_place(finding.scores)
-    own_bic = places[finding.cause.place][0]
-    shift = {place: bic + own_bic - places[place][0] for place, bic in above.items()}
+    own_cost = places[finding.cause.place][0]
+    shift = {place: cost + own_cost - places[place][0] for place, cost in above.items()}
 
     def moved(score: Score[H]) -> Score[H]:
         if score.cause.place not in shift:
             return score
         change = shift[score.cause.place]
         share = 1 - (1 - score.share) * float(np.exp(change / n))
-        return replace(
-            score, delta_bic=score.delta_bic + change, share=share, drop=share * score.drop / max(score.share, 1e-12)
-        )
+        return replace(score, cost=score.cost + change, share=share, drop=share * score.drop / max(score.share, 1e-12))
 
-    scores = sorted(map(moved, finding.scores), key=lambda score: score.delta_bic)
+    scores = sorted(map(moved, finding.scores), key=lambda score: score.cost)
     return replace(finding, scores=tuple(scores))
 
 
@@ -556,7 +554,7 @@ class Stepwise(Generic[H]):
             tried.append(tried[-1].with_causes(step.causes, step.added))
             tried[-2].forget()
             self.advance(1 - (1 - STEP_SHARE) ** len(tried))
-        best_first = sorted([tried[0], *tried[begin:]], key=lambda trial: trial.bic)
+        best_first = sorted([tried[0], *tried[begin:]], key=lambda trial: trial.cost)
         best = next(trial for trial in best_first if self.stands(trial))
         forget_all_but(best, tried)
         return best
@@ -572,7 +570,7 @@ class Stepwise(Generic[H]):
         others = (_replaced(best, causes) for causes in doubted(best))
         at_once = chain((_replaced(best, causes) for causes in merged(best)), self.exchanges(best))
         return self._led_to(best, tried, at_once, lambda _: False) or self._led_to(
-            best, tried, others, lambda trial: trial.bic < best.bic + WITHIN and not self.stands(trial)
+            best, tried, others, lambda trial: trial.cost < best.cost + WITHIN and not self.stands(trial)
         )
 
     def _led_to(
@@ -585,9 +583,9 @@ class Stepwise(Generic[H]):
             if not is_worth_trying(step.causes, tried):
                 continue
             tried.append(best.with_causes(step.causes, step.added))
-            if _cost(tried[-1]) < _cost(best) or promising(tried[-1]):
+            if _cost_apart(tried[-1]) < _cost_apart(best) or promising(tried[-1]):
                 self.say(step.words)
-                if _cost(other := self.settled(tried)) < _cost(best):
+                if _cost_apart(other := self.settled(tried)) < _cost_apart(best):
                     return other
                 self.say("that is no better")
             forget_all_but(best, tried)
@@ -628,7 +626,7 @@ def _added(
         passed = [score for score in now.scores if acceptance.accepts(score, now.family)]
     if not passed:
         return
-    best = trial.finest(min(passed, key=lambda score: score.delta_bic))
+    best = trial.finest(min(passed, key=lambda score: score.cost))
     message = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
     yield Proposal([*trial.causes, best.cause], message, best)
 
@@ -653,7 +651,7 @@ def words(cause: H) -> str:
 def second_thoughts(findings: Sequence[Detection[H]], acceptance: CauseAcceptance) -> list[H]:
     """Return the causes that stay, a more probable rival in the place of one; one change at a time."""
     causes = [finding.cause for finding in findings]
-    weakest = sorted(findings, key=lambda finding: -_own_bic(finding))
+    weakest = sorted(findings, key=lambda finding: -_own_cost(finding))
     for finding in weakest:
         if not acceptance.keeps(finding):
             return [cause for cause in causes if cause != finding.cause]
@@ -665,10 +663,10 @@ def second_thoughts(findings: Sequence[Detection[H]], acceptance: CauseAcceptanc
     return causes
 
 
-def _cost(trial: Trial[H]) -> float:
-    """BIC, where two causes must explain the data clearly better than one does."""
-    return trial.bic + SPLIT * len(trial.causes)
+def _cost_apart(trial: Trial[H]) -> float:
+    """What it costs, where two causes must explain the data clearly better than one does."""
+    return trial.cost + SPLIT * len(trial.causes)
 
 
-def _own_bic(finding: Detection[H]) -> float:
-    return next((score.delta_bic for score in finding.scores if score.cause == finding.cause), 0.0)
+def _own_cost(finding: Detection[H]) -> float:
+    return next((score.cost for score in finding.scores if score.cause == finding.cause), 0.0)

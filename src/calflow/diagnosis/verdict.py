@@ -33,14 +33,14 @@ Status = Literal["named", "one_of"]
 
 @dataclass(frozen=True)
 class Rival(Generic[H]):
-    """What else could explain the data: an effect's id and its joint (0 for none); bic is relative to the finding's.
+    """What else could explain the data: an effect's id and its joint (0 for none); cost is relative to the finding's.
 
     score is of its best variant in the finding's place, None where the data could not test it; needs is what that would take.
     """
 
     id: str
     joint: int
-    bic: float
+    cost: float
     score: Score[H] | None
     needs: str = ""
 
@@ -76,28 +76,28 @@ class Verdict(Generic[H]):
 
 
 def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyType({})) -> Verdict[H]:
-    """Weigh a finding against all rivals in its place by their BIC, the variants of each taken together.
+    """Weigh a finding against all rivals in its place by their evidence, the variants of each taken together.
 
     untestable are ids of what may be behind it and could not be tested, with what that would take: as likely as the finding.
     """
     evidence = by_place(finding.scores)
     cause = finding.cause
-    named_bic = evidence[cause.place][0]
+    named_cost = evidence[cause.place][0]
     rivals = [
-        Rival(best.cause.id, best.cause.joint, bic - named_bic, best)
-        for place, (bic, best) in evidence.items()
-        if place != cause.place and bic - named_bic < WITHIN
+        Rival(best.cause.id, best.cause.joint, cost - named_cost, best)
+        for place, (cost, best) in evidence.items()
+        if place != cause.place and cost - named_cost < WITHIN
     ]
     tested = {(score.cause.id, score.cause.joint) for score in finding.scores}
     untested = [other for other in dict.fromkeys([*cause.alike, *untestable]) if (other, cause.joint) not in tested]
     rivals += [Rival(other, cause.joint, 0.0, None, untestable.get(other, "")) for other in untested]
-    weights = [np.exp(-(bic - named_bic) / 2) for place, (bic, _) in evidence.items() if place != cause.place]
+    weights = [np.exp(-(cost - named_cost) / 2) for place, (cost, _) in evidence.items() if place != cause.place]
     against = TEMPERED * finding.unnamed
     if against < WITHIN:
         rivals.append(Rival(UNEXPLAINED, 0, against, None))
-    weights += [float(np.exp(-max(rival.bic, 0.0) / 2)) for rival in rivals if rival.cause is None]
+    weights += [float(np.exp(-max(rival.cost, 0.0) / 2)) for rival in rivals if rival.cause is None]
     probability = 1 / (1 + float(np.sum(weights)))
-    ordered = tuple(sorted(rivals, key=lambda rival: rival.bic))
+    ordered = tuple(sorted(rivals, key=lambda rival: rival.cost))
     return Verdict(finding, "one_of" if ordered else "named", probability, ordered, finding.carries_over)
 
 
@@ -142,8 +142,8 @@ def fitted_alternatives(verdicts: Sequence[Verdict], final: Fitted) -> tuple[Fit
 
 def _probability(verdict: Verdict, rival: Rival) -> float:
     """The rival's share, as the verdict weighs it: what could not be tested never counts for more than the cause."""
-    bic = rival.bic if rival.cause else max(rival.bic, 0.0)
-    return float(verdict.probability * np.exp(-bic / 2))
+    cost = rival.cost if rival.cause else max(rival.cost, 0.0)
+    return float(verdict.probability * np.exp(-cost / 2))
 
 
 def alternatives_table(
@@ -204,22 +204,22 @@ def rivals_shown(findings: Sequence[Detection[Cause]], beside: Sequence[Score[Ca
 def _neighbours(
     final: Fitted, findings: Sequence[Detection[Cause]], beside: Sequence[Score[Cause]], places: float
 ) -> Iterator[tuple[list[Cause], Change, float]]:
-    """Yield the causes of all models one step away, the step, and the logarithm of how likely it makes them (BIC).
+    """Yield the causes of all models one step away, the step, and the logarithm of how likely it makes them.
 
-    What a form costs is in BIC already, what a place costs (its logarithm) is not.
+    What a form costs is in the evidence already, what a place costs (its logarithm) is not.
     """
     causes = list(final.causes)
     for finding in findings:
         if not _is_small(finding.cause):
             continue
-        bic = finding.own.delta_bic
-        yield [cause for cause in causes if cause != finding.cause], "without", bic / 2 + places
+        cost = finding.own.cost
+        yield [cause for cause in causes if cause != finding.cause], "without", cost / 2 + places
         for score in finding.scores:
             if score.cause != finding.cause and _is_small(score.cause):
-                yield swapped(causes, finding.cause, score.cause), "instead", (bic - score.delta_bic) / 2
+                yield swapped(causes, finding.cause, score.cause), "instead", (cost - score.cost) / 2
     for score in beside:
         if _is_small(score.cause):
-            yield [*causes, score.cause], "besides", -score.delta_bic / 2 - places
+            yield [*causes, score.cause], "besides", -score.cost / 2 - places
 
 
 def _is_small(cause: Cause) -> bool:

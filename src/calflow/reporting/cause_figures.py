@@ -126,7 +126,7 @@ def gains(
 def evidence(
     labels: Sequence[str], evidence: np.ndarray, p: np.ndarray, found: np.ndarray, within: float, threshold: float
 ) -> Figure:
-    """Draw how strongly each place speaks: the fall of BIC, and the chance of a false alarm with the threshold it must pass.
+    """Draw how strongly each place speaks: its evidence, and the chance of a false alarm with the threshold it must pass.
 
     All arrays have shape (n_places,), best first; found marks what is in the extended model; where there is any, places whose
     evidence is no more than within short of the best cannot be told from it by the first look.
@@ -143,7 +143,7 @@ def evidence(
         if mask.any():
             left.barh(at[mask], evidence[mask], 0.66, linewidth=0.6, label=name, **look)
     left.axvline(0, color="#444444", linewidth=0.6)
-    left.set_xlabel("evidence (fall of BIC)")
+    left.set_xlabel("evidence (twice its logarithm)")
     shown = np.clip(p, LEAST_P, 1.0)
     for mask, look, _ in looks:
         marker = {"markerfacecolor": look.get("color", look.get("facecolor")), "markeredgecolor": DARK}

@@ -106,7 +106,7 @@ class WeighedModels:
 
     @cached_property
     def by_tests(self) -> np.ndarray:
-        """The same by the linear tests of diagnose (BIC), (n_models,)."""
+        """The same by the linear tests of diagnose, (n_models,)."""
         return _shares([model.reached.log_weight for model in self.models])
 
     @property

@@ -43,10 +43,10 @@ def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
     places = {(one.cause, one.joint) for one in causes}
     added = np.array([(row.cause, row.joint) in places for row in rows])
     data = pd.DataFrame({
-        "place": [_candidate_words(row) for row in rows], "fall_of_bic": [-row.delta_bic for row in rows],
+        "place": [_candidate_words(row) for row in rows], "evidence": [-row.delta_bic for row in rows],
         "chance_of_a_false_alarm": [row.p_family for row in rows], "in_the_model": added,
     })  # fmt: skip
-    names, fall, p = data["place"].tolist(), data["fall_of_bic"].to_numpy(), data["chance_of_a_false_alarm"].to_numpy()
+    names, fall, p = data["place"].tolist(), data["evidence"].to_numpy(), data["chance_of_a_false_alarm"].to_numpy()
     drawn = evidence(names, fall, p, added, WITHIN, threshold(material))
     return [Heading("How the search went"), Plot("evidence", drawn, EVIDENCE, data)]
 
