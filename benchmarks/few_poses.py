@@ -22,7 +22,7 @@ from foreign_forms import FORMS, Hidden, measured
 from foreign_physics import ARMS, Array, Rows, measured_rows, points, worn
 from foreign_study import identified, joint_of, names_of, predicted, rows_there, write_study
 from kept_cases import Place, Row
-from other_forms import LARGEST, World, judged, placed, resized
+from other_forms import World, judged, placed
 
 import calflow as cf
 
@@ -44,8 +44,7 @@ def work(place: Place) -> list[Row]:
     if hiding:
         forms = [form for form in FORMS if arm.name in form.arms and not FULL & set(form.needs)]
         world = World(arm, real, rows.only(here), np.zeros(0), sigma * np.eye(here.sum()))
-        h, rms = placed(forms[int(rng.integers(len(forms)))], world, LIMITS, True, rng)
-        h = resized(h, min(1.0, LARGEST * sigma / rms))
+        h = placed(forms[int(rng.integers(len(forms)))], world, LIMITS, True, rng).hidden
     seen = measured(real, rows, (h,) if h else ())
     holdout = float(rng.choice([0.0, 0.3]))
     known: Row = {"arm": arm.name, "poses": number, "holdout": holdout, "hidden": f"{h.form.cause}:{h.joint}" if h else "",

@@ -6,8 +6,8 @@ Arms and forms are of foreign_physics.py and foreign_forms.py, where the table s
 hides nothing. A background is a smooth random displacement over three joints, rms per axis 0, 0.3, 1 or 5 times the noise. The
 size of a form is 2, 3 or 5 limits: what neither geometry and springs nor this background (its law known) can imitate has so many
 times the norm over the errors at which a cause of two parameters is found 95 times in 100 among a hundred. Where a form would have
-to move the tool by more than LARGEST times noise and background another place is tried, and the least taken. --keep FOLDER keeps
-each case as a study, with its truth.json.
+to move the tool by more than LARGEST times noise and background another place is tried, and at last it is as large as that.
+--keep FOLDER keeps each case as a study, with its truth.json.
 """
 
 from __future__ import annotations
@@ -45,6 +45,15 @@ class World:
     root: Array
 
 
+@dataclass(frozen=True)
+class Placed:
+    """A form in its place, how far it moves the tool, rms per axis [m], and at how many limits that is."""
+
+    hidden: Hidden | None
+    rms: float
+    limits: float
+
+
 def drawn(arm: Arm, sigma: float, size: float, rng: np.random.Generator) -> World:
     """Draw poses, loads and markers, the arm as built, and a background of size times the noise."""
     payloads = (0, 1, 2) if rng.random() < 0.7 else (2,)
@@ -54,22 +63,22 @@ def drawn(arm: Arm, sigma: float, size: float, rng: np.random.Generator) -> Worl
     return World(arm, worn(arm, rng), rows, background(kernel, size * sigma, rng), np.linalg.cholesky(errors))
 
 
-def placed(form: Form, world: World, limits: float, spring: bool, rng: np.random.Generator) -> tuple[Hidden, float]:
-    """Where the form acts, as large as limits say, and how far it moves the tool, rms per axis [m]."""
+def placed(form: Form, world: World, limits: float, spring: bool, rng: np.random.Generator) -> Placed:
+    """Put a form where it shows, as large as limits say or as LARGEST allows."""
     slope, without = slopes(world.arm, world.rows, spring), measured(world.real, world.rows)
     allowed = LARGEST * np.sqrt(np.mean((world.root**2).sum(axis=1)))
-    best, least = None, np.inf
+    tried: list[Placed] = []
     for joint in rng.permutation(form.places(world.arm)):
         h = Hidden(form, int(joint), form.small, int(rng.integers(2**31)))
         h = resized(h, TINY / _rms(measured(world.real, world.rows, (h,)) - without))
         moved = measured(world.real, world.rows, (h,)) - without
         factor = limits * LIMIT / visible(moved, slope, world.root)
-        if factor * _rms(moved) < least:
-            best, least = resized(h, factor), factor * _rms(moved)
-        if least < allowed:
-            break
-    assert best
-    return best, least
+        tried.append(Placed(resized(h, factor), factor * _rms(moved), limits))
+        if tried[-1].rms < allowed:
+            return tried[-1]
+    least = min(tried, key=lambda one: one.rms)
+    share = allowed / least.rms
+    return Placed(resized(least.hidden, share), allowed, share * limits)
 
 
 def resized(h: Hidden, factor: float) -> Hidden:
@@ -92,13 +101,20 @@ def work(place: Place) -> list[Row]:
     world, masses = drawn(arm, sigma, size, rng), "no masses" not in needs
     if not masses:
         world = World(world.arm, _stiff(world.real), world.rows, world.background, world.root)
-    h, rms = placed(form, world, limits, masses, rng) if form else (None, 0.0)
+    found = placed(form, world, limits, masses, rng) if form else Placed(None, 0.0, 0.0)
+    h = found.hidden
     seen = measured(world.real, world.rows, (h,) if h else ()) + world.background
     seen = seen + sigma * rng.standard_normal(seen.shape)
     columns = {"approach", *needs}
     for more in (("travel",), ("time", "temperature")):
         columns |= {*more} if rng.random() < 0.5 else set()
-    truth: Row = {"arm": arm.name, "background": size, "rms_over_noise": rms / sigma, "rows": len(seen)}
+    truth: Row = {
+        "arm": arm.name,
+        "background": size,
+        "rms_over_noise": found.rms / sigma,
+        "at_limits": found.limits,
+        "rows": len(seen),
+    }
     truth |= (
         {"cause": form.cause, "form": form.name, "limits": limits}
         if form
@@ -143,26 +159,19 @@ def _of_class(h: Hidden | None, cause: str, joint: int) -> bool:
 
 def tell(cases: pd.DataFrame) -> str:
     """What forms are called, by background, size, cause and arm; stated probabilities against shares right; and nulls."""
+    named, unexplained = cases["each_name"].fillna("") != "", cases["unexplained"] > 0
     cases = cases.assign(
-        named=cases["each_name"].notna() & (cases["each_name"] != ""), second=cases["second_names"] > 0
+        all="all", named=named, unexplained=unexplained, silent=~named & ~unexplained, second=cases["second_names"] > 0
     )
     hidden, nulls = cases[cases["form"] != "nothing"], cases[cases["form"] == "nothing"]
-    figures = ["in_set", "in_class", "certain_and_wrong", "second", "other_names", "unexplained"]
-    parts = (
-        [_by(hidden.assign(all="all"), key, figures) for key in ("all", "background", "limits", "arm", "cause")]
-        if len(hidden)
-        else []
-    )
-    if len(nulls):
-        parts.append(
-            "nothing hidden: named, and said to be unexplained\n" + _by(nulls, "background", ["named", "unexplained"])
-        )
+    figures = ["in_set", "in_class", "certain_and_wrong", "second", "other_names", "unexplained", "silent"]
+    parts = [_by(hidden, key, figures) for key in ("all", "background", "limits", "arm", "cause")]
+    parts += ["nothing hidden\n" + _by(nulls, "background", ["named", "unexplained"])] if len(nulls) else []
     found = cases[cases["named"]]
-    if len(found):
-        each = [found[f"each_{name}"].astype(str).str.split(";").explode() for name in ("probability", "in_class")]
-        parts.append(
-            "names by stated probability (right: of the class)\n" + calibration_table(each[0], each[1] == "True", BINS)
-        )
+    stated, right = (found[f"each_{name}"].astype(str).str.split(";").explode() for name in ("probability", "in_class"))
+    parts.append(
+        "names by stated probability (right: of the class)\n" + calibration_table(stated, right == "True", BINS)
+    )
     return "\n\n".join(parts)
 
 
