@@ -8,6 +8,7 @@ from scipy.stats import multivariate_normal
 
 from calflow.design.task_error import Lacks
 from calflow.diagnosis.diagnosis import search_causes
+from calflow.diagnosis.evidence import LOG_PRIOR, SIZES
 from calflow.diagnosis.screening import Catalogue
 from calflow.estimation.identification import fit_effects
 from calflow.study import load_study
@@ -40,9 +41,15 @@ def test_likelihoods_are_those_of_all_data_at_once(lacks):
     plain = log_likelihood(lacks, nothing)
     for kind in ("cause", "background", "pose"):
         own = [one for one in lacks.every if one.form.kind == kind]
-        for first, second in ((own[0], own[5]), (own[-6], own[-1])):  # sizes of one form: their priors are the same
+        prior = (
+            dict(zip(SIZES, LOG_PRIOR, strict=True))
+            if kind == "cause"
+            else dict.fromkeys((one.size for one in own), 0.0)
+        )
+        for first, second in ((own[0], own[5]), (own[-6], own[-1])):  # sizes of one form
             apart = log_likelihood(lacks, first) - log_likelihood(lacks, second)
-            assert first.log_weight - second.log_weight == pytest.approx(apart, abs=1e-4)
+            weighed = (first.log_weight - prior[first.size]) - (second.log_weight - prior[second.size])
+            assert weighed == pytest.approx(apart, abs=1e-4)
     pose = next(one for one in lacks.every if one.form.kind == "pose")
     sizes = sum(one.form.kind == "pose" for one in lacks.every)
     assert pose.log_weight + np.log(sizes) == pytest.approx(log_likelihood(lacks, pose) - plain, abs=1e-4)

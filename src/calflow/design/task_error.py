@@ -27,6 +27,7 @@ from scipy.special import logsumexp
 from calflow.design.discrimination import rows_like
 from calflow.design.planned import Planned, Task
 from calflow.diagnosis.background import InTime, functions
+from calflow.diagnosis.evidence import LOG_PRIOR, SIZES, explained
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Regressors
 from calflow.diagnosis.screening import Catalogue, Screening
@@ -43,7 +44,6 @@ from calflow.observations.position import Position
 
 Kind = Literal["nothing", "cause", "background", "pose"]
 KINDS: tuple[Kind, ...] = ("nothing", "cause", "background", "pose")  # as likely as each other before any data
-TIMES_USUAL = 0.5 ** np.arange(-1.0, 6.0)  # sizes of a cause, over what is usual for it: from twice to a thirtieth
 TIMES_NOISE = 2.0 ** np.arange(-3.0, 5.0)  # sizes of a background, over the noise: from an eighth to sixteen times
 
 
@@ -179,20 +179,22 @@ def _weighed(seen: Screening[Cause], kind: Kind, forms: Sequence[Form]) -> Itera
     else:
         own = [form for form in forms if form.kind == kind]
         names = Counter(form.name for form in own)
-        sizes = TIMES_USUAL if kind == "cause" else TIMES_NOISE
+        sizes = SIZES if kind == "cause" else TIMES_NOISE
+        prior = LOG_PRIOR if kind == "cause" else np.full(len(sizes), -np.log(len(sizes)))
         for form in own:
-            prior = -np.log(len(names) * names[form.name] * len(sizes))
-            for size, log_likelihood in zip(sizes, _likelihoods(seen, form, sizes), strict=True):
-                yield Lack(form, float(size), float(log_likelihood) + prior)
+            weights = _likelihoods(seen, form, sizes) + prior - np.log(len(names) * names[form.name])
+            for size, log_weight in zip(sizes, weights, strict=True):
+                yield Lack(form, float(size), float(log_weight))
 
 
 def _likelihoods(seen: Screening[Cause], form: Form, sizes: np.ndarray) -> np.ndarray:
     """Return the logarithms of the likelihood with a form in each size, over that without it, shape (n_sizes,)."""
     shown = seen.information(form.columns) * np.outer(form.sd, form.sd)
     value, turned = np.linalg.eigh(shown)
-    along, value = (turned.T @ (form.sd * seen.score[form.columns])) ** 2, np.maximum(value, 0.0)
-    widened = 1 + sizes[:, None] ** 2 * value
-    return np.asarray((sizes[:, None] ** 2 * along / widened - np.log(widened)).sum(axis=1) / 2)
+    value = np.maximum(value, np.finfo(float).tiny)
+    squared = (turned.T @ (form.sd * seen.score[form.columns])) ** 2 / value
+    fallen, narrowed = explained(squared, value, sizes)
+    return (fallen - narrowed) / 2
 
 
 def _alone(seen: Screening[Cause], size: float) -> float:

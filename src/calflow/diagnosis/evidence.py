@@ -16,17 +16,16 @@ SIZES = 0.5 ** np.arange(-3.0, 6.0)  # over the usual size: from eight times to 
 LOG_PRIOR = np.log(np.minimum(1.0, 1 / SIZES)) - np.log(np.minimum(1.0, 1 / SIZES).sum())
 
 
-def explained(squared: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much chi² falls with amplitudes of each size, and what these cost, both (n_sizes, …).
+def explained(squared: np.ndarray, value: np.ndarray, sizes: np.ndarray = SIZES) -> tuple[np.ndarray, np.ndarray]:
+    """Return by how much chi² falls with amplitudes of each size, and what narrowing them down costs, both (n_sizes, …).
 
     Args:
-        squared: the fall of chi² along each direction of the amplitudes without any prior, (…, n_directions) from some draws.
-        value: what the data know of each direction at the usual size, over the prior, to be spread over squared.
+        squared: the fall of chi² along each direction of the amplitudes without any prior, (…, n_directions).
+        value: what the data know of each direction at the usual size, over the prior, of a shape that spreads over squared.
+        sizes: over the usual one, (n_sizes,).
     """
-    known = SIZES.reshape(-1, *[1] * np.ndim(squared)) ** 2 * value
-    return (squared * known / (1 + known)).sum(axis=-1), np.broadcast_to(
-        np.log1p(known), (len(SIZES), *squared.shape)
-    ).sum(axis=-1)
+    known = sizes.reshape(-1, *[1] * squared.ndim) ** 2 * np.broadcast_to(value, squared.shape)
+    return (squared * known / (1 + known)).sum(axis=-1), np.log1p(known).sum(axis=-1)
 
 
 def mixed(logs: np.ndarray) -> np.ndarray:
