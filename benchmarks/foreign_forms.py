@@ -185,6 +185,13 @@ def gear_with_sidebands(h: Hidden, arm: Arm, rows: Rows) -> Array:
     return _at_joint(h, arm, h.size * swell * np.cos(rng.choice([1, 2]) * arm.gear[h.i] * angle - rng.uniform(0, 6.28)))
 
 
+def two_meshes(h: Hidden, arm: Arm, rows: Rows) -> Array:
+    """A gear's wave with its own second and half order."""
+    rng, turn = h.rng, arm.gear[h.i] * _angle(h, arm, rows)
+    orders = ((1.0, 1.0), (2.0, 0.4), (0.5, 0.3))
+    return _at_joint(h, arm, h.size * sum(share * np.cos(k * turn - rng.uniform(0, 6.28)) for k, share in orders))
+
+
 def worn_spots(h: Hidden, arm: Arm, rows: Rows) -> Array:
     """Places along the joint where the gear is worn."""
     rng, angle = h.rng, _angle(h, arm, rows)
@@ -618,7 +625,7 @@ ANGULAR = {"joint-eccentricity": (0,), "periodic-joint-error": (0,), "gear-trans
            "loaded-transmission-error": (0,)}  # fmt: skip
 DIRECTIONAL = {"joint-backlash": (0,), "joint-hysteresis": (0,), "friction-wind-up": (0,)}
 TORQUE = {"nonlinear-joint-stiffness": (0,), "torque-backlash": (0,)}
-BEARING = {"link-torsion": (0, -1), "link-bending": (0, -1), "base-compliance": (-1,)}
+BEARING = {"link-torsion": (0, -1), "link-bending": (0, -1)}
 DEVICE = {"frame-drift": (), "frame-step": (), "session-frame": ()}
 GRAVITY_ARMS = ("large-6", "cobot-6", "arm-7")
 
@@ -652,10 +659,10 @@ def _forms() -> tuple[Form, ...]:
         found.extend(Form(cause, act.__name__.replace("_", "-"), kind, act, places, alike, **more) for act in acts)
 
     # The same joint errs with its angle alone: the family of angular transmission errors, which the evidence may name as finely as
-    # it can; a straight line with a bend in it is of that family too where the gear ratio's is not meant.
+    # it can. So does a gear ratio that is bent; but what is no straight line is no gear ratio.
     both("joint-eccentricity", "reading", (eccentric_coupling, tilted_disc), driven, ANGULAR)
     both("periodic-joint-error", "reading", (beating_wave, triangular_wave), driven, ANGULAR)
-    both("gear-transmission-error", "reading", (gear_with_sidebands,), driven, ANGULAR)
+    both("gear-transmission-error", "reading", (gear_with_sidebands, two_meshes), driven, ANGULAR)
     both("joint-error-map", "reading", (worn_spots, rough_scale), driven, ANGULAR)
     both("gear-ratio-error", "reading", (stretching_belt, counted_steps), driven, ANGULAR)
     both("loaded-transmission-error", "yielding", (loaded_mesh, loaded_flexspline), loaded, ANGULAR, arms=GRAVITY_ARMS)
@@ -717,7 +724,8 @@ def _forms() -> tuple[Form, ...]:
         {"joint-error-map": (0,)},
         arms=("scara",),
     )
-    both("thermal-growth", "load", (two_warmings, uneven_growth), nowhere, {"housing-growth": ()}, needs=("time",))
+    both("thermal-growth", "load", (two_warmings, uneven_growth), nowhere, {"housing-growth": ()},
+         needs=("time", "temperature"))  # fmt: skip
     # A device that moves in time, by degrees or at once: which of these is the same question put to fewer or more rows.
     both("frame-drift", "device", (random_walk, warming_device), nowhere, DEVICE, needs=("time",))
     both("frame-step", "device", (settling_stand, two_bumps), nowhere, DEVICE, needs=("time",))

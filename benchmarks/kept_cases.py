@@ -13,7 +13,7 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
@@ -70,7 +70,9 @@ def run_cases(description: str | None, kinds: Kinds) -> None:
     for rows in _worked(partial(guarded, work), places, asked.processes):
         table = pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
         if asked.out:
-            table.to_csv(asked.out, index=False)
+            part = asked.out.with_suffix(".part")
+            table.to_csv(part, index=False)
+            part.replace(asked.out)
     mine = table[table["kind"] == asked.kind]
     for _, row in mine[mine["failed"].notna()].iterrows():
         print(f"failed: seed {row['seed']}, case {row['case']}: {row['failed']}")
@@ -83,7 +85,7 @@ def run_cases(description: str | None, kinds: Kinds) -> None:
         )
 
 
-def _worked(work: Work, places: list[Place], processes: int):
+def _worked(work: Work, places: list[Place], processes: int) -> Iterator[list[Row]]:
     if processes == 1:
         yield from map(work, places)
         return
