@@ -10,7 +10,8 @@ noise at the tool, which no catalogue has. Real robots' base and tool are placed
 there, the others judged, or by all. Intervals of what a placement leaves are worked out from the promise: its parameters' part with
 their covariance, all else for independent from row to row. Worst is calibrated over nominal (placed alike), rms, in the worst of
 eight regions; promise is the pooled standard deviation over the pooled error. `later` tells of what the device sees then, without
-noise: a frame that walks at random (device), an arm that warms up and cools in pauses (warm-up), or both. The FANUC is split by
+noise: a frame that walks at random (device), an arm that warms up and cools in pauses (warm-up), or both; framed is what intervals
+cover where the device's frame is fitted anew at that hour. The FANUC is split by
 joint 2: joint 1 stood still in all but three of its 24 poses.
 """
 
@@ -24,6 +25,7 @@ from pathlib import Path
 import kept_cases
 import numpy as np
 import pandas as pd
+from foreign_forms import DEVICE
 from foreign_physics import ARMS, Arm, Array, Rows, Yielding, flange, likeness, measured_rows, points, worn
 from foreign_study import identified, names_of, predicted, write_study
 from kept_cases import Place, Row
@@ -31,7 +33,7 @@ from real_data import DATA
 from scipy.spatial.transform import Rotation
 
 import calflow as cf
-from calflow.deployment.prediction import predict_rows
+from calflow.deployment.prediction import Prediction, predict_rows
 from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
 
@@ -65,9 +67,10 @@ def tell_promises(rows: pd.DataFrame) -> str:
     ]
     by_case = [_pooled(rows, ["case", "seed", *keys])] if rows["case"].nunique() <= 8 else []
     parts = [_pooled(rows, keys[1:] if "split" in keys else keys), *by_case]
-    others = [name for name in ("converged", "told") if name in rows]
+    others = [name for name in ("converged", "told", "framed") if name in rows]
     if others:
-        parts.append(rows.groupby(keys[:1])[others].agg(lambda x: x.astype(float).mean()).round(3).to_string())
+        at = [name for name in keys if name in ("stage", "ahead_h")]
+        parts.append(rows.groupby(at)[others].agg(lambda share: share.astype(float).mean()).round(3).to_string())
     return "\n\n".join(parts)
 
 
@@ -329,43 +332,51 @@ def tell_parameters(rows: pd.DataFrame) -> str:
 # --- Later -----------------------------------------------------------------------------------------------
 
 AHEAD = (1.0, 24.0)  # hours
+WANDERS = ("device", "warm-up", "both")
 OFF = 1.5 * HOUR
 MEASURED, EACH = 120, 60  # poses to calibrate by, and to predict at each time ahead
 
 
 def work_later(place: Place) -> list[Row]:
     """Measure through hours with a pause while device or robot wander, and predict an hour and a day on."""
-    rng = place.rng
-    arm, wander = (
-        ARMS[list(ARMS)[place.number % len(ARMS)]],
-        ("device", "warm-up", "both")[place.number // len(ARMS) % 3],
-    )
+    rng, (wander, name) = place.rng, list(product(WANDERS, ARMS))[place.number % (len(WANDERS) * len(ARMS))]
+    arm = ARMS[name]
     sigma, size = _sigma(arm, rng), float(rng.uniform(1, 5))
     rows = measured_rows(arm, MEASURED + EACH * len(AHEAD), rng, payloads=(2,))
-    measured = np.cumsum(rng.uniform(30, 90, MEASURED)) + rng.uniform(2, 9) * HOUR * (
-        np.arange(MEASURED) >= MEASURED // 2
-    )
-    time = np.concatenate([measured, *(measured[-1] + ahead * HOUR + 10.0 * np.arange(EACH) for ahead in AHEAD)])
+    pause = rng.uniform(2, 9) * HOUR * (np.arange(MEASURED) >= MEASURED // 2)
+    time = np.cumsum(rng.uniform(30, 90, MEASURED)) + pause
+    time = np.concatenate([time, *(time[-1] + ahead * HOUR + 10.0 * np.arange(EACH) for ahead in AHEAD)])
     rows = replace(rows, time=time, temperature=np.full(len(time), 21.0))
     block = np.repeat(np.arange(len(AHEAD) + 1), [MEASURED, *[EACH] * len(AHEAD)])
-    seen = _wandering(worn(arm, rng), rows, size * sigma, wander, rng)
     here = block == 0
+    seen = _wandering(worn(arm, rng), rows, size * sigma, wander, rng)
     noisy = seen + sigma * rng.standard_normal(seen.shape)
     known = _calibrated(place, arm, rows.only(here), noisy[here], sigma, columns=("approach", "time"))
-    found = []
+    nominal, found = _replaced(seen, points(arm, rows), _turns(arm, rows), rows.marker, here), []
     for stage, calibration in stages(known).items():
-        names = set(names_of(calibration)["cause"]) if stage == "diagnose" else set()
-        told = bool(names & {"frame-drift", "frame-step", "session-frame", "thermal-growth"})
-        told = told or (stage == "diagnose" and (calibration.findings.table["status"] == "unexplained").any())
+        told = _told(calibration) if calibration.diagnosed else {}
         for k, ahead in enumerate(AHEAD, start=1):
             those = block == k
-            there = rows.only(those)
-            at = predicted(calibration, there, timed=True)
-            nominal = _replaced(seen, points(arm, rows), _turns(arm, rows), rows.marker, here)[those]
-            found.append({"arm": arm.name, "wander": wander, "size": size, "stage": stage, "ahead_h": ahead, "told": told,
-                          "names": ";".join(sorted(names)), "converged": calibration.fit_summary.converged}
-                         | promised(at.position - seen[those], at.sd, nominal, seen[those]))  # fmt: skip
+            at = predicted(calibration, rows.only(those), timed=True)
+            error = at.position - seen[those]
+            row: Row = {"arm": arm.name, "wander": wander, "size": size, "stage": stage, "ahead_h": ahead}
+            row |= {"converged": calibration.fit_summary.converged, "framed": _framed(error, at)}
+            found.append(row | told | promised(error, at.sd, nominal[those], seen[those]))
     return found
+
+
+def _told(calibration: cf.Calibration) -> Row:
+    """Whether the wandering is named, or called unexplained."""
+    names = set(names_of(calibration)["cause"])
+    unexplained = bool((calibration.findings.table["status"] == "unexplained").any())
+    return {"names": ";".join(sorted(names)), "told": bool(names & {*DEVICE, "thermal-growth"}) or unexplained}
+
+
+def _framed(error: Array, at: Prediction) -> float:
+    """The share of coordinates within their 95 % intervals where the device's frame is fitted anew at that hour."""
+    design = _placing(at.position, np.zeros((len(error), 3, 3)), np.zeros(len(error)))[:, :6]
+    left = error.ravel() - design @ np.linalg.lstsq(design, error.ravel())[0]
+    return float(np.mean(np.abs(left) < WITHIN * at.sd.ravel()))
 
 
 def _wandering(real: Arm, rows: Rows, size: float, wander: str, rng: np.random.Generator) -> Array:
