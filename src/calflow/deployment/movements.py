@@ -366,7 +366,7 @@ def searched(
     """Return the rounds of the search: the last found nothing, or is the one after which no more is told."""
     found: list[SearchRound] = []
     for _ in range(MOST_MOVED):
-        step = explained(check, every, alarm, rng)
+        step = search_round(check, every, alarm, rng)
         found.append(step)
         if step.family_p >= alarm:
             break
@@ -375,7 +375,7 @@ def searched(
     return tuple(found)
 
 
-def explained(check: CheckProblem, every: Sequence[Movement], alarm: float, rng: np.random.Generator) -> SearchRound:
+def search_round(check: CheckProblem, every: Sequence[Movement], alarm: float, rng: np.random.Generator) -> SearchRound:
     """Test every movement since every session against all at once.
 
     A movement explains q of the error's whitened square Q with k numbers; q is divided by what is left per degree of freedom
