@@ -104,7 +104,7 @@ def tell(rows: pd.DataFrame) -> str:
         hidden_is=hidden, false_name=rows["other_names"].astype(float) > 0, said_no=rows["refused"].notna()
     )
     tables = [_table(rows, keys) for keys in (["stage"], ["stage", "hidden_is"], ["stage", "poses"], ["stage", "arm"])]
-    said = rows["refused"].dropna().value_counts()
+    said = rows.loc[rows["stage"] == "identify", "refused"].dropna().value_counts()
     return "\n\n".join([*tables, *([said.to_string()] if len(said) else [])])
 
 
