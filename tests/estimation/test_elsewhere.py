@@ -9,7 +9,7 @@ import pytest
 
 from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.leverage import elsewhere
+from calflow.estimation.leverage import left_out
 from calflow.model import build
 from estimation.data import SIGMA, measured, stated
 from robots import industrial
@@ -46,12 +46,12 @@ def test_it_is_what_refits_without_each_pose_err_by():
         covered.append(np.trace(np.linalg.inv(np.eye(3) - jacobian @ found.covariance @ jacobian.T)) / 3)
     more = (missed**2).mean() / (SIGMA**2 * np.mean(covered)) - 1
     expected = SIGMA * np.sqrt(more * np.median(covered))
-    assert elsewhere(found, np.arange(POSES)) == pytest.approx(expected, rel=0.02)
+    assert left_out(found, np.arange(POSES)).excess() == pytest.approx(expected, rel=0.02)
 
 
 def test_it_is_little_where_the_model_lacks_nothing():
     """Fails if poses that hang on few others are taken for a model that lacks something."""
-    sizes = [elsewhere(fitted(np.random.default_rng(seed))[0], np.arange(POSES)) for seed in range(20)]
+    sizes = [left_out(fitted(np.random.default_rng(seed))[0], np.arange(POSES)).excess() for seed in range(20)]
     assert np.mean(np.square(sizes)) < (0.35 * SIGMA) ** 2
 
 
@@ -60,5 +60,25 @@ def test_rows_of_one_pose_are_left_out_together():
     found, data = fitted(np.random.default_rng(2), wrong=3 * SIGMA)
     twice = replace(data, table=data.table.loc[np.repeat(np.arange(POSES), 2)].reset_index(drop=True))
     pairs, _ = fit(LeastSquares.of(found.model, twice, stated(twice)))
-    apart, together = elsewhere(pairs, np.arange(2 * POSES)), elsewhere(pairs, np.repeat(np.arange(POSES), 2))
+    apart, together = (
+        left_out(pairs, np.arange(2 * POSES)).excess(),
+        left_out(pairs, np.repeat(np.arange(POSES), 2)).excess(),
+    )
     assert together > 1.1 * apart
+
+
+def test_new_poses_are_missed_as_often_as_is_said():
+    """Fails if the error at new poses is that of fitted ones, holds the device's noise, or is not what few poses leave open."""
+    promised, missed = [], []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        model = build(industrial(), ("geometry",))
+        data = measured(model, model.nominal, 18, rng)
+        found, _ = fit(LeastSquares.of(model, data, stated(data)))
+        fresh = measured(model, model.nominal, 100, rng)
+        off = model.point(found.estimate, fresh.conditions) - model.point(model.nominal, fresh.conditions)
+        promised.append(left_out(found, np.arange(18)).at_new_poses)
+        missed.append(np.sqrt((off**2).sum(axis=1).mean()))
+    ratio = np.sqrt(np.mean(np.square(promised)) / np.mean(np.square(missed)))
+    assert 0.8 < ratio < 1.4
+    assert np.mean(missed) > SIGMA

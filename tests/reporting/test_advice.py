@@ -32,7 +32,7 @@ from calflow.reporting.material import ModelAccuracy
 from calflow.reporting.section import advice, sections
 from calflow.reporting.sections import accuracy, causes, faults, isolability, parameters, posterior, residuals, task
 from calflow.reporting.sections.causes import foremost
-from calflow.reporting.sections.verdict import headline, leftover
+from calflow.reporting.sections.verdict import headline, judgement, leftover
 from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import TaskSummary
 
@@ -214,7 +214,10 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (usability.noise_contradicted, summary(noise_doubts=(DOUBT,)), 1, "Do not use this result. The stated noise, 40 mm"),
     (usability.noise_contradicted, summary(noise_doubts=(replace(DOUBT, believed=False),)), 2, "1,000 times too large"),
     (accuracy.noise_unknown, summary(noise_sources=("estimated",)), 2, "several times"),
-    (accuracy.nothing_held_out, {"identify/accuracy.csv": accuracies(holdout=None)}, 2, "split.holdout"),
+    (accuracy.nothing_held_out, {"identify/accuracy.csv": accuracies(holdout=None)}, 2, "split.holdout = 0.3"),
+    (accuracy.nothing_held_out, {"identify/accuracy.csv": accuracies(holdout=None), **summary(new_poses_mm=0.1)}, 2,
+     "Measure further poses and hold these out"),
+    (accuracy.few_poses, summary(new_poses_mm=0.26), 2, "Measure about 8 poses more: 9 poses tell the parameters so badly"),
     (accuracy.does_not_carry_over, {"identify/accuracy.csv": accuracies(holdout=0.2)}, 2, "4.0 times"),
     (accuracy.reaches_beyond, summary(extrapolation=(Extrapolation(joint=2, rows=6),)), 3, "joint 2: 6 held-out rows"),
     (faults.correct_the_file, {"identify/faults.csv": faulty(9, 12)}, 2, "lines 9, 12 are far off"),
@@ -267,6 +270,16 @@ def test_rule_is_silent_where_all_is_well(rule: Rule) -> None:
     assert rule(results({**QUIET, **diagnosed()})) == []
 
 
+def test_few_poses_are_not_as_good_as_the_device() -> None:
+    """Fails if what is left at fitted poses decides, though few poses leave new ones to be missed by much more."""
+    assert (
+        judgement(results({**QUIET, **summary(new_poses_mm=0.08)}))
+        == "Calibrated: as good as the measuring device can tell."
+    )
+    few = judgement(results({**QUIET, **summary(new_poses_mm=0.356)}))
+    assert few == "Calibrated, by few poses: expect 0.356 mm at new ones."
+
+
 def test_every_rule_is_tested() -> None:
     assert {rule for section in sections() for rule in section.rules} == {rule for rule, *_ in SPEAKS}
 
@@ -277,6 +290,8 @@ def test_every_rule_is_tested() -> None:
         (accuracy.model_lacks, summary(reduced_chi2=1.9)),
         (accuracy.model_lacks, summary(reduced_chi2=9.0, noise_sources=("estimated",))),
         (accuracy.noise_doubtful, summary(reduced_chi2=0.2, noise_sources=("estimated",))),
+        (accuracy.few_poses, summary(new_poses_mm=0.08)),
+        (accuracy.few_poses, summary(new_poses_mm=0.26, lack_of_fit_p=0.0, reduced_chi2=9.0)),
         (parameters.at_bound, {"identify/parameters.csv": parameter_table(at_bound=True, prior_share=1.0)}),
         (parameters.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;A.z;B.z")),
                                          "identify/placement.csv": placement("A", "B"),

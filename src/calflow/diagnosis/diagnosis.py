@@ -126,7 +126,7 @@ def diagnosis_summary(found: Diagnosis, known: CalibratedModel) -> DiagnosisSumm
     return DiagnosisSummary(
         sigma_mm=1e3 * sigma if final.noise.leading[0] == METRE else None,
         noise_growth_mm_per_m=1e3 * found.growth.slope if found.growth else 0.0,
-        **fit_figures(final.fit, final.noise, final.lack, final.elsewhere),
+        **fit_figures(final.fit, final.noise, final.lack, final.elsewhere, final.left_out.at_new_poses),
         intraclass=final.intraclass,
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
         causes_tested=len(found.extended.first.places),

@@ -17,7 +17,7 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.fit import Fit, fit, fit_reweighted, found_alike
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
-from calflow.estimation.leverage import elsewhere
+from calflow.estimation.leverage import LeftOut, left_out
 from calflow.estimation.noise import Noise, PerUnit, median_length
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -100,9 +100,14 @@ class Fitted:
         return covariance
 
     @cached_property
+    def left_out(self) -> LeftOut:
+        """The errors of its poses, each left out in turn."""
+        return left_out(self.fit, self.poses)
+
+    @property
     def elsewhere(self) -> float:
         """What it errs by at other poses beyond what is told of noise and parameters, sd per axis [m]."""
-        return elsewhere(self.fit, self.poses)
+        return float(self.left_out.excess())
 
     @cached_property
     def intraclass(self) -> float:

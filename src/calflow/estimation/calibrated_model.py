@@ -245,6 +245,12 @@ class FitSummary:
         "mm",
         default=0.0,
     )
+    new_poses_mm: float | None = column(
+        "root mean square distance by which poses like those measured, but not fitted, are to be missed, the device's noise not in "
+        "it: by leaving out one training pose at a time; null: no lengths were measured",
+        "mm",
+        default=None,
+    )
     intraclass: float = column(
         "correlation of what the markers of a standstill err, axis by axis; 0: each for itself", default=0.0
     )
@@ -276,9 +282,16 @@ class FitSummary:
         """Whether the model leaves more than its noise, beyond chance."""
         return self.lack_of_fit_p is not None and self.lack_of_fit_p < SIGNIFICANT and self.lack_of_fit > 1
 
+    @property
+    def times_noise(self) -> float:
+        """By how many times the device's noise poses like those measured are to be missed; 0 where that cannot be told."""
+        if self.new_poses_mm is None or not self.sigma_mm:
+            return 0.0
+        return self.new_poses_mm / (float(np.sqrt(3)) * self.sigma_mm)
 
-def fit_figures(fit: Fit, noise: Noise, lack: LackOfFit, elsewhere: float) -> dict[str, Any]:
-    """Return the fields of a `FitSummary` that a fit, its noise and its lack of fit say; elsewhere is in m."""
+
+def fit_figures(fit: Fit, noise: Noise, lack: LackOfFit, elsewhere: float, new_poses: float) -> dict[str, Any]:
+    """Return the fields of a `FitSummary` that a fit, its noise and its lack of fit say; elsewhere and new_poses are in m."""
     turned = RADIAN in dict(noise.further)
     return {
         "noise_sources": noise.sources,
@@ -286,6 +299,7 @@ def fit_figures(fit: Fit, noise: Noise, lack: LackOfFit, elsewhere: float) -> di
         "rotation_discrepancy_mrad": 1e3 * noise.discrepancy[RADIAN] if turned else None,
         "discrepancies": {unit.label: unit.shown(size) for unit, size in noise.discrepancy.sizes},
         "elsewhere_mm": 1e3 * elsewhere,
+        "new_poses_mm": None if np.isnan(new_poses) else 1e3 * new_poses,
         "loss": fit.loss,
         "reduced_chi2": lack.reduced_chi2 if noise.known else None,
         "lack_of_fit_p": lack.p if noise.known else None,

@@ -22,7 +22,7 @@ from calflow.estimation.fit import Fit, draw_starts, fit_sharing
 from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.leverage import elsewhere, extrapolation
+from calflow.estimation.leverage import LeftOut, extrapolation, left_out
 from calflow.estimation.noise import Noise, NoiseSource, conditions, noise_beside
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered
@@ -65,17 +65,17 @@ class FittedEffects:
         return identifiability(self.fit)
 
     @cached_property
-    def elsewhere(self) -> float:
-        """What it errs by at other poses beyond what is told of noise and parameters, sd per axis [m]."""
+    def left_out(self) -> LeftOut:
+        """The errors of its training poses, each left out in turn."""
         poses = self.data.table.loc[self.data.train, "pose"]
-        return elsewhere(self.fit, np.unique(poses, return_inverse=True)[1])
+        return left_out(self.fit, np.unique(poses, return_inverse=True)[1])
 
     @cached_property
     def known(self) -> CalibratedModel:
         """What the stages after it start from."""
         return CalibratedModel(
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
-            self.noise.discrepancy, self.loss, self.elsewhere, intraclass=self.noise.intraclass,
+            self.noise.discrepancy, self.loss, float(self.left_out.excess()), intraclass=self.noise.intraclass,
             needed=needed_conditions(self.model, self.fit.estimate, self.data), time_origin=self.data.time_origin,
         )  # fmt: skip
 
@@ -86,7 +86,7 @@ class FittedEffects:
         used = data.only(data.train | data.held_out)
         return IdentifySummary(
             sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
-            **fit_figures(fit, noise, self.lack, self.elsewhere),
+            **fit_figures(fit, noise, self.lack, float(self.left_out.excess()), self.left_out.at_new_poses),
             intraclass=noise.intraclass,
             spread_mm=1e3 * _spread(fit.model, fit.estimate, used),
             rank=found.rank,

@@ -321,6 +321,13 @@ class LeastSquares:
         lengths = [block.spread for block in self.blocks if block.leading == METRE]
         return float(np.median(np.concatenate(lengths))) if lengths else 0.0
 
+    @cached_property
+    def device(self) -> float:
+        """Median standard deviation of the device's noise of a row's lengths [m]; 0 where no lengths were measured."""
+        sigma = [block.sigma[[unit == METRE for unit in block.observation.units]] for block in self.blocks]
+        lengths = [np.sqrt((rows**2).mean(axis=0)) for rows in sigma if len(rows)]
+        return float(np.median(np.concatenate(lengths))) if lengths else 0.0
+
     @property
     def excess(self) -> float:
         """How much finer a fit the weights ask for than can be told, squared; 1 where the noise is more than FINEST."""

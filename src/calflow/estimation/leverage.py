@@ -103,7 +103,8 @@ BY_CHANCE = 0.05  # chance of errors as large where nothing is lacking, above wh
 class LeftOut:
     """Errors of poses left out in turn, over the noise: the sum of their squares, what was to be expected, and their number.
 
-    share is the median of what is expected of one, scatter the noise per axis [m], freedom the degrees of freedom left to the fit.
+    share is the median of what is expected of one, scatter what single errors are per axis [m], device that of the measuring
+    device alone [m], freedom the degrees of freedom left to the fit.
     """
 
     found: float
@@ -111,12 +112,24 @@ class LeftOut:
     number: int
     share: float
     scatter: float
+    device: float
     freedom: float
 
     @property
     def rms(self) -> float:
         """Root mean square of the errors of positions, noise in it [m]; nan without any."""
         return float(np.sqrt(3 * self.found / self.number)) * self.scatter if self.number else float("nan")
+
+    @property
+    def at_new_poses(self) -> float:
+        """Root mean square distance [m] by which poses like these will be missed, the device's noise not in it; nan without any.
+
+        It is what is expected of poses left out, or what was found where that is more.
+        """
+        if not self.number:
+            return float("nan")
+        squared = self.scatter**2 * max(self.found, self.expected) / self.number
+        return float(np.sqrt(3 * max(squared - self.device**2, 0.0)))
 
     def excess(self, level: np.ndarray | float = 1.0) -> np.ndarray:
         """Return by how much more than expected the model errs, sd per axis [m], were squares by a level larger; at least 0."""
@@ -147,15 +160,8 @@ def left_out(fit: Fit, pose: np.ndarray) -> LeftOut:
     share = float(np.median(covered / sizes)) if number else 0.0
     freedom = max(1.0, number - fit.effective_parameters)
     # Added pose by pose, so that where parts end does not show in the last digit.
-    return LeftOut(float(sum(squares)), float(sum(covered)), number, share, fit.problem.scatter, freedom)
-
-
-def elsewhere(fit: Fit, pose: np.ndarray) -> float:
-    """Return by how much more a fitted model errs at poses left out than noise and parameters say, sd per axis [m]; at least 0.
-
-    Args: as of `left_out`.
-    """
-    return float(left_out(fit, pose).excess())
+    found, expected = float(sum(squares)), float(sum(covered))
+    return LeftOut(found, expected, number, share, fit.problem.scatter, fit.problem.device, freedom)
 
 
 def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 from textwrap import wrap
@@ -19,7 +20,7 @@ from calflow.estimation.noise import MIN_REPEATS
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
 from calflow.files.results import Results
 from calflow.files.units import METRE
-from calflow.files.words import effect_words, first_up, listed, mm, ratio
+from calflow.files.words import effect_words, first_up, listed, mm, plural, ratio
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.cause_figures import waterfall
 from calflow.reporting.material import (
@@ -264,11 +265,40 @@ def noise_unknown(results: Results) -> list[Advice]:
 
 def nothing_held_out(results: Results) -> list[Advice]:
     """Accuracy on the poses of the fit flatters."""
-    sentence = (
-        "Hold out some poses (split.holdout = 0.3 in the study): the accuracy given here is that of the poses that were "
-        "fitted, which flatters the model."
+    if split_judged(results) == "holdout":
+        return []
+    flatters = "the accuracy given here is that of the poses that were fitted, which flatters the model."
+    if _enough_to_hold_out(results):
+        return advise(2, f"Hold out some poses (split.holdout = 0.3 in the study): {flatters}")
+    return advise(
+        2,
+        f"Measure further poses and hold these out (split.holdout in the study); those there are are all needed: {flatters}",
     )
-    return advise(2, sentence, where=split_judged(results) != "holdout")
+
+
+def few_poses(results: Results) -> list[Advice]:
+    """Parameters that few poses tell make more of an error at new poses than the device's noise does."""
+    summary, poses = latest_summary(results), _identified(results).training_poses
+    more = math.ceil(poses * (2 * _share_taken(results) - 1))
+    sentence = (
+        f"Measure about {plural(more, 'pose')} more: {plural(poses, 'pose')} tell the parameters so badly that new poses like "
+        f"these are to be missed by {ratio(summary.times_noise)} times the device's noise."
+    )
+    return advise(2, sentence, where=summary.times_noise > 1 and not summary.lacks_fit)
+
+
+def _share_taken(results: Results) -> float:
+    """The share of the equations that the parameters take, by what errors at new poses are to be expected.
+
+    With h taken, a pose left out errs by h / (1 - h) of the noise's variance beyond the noise (Allen 1974).
+    """
+    squared = latest_summary(results).times_noise ** 2
+    return squared / (1 + squared)
+
+
+def _enough_to_hold_out(results: Results) -> bool:
+    """Whether the fit would still have twice as many equations as parameters without three poses in ten."""
+    return _share_taken(results) <= 0.35
 
 
 def does_not_carry_over(results: Results) -> list[Advice]:
@@ -308,6 +338,7 @@ ACCURACY_SECTION = Section(
         model_lacks,
         noise_doubtful,
         noise_unknown,
+        few_poses,
         nothing_held_out,
         does_not_carry_over,
         reaches_beyond,

@@ -76,8 +76,8 @@ def differing(causes: list[CauseProbability]) -> list[str]:
     """Say where the tests of diagnose made a cause much more or less probable."""
     return [
         f"{place_name(row.cause, row.joint or 0, row.part)}: {percent(row.probability)}, where the linear tests say "
-        f"{percent(row.by_tests)}. They go by one linearisation, with sizes that are usual or rarer; this one integrates over all sizes that "
-        "bounds and priors allow."
+        f"{percent(row.by_tests)}. They go by one linearisation, with usual sizes and rarer ones; this one integrates over all "
+        "sizes that bounds and priors allow."
         for row in causes
         if abs(row.probability - row.by_tests) > FAR
     ]
