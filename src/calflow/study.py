@@ -11,8 +11,7 @@ from typing import Any
 from calflow.effects.base import unmet
 from calflow.estimation.parameters import contradictions, mistaken
 from calflow.estimation.registration import plausible
-from calflow.files.problems import InputError, Problem, nearest, refuse, together
-from calflow.files.regular import regular_file
+from calflow.files.problems import InputError, Problem, nearest, refuse, regular_file, together
 from calflow.files.toml import FileModel, Origin, read_toml, validate_table
 from calflow.files.units import SUFFIXES, split_unit
 from calflow.measurements.measurements import Measurements, combined, continued

@@ -1,9 +1,10 @@
-"""What is wrong with a user's input, collected and shown at once."""
+"""What is wrong with a user's input, collected and shown at once; with a look at a path before it is opened."""
 
 from __future__ import annotations
 
 import difflib
 import re
+import stat
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -101,3 +102,30 @@ def nearest(word: str, known: Iterable[str]) -> str:
     spelled = {name.lower(): name for name in islice(known, MOST_COMPARED)}
     close = difflib.get_close_matches(word.lower(), spelled, n=1, cutoff=0.5)
     return f", did you mean '{spelled[close[0]]}'?" if close else ""
+
+
+KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+}
+
+
+def regular_file(path: Path) -> Path:
+    """Return a path after a look at what is there, which opens nothing.
+
+    Raises:
+        FileNotFoundError: nothing is there.
+        InputError: what is there is not a regular file.
+    """
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError) as error:  # a name that is too long, or has a zero in it
+        raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}", path) from None
+    if not stat.S_ISREG(mode):
+        raise refuse(f"cannot be read: not a regular file but {KINDS.get(stat.S_IFMT(mode), 'something else')}", path)
+    return path

@@ -25,8 +25,7 @@ from pydantic import (
 from pydantic.functional_validators import ModelWrapValidatorHandler
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
-from calflow.files.problems import CONTROL, InputError, Problem, counted, nearest, refuse, shortened
-from calflow.files.regular import regular_file
+from calflow.files.problems import CONTROL, InputError, Problem, counted, nearest, refuse, regular_file, shortened
 from calflow.files.units import KEY_SUFFIXES, LARGEST, MEASURED, in_si, split_unit, to_si
 from calflow.files.writing import write_text
 

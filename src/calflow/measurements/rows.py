@@ -19,8 +19,17 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from calflow.files.csv import NUMBER, changed, unquoted
-from calflow.files.problems import CONTROL, MOST_TOLD, InputError, Problem, counted, nearest, refuse, shortened
-from calflow.files.regular import regular_file
+from calflow.files.problems import (
+    CONTROL,
+    MOST_TOLD,
+    InputError,
+    Problem,
+    counted,
+    nearest,
+    refuse,
+    regular_file,
+    shortened,
+)
 from calflow.files.units import LARGEST, SUFFIXES, split_unit, to_si
 from calflow.robot.frames import angles
 from calflow.robot.robot import Robot

@@ -18,8 +18,7 @@ from urllib.request import HTTPRedirectHandler, build_opener
 from pydantic import Field, field_validator, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
-from calflow.files.problems import InputError, refuse
-from calflow.files.regular import regular_file
+from calflow.files.problems import InputError, refuse, regular_file
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Sigma, Unit
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import Layout, Missing
