@@ -25,13 +25,13 @@ PARTS = {  # by the function that does it; those after `fits` are each a part of
     "fits": ("estimation/fit.py", "fit_sharing"),
     "poses left out": ("estimation/leverage.py", "elsewhere"),
     "row tables": ("estimation/leverage.py", "judged"),
-    "writing CSV": ("files/csv.py", "write_csv"),
+    "writing CSV": ("files/tables.py", "write_csv"),
     "hashes": ("measurements/source.py", "sha256"),
 }
 SIMULATE = """
 import sys, time
 from pathlib import Path
-from calflow.files.csv import write_csv
+from calflow.files.tables import write_csv
 from calflow.simulation import simulate
 
 folder = Path(sys.argv[1])

@@ -19,8 +19,8 @@ from calflow.faults.base import correct, lines_in_words
 from calflow.faults.blocks import states
 from calflow.faults.outlier import limit_of
 from calflow.faults.reference import NORMAL_LENGTH, Models, Reference
-from calflow.files.csv import EXACT, csv_text
 from calflow.files.problems import InputError
+from calflow.files.tables import EXACT, csv_text
 from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
 from conftest import in_process

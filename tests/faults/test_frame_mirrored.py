@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calflow.faults import as_table, corrected, search_faults
-from calflow.files.csv import EXACT, csv_text
+from calflow.files.tables import EXACT, csv_text
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.robot.parts import Base

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.files.csv import csv_text, read_csv, read_texts, write_csv
+from calflow.files.tables import csv_text, read_csv, read_texts, write_csv
 
 
 def test_a_column_that_is_empty_for_long_is_of_one_type(tmp_path):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.files.csv import read_csv
+from calflow.files.tables import read_csv
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 SCRIPT = """\

@@ -44,7 +44,7 @@ def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: boo
     """
     from calflow.calibration import Calibration
     from calflow.deployment.prediction import predict_rows
-    from calflow.files.csv import csv_text
+    from calflow.files.tables import csv_text
     from calflow.runs.given_rows import rows_to_predict
 
     check_apart(out, "--out", rows)
@@ -83,7 +83,7 @@ def compensate_command(
     """
     from calflow.calibration import Calibration
     from calflow.deployment.compensation import command_table
-    from calflow.files.csv import csv_text
+    from calflow.files.tables import csv_text
     from calflow.runs.given_rows import compensate_file
 
     check_apart(out, "--out", targets)
@@ -169,8 +169,7 @@ def filter_command(
     RAPID, KRL, FANUC LS and URScript are read; every byte but the targets' numbers stays. Give the run's folder, or its study.
     """
     from calflow.calibration import Calibration
-    from calflow.files.csv import csv_text
-    from calflow.files.tables import to_frame
+    from calflow.files.tables import csv_text, to_frame
     from calflow.files.writing import write_whole
     from calflow.programs.filtering import FilteredTarget, filter_program
 

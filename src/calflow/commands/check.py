@@ -84,7 +84,7 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
     """
     from calflow.calibration import Calibration
     from calflow.deployment.drift import choose_check_poses
-    from calflow.files.csv import csv_text
+    from calflow.files.tables import csv_text
     from calflow.reporting.drift_report import seen_from
     from calflow.runs.given_rows import rows_measured
 

@@ -63,7 +63,7 @@ def new_command(folder: Path, robot: str, tip: str | None, base: str | None) -> 
 @OVER
 def simulate_command(truth: Path, out: Path | None, force: bool) -> None:
     """Write the measurements that a truth file describes."""
-    from calflow.files.csv import csv_text, write_csv
+    from calflow.files.tables import csv_text, write_csv
     from calflow.simulation import simulate
 
     path = out or truth.parent / "measurements.csv"

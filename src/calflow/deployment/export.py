@@ -20,8 +20,7 @@ from calflow.design.candidates import candidates
 from calflow.effects import Effect
 from calflow.estimation.calibrated_model import CalibratedModel, expected_point
 from calflow.estimation.residual_field import NOT_PHYSICAL
-from calflow.files.csv import csv_text
-from calflow.files.tables import column, to_frame
+from calflow.files.tables import column, csv_text, to_frame
 from calflow.model import Model
 from calflow.robot.formats.rigid_chain import (
     RigidChain,

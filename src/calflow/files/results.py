@@ -18,9 +18,8 @@ from typing import Any, TypeVar
 import pandas as pd
 from pydantic import TypeAdapter, ValidationError
 
-from calflow.files.csv import write_csv
 from calflow.files.problems import InputError, refuse
-from calflow.files.tables import Tables, from_frame
+from calflow.files.tables import Tables, from_frame, write_csv
 from calflow.files.writing import inside, write_text
 
 Document = Mapping[str, Any]

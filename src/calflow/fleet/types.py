@@ -14,9 +14,8 @@ import numpy as np
 from calflow.diagnosis.findings import Finding
 from calflow.effects.words import amount, cause_name
 from calflow.estimation.parameters import UNIT, FittedParameter
-from calflow.files.csv import read_csv
 from calflow.files.problems import refuse
-from calflow.files.tables import column, from_frame
+from calflow.files.tables import column, from_frame, read_csv
 from calflow.files.words import listed, plural
 from calflow.fleet.engine import FleetFolder
 from calflow.fleet.fleet import FleetRobot

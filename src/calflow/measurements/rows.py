@@ -18,7 +18,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from calflow.files.csv import NUMBER, changed, unquoted
 from calflow.files.problems import (
     CONTROL,
     MOST_TOLD,
@@ -30,6 +29,7 @@ from calflow.files.problems import (
     regular_file,
     shortened,
 )
+from calflow.files.tables import NUMBER, changed, unquoted
 from calflow.files.units import LARGEST, SUFFIXES, split_unit, to_si
 from calflow.robot.frames import angles
 from calflow.robot.robot import Robot

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 from pydantic import TypeAdapter
 
-from calflow.files.csv import read_csv, read_texts, write_csv
+from calflow.files.tables import read_csv, read_texts, write_csv
 from calflow.files.units import SUFFIXES
 from calflow.files.writing import inside, write_text
 from calflow.measurements.measurements import Measurements

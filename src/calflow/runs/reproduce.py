@@ -10,10 +10,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from calflow.files.csv import read_texts, write_csv
 from calflow.files.deviations import Deviation, agreeing_digits, document_deviations, table_deviations
 from calflow.files.problems import InputError, Problem, refuse
-from calflow.files.tables import to_frame
+from calflow.files.tables import read_texts, to_frame, write_csv
 from calflow.run_folder import Manifest, code_digest, damage, load_again, manifest_of, read_manifest, versions
 from calflow.runs.cache_key import common_key, environment, machine, stage_key, version_changes
 from calflow.runs.planning import differences
