@@ -13,8 +13,7 @@ import pytest
 
 import robots
 from calflow import compiled as module
-from calflow.compiled import WORTH_EVALUATIONS, cache_folder, compiled
-from calflow.model import Model, build, over_rows
+from calflow.model import WORTH_EVALUATIONS, Model, build, cache_folder, compiled, over_rows
 
 
 @pytest.fixture(autouse=True)

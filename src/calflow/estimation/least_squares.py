@@ -16,12 +16,11 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from calflow.compiled import compiled
 from calflow.estimation.accuracy import observing
 from calflow.estimation.noise import Noise, standstills
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model, over_rows
+from calflow.model import Model, compiled, over_rows
 from calflow.observations import Observation
 
 

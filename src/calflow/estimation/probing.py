@@ -16,10 +16,9 @@ from typing import ClassVar, TypeVar
 import casadi as ca
 import numpy as np
 
-from calflow.compiled import compiled
 from calflow.effects import Effect
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
-from calflow.model import over_rows
+from calflow.model import compiled, over_rows
 from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State, nominal_dimensions, nominal_loads
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot

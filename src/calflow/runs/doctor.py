@@ -16,10 +16,10 @@ from typing import Literal
 
 from packaging.utils import canonicalize_name
 
-from calflow.compiled import NotCompiled, cache_folder, hindrance
 from calflow.files.plugins import packages
 from calflow.files.problems import InputError
 from calflow.measurements.source import data_folder
+from calflow.model import NotCompiled, cache_folder, hindrance
 from calflow.run_folder import code_digest
 from calflow.runs.cache_key import machine, requirements
 

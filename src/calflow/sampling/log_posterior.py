@@ -17,12 +17,12 @@ import numpy as np
 from scipy.special import gammaln, log_ndtr, ndtri_exp
 from scipy.stats import norm
 
-from calflow.compiled import compiled
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.fit import expansion, fit
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.noise import averaged
 from calflow.measurements.measurements import Measurements
+from calflow.model import compiled
 
 NEAR = 5.0  # standard deviations of the fit from a bound, within which a parameter is transformed
 
