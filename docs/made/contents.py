@@ -29,7 +29,7 @@ from calflow.stages.select_settings import (
     TaskSettings,
 )
 from calflow.stages.task_settings import WorkSettings
-from calflow.study_file import Acceptance
+from calflow.study import Acceptance
 
 KINDS = {str: "text", int: "integer", float: "number", bool: "true or false"}
 ANSWERS: Mapping[str, type] = {  # the tables that commands other than run write

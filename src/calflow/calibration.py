@@ -107,8 +107,7 @@ from calflow.run_folder import (
 from calflow.sampling.chain import ChainLength
 from calflow.sampling.posterior import Posterior
 from calflow.sampling.sample import sample
-from calflow.study import Study
-from calflow.study_file import StudyFile, WorkflowFile, known_effects
+from calflow.study import Study, StudyFile, WorkflowFile, known_effects
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -25,8 +25,7 @@ from calflow.files.toml import read_toml
 from calflow.files.writing import contained, write_text, write_whole
 from calflow.measurements.source import sha256
 from calflow.robot.robot import Robot
-from calflow.study import FIELD, Study, load_study
-from calflow.study_file import StudyFile, WorkflowFile
+from calflow.study import FIELD, Study, StudyFile, WorkflowFile, load_study
 
 NAME = "manifest.json"
 REMEDY = "delete it to run everything anew"

@@ -20,8 +20,7 @@ from calflow.files.units import LARGEST, spellings
 from calflow.model import Model, build
 from calflow.robot.mechanism import reading_columns, shown_readings
 from calflow.robot.robot import Robot
-from calflow.study import check_effects
-from calflow.study_file import known_effects
+from calflow.study import check_effects, known_effects
 
 MOST_ROWS = 10_000_000  # a marker: more would take this program's memory for a mistyped figure
 

@@ -9,7 +9,7 @@ import pytest
 
 from calflow.files.problems import InputError
 from calflow.files.toml import read_toml
-from calflow.study_file import Acceptance
+from calflow.study import Acceptance
 
 
 def read(folder: Path, text: str) -> Acceptance:

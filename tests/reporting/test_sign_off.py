@@ -13,7 +13,7 @@ from calflow.reporting.sections import acceptance, verdict
 from calflow.reporting.sections.acceptance import Judged
 from calflow.reporting.style import style
 from calflow.stages.report import report_material
-from calflow.study_file import Acceptance
+from calflow.study import Acceptance
 from reporting.case import chosen, context
 
 

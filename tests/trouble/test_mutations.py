@@ -50,7 +50,7 @@ def test_what_was_accepted_in_silence_is_refused(campaign, study, file, old, new
 def test_readers_apart_from_calflow_find_what_is_changed(campaign, monkeypatch):
     """Fails if the comparison passes rows that were dropped or clipped, or a key that is not heeded."""
     from calflow.measurements import rows
-    from calflow.study_file import StudyFile
+    from calflow.study import StudyFile
 
     file = campaign.studies["plain"] / "measurements.csv"
     content = file.read_bytes()

@@ -23,7 +23,7 @@ from calflow.observations import observation_kinds
 from calflow.robot.formats.robot_file import RobotFile, UrdfRobotFile
 from calflow.simulation import Truth
 from calflow.stages import STAGES
-from calflow.study_file import FIGURES, StudyFile, WorkflowFile
+from calflow.study import FIGURES, StudyFile, WorkflowFile
 
 Draft = Literal["4", "2020-12"]
 

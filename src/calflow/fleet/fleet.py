@@ -19,8 +19,7 @@ from calflow.robot.formats import robot_file
 from calflow.robot.robot import Robot
 from calflow.run_folder import beside
 from calflow.runs.planning import stages_of
-from calflow.study import Study, check_effects, load_study, study_path
-from calflow.study_file import StudyFile
+from calflow.study import Study, StudyFile, check_effects, load_study, study_path
 
 NEEDED = "identify"  # the stage without which nothing is known of a robot
 

@@ -31,7 +31,7 @@ from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import effect_words
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
-from calflow.study_file import StudyFile
+from calflow.study import StudyFile
 
 MEAN_OF_NOISE = np.sqrt(
     np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, np.pi])

@@ -11,7 +11,7 @@ from calflow.deployment.usability import Advice, Rule
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block
 from calflow.reporting.material import Material
-from calflow.study_file import StudyFile
+from calflow.study import StudyFile
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from calflow.files.plugins import packages
 from calflow.measurements.source import sha256
 from calflow.run_folder import after, code_digest, digest, robot_digest, versions
 from calflow.stages.stage import Stage
-from calflow.study import Study
-from calflow.study_file import StudyFile
+from calflow.study import Study, StudyFile
 
 REPORTED = ("title", "acceptance")  # of a study: what the report alone says
 ELSEWHERE = {

@@ -17,8 +17,7 @@ from calflow.model import stated
 from calflow.observations import observations
 from calflow.stages.demand import Demand
 from calflow.stages.stage import Context, Stage
-from calflow.study import Study
-from calflow.study_file import known_effects
+from calflow.study import Study, known_effects
 
 # Measured: arrays of the regressors' size at once where these are held, else of the background's modes; and seconds for each of
 # the regressors' numbers, between nothing found and two causes.

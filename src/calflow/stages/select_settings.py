@@ -19,7 +19,7 @@ from calflow.design.selection import Aim
 from calflow.design.separability import Record
 from calflow.files.toml import Angle, FileModel, Length, Lengths3, Sigma, Unit
 from calflow.robot.robot import Robot
-from calflow.study_file import known_effects
+from calflow.study import known_effects
 
 Radii = Annotated[tuple[Annotated[float, Field(gt=0)], ...], Unit("length")]
 Angles = Annotated[tuple[float, ...], Unit("angle")]

@@ -12,7 +12,7 @@ from calflow.files.words import mm, percent, plural
 from calflow.reporting.blocks import Block, Paragraph, Signatures, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.study_file import Acceptance
+from calflow.study import Acceptance
 
 SURE = 0.95  # how sure it is that at least so many poses are within
 
