@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 
 from calflow import cli
-from calflow.commands import progress
+from calflow.commands import console
 from calflow.reporting.section import sections
 from calflow.runs.lock import locked
 from calflow.templates import write_study
@@ -145,14 +145,14 @@ def test_ctrl_c_is_heeded_inside_a_fit(small):
 
 def test_an_interruption_that_nobody_asks_for_comes_again():
     """Fails if Ctrl-C, cleared by compiled code, is forgotten where no progress is told; or comes after the stage stopped."""
-    with progress.ProgressLines() as listener:
+    with console.ProgressLines() as listener:
         with contextlib.suppress(KeyboardInterrupt):  # as a library's clean-up does
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):  # noqa: PT012
             for _ in range(200):
                 time.sleep(0.05)
         listener.stop(None)
-        time.sleep(3 * progress.AGAIN)
+        time.sleep(3 * console.AGAIN)
 
 
 def test_trouble_of_the_machine_leaves_the_caller_alone(small, monkeypatch):
@@ -372,7 +372,7 @@ def test_simulate_does_not_write_over_measurements(small):
 
 def test_an_interruption_that_a_library_swallows_is_heeded():
     """Fails if Ctrl-C, cleared by compiled code, leaves a run that goes on for hours."""
-    with progress.ProgressLines() as listener:
+    with console.ProgressLines() as listener:
         with contextlib.suppress(KeyboardInterrupt):  # as a library's clean-up does
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import robots
-from calflow import compiled as module
+from calflow import model as module
 from calflow.model import WORTH_EVALUATIONS, Model, build, cache_folder, compiled, over_rows
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 SOURCE = Path(__file__).parents[1] / "src" / "calflow"
 FLOORS = (  # an import points to a floor further up this list, or stays within its room
-    ("files", "compiled"),
+    ("files",),
     ("robot",),
     ("measurements",),
     ("observations", "effects"),
@@ -21,7 +21,6 @@ FLOORS = (  # an import points to a floor further up this list, or stays within 
     ("design",),
     ("deployment",),
     ("programs",),
-    ("study_file",),
     ("study", "templates"),
     ("simulation", "run_folder"),
     ("reporting",),

@@ -47,6 +47,9 @@ FLAGS = ("-O1", "-ffp-contract=off", "-fPIC", "-shared")
 # An operation takes some 0.3 ms to compile and saves some 4 ns a row.
 WORTH_EVALUATIONS = 75_000
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+# Each turn shrinks the distance to equilibrium by about the wind-up angle (some 1e-3), so three reach nanometres.
+EQUILIBRIUM_TURNS = 3
+BLOCK_ROWS, BLOCK_VALUES = 512, 1 << 15  # rows and values of one output evaluated at once: more take longer to prepare
 
 
 class NotCompiled(Exception):
@@ -200,11 +203,6 @@ def _sha256(path: Path) -> str:
 def _tell(reason: str) -> None:
     """Say once why functions run uncompiled."""
     logging.getLogger("calflow").warning("slower, without machine code: %s", reason)
-
-
-# Each turn shrinks the distance to equilibrium by about the wind-up angle (some 1e-3), so three reach nanometres.
-EQUILIBRIUM_TURNS = 3
-BLOCK_ROWS, BLOCK_VALUES = 512, 1 << 15  # rows and values of one output evaluated at once: more take longer to prepare
 
 
 class SymbolicPrediction(NamedTuple):

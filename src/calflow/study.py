@@ -31,6 +31,8 @@ from calflow.robot.robot import Robot
 
 # Keys of a table [parameters.NAME], each with its unit: what of `Expected` it states.
 FIGURES = {"value": "value", "lower": "lower", "upper": "upper", "prior_mean": "mean", "prior_sd": "sd"}
+MODELS, FIELD = ("identify", "diagnose"), "residual_field"  # stages
+FEWEST_POSES = 3  # fewer do not even say where the robot stands
 
 
 class Acceptance(FileModel):
@@ -246,10 +248,6 @@ def _in_si(suffix: str) -> tuple[float, str]:
         if suffix in units:
             return units[suffix][0], next(iter(units)).replace("_per_", "/")
     return 1.0, suffix.replace("_per_", "/") or "1"
-
-
-MODELS, FIELD = ("identify", "diagnose"), "residual_field"  # stages
-FEWEST_POSES = 3  # fewer do not even say where the robot stands
 
 
 def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:

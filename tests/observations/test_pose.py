@@ -27,7 +27,7 @@ def test_an_orientation_errs_by_the_turn_from_measured_to_predicted():
     in_station = turn.T @ predicted
     measured = in_station @ Rotation.from_rotvec(-small).as_matrix()
     rows = table(reported, measured)
-    one = Pose.of(Series(station=Station("B")), rows, first=False)
+    one = Pose.beside(Series(station=Station("B")), rows, first=False)
     found = error(one, place, points, rows, predicted)
     angle = np.linalg.norm(small, axis=1, keepdims=True)
     np.testing.assert_allclose(found[:, :3], (points - origin) @ turn - reported, atol=1e-12)

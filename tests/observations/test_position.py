@@ -37,7 +37,7 @@ def test_a_further_station_sees_points_in_its_own_frame():
     """Fails if the frame is inverted wrongly, its error acts in the wrong axes, or the device's own error acts before it."""
     rng = np.random.default_rng(2)
     points, reported = rng.normal(size=(2, 6, 3))
-    one = Position.of(Series(station=Station("B")), table(reported), first=False)
+    one = Position.beside(Series(station=Station("B")), table(reported), first=False)
     nominal, small = rng.normal(size=6), 0.1 * rng.normal(size=6)
     one = one.placed({one.placements[0].what: one.placements[0].__class__("", tuple(nominal[:3]), tuple(nominal[3:]))})
     turn, origin = composed(nominal, small)
@@ -53,7 +53,7 @@ def test_each_session_has_its_frame_and_the_first_none():
     points, reported = rng.normal(size=(2, 6, 3))
     sessions = ["mon", "tue", "wed", "tue", "mon", "wed"]
     rows = table(reported, sessions)
-    one = Position.of(Series(station=Station("A", by_session=True)), rows, first=True)
+    one = Position.beside(Series(station=Station("A", by_session=True)), rows, first=True)
     assert len(one.declared) == 12
     p = 0.2 * rng.normal(size=12)
     found = error(one, p, points, rows)
@@ -85,7 +85,7 @@ def test_a_known_station_has_no_parameters():
     rng = np.random.default_rng(5)
     points, reported = rng.normal(size=(2, 6, 3))
     station = Station("B", known=True, origin=(1.0, 2.0, 3.0), rotation=(0.1, -0.2, 0.3))
-    one = Position.of(Series(station=station), table(reported), first=False)
+    one = Position.beside(Series(station=station), table(reported), first=False)
     one = one.registered(points, np.zeros((6, 3, 3)), table(reported))
     turn, origin = frame(np.array([1.0, 2.0, 3.0, 0.1, -0.2, 0.3]))
     assert one.declared == ()

@@ -17,8 +17,7 @@ from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding
 from calflow.diagnosis.misfit import MisfitRegion
 from calflow.diagnosis.verdict import label
 from calflow.effects import catalogue
-from calflow.effects.cause import Cause
-from calflow.effects.words import NamedCause
+from calflow.effects.cause import Cause, NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import (
     AlternativeParameter,

@@ -19,7 +19,7 @@ from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.design.separability import IsolabilityCell
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
-from calflow.effects.words import NamedCause
+from calflow.effects.cause import NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import Extrapolation, FitSummary, IdentifySummary, Placed, Solver
 from calflow.estimation.identifiability import Statement

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from calflow.effects import catalogue
-from calflow.effects.words import amount, cause_name, place_name, place_names
+from calflow.effects.cause import amount, cause_name, place_name, place_names
 from calflow.files.results import Results
 from calflow.files.words import chance, chance_figure, sureness
 from calflow.reporting import document

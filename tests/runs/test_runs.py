@@ -263,7 +263,7 @@ def test_a_renamed_measurement_file_replaces_the_old_one(finished):
 KILL = """
 import os, signal, sys
 from calflow import cli, run_folder
-from calflow.files import csv, writing
+from calflow.files import tables, writing
 from calflow.runs import run
 from calflow.sampling.chain import Chain
 
@@ -290,7 +290,7 @@ def save(self, real=Chain.save):
         die()
     real(self)
 
-for module in (csv, writing, run_folder, run):
+for module in (tables, writing, run_folder, run):
     module.write_whole = write
 os.replace, Chain.save = replace, save
 sys.argv = ["calflow", *arguments]

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.console import FILE, NOT_WELL, resumable, say
-from calflow.commands.progress import progress
+from calflow.commands.console import FILE, NOT_WELL, progress, resumable, say
 
 if TYPE_CHECKING:
     from calflow.fleet.engine import FleetFolder

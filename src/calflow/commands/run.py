@@ -7,8 +7,7 @@ from pathlib import Path
 
 import click
 
-from calflow.commands.console import FILE, FORCE, OUT, STAGE, resumable, say
-from calflow.commands.progress import progress
+from calflow.commands.console import FILE, FORCE, OUT, STAGE, progress, resumable, say
 from calflow.files.problems import seen
 
 

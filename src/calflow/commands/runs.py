@@ -9,8 +9,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.console import FALSE_ALARM, FILE, OVER, ArgumentCommand, exit_code, say, say_notes, write_free
-from calflow.commands.progress import progress
+from calflow.commands.console import (
+    FALSE_ALARM,
+    FILE,
+    OVER,
+    ArgumentCommand,
+    exit_code,
+    progress,
+    say,
+    say_notes,
+    write_free,
+)
 
 if TYPE_CHECKING:
     from calflow.files.deviations import Deviation

@@ -27,7 +27,7 @@ from calflow.diagnosis.diagnosis import Diagnosis, extended_model
 from calflow.diagnosis.findings import findings
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.verdict import label
-from calflow.effects.words import UNEXPLAINED
+from calflow.effects.cause import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel
 from calflow.estimation.leverage import left_out

@@ -32,9 +32,8 @@ from calflow.diagnosis.stepwise import Detection, kindred
 from calflow.diagnosis.verdict import Rival, Verdict, label
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import Variable
-from calflow.effects.cause import Cause
+from calflow.effects.cause import UNEXPLAINED, Cause, NamedCause, amount, cause_family, cause_name
 from calflow.effects.joint_error import JointError, Term
-from calflow.effects.words import UNEXPLAINED, NamedCause, amount, cause_family, cause_name
 from calflow.estimation.accuracy import completed, distances, error_jacobian, errors, judged_unit
 from calflow.estimation.parameters import UNIT
 from calflow.files.tables import column, spread, to_frame, typed

@@ -19,8 +19,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import H
 from calflow.diagnosis.screening import Catalogue, Score, by_place
 from calflow.diagnosis.stepwise import WITHIN, Detection, Linearisation, swapped
-from calflow.effects.cause import Cause
-from calflow.effects.words import UNEXPLAINED, NamedCause
+from calflow.effects.cause import UNEXPLAINED, Cause, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative, AlternativeParameter, Change, ModelInReach
 from calflow.files.tables import to_frame
 

@@ -18,6 +18,13 @@ MOST_TOLD = 20  # problems of one kind that are told one by one; the others are 
 CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")  # what no text has; tabs and ends of lines it has
 MOST_COMPARED = 1000  # names that a wrong one is compared with
 LONGEST_WORD, LONGEST_MESSAGE = 60, 1000  # characters of a user's own word, and of a whole message, that are shown
+KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+}
 
 
 @dataclass(frozen=True)
@@ -102,15 +109,6 @@ def nearest(word: str, known: Iterable[str]) -> str:
     spelled = {name.lower(): name for name in islice(known, MOST_COMPARED)}
     close = difflib.get_close_matches(word.lower(), spelled, n=1, cutoff=0.5)
     return f", did you mean '{spelled[close[0]]}'?" if close else ""
-
-
-KINDS = {
-    stat.S_IFDIR: "a folder",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-    stat.S_IFIFO: "a pipe",
-    stat.S_IFSOCK: "a socket",
-}
 
 
 def regular_file(path: Path) -> Path:

@@ -38,6 +38,8 @@ _COMPUTED = re.compile(
 )  # how a text begins that a spreadsheet computes, or that would be taken for a quoted one
 NUMBER = r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"
 _NUMBERS = re.compile(rf"'*{NUMBER}(\s*;\s*{NUMBER})*")
+Tables = Mapping[str, pd.DataFrame]
+Row = TypeVar("Row")
 
 
 def csv_text(table: pd.DataFrame, exact: bool = False) -> str:
@@ -88,10 +90,6 @@ def _quoted(text: str) -> str:
 
 def _is_computed(text: str) -> bool:
     return bool(_COMPUTED.match(text)) and not _NUMBERS.fullmatch(text)
-
-
-Tables = Mapping[str, pd.DataFrame]
-Row = TypeVar("Row")
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from calflow.effects.words import amount, cause_name
+from calflow.effects.cause import amount, cause_name
 from calflow.files.problems import InputError
 from calflow.files.results import Results
 from calflow.files.tables import to_frame

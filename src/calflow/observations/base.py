@@ -1,19 +1,21 @@
-"""What every observation is: what a device reports of a row, with nuisance parameters of its own."""
+"""What every observation is: what a device reports of a row, with nuisance parameters of its own; and which kinds there are."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
 import pandas as pd
 
+from calflow.files import plugins
 from calflow.files.toml import FileModel
 from calflow.files.units import MeasurementUnit
+from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.robot.parts import Parameter
@@ -68,12 +70,18 @@ class Observation(ABC):
         tuple[MeasurementUnit, ...]
     ]  # of each residual of a row; the first is the one its noise is stated in
     touches: ClassVar[bool] = False  # whether the robot must be brought to something for a row to be measured
+    in_station: ClassVar[bool] = False  # whether it is reported in the frame of its series' station
     from_outside: ClassVar[bool] = False  # whether it tells where the robot stands in the measuring frame
 
     @classmethod
     @abstractmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:
         """Return the observation of a series for the rows of a table (see `measurements`), nothing placed yet."""
+
+    @classmethod
+    def beside(cls, series: Series, table: pd.DataFrame, first: bool) -> Self:
+        """Return the observation among others; first says whether its station is the measuring frame."""
+        return cls.of(series, table)
 
     @classmethod
     def planned(cls, series: Series) -> Self:
@@ -146,3 +154,46 @@ class Observation(ABC):
     def part(self) -> str:
         """What its parameters' part is called."""
         return self.series.name or self.id
+
+
+@lru_cache
+def observation_kinds() -> dict[str, type[Observation]]:
+    """Return every kind of observation by its id: a new file in this folder is enough, or another package's entry point.
+
+    Raises:
+        InputError: another package brings what cannot be used.
+    """
+    return plugins.catalogue_of(__package__, plugins.OBSERVATIONS, Observation, _flaw)  # type: ignore[type-abstract]
+
+
+def _flaw(kind: type[Observation]) -> str:
+    """What is wrong with the units of a kind that another package brings; empty where nothing is."""
+    units = getattr(kind, "units", ())
+    if units and all(isinstance(unit, MeasurementUnit) for unit in units):
+        return ""
+    return "its units say nothing of how a residual is told: expected a calflow.files.units.MeasurementUnit each, such as METRE"
+
+
+def observations(data: Measurements) -> tuple[Observation, ...]:
+    """Return what was observed in each of the data's series, nothing placed yet.
+
+    The first station is the measuring frame; another of the same name stands where it does.
+    """
+    tables = [data.table[data.of_series(k)] for k in range(len(data.series))]
+    kinds = [_kind(series, table) for series, table in zip(data.series, tables, strict=True)]
+    stations = (series.station.name for series, kind in zip(data.series, kinds, strict=True) if kind.in_station)
+    first = next(stations, None)
+    return tuple(
+        kind.beside(series, table, series.station.name == first)
+        for series, kind, table in zip(data.series, kinds, tables, strict=True)
+    )
+
+
+def leading_units(data: Measurements) -> tuple[MeasurementUnit, ...]:
+    """Return for each of the data's series the unit that its noise is stated in: that of its first residual."""
+    return tuple(_kind(series, data.table).units[0] for series in data.series)
+
+
+def _kind(series: Series, table: pd.DataFrame) -> type[Observation]:
+    """What kind of observation the rows of a series are."""
+    return observation_kinds()[series.kind or ("pose" if {"rx", "qw"} & set(table) else "position")]

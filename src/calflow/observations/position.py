@@ -144,10 +144,16 @@ class Position(Observation):
     title = "position of a marker"
     columns = Reported(dict.fromkeys(POSITION, "length"))
     units: ClassVar[tuple[MeasurementUnit, ...]] = (METRE,) * 3
+    in_station = True
     from_outside = True
 
     @classmethod
-    def of(cls, series: Series, table: pd.DataFrame, first: bool = True) -> Self:
+    def of(cls, series: Series, table: pd.DataFrame) -> Self:
+        """Return the observation of a series whose station is the measuring frame."""
+        return cls.beside(series, table, first=True)
+
+    @classmethod
+    def beside(cls, series: Series, table: pd.DataFrame, first: bool) -> Self:
         """Return the observation; first says whether its station is the measuring frame."""
         return cls(series, Frames.of(series.station, table, first))
 

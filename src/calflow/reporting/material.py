@@ -13,8 +13,7 @@ import pandas as pd
 
 from calflow.deployment.usability import accuracy_steps, split_judged
 from calflow.diagnosis.findings import Finding
-from calflow.effects.cause import Cause
-from calflow.effects.words import place_name
+from calflow.effects.cause import Cause, place_name
 from calflow.estimation.accuracy import Accuracy, errors, judged_unit
 from calflow.estimation.calibrated_model import (
     CalibratedModel,

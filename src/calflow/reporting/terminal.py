@@ -9,7 +9,7 @@ from calflow.deployment.usability import accuracy_steps, split_judged
 from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
-from calflow.effects.words import place_name
+from calflow.effects.cause import place_name
 from calflow.estimation.accuracy import Accuracy
 from calflow.files.results import Results
 from calflow.files.units import METRE

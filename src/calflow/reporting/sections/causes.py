@@ -13,7 +13,7 @@ from calflow.deployment.usability import CAUSE_RULES, Advice, split_judged
 from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow, no_pose_words
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
-from calflow.effects.words import UNEXPLAINED, cause_name, cause_words
+from calflow.effects.cause import UNEXPLAINED, cause_name, cause_words
 from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.files.results import Results
 from calflow.files.units import METRE, MeasurementUnit

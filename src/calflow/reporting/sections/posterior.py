@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.stats import binom
 
 from calflow.deployment.usability import Advice
-from calflow.effects.words import cause_name
+from calflow.effects.cause import cause_name
 from calflow.files.results import Results
 from calflow.files.units import METRE
 from calflow.files.words import cut, listed, percent, readable, with_sd

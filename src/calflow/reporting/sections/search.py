@@ -9,7 +9,7 @@ import pandas as pd
 
 from calflow.diagnosis.findings import CandidateRow, Finding
 from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, WITHIN
-from calflow.effects.words import cause_words, place_name, place_names, readable_size
+from calflow.effects.cause import cause_words, place_name, place_names, readable_size
 from calflow.files.results import Results
 from calflow.files.words import chance, first_up, listed, two_digits
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
