@@ -12,8 +12,8 @@ import pytest
 from calflow.effects import catalogue
 from calflow.effects.base import Words
 from calflow.effects.joint_error import JointError, Term
-from calflow.observations import Position
 from calflow.observations.plane import Plane
+from calflow.observations.position import Position
 from made import pictures
 from made.bench import benches
 from made.effect_page import effect_page

@@ -16,7 +16,8 @@ from calflow.files.units import METRE, NEWTON, PIXEL, RADIAN
 from calflow.files.words import first_up
 from calflow.measurements.series import Series, Setting
 from calflow.model import build
-from calflow.observations import Observation, Position
+from calflow.observations import Observation
+from calflow.observations.position import Position
 from calflow.robot.parts import Base, Parameter
 from made.bench import benches
 from made.effect_page import COLUMNS, paragraphs, table
