@@ -24,9 +24,8 @@ from calflow.reporting import document
 from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains, waterfall
 from calflow.reporting.material import Material, ModelAccuracy, findings_of, gathered, model_steps
 from calflow.reporting.section import Section, sections
-from calflow.reporting.sections.causes import gain_words, lacked, name_certainty, unsure
+from calflow.reporting.sections.causes import candidate_rows, gain_words, lacked, name_certainty, unsure, untestable
 from calflow.reporting.sections.parameters import estimates
-from calflow.reporting.sections.search import candidate_rows, untestable
 from calflow.reporting.style import style
 from calflow.stages.report import report_material
 from calflow.stages.stage import Context

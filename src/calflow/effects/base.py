@@ -310,9 +310,11 @@ def catalogue() -> dict[str, type[Effect]]:
 
 def effect_class(effect: str) -> type[Effect] | None:
     """Return the effect of an id: the catalogue's, else the class that a program or a notebook has defined last, if any."""
+    if effect in catalogue():
+        return catalogue()[effect]
     every = plugins.subclasses(Effect)  # type: ignore[type-abstract]
     defined = [kind for kind in every if not kind.__module__.startswith("calflow.")]
-    return catalogue().get(effect) or next((kind for kind in defined[::-1] if getattr(kind, "id", "") == effect), None)
+    return next((kind for kind in defined[::-1] if getattr(kind, "id", "") == effect), None)
 
 
 def effects_given(effects: Iterable[object]) -> tuple[str | type[Effect] | Effect, ...]:

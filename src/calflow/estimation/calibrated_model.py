@@ -25,6 +25,7 @@ from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit, NoiseDoubt
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import Noise, PerUnit, Source, stated_noise
 from calflow.estimation.parameters import FittedParameter
+from calflow.estimation.residual_field import SUMMARY as FIELD
 from calflow.estimation.residual_field import ResidualField, read_field
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.results import Results
@@ -503,7 +504,7 @@ def identified(robot: Robot, results: Results, given: tuple[str, ...]) -> Calibr
 
 def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> CalibratedModel:
     """Rebuild the best model there is: the one that diagnose extended, else identify's; with the residual field if there is one."""
-    field = read_field(results, robot)
+    field = read_field(results, robot) if FIELD in results else None
     if "diagnose/effects.csv" not in results:
         return replace(identified(robot, results, given), field=field)
     robot = placed(robot, results)

@@ -1,4 +1,4 @@
-"""Causes: what the study's model lacked, how sure that is, what it gained, and what stays unexplained."""
+"""Causes: how they were searched for, what the study's model lacked, how sure that is, what it gained, what stays unexplained."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ import pandas as pd
 from calflow.deployment.usability import CAUSE_RULES, Advice, split_judged
 from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow, no_pose_words
 from calflow.diagnosis.diagnosis import DiagnosisSummary
-from calflow.diagnosis.findings import Finding
-from calflow.effects.cause import UNEXPLAINED, cause_name, cause_words
+from calflow.diagnosis.findings import CandidateRow, Finding
+from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, WITHIN
+from calflow.effects.cause import UNEXPLAINED, cause_name, cause_words, place_name, place_names, readable_size
 from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.files.results import Results
 from calflow.files.units import METRE, MeasurementUnit
@@ -28,18 +29,146 @@ from calflow.files.words import (
     plural,
     ratio,
     sureness,
+    two_digits,
 )
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
-from calflow.reporting.cause_figures import errors_in_space, explained_figure, gains
+from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains
 from calflow.reporting.material import Material, findings_of, study_steps
 from calflow.reporting.section import Section, advise
-from calflow.reporting.sections.search import candidate_rows, strongest, threshold, untestable
 from calflow.reporting.style import magnification
 
+CANDIDATES_SHOWN = 10  # candidates in the figure
+LONGEST = 46  # letters of a name with its detail, beyond which the detail is left out
+EVIDENCE = (
+    "The places that spoke most strongly against the study's model, each tested alone; what one cause explains, others "
+    "imitate in part. Below zero a place explains less than its parameters cost; left of the threshold it may be chance."
+)
+LIMITS = (
+    "The size at which a cause would be found 95 times in 100, at each joint or link, against the scatter that the study's "
+    "model leaves. What is smaller can be there unseen."
+)
+IMITATED = "the model's own parameters imitate"
 GAINS = (
     "What each cause takes off the mean error at held-out poses, in the order in which they were added. The order matters "
     "where causes hide each other."
 )
+STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
+SUMMARY = "diagnose/summary.json"
+FAULT = "data_fault"  # told in a section of its own
+NO_PROOF = (
+    "A smaller error does not prove a name: whatever bends with the data takes something off. That something is there "
+    "rests on the test; its name rests on what else could explain the same data, which is said with each cause."
+)
+NOTHING = "Nothing was found that the model lacks."
+CURVES = (
+    "The figures show errors along the direction in which a cause moves the tool. Left: the final model without this "
+    "cause, its other parameters kept; middle: with it; right: what was measured against what the cause explains."
+)
+RIVALS_TOLD = 3  # rivals that a finding's own text names
+WANDERED = "What the device reports shifts in the course of the measurement"
+ARROWS = 700  # arrows in the workspace
+CAPPED = (
+    "As many causes were found as were allowed (stages.diagnose.causes): there may be more, and what they would explain is "
+    "left over or put down to those."
+)
+
+
+def candidate_rows(results: Results) -> list[CandidateRow]:
+    """Return every place that was tested, and what could not be."""
+    return results.rows("diagnose/candidates.csv", CandidateRow)
+
+
+def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
+    """Draw the places that spoke most strongly, where any spoke; causes are those in the extended model."""
+    rows = _tested(candidate_rows(material.results))[:CANDIDATES_SHOWN]
+    if not rows or not findings_of(material.results):
+        return []
+    places = {(one.cause, one.joint) for one in causes}
+    added = np.array([(row.cause, row.joint) in places for row in rows])
+    data = pd.DataFrame({
+        "place": [_candidate_words(row) for row in rows], "evidence": [-row.delta_bic for row in rows],
+        "chance_of_a_false_alarm": [row.p_family for row in rows], "in_the_model": added,
+    })  # fmt: skip
+    names, fall, p = data["place"].tolist(), data["evidence"].to_numpy(), data["chance_of_a_false_alarm"].to_numpy()
+    drawn = evidence(names, fall, p, added, WITHIN, threshold(material))
+    return [Heading("How the search went"), Plot("evidence", drawn, EVIDENCE, data)]
+
+
+def limits(rows: Sequence[CandidateRow]) -> list[Block]:
+    """Tell how small a cause these data would have shown, by joint or link."""
+    shown = [row for row in rows if np.isfinite(row.limit)]
+    if not shown:
+        return []
+    numbers = sorted({row.joint for row in shown if row.joint})
+    least: dict[tuple[str, int | None], float] = {}
+    for row in shown:
+        place = row.cause, row.joint
+        least[place] = min(row.limit, least.get(place, np.inf))
+    lines = []
+    for cause, unit in {row.cause: row.unit for row in reversed(shown)}.items():
+        factor, said = readable_size(cause, unit)
+        cells = [two_digits(factor * least[cause, k]) if (cause, k) in least else "–" for k in (*numbers, None)]
+        lines.append((first_up(cause_words(cause).name), said, *cells))
+    header = ("cause", "unit", *map(str, numbers), "whole robot")
+    return [
+        Heading("How small a cause these data show"),
+        Paragraph(LIMITS, keep=True),
+        Table(header, sorted(lines), "ll" + "r" * (len(numbers) + 1), size=8, wide=0),
+    ]
+
+
+def not_tested(rows: Sequence[CandidateRow]) -> list[Block]:
+    """List what could not be tested, by the reason why."""
+    groups = untestable(rows)
+    why = {lacking: first_up(f"needs {lacking}" if lacking else IMITATED) for lacking in groups}
+    items = [(f"{why[lacking]}:", f"{listed(names, 12)}.") for lacking, names in groups.items()]
+    silent = "Of these causes the data say nothing, neither that they are there nor that they are not."
+    return headed("Not testable with these data", Paragraph(silent, keep=True), Bullets(items), where=groups)
+
+
+def untestable(rows: Sequence[CandidateRow]) -> dict[str, list[str]]:
+    """Return which causes could not be tested by what a test would need; nothing: the model's own parameters imitate them."""
+    places: dict[tuple[str, str], list[tuple[int | None, str]]] = {}
+    for row in rows:
+        if row.imitated or row.lacking:
+            places.setdefault((row.lacking, row.cause), []).append((row.joint, row.part))
+    groups: dict[str, list[str]] = {}
+    for (lacking, cause), own in places.items():
+        groups.setdefault(lacking, []).append(place_names(cause, own))
+    return groups
+
+
+def strongest(rows: Sequence[CandidateRow]) -> str:
+    """Say which place came nearest where nothing was found."""
+    tested = _tested(rows)
+    if not tested:
+        return ""
+    return (
+        f" The strongest, {_candidate_words(tested[0])}, is no more than noise alone shows in such a search: the chance of it is "
+        f"{chance(tested[0].p_family)}."
+    )
+
+
+def threshold(material: Material) -> float:
+    """Chance of a false alarm below which a cause passes."""
+    return SHARES["causes"] * float(material.settings.get("diagnose", {}).get("false_alarm", FALSE_ALARM))
+
+
+def _tested(rows: Sequence[CandidateRow]) -> list[CandidateRow]:
+    return sorted((row for row in rows if np.isfinite(row.delta_bic)), key=lambda row: row.delta_bic)
+
+
+def _candidate_words(row: CandidateRow) -> str:
+    name = place_name(row.cause, row.joint, row.part)
+    detail = f" ({row.detail})" if row.detail else ""
+    return name + detail if len(name + detail) <= LONGEST else name
+
+
+def _search(material: Material) -> list[Block]:
+    """Draw the strongest places, and tabulate limits and what was not testable."""
+    rows = candidate_rows(material.results)
+    causes = [one for one in findings_of(material.results) if one.is_cause]
+    return [*went(material, causes), *limits(rows), *not_tested(rows)]
 
 
 def gain_words(finding: Finding, floor: float | None) -> str:
@@ -176,20 +305,6 @@ def untested(results: Results) -> list[Advice]:
     return advise(3, f"More causes could be tested with {most}.", where=needs and look_for_structure(results))
 
 
-STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
-SUMMARY = "diagnose/summary.json"
-FAULT = "data_fault"  # told in a section of its own
-NO_PROOF = (
-    "A smaller error does not prove a name: whatever bends with the data takes something off. That something is there "
-    "rests on the test; its name rests on what else could explain the same data, which is said with each cause."
-)
-NOTHING = "Nothing was found that the model lacks."
-CURVES = (
-    "The figures show errors along the direction in which a cause moves the tool. Left: the final model without this "
-    "cause, its other parameters kept; middle: with it; right: what was measured against what the cause explains."
-)
-
-
 def _causes(material: Material) -> list[Block]:
     """Tell each finding in words and figures, then what is left."""
     found = findings_of(material.results)
@@ -246,9 +361,6 @@ def _title(finding: Finding) -> str:
     if finding.status == "unexplained":
         return f"depends on {finding.inputs_in_words}"
     return finding.names
-
-
-RIVALS_TOLD = 3  # rivals that a finding's own text names
 
 
 def apart(finding: Finding, results: Results) -> list[str]:
@@ -311,10 +423,6 @@ def _separations(results: Results) -> list[SeparationRow]:
 
 def _names(causes: tuple[str, ...], joints: tuple[int, ...]) -> list[str]:
     return [cause_name(cause, joint) for cause, joint in zip(causes, joints, strict=True)]
-
-
-WANDERED = "What the device reports shifts in the course of the measurement"
-ARROWS = 700  # arrows in the workspace
 
 
 def _finding(material: Material, finding: Finding, number: int) -> list[Block]:
@@ -417,12 +525,6 @@ def space(material: Material, causes: Sequence[Finding]) -> list[Block]:
     return [Plot("causes_workspace", drawn, said, pd.DataFrame({**columns, "held_out": held}))]
 
 
-CAPPED = (
-    "As many causes were found as were allowed (stages.diagnose.causes): there may be more, and what they would explain is "
-    "left over or put down to those."
-)
-
-
 def foremost(results: Results) -> list[str]:
     """Say what a reader must know before any cause: a contradicted noise, and that the model leaves more than its noise."""
     doubts = results.document("identify/summary.json", IdentifySummary).noise_doubts
@@ -488,3 +590,4 @@ CAUSES_SECTION = Section(
     _causes,
     (*CAUSE_RULES, look_for_structure, advised_poses, other_means, untested),
 )
+SEARCH_SECTION = Section(55, "The search for causes", ("diagnose/findings.csv", "diagnose/candidates.csv"), _search)
