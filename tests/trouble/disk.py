@@ -31,9 +31,9 @@ TROUBLE = 1
 # the report has two sections only, so that it takes no longer than all the rest
 FEW = """
 import sys
-from calflow.reporting import written
-first = written.sections()[:2]
-written.sections = lambda: first
+from calflow.reporting import document
+first = document.sections()[:2]
+document.sections = lambda: first
 from calflow.cli import program
 sys.argv[0] = "calflow"
 program()
