@@ -272,7 +272,8 @@ def nothing_held_out(results: Results) -> list[Advice]:
         return advise(2, f"Hold out some poses (split.holdout = 0.3 in the study): {flatters}")
     return advise(
         2,
-        f"Measure further poses and hold these out (split.holdout in the study), for none of those measured can be spared: {flatters}",
+        "Measure further poses and hold these out (split.holdout in the study), for none of those measured can be spared: "
+        f"{flatters}",
     )
 
 
