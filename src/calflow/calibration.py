@@ -412,6 +412,9 @@ class Calibration(CalibratedModel):
         before, rng = self.identified, draws(self.seed if seed is None else seed)
         data = before.data
         only, without = (effects_by_id(effects) for effects in (catalogue, leave_out))
+        if any(one.action == "unsettled" for one in before.faults):
+            say("robot file or table have a mistake that is to be settled first: no cause is named")
+            causes = 0
         found = search_causes(
             before, data, false_alarm=false_alarm, causes=causes, catalogue=only, leave_out=without,
             rng=rng, say=say, advance=advance,

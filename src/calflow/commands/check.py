@@ -63,7 +63,8 @@ def check_command(study: Path) -> None:
             say(f"{name} will take {demand.words}")
     for warning in checked.warnings:
         say(warning)
-    say("ok")
+    unsettled = any(fault.action == "unsettled" for fault in checked.faults)
+    say("settle the mistake first: diagnose names no cause before" if unsettled else "ok")
 
 
 def _counted(path: Path, data: Measurements) -> str:

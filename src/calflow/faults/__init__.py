@@ -12,9 +12,10 @@ import numpy as np
 import pandas as pd
 
 from calflow.faults.base import Check, Correction, Fault, FaultyRow, PlainCheck, correct
-from calflow.faults.implausible import base_elsewhere, nominal_misfit, past_limits
+from calflow.faults.implausible import nominal_misfit, past_limits
 from calflow.faults.outlier import gross_rows, is_position
 from calflow.faults.reference import Models, Reference
+from calflow.faults.setup_search import setup_faults
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import to_frame
 from calflow.measurements.measurements import Measurements
@@ -53,13 +54,13 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
         InputError: what is left cannot be of this robot: poses past its limits, or positions far from where it can be.
     """
     data, faults = search_faults(data)
-    problems = []
+    problems: list[Problem] = []
     for past, message in past_limits(data):
         series = data.series_number[past]
         problems += [Problem(message, paths[k] if paths else None) for k in dict.fromkeys(map(int, series))]
     positions = is_position(data)
     seen = data.only(positions)
-    if not problems and positions.any() and (message := nominal_misfit(seen) or base_elsewhere(seen)):
+    if not problems and positions.any() and (message := nominal_misfit(seen)):
         problems.append(Problem(message, paths[int(data.series_number[positions][0])] if paths else None))
     if problems:
         raise InputError(problems)
@@ -69,7 +70,11 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
 def search_faults(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
     """Return the rows as the fits are to see them, and what was wrong with them.
 
-    What has one clear correction is corrected; rows that nothing puts right are left out of fit and judgement.
+    What has one clear correction is corrected; rows that nothing puts right are left out of fit and judgement. A mistake of robot
+    file or whole table comes first: where it is unsettled, nothing is said of rows.
+
+    Raises:
+        InputError: robot file or table have a mistake that no fit mends.
     """
     faults: list[Fault] = []
     for check in plain_checks():
@@ -92,10 +97,14 @@ def search_faults(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
 
 
 def _of_positions(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
-    faults: list[Fault] = []
+    faults = [*setup_faults(data)]
+    for fault in faults:
+        data = correct(data, fault)
     models = Models.of(data)
     reference = Reference.of(data, models)
     for check in checks():
+        if any(fault.action == "unsettled" for fault in faults):
+            break
         detected = check.find(data, reference) if reference else ()
         for fault in detected:
             data = correct(data, fault)

@@ -15,7 +15,7 @@ from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import IN_ORDER, approach_and_travel, numbered
 
-Action = Literal["corrected", "left out", "told"]
+Action = Literal["corrected", "left out", "told", "unsettled"]
 PLACE = ("x", "y", "z")
 POSITION = "position"  # the quantity x, y, z
 EXCHANGED = {"x and y": ("x", "y"), "x and z": ("x", "z"), "y and z": ("y", "z")}  # quantities exchanged
@@ -30,7 +30,9 @@ class FaultyRow:
     joint: int = column("number of the joint; 0: none")
     line: int | None = column("line of the file; empty: the whole column")
     pose: str = column("as in the measurements", default="")
-    action: Literal["corrected", "left out", "told"] = column("what was done; told: nothing, it is said alone")
+    action: Literal["corrected", "left out", "told", "unsettled"] = column(
+        "what was done; told: nothing, it is said alone; unsettled: nothing, and no cause is named before the user has settled it"
+    )
     statement: str = column("what is wrong, in words")
     row: int = column("number of the row, from 1; 0: every row")
     quantity: str = column(
@@ -59,7 +61,8 @@ class Correction:
 class Fault:
     """Something wrong with the data: its cause, joint (0: none), lines of the file (none: a whole column), what to do.
 
-    Where nobody can say what is right, it is told and nothing is changed.
+    Where nobody can say what is right, it is told and nothing is changed; one of robot file or whole table is unsettled until
+    the user has mended it, and nothing is named before.
     """
 
     cause: str

@@ -1,6 +1,4 @@
-"""Base elsewhere: a base whose place the robot file states as known, where the positions say that it does not stand.
-
-Nominal misfit: a robot file and measurements that are not of one robot, which no calibration can mend.
+"""Nominal misfit: a robot file and measurements that are not of one robot, which no calibration can mend.
 Joint limits: measured poses where no joint can be, once all that can be put right is.
 """
 
@@ -9,13 +7,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from calflow.effects.geometry import PLACED_BOUND
 from calflow.faults.base import lines_in_words
-from calflow.faults.reference import Models, chosen_rows, lengths, motion, rough
+from calflow.faults.reference import Models, chosen_rows, motion, rough
 from calflow.measurements.measurements import Measurements
-from calflow.robot.frames import angles
 
 FAR, SHARE = 0.1, 0.1  # m, and of its reach: no robot is built so far from what its maker says
 FEWEST = 8  # poses: fewer are met by placing base and tool
@@ -45,38 +40,6 @@ def nominal_misfit(data: Measurements) -> str:
         f"more, which no calibration mends (at most {1e3 * limit:.3g} mm): check the units of readings and positions, the order "
         "and the signs of the joints, their zeros (theta), the convention (dh or modified-dh), the order of the rows, and that "
         "x, y, z are a right-handed frame"
-    )
-
-
-FAR_BETTER = 3.0  # times by which the positions must be met better than with the base as stated
-
-
-def base_elsewhere(data: Measurements) -> str:
-    """Say where the positions have the base, if that is farther from where it is stated than any fit may move it; else nothing."""
-    train = data.only(chosen_rows(np.flatnonzero(data.train), ROWS, len(data)))
-    base = data.robot.base
-    if not base.known or base.fixed or train.table["pose"].nunique() < FEWEST:
-        return ""
-    models = Models.of(train)
-    points = models.nominal.position(models.nominal.nominal, train.conditions)
-    turn, shift, _ = motion(points, train.position)
-    placed = rough(models.placed, train.conditions, train.position, turn, shift)
-    as_stated = Rotation.from_euler("XYZ", base.rotation)
-    angle = float((as_stated.inv() * Rotation.from_matrix(placed.turn)).magnitude())
-    distance = float(np.linalg.norm(placed.shift - base.origin))
-    if max(angle, distance) <= PLACED_BOUND:
-        return ""
-    stated = points @ as_stated.as_matrix().T + base.origin
-    before, after = float(np.nanmedian(lengths(train.position - stated))), float(np.median(placed.miss(train)))
-    if before < FAR_BETTER * after:
-        return ""
-    origin = ", ".join(f"{1e3 * value:.4g}" for value in placed.shift)
-    degrees = ", ".join(f"{value:.4g}" for value in np.rad2deg(angles(Rotation.from_matrix(placed.turn))) + 0.0)
-    return (
-        f"the base does not stand where the robot file says: with it the positions are missed by {1e3 * before:.3g} mm, with a "
-        f"base turned by {np.rad2deg(angle):.3g} deg and shifted by {1e3 * distance:.3g} mm from there by {1e3 * after:.3g} mm: "
-        f"expected about origin_mm = [{origin}], rotation_deg = [{degrees}] in [base] (a turn about joint 1's axis may as well be "
-        "that joint's zero), or known = false, for the poses to say where it stands"
     )
 
 

@@ -79,6 +79,23 @@ class Models:
 
 
 @dataclass(frozen=True)
+class Expectation:
+    """Where a robot's parameters are expected before it is measured: mean and standard deviation, each (n_parameters,), in SI.
+
+    A parameter whose standard deviation is zero stays at its mean.
+    """
+
+    mean: np.ndarray
+    sd: np.ndarray
+
+    @staticmethod
+    def of(model: Model) -> Expectation:
+        """Return what is expected of a model's parameters; base and tool may be anywhere."""
+        placed = [p.part == "base" or p.part in model.robot.markers for p in model.parameters]
+        return Expectation(model.prior_mean, np.where(placed, PLACED_SD, model.prior_sd))
+
+
+@dataclass(frozen=True)
 class Rough:
     """A robust fit: scale is the robust standard deviation per axis [m] of the rows it was fitted to.
 
@@ -92,6 +109,7 @@ class Rough:
     scale: float
     turn: np.ndarray
     shift: np.ndarray
+    expected: Expectation
 
     @property
     def gross(self) -> float:
@@ -101,12 +119,17 @@ class Rough:
     @property
     def prior(self) -> np.ndarray:
         """Standard deviations of the parameters from the nominal robot's, shape (n_parameters,); base and tool may be anywhere."""
-        return _prior(self.model)
+        return self.expected.sd
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """How far each parameter is from where it is expected, in standard deviations, shape (n_parameters,)."""
+        return _in_sd(self.estimate - self.expected.mean, self.expected.sd)
 
     @property
     def deviation(self) -> float:
         """How far the robot is from its nominal: its parameters' squares in standard deviations."""
-        return float((((self.estimate - self.model.prior_mean) / self.prior) ** 2).sum())
+        return float((self.deviations**2).sum())
 
     def predicted(self, conditions: np.ndarray) -> np.ndarray:
         """Return positions (n_rows, 3) [m] for packed conditions; nan where a loop cannot be closed."""
@@ -162,15 +185,26 @@ class Reference:
         return self.miss > self.fit.gross
 
 
-def rough(model: Model, conditions: np.ndarray, position: np.ndarray, turn: np.ndarray, shift: np.ndarray) -> Rough:
+def rough(
+    model: Model,
+    conditions: np.ndarray,
+    position: np.ndarray,
+    turn: np.ndarray,
+    shift: np.ndarray,
+    expected: Expectation | None = None,
+    start: np.ndarray | None = None,
+) -> Rough:
     """Fit a model to positions (n_rows, 3) by least squares in which wrong rows weigh little (Cauchy).
 
     The robot's base is near where turn and shift say. The noise is the scale of the errors themselves, taken anew with the
-    weights; the model is linearised until it settles.
+    weights; the model is linearised until it settles, from where the parameters are expected or from start. A spring that would
+    push is held at none.
     """
+    expected = expected or Expectation.of(model)
     measured = (position - shift) @ turn
-    prior = _prior(model)
-    estimate, n = model.prior_mean.copy(), len(model.parameters)
+    mean, prior = expected.mean, expected.sd
+    estimate, n = (mean if start is None else start).copy(), len(model.parameters)
+    least = np.where(model.bounds[:, 0] == model.nominal, mean, -np.inf)
     for _ in range(LINEARISED):
         jacobian = model.position_jacobian(estimate, conditions)
         left = measured - model.position(estimate, conditions)
@@ -184,20 +218,22 @@ def rough(model: Model, conditions: np.ndarray, position: np.ndarray, turn: np.n
             data_only = (weighted.transpose(0, 2, 1) @ scaled).sum(axis=0)
             gradient = (weighted.transpose(0, 2, 1) @ _blocks(left.reshape(-1, 1))).sum(axis=0)[:, 0]
             information = data_only + np.eye(n)
-            step = np.linalg.solve(information, gradient - (estimate - model.prior_mean) / prior)
+            step = np.linalg.solve(information, gradient - _in_sd(estimate - mean, prior))
             moved = (scaled @ step).ravel()[: left.size].reshape(left.shape)
             error = left - moved
             scale = _scale(error, np.trace(np.linalg.solve(information, data_only)) / left.size)
         estimate = estimate + step * prior
-        if np.abs(moved).max(initial=0.0) < SETTLED * scale:
+        pushed = estimate < least
+        estimate, prior = np.where(pushed, least, estimate), np.where(pushed, 0.0, prior)
+        if not pushed.any() and np.abs(moved).max(initial=0.0) < SETTLED * scale:
             break
     covariance = np.linalg.inv(information) * np.outer(prior, prior)
-    return Rough(model, estimate, covariance, scale, turn, shift)
+    return Rough(model, estimate, covariance, scale, turn, shift, expected)
 
 
-def _prior(model: Model) -> np.ndarray:
-    placed = [p.part == "base" or p.part in model.robot.markers for p in model.parameters]
-    return np.where(placed, PLACED_SD, model.prior_sd)
+def _in_sd(deviation: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Return deviations (n,) in standard deviations (n,); none of what cannot deviate."""
+    return np.divide(deviation, sd, out=np.zeros_like(deviation), where=sd > 0)
 
 
 def motion(points: np.ndarray, measured: np.ndarray, rounds: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -228,6 +264,25 @@ def best_turn(correlation: np.ndarray) -> np.ndarray:
     u = u.copy()
     u[..., :, 2] *= np.sign(np.linalg.det(u @ v))[..., None]
     return u @ v
+
+
+def rigid_sums(points: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Return each row's part (n_rows, 17) of the sums that a rigid motion follows from: 1, p, m, p², m², m pᵀ."""
+    there = np.isfinite(points).all(axis=1, keepdims=True)
+    p = np.where(there, points, 0.0)
+    m = np.where(there, measured, 0.0)
+    squares = [(p**2).sum(axis=1), (m**2).sum(axis=1)]
+    return np.column_stack([there, p, m, *squares, (m[:, :, None] * p[:, None, :]).reshape(-1, 9)])
+
+
+def rigid_errors(sums: np.ndarray) -> np.ndarray:
+    """Return the mean square error (…) [m²] that the best rigid motion leaves, from sums (…, 18)."""
+    n = np.maximum(sums[..., 0], 1.0)
+    p, m = sums[..., 1:4] / n[..., None], sums[..., 4:7] / n[..., None]
+    correlation = sums[..., 9:].reshape(*sums.shape[:-1], 3, 3) / n[..., None, None] - m[..., :, None] * p[..., None, :]
+    gained = (best_turn(correlation) * correlation).sum(axis=(-2, -1))
+    spread = (sums[..., 7] + sums[..., 8]) / n - (p**2).sum(axis=-1) - (m**2).sum(axis=-1)
+    return np.where(sums[..., 0] > 3, np.maximum(spread - 2 * gained, 0.0), np.inf)
 
 
 def lengths(vectors: np.ndarray) -> np.ndarray:

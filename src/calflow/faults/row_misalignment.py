@@ -9,7 +9,7 @@ import numpy as np
 
 from calflow.faults.base import Check, Correction, Fault, correct, fault
 from calflow.faults.blocks import state_cost, states
-from calflow.faults.reference import Reference, Rough, best_turn, motion
+from calflow.faults.reference import Reference, Rough, motion, rigid_errors, rigid_sums
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
@@ -166,35 +166,16 @@ def _guess(data: Measurements, nominal: Model, lags: list[int]) -> np.ndarray | 
     points, measured = nominal.position(nominal.nominal, data.conditions), data.position
     middle = np.median(measured, axis=0)
     points, measured = points - np.nanmedian(points, axis=0), measured - middle
-    plain = _sums(points, measured)
-    whole = _left(plain.sum(axis=0))
+    plain = rigid_sums(points, measured)
+    whole = rigid_errors(plain.sum(axis=0))
     best, lag, stride = whole, np.zeros(len(data), dtype=int), -(-len(data) // BEGINNINGS)
     for by in lags:
-        other = _sums(_later(points, by), measured)
+        other = rigid_sums(_later(points, by), measured)
         for first, second in ((plain, other), (other, plain)):
             ends = np.cumsum(first, axis=0) + second.sum(axis=0) - np.cumsum(second, axis=0)
-            errors = _left(ends[::stride])
+            errors = rigid_errors(ends[::stride])
             k = int(errors.argmin()) * stride
             if errors.min() < best:
                 early = np.arange(len(data)) <= k
                 best, lag = errors.min(), np.where(early == (second is other), 0, by)
     return _from_shifts(lag) if best < HALVED**2 * whole else None
-
-
-def _sums(points: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return each row's part (n_rows, 17) of the sums that a rigid motion follows from: 1, p, m, p², m², m pᵀ."""
-    there = np.isfinite(points).all(axis=1, keepdims=True)
-    p = np.where(there, points, 0.0)
-    m = np.where(there, measured, 0.0)
-    squares = [(p**2).sum(axis=1), (m**2).sum(axis=1)]
-    return np.column_stack([there, p, m, *squares, (m[:, :, None] * p[:, None, :]).reshape(-1, 9)])
-
-
-def _left(sums: np.ndarray) -> np.ndarray:
-    """Return the mean square error (…) [m²] that the best rigid motion leaves, from sums (…, 18)."""
-    n = np.maximum(sums[..., 0], 1.0)
-    p, m = sums[..., 1:4] / n[..., None], sums[..., 4:7] / n[..., None]
-    correlation = sums[..., 9:].reshape(*sums.shape[:-1], 3, 3) / n[..., None, None] - m[..., :, None] * p[..., None, :]
-    gained = (best_turn(correlation) * correlation).sum(axis=(-2, -1))
-    spread = (sums[..., 7] + sums[..., 8]) / n - (p**2).sum(axis=-1) - (m**2).sum(axis=-1)
-    return np.where(sums[..., 0] > 3, np.maximum(spread - 2 * gained, 0.0), np.inf)

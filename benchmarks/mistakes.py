@@ -1,0 +1,518 @@
+"""Mistakes of the user in robot file or table: whether the right one is named, and what is named on top of it.
+
+python benchmarks/mistakes.py 1 (--robots heavy cobot --kinds twist-sign …)    so many draws of 16 kinds on four robots
+
+Each draw is judged with the study's parameters within their usual limits and within wide ones. Robots and measurements are
+numpy's own: worn geometry, joints that give way under gravity, and noise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+import calflow as cf
+from calflow.effects.geometry import Geometry
+from calflow.faults import examined
+from calflow.files.problems import InputError
+from calflow.robot.parts import Expected
+
+POSES, NOISE, WORN = 90, 3e-5, 3e-4  # m and rad
+GRAVITY = np.array([0.0, 0.0, -9.80665])
+WIDE = {"m": (2.0, 0.5), "rad": (3.2, 0.5)}  # bound and prior sd that a careless study allows
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A robot as stated: a row of figures a joint (alpha, a, d, theta [rad, m]), limits, masses [kg], centres [m], springs."""
+
+    convention: str
+    figures: np.ndarray
+    limits: np.ndarray
+    mass: np.ndarray
+    com: np.ndarray
+    compliance: np.ndarray
+    loads: dict[str, tuple[float, tuple[float, float, float]]]
+    marker: tuple[float, float, float]
+    base: np.ndarray
+    known: bool
+    prismatic: tuple[int, ...] = ()
+
+
+def arms() -> dict[str, Arm]:
+    """Return the four robots."""
+    right, base = np.pi / 2, np.array([1.2, -0.7, 0.4, 0.03, -0.05, 0.6])
+    wide = np.array([[-170.0, 170.0]] * 7)
+    heavy = Arm(
+        "modified-dh",
+        np.array([[0, 0, 1.2, 0], [right, 0.515, 0, 0], [0, 1.6, 0, 0], [right, 0.35, 1.9, 0], [-right, 0, 0, 0],
+                  [right, 0, 0.445, 0]]),
+        np.array([[-170, 170], [30, 120], [-60, 60], [-180, 180], [-110, 110], [-180, 180.0]]),
+        np.array([1900, 800, 1150, 380, 260, 90.0]),
+        np.array([[0.1, 0, -0.45], [0.75, 0, 0], [0.25, 0.1, 0], [0, 0, -0.7], [0, -0.04, 0.02], [0, 0, -0.08]]),
+        np.array([1.85, 1.79, 1.92, 19.6, 18.2, 19.0]) * 1e-7,
+        {"none": (0.0, (0, 0, 0)), "half": (400.0, (0.1, 0.05, 0.25)), "full": (800.0, (0.12, 0.08, 0.30))},
+        (0.18, -0.07, 0.31), base, True,
+    )  # fmt: skip
+    cobot = Arm(
+        "dh",
+        np.array([[right, 0, 0.1273, 0], [0, -0.612, 0, 0], [0, -0.5723, 0, 0], [right, 0, 0.1639, 0], [-right, 0, 0.1157, 0],
+                  [0, 0, 0.0922, 0]]),
+        np.array([[-170, 170], [-150, -30], [-130, 130], [-170, 170], [-170, 170], [-170, 170.0]]),
+        np.array([7.8, 12.9, 3.9, 2.0, 2.0, 0.2]),
+        np.array([[0, 0, 0], [0.38, 0, 0.158], [0.24, 0, 0.068], [0, 0, 0.018], [0, 0, 0.018], [0, 0, -0.03]]),
+        np.array([2, 3, 4, 8, 8, 8]) * 1e-5,
+        {"none": (0.0, (0, 0, 0)), "half": (4.0, (0.0, 0.02, 0.05)), "full": (9.0, (0.02, -0.05, 0.08))},
+        (0.04, 0.09, 0.12), base, False,
+    )  # fmt: skip
+    scara = Arm(
+        "dh",
+        np.array([[0, 0.325, 0.24, 0], [np.pi, 0.225, 0, 0], [0, 0, 0.08, 0], [0, 0, 0.03, 0]]),
+        np.array([[-130, 130], [-140, 140], [0, 200], [-170, 170.0]]),
+        np.array([12, 6, 2, 1.0]), np.zeros((4, 3)), np.zeros(4),
+        {"none": (0.0, (0, 0, 0)), "half": (2.0, (0.0, 0.02, 0.05)), "full": (5.0, (0.02, -0.05, 0.08))},
+        (0.05, 0.02, 0.06), base, True, (2,),
+    )  # fmt: skip
+    seven = Arm(
+        "modified-dh",
+        np.array([[0, 0, 0.333, 0], [-right, 0, 0, 0], [right, 0, 0.316, 0], [right, 0.0825, 0, 0], [-right, -0.0825, 0.384, 0],
+                  [right, 0, 0, 0], [right, 0.088, 0.107, 0]]),
+        np.where(np.arange(7)[:, None] == 3, [[-170, -10]], 0.7 * wide),
+        np.array([4, 4, 3, 3.5, 2, 1.5, 1.0]),
+        np.array([[0, -0.02, -0.1], [0, -0.1, 0.02], [0.03, 0.02, -0.06], [-0.03, 0.05, 0.02], [0, 0.04, -0.1], [0.06, 0, 0],
+                  [0, 0, 0.07]]),
+        np.array([1, 4, 5, 6, 8, 9, 9]) * 1e-5,
+        {"none": (0.0, (0, 0, 0)), "half": (1.5, (0.0, 0.02, 0.05)), "full": (3.0, (0.02, -0.05, 0.08))},
+        (0.06, -0.03, 0.14), base, False,
+    )  # fmt: skip
+    return {"heavy": heavy, "cobot": cobot, "scara": scara, "seven": seven}
+
+
+# --- Mechanics -----------------------------------------------------------------------------------------
+
+
+def turned(axis: int, angle: np.ndarray) -> np.ndarray:
+    """Return turns about an axis, (n, 4, 4)."""
+    frame = np.tile(np.eye(4), (len(angle), 1, 1))
+    i, j = [(1, 2), (2, 0), (0, 1)][axis]
+    frame[:, i, i] = frame[:, j, j] = np.cos(angle)
+    frame[:, j, i], frame[:, i, j] = np.sin(angle), -np.sin(angle)
+    return frame
+
+
+def shifted(axis: int, length: np.ndarray) -> np.ndarray:
+    """Return shifts along an axis, (n, 4, 4)."""
+    frame = np.tile(np.eye(4), (len(length), 1, 1))
+    frame[:, axis, 3] = length
+    return frame
+
+
+def placed(figures: np.ndarray) -> np.ndarray:
+    """Return a frame (4, 4) from x, y, z and angles about them in turn."""
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = Rotation.from_euler("XYZ", figures[3:]).as_matrix(), figures[:3]
+    return frame
+
+
+def measured_points(arm: Arm, q: np.ndarray, load: np.ndarray, marker: np.ndarray) -> np.ndarray:
+    """Return where the marker is (n, 3) [m] once the joints have given way; load (n,) numbers the loads, marker (n, 3)."""
+    masses = np.array([mass for mass, _ in arm.loads.values()])[load]
+    centres = np.array([com for _, com in arm.loads.values()])[load]
+    given, n = np.zeros_like(q), len(q)
+    stands = placed(arm.base)
+    for _ in range(6):
+        at, axes, links = np.tile(np.eye(4), (n, 1, 1)), [], []
+        for i, (alpha, a, d, theta) in enumerate(arm.figures):
+            every = np.ones(n)
+            slide = i in arm.prismatic
+            turn = turned(2, theta + (0 * every if slide else q[:, i] + given[:, i]))
+            along = shifted(2, d + (q[:, i] if slide else 0 * every))
+            link = shifted(0, a * every), turned(0, alpha * every)
+            if arm.convention == "dh":
+                axes.append(at)
+                at = at @ turn @ along @ link[0] @ link[1]
+            else:
+                at = at @ link[0] @ link[1]
+                axes.append(at)
+                at = at @ turn @ along
+            links.append(at)
+        weights = [
+            (frame[:, :3, :3] @ com + frame[:, :3, 3], np.full(n, mass))
+            for frame, com, mass in zip(links, arm.com, arm.mass, strict=True)
+        ]
+        weights.append((np.einsum("nij,nj->ni", at[:, :3, :3], centres) + at[:, :3, 3], masses))
+        for i, axis in enumerate(axes):
+            moment = sum(
+                np.cross(place - axis[:, :3, 3], mass[:, None] * GRAVITY @ stands[:3, :3])
+                for place, mass in weights[i:]
+            )
+            given[:, i] = arm.compliance[i] * (moment * axis[:, :3, 2]).sum(axis=1)
+    tip = np.einsum("nij,nj->ni", at[:, :3, :3], marker) + at[:, :3, 3]
+    return tip @ stands[:3, :3].T + stands[:3, 3]
+
+
+@dataclass(frozen=True)
+class World:
+    """A robot file as tables, and the measurements beside it; true are the real robot and what it did."""
+
+    robot: dict[str, Any]
+    table: pd.DataFrame
+    arm: Arm
+    true: Arm
+    q: np.ndarray
+    load: np.ndarray
+    marker: np.ndarray
+
+
+def drawn(arm: Arm, rng: np.random.Generator) -> World:
+    """Wear a robot and measure it."""
+    n = len(arm.figures)
+    low, high = arm.limits.T
+    unit = np.where(np.isin(np.arange(n), arm.prismatic), 1e-3, np.pi / 180)
+    q = unit * rng.uniform(low + 0.05 * (high - low), high - 0.05 * (high - low), (POSES, n))
+    true = replace(
+        arm, figures=arm.figures + rng.normal(0, WORN, arm.figures.shape), compliance=arm.compliance * rng.normal(1, 0.1, n),
+        base=arm.base + rng.normal(0, 2e-3, 6),
+    )  # fmt: skip
+    load = rng.integers(0, len(arm.loads), POSES)
+    marker = np.tile(np.array(arm.marker) + rng.normal(0, 1e-3, 3), (POSES, 1))
+    place = measured_points(true, q, load, marker) + rng.normal(0, NOISE, (POSES, 3))
+    columns: Row = {"pose": np.arange(1, POSES + 1)}
+    for i in range(n):
+        columns[f"q{i + 1}_{'mm' if i in arm.prismatic else 'deg'}"] = q[:, i] / unit[i]
+    columns |= dict(zip(("x_mm", "y_mm", "z_mm"), 1e3 * place.T, strict=True))
+    columns |= {"payload": np.array([*arm.loads])[load], "marker": "E"}
+    return World(tables(arm), pd.DataFrame(columns), arm, true, q, load, marker)
+
+
+def tables(arm: Arm) -> dict[str, Any]:
+    """Return a robot file's tables."""
+    joints = []
+    for i, (alpha, a, d, theta) in enumerate(arm.figures):
+        joint: Row = {"alpha_deg": np.rad2deg(alpha), "a_mm": 1e3 * a, "d_mm": 1e3 * d, "theta_deg": np.rad2deg(theta)}
+        joint |= {f"limits_{'mm' if i in arm.prismatic else 'deg'}": arm.limits[i].tolist()}
+        joint |= {"mass_kg": float(arm.mass[i]), "com_mm": (1e3 * arm.com[i]).tolist()}
+        joints.append(joint | ({"kind": "prismatic"} if i in arm.prismatic else {}))
+    return {
+        "name": "arm", "convention": arm.convention,
+        "base": {"origin_mm": (1e3 * arm.base[:3]).tolist(), "rotation_deg": np.rad2deg(arm.base[3:]).tolist(),
+                 "known": arm.known} if arm.known else {"known": False},
+        "joints": joints,
+        "payloads": {name: {"mass_kg": mass, "com_mm": [1e3 * v for v in com]} for name, (mass, com) in arm.loads.items()},
+        "markers": {"E": {"point_mm": [1e3 * v for v in arm.marker]}},
+    }  # fmt: skip
+
+
+# --- Mistakes ------------------------------------------------------------------------------------------
+# Each changes robot file or table in place, and returns what is right to say (a pattern), None where it cannot be made.
+
+Draw = np.random.Generator
+PLACE = ["x_mm", "y_mm", "z_mm"]
+
+
+def figures_of(world: World, *names: str) -> list[tuple[int, str]]:
+    """Return the joints (from 0) and keys of figures that are not zero and that base or tool do not make up for."""
+    robot, last = world.robot, len(world.robot["joints"]) - 1
+    hidden = {"dh": ({(0, "d_mm")}, {(last, "alpha_deg"), (last, "a_mm"), (last, "theta_deg")}),
+              "modified-dh": ({(0, "d_mm"), (0, "alpha_deg"), (0, "a_mm")}, set())}[robot["convention"]]  # fmt: skip
+    out = hidden[0] if not world.arm.known else set()
+    if world.arm.prismatic:  # all axes are parallel: the base makes up for any length along them
+        names = tuple(name for name in names if name != "d_mm")
+    return [
+        (i, key)
+        for i, joint in enumerate(robot["joints"])
+        for key in names
+        if abs(joint[key]) > 1e-9 and (i, key) not in out
+    ]
+
+
+def picked(rng: Draw, things: list[Any]) -> Any:
+    """Draw one of some things."""
+    return things[rng.integers(len(things))]
+
+
+def twist_sign(world: World, rng: Draw) -> str | None:
+    twists = [
+        (i, key) for i, key in figures_of(world, "alpha_deg") if abs(abs(world.robot["joints"][i][key]) - 90) < 60
+    ]
+    if not twists:
+        return None
+    i, key = picked(rng, twists)
+    world.robot["joints"][i][key] *= -1
+    return rf"joint {i + 1}: the twist alpha has the wrong sign"
+
+
+def joint_sign(world: World, rng: Draw) -> str:
+    i = picked(rng, [i for i in range(len(world.arm.figures)) if i not in world.arm.prismatic])
+    world.table[f"q{i + 1}_deg"] *= -1
+    return rf"joint {i + 1}: all readings have the wrong sign"
+
+
+def zero_offset(world: World, rng: Draw) -> str:
+    joints = [i for i in range(0 if world.arm.known else 1, len(world.arm.figures)) if i not in world.arm.prismatic]
+    i = picked(rng, joints)
+    world.robot["joints"][i]["theta_deg"] += picked(rng, [90, -90, 180])
+    return rf"joint {i + 1}: its zero is off"
+
+
+def lengths_exchanged(world: World, rng: Draw) -> str:
+    lengths = figures_of(world, "a_mm", "d_mm")
+    joints = world.robot["joints"]
+    pairs = [(m, k) for m in lengths for k in lengths if m < k and abs(joints[m[0]][m[1]] - joints[k[0]][k[1]]) > 15]
+    (i, one), (j, other) = picked(rng, pairs)
+    joints[i][one], joints[j][other] = joints[j][other], joints[i][one]
+    first, second = (rf"{key[0]} of joint {k + 1}" for k, key in ((i, one), (j, other)))
+    return rf"({first} and {second}|{second} and {first}) are exchanged"
+
+
+def length_mistyped(world: World, rng: Draw) -> str:
+    while True:
+        i, key = picked(rng, figures_of(world, "a_mm", "d_mm"))
+        right = world.robot["joints"][i][key]
+        digits = [*f"{abs(right):.1f}"]
+        m, k = rng.choice(len(digits), 2, replace=False)
+        digits[m], digits[k] = digits[k], digits[m]
+        if digits.count(".") == 1 and digits[0] != "." and abs(float("".join(digits)) - abs(right)) > 25:
+            break
+    world.robot["joints"][i][key] = np.copysign(float("".join(digits)), right)
+    return rf"{key[0]} of joint {i + 1} is mistyped"
+
+
+def columns_exchanged(world: World, rng: Draw) -> str:
+    revolute = [i for i in range(len(world.arm.figures)) if i not in world.arm.prismatic]
+    i, j = sorted(rng.choice(revolute, 2, replace=False))
+    names = [f"q{i + 1}_deg", f"q{j + 1}_deg"]
+    world.table[names] = world.table[names[::-1]].to_numpy()
+    return rf"columns q{i + 1} and q{j + 1} are exchanged"
+
+
+def axes_exchanged(world: World, rng: Draw) -> str:
+    names = list(rng.choice(PLACE, 2, replace=False))
+    world.table[names] = world.table[names[::-1]].to_numpy()
+    return "no right-handed frame"
+
+
+def payloads_exchanged(world: World, rng: Draw) -> str | None:
+    if not world.arm.compliance.any():
+        return None
+    one, other = (str(name) for name in rng.choice(list(world.arm.loads), 2, replace=False))
+    world.table["payload"] = world.table["payload"].replace({one: other, other: one})
+    return rf"payloads ({one} and {other}|{other} and {one}) are exchanged"
+
+
+def rows_exchanged(world: World, rng: Draw) -> str:
+    i, j = rng.choice(POSES, 2, replace=False)
+    world.table.loc[[i, j], PLACE] = world.table.loc[[j, i], PLACE].to_numpy()
+    first, second = sorted((i + 2, j + 2))
+    lines = rf"{first} to {second}" if second == first + 1 else rf"{first}, {second}"
+    return rf"each other's row in lines {lines};"
+
+
+def rows_shifted(world: World, rng: Draw) -> str:
+    first = int(rng.uniform(0.3, 0.7) * POSES)
+    later = np.arange(first, POSES)
+    world.table.loc[later, PLACE] = world.table.loc[np.roll(later, -1), PLACE].to_numpy()
+    return "positions stand a row too (early|late) against the readings"
+
+
+def pounds(world: World, rng: Draw) -> str | None:
+    if not world.arm.compliance.any():
+        return None
+    for load in world.robot["payloads"].values():
+        load["mass_kg"] /= 0.45359237
+    return "masses of all payloads are in pounds"
+
+
+def inches(world: World, rng: Draw) -> str:
+    if rng.random() < 0.5:
+        for joint in world.robot["joints"]:
+            joint["a_mm"] /= 25.4
+            joint["d_mm"] /= 25.4
+        return "all lengths of the robot file are in inches"
+    lengths = [(i, key) for i, key in figures_of(world, "a_mm", "d_mm") if abs(world.robot["joints"][i][key]) > 30]
+    i, key = picked(rng, lengths)
+    world.robot["joints"][i][key] /= 25.4
+    return rf"{key[0]} of joint {i + 1} is mistyped \(inches\)"
+
+
+def radians(world: World, rng: Draw) -> str | None:
+    angles = figures_of(world, "alpha_deg")
+    if not angles:
+        return None
+    i, key = picked(rng, angles)
+    world.robot["joints"][i][key] = float(np.deg2rad(world.robot["joints"][i][key]))
+    return rf"alpha of joint {i + 1} is in radians"
+
+
+def marker_elsewhere(world: World, rng: Draw) -> str:
+    point = world.robot["markers"]["E"]["point_mm"]
+    if rng.random() < 0.5:
+        point[:] = (
+            [point[0] + 212 * s for s in (1,)] + point[1:] if rng.random() < 0.5 else [*point[:2], point[2] + 212]
+        )
+    else:
+        point[:] = [point[2], point[1] + 150.0, point[0]]
+    return "marker E is typed"
+
+
+def changed_at_a_row(world: World, rng: Draw) -> str:
+    first = int(rng.uniform(0.3, 0.7) * POSES)
+    later = np.arange(POSES) >= first
+    if rng.random() < 0.5:
+        by = rng.normal(0, 0.03, 3)
+        moved = measured_points(world.true, world.q, world.load, world.marker + later[:, None] * by)
+        said = rf"from line {first + 2} on another tool"
+    else:
+        turn, shift = Rotation.from_rotvec(rng.normal(0, 0.05, 3)), rng.normal(0, 0.1, 3)
+        still = measured_points(world.true, world.q, world.load, world.marker)
+        moved = np.where(later[:, None], turn.apply(still) + shift, still)
+        said = rf"from line {first + 2} on the positions stand in another frame"
+    world.table[PLACE] = 1e3 * (moved + rng.normal(0, NOISE, moved.shape))
+    return said
+
+
+def sessions_apart(world: World, rng: Draw) -> str:
+    session = np.arange(POSES) * 3 // POSES
+    place = measured_points(world.true, world.q, world.load, world.marker)
+    for k in (1, 2):
+        turn, shift = Rotation.from_rotvec(rng.normal(0, 0.02, 3)), rng.normal(0, 0.03, 3)
+        place[session == k] = turn.apply(place[session == k]) + shift
+    world.table[PLACE] = 1e3 * (place + rng.normal(0, NOISE, place.shape))
+    world.table["session"] = np.array(["Mon", "Tue", "Wed"])[session]
+    return "say by_session = true"
+
+
+KINDS: dict[str, Callable[[World, Draw], str | None]] = {
+    "twist-sign": twist_sign, "joint-sign": joint_sign, "zero-offset": zero_offset, "lengths-exchanged": lengths_exchanged,
+    "length-mistyped": length_mistyped, "columns-exchanged": columns_exchanged, "axes-exchanged": axes_exchanged,
+    "payloads-exchanged": payloads_exchanged, "rows-exchanged": rows_exchanged, "rows-shifted": rows_shifted, "pounds": pounds,
+    "inches": inches, "radians": radians, "marker-elsewhere": marker_elsewhere, "changed-at-a-row": changed_at_a_row,
+    "sessions-apart": sessions_apart, "none": lambda world, rng: "",
+}  # fmt: skip
+
+
+# --- Verdicts ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What was said of a mistake: alone, listed, wrong or silent; the causes named on top, the seconds it took, and the words."""
+
+    outcome: str
+    causes: tuple[str, ...]
+    seconds: float
+    words: str
+
+
+def toml(robot: dict[str, Any]) -> str:
+    """Write a robot file."""
+
+    def value(thing: Any) -> str:
+        if isinstance(thing, bool):
+            return str(thing).lower()
+        if isinstance(thing, str):
+            return f'"{thing}"'
+        return f"[{', '.join(map(value, thing))}]" if isinstance(thing, list) else repr(float(thing))
+
+    def lines(table: Row) -> list[str]:
+        return [f"{key} = {value(thing)}" for key, thing in table.items()]
+
+    text = [f"{key} = {value(robot[key])}" for key in ("name", "convention")]
+    text += ["[base]", *lines(robot["base"])]
+    for joint in robot["joints"]:
+        text += ["[[joints]]", *lines(joint)]
+    for group in ("payloads", "markers"):
+        for name, table in robot[group].items():
+            text += [f"[{group}.{name}]", *lines(table)]
+    return "\n".join(text) + "\n"
+
+
+def widened(robot: cf.Robot) -> cf.Robot:
+    """Return a robot whose geometry may be anything."""
+    expected = tuple(
+        Expected(
+            "geometry", p.part, p.symbol, p.unit, 0.0, WIDE[p.unit][1], lower=-WIDE[p.unit][0], upper=WIDE[p.unit][0]
+        )
+        for p in Geometry(robot).parameters()
+    )
+    return replace(robot, expected=expected)
+
+
+def judged(world: World, said: str, wide: bool) -> Verdict:
+    """Check, diagnose where nothing is unsettled, and hold what is said against what is right."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder)
+        (path / "robot.toml").write_text(toml(world.robot), encoding="utf-8")
+        world.table.to_csv(path / "measurements.csv", index=False)
+        begun, words, causes = time.process_time(), [], ()
+        try:
+            robot = cf.Robot.from_toml(path / "robot.toml")
+            robot = widened(robot) if wide else robot
+            data = cf.Measurements.from_csv(path / "measurements.csv", robot).split(0.25)
+            faults = examined(data)[1]
+            words = [fault.statement for fault in faults]
+            if not any(fault.action == "unsettled" for fault in faults):  # else diagnose names nothing
+                effects = ["geometry", "joint-compliance"] if world.arm.compliance.any() else ["geometry"]
+                found = cf.identify(robot, data, effects).diagnose().findings
+                causes = tuple(f"{f.cause} {f.joint or ''}" for f in found if f.status in ("named", "one_of"))
+        except InputError as error:
+            words = [str(error)]
+    text = " | ".join(words)
+    spent = time.process_time() - begun
+    if not said:
+        return Verdict("silent" if not text else "wrong", causes, spent, text)
+    if re.search(said, text):
+        return Verdict("listed" if "(2)" in text else "alone", causes, spent, text)
+    return Verdict("wrong" if text else "silent", causes, spent, text)
+
+
+def main() -> None:
+    """Draw, judge and count."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("draws", type=int)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--robots", nargs="*", default=list(arms()))
+    parser.add_argument("--kinds", nargs="*", default=list(KINDS))
+    asked = parser.parse_args()
+    counts, causes = Counter[tuple[str, str]](), Counter[str]()
+    for kind in asked.kinds:
+        for name in asked.robots:
+            for draw in range(asked.draws):
+                for wide in (False, True):
+                    rng = np.random.default_rng([asked.seed, draw, list(arms()).index(name), list(KINDS).index(kind)])
+                    world = drawn(arms()[name], rng)
+                    said = KINDS[kind](world, rng)
+                    if said is None:
+                        continue
+                    verdict = judged(world, said, wide)
+                    counts[kind, verdict.outcome] += 1
+                    causes[kind] += bool(verdict.causes)
+                    right = verdict.outcome in ("alone", "listed") or not said
+                    detail = "" if right and not verdict.causes else f"expected {said} | found {verdict.words[:700]}"
+                    print(f"{kind:18} {name:6} {'wide' if wide else 'narrow':6} {verdict.outcome:7} {verdict.seconds:5.1f} s "
+                          f"{', '.join(verdict.causes)} {detail}", flush=True)  # fmt: skip
+    print(f"{'':18} {'alone':>7} {'listed':>7} {'wrong':>7} {'silent':>7} {'false causes':>13}")
+    for kind in asked.kinds:
+        row = [counts[kind, outcome] for outcome in ("alone", "listed", "wrong", "silent")]
+        print(f"{kind:18} " + " ".join(f"{value:7}" for value in row) + f" {causes[kind]:13}")
+    made = [(outcome, count) for (kind, outcome), count in counts.items() if kind != "none"]
+    total = sum(count for _, count in made)
+    right = sum(count for outcome, count in made if outcome in ("alone", "listed"))
+    print(f"right, alone or in a list of three: {right} of {total} ({right / max(total, 1):.3f}); false causes on top: "
+          f"{sum(causes[kind] for kind in asked.kinds if kind != 'none')}")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""Mistakes of the set-up that a fitted robot shows: loads, and what was set up anew between rows (device, tool, sessions)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from calflow.effects.session_frame import SessionFrame
+from calflow.faults.base import Check, Fault
+from calflow.faults.mistake import ONE, Mistake, loads
+from calflow.faults.reference import Reference, motion, rigid_errors, rigid_sums
+from calflow.faults.setup import PHYSICS, ExplainedSetup, Setup
+from calflow.faults.setup_search import alike, told
+from calflow.measurements.measurements import Measurements, sessions_of
+from calflow.robot.frames import vector
+
+LEAST = 5e-3  # m: less is a device that was bumped, or a tool that gave way: causes, and no mistakes
+FEWEST = 5  # rows on either side
+MOST = 3000  # rows at which a change is looked for
+HALVED = 0.5  # share of the squared errors that a change worth a fit leaves
+BEFORE, AFTER = "before", "after"  # sessions that a move makes
+
+
+class ChangedSetup(Check):
+    """Weigh other loads, and what was set up anew, against all as it is read."""
+
+    id: ClassVar[str] = "changed-setup"
+    title: ClassVar[str] = "loads are others than stated, or something was set up anew"
+    order: ClassVar[int] = 60
+
+    def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
+        """Return one fault, for the user to settle."""
+        if reference.fit.scale < PHYSICS and not reference.gross.any():
+            return ()
+        as_read = Setup.of(data).explained()
+        return told(data, as_read, alike(as_read, [*loads(data, as_read.setup), *_changes(data, as_read)]))
+
+
+def _changes(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
+    """Yield a device or a tool that changed at some row, and sessions with a frame of their own, where errors say so."""
+    rows = np.flatnonzero(data.train | data.held_out)
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST)).astype(int))]
+    some = replace(as_read.setup, conditions=data.conditions[:, rows], position=data.position[rows], numbers=rows)
+    sums = rigid_sums(some.points(), some.position)
+    if "session" in data.given:
+        yield from _sessions(data, some, sums)
+    else:
+        yield from _device(data, some, sums)
+    yield from _tool(data, as_read, some)
+
+
+def _device(data: Measurements, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
+    """Yield the row from which on the device stands elsewhere."""
+    before, whole = np.cumsum(sums, axis=0), sums.sum(axis=0)
+    first = _change(some, _squares(before) + _squares(whole - before), float(_squares(whole)))
+    if first is not None:
+        later = np.arange(len(data)) >= first
+        apart = replace(data, table=data.table.assign(session=np.where(later, AFTER, BEFORE)))
+        words = (
+            f"from line {data.table['line'].iloc[first]} on the positions stand in another frame ({{far}} off): the measuring "
+            "device, or the robot, was moved; name the rows before and after in a column 'session' and say by_session = true in "
+            "[measurements.station]"
+        )
+        yield from _moved("device-moved", apart, (BEFORE, AFTER), words, len(sums))
+
+
+def _sessions(data: Measurements, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
+    """Yield sessions with a frame of their own."""
+    names = sessions_of(data)
+    of = data.table["session"].astype(str).to_numpy()[some.numbers]
+    totals = np.stack([sums[of == name].sum(axis=0) for name in names])
+    if len(names) > 1 and _squares(totals).sum() < HALVED * _squares(sums.sum(axis=0)) and totals[:, 0].min() >= FEWEST:
+        words = (
+            f"the sessions {', '.join(names)} do not stand in one frame (up to {{far}} apart): robot or device was set up anew; "
+            "say by_session = true in [measurements.station]"
+        )
+        yield from _moved("sessions-apart", data, names, words, 1)
+
+
+def _moved(kind: str, data: Measurements, names: tuple[str, ...], words: str, moments: int) -> Iterator[Mistake]:
+    """Yield the mistake that sessions are in frames of their own, brought together before the frames are fitted."""
+    setup = Setup.of(data, SessionFrame(data.robot, names))
+    points, position, far = setup.points(), setup.position.copy(), 0.0
+    of = data.table["session"].astype(str).to_numpy()[setup.numbers]
+    turn, shift, _ = motion(points[of == names[0]], position[of == names[0]])
+    for name in names[1:]:
+        own = of == name
+        other, moved, _ = motion(points[own], position[own])
+        position[own] = (position[own] - moved) @ other @ turn.T + shift
+        far = max(far, float(np.median(np.linalg.norm(position[own] - setup.position[own], axis=1))))
+    if far > LEAST:
+        together = replace(setup, position=position)
+        said = words.format(far=f"{1e3 * far:.3g} mm")
+        yield Mistake(kind, 0, lambda _: together, lambda _: said, ONE - np.log(moments))
+
+
+def _tool(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:
+    """Yield the row from which on another tool is measured, whose markers are elsewhere on the flange."""
+    errors = _on_flange(as_read, some)
+    before, n = np.cumsum(errors, axis=0), np.arange(1, len(errors) + 1.0)
+    after, square = before[-1] - before, float((errors**2).sum())
+    gained = (before**2).sum(axis=1) / n + (after**2).sum(axis=1) / np.maximum(len(errors) - n, 1)
+    first = _change(some, square - gained, square - float((before[-1] ** 2).sum()) / len(errors))
+    if first is None:
+        return
+    later = some.numbers >= first
+    by = errors[later].mean(axis=0) - errors[~later].mean(axis=0)
+    if np.linalg.norm(by) < LEAST:
+        return
+    line, robot = data.table["line"].iloc[first], data.robot
+    named = data.table["marker"].astype(str)
+    names = {name: f"{name} from line {line}" for name in named[first:].unique()}
+    others = {
+        names[name]: replace(
+            robot.markers[name], point=vector(robot.markers[name].point + by), known=False, relative_sd=None
+        )
+        for name in names
+    }
+    table = data.table.assign(marker=named.where(np.arange(len(data)) < first, named.map(names)))
+    setup = Setup.of(replace(data, robot=replace(robot, markers=dict(robot.markers) | others), table=table))
+    words = (
+        f"from line {line} on another tool is measured, its point {1e3 * np.linalg.norm(by):.2g} mm or so from the one before on "
+        "the flange; give these rows a marker of their own in robot file and table"
+    )
+    yield Mistake("tool-changed", 0, lambda _: setup, lambda _: words, ONE - np.log(len(errors)))
+
+
+def _on_flange(explanation: ExplainedSetup, setup: Setup) -> np.ndarray:
+    """Return how far positions are from where they should be, in the flange's frame, shape (n_rows, 3) [m]."""
+    fit = explanation.fit
+    error = (setup.position - fit.predicted(setup.conditions)) @ fit.turn
+    markers = [k for k, p in enumerate(fit.model.parameters) if p.part in fit.model.robot.markers]
+    moved = fit.model.position_jacobian(fit.estimate, setup.conditions)[:, :, markers]
+    flange = moved.reshape(len(moved), 3, -1, 3).sum(axis=2)
+    return np.nan_to_num(np.einsum("nij,ni->nj", flange, error))
+
+
+def _squares(sums: np.ndarray) -> np.ndarray:
+    """Return the sum of squared errors (…) [m²] of the best rigid motion, from sums (…, 17); infinite where no motion is told."""
+    errors = rigid_errors(sums)
+    return np.where(np.isfinite(errors), sums[..., 0] * np.where(np.isfinite(errors), errors, 0.0), np.inf)
+
+
+def _change(some: Setup, left: np.ndarray, whole: float) -> int | None:
+    """Return the first row after the change that leaves least (n_rows,) of the whole squared errors; None where that is much."""
+    inside = left[FEWEST - 1 : -FEWEST]
+    if not len(inside) or inside.min() > HALVED * whole:
+        return None
+    return int(some.numbers[int(inside.argmin()) + FEWEST])

@@ -1,0 +1,406 @@
+"""Mistakes of the user in robot file and table: what undoes each, and the sentence that says it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations, permutations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calflow.effects.payload_mass import PayloadMass
+from calflow.faults.base import EXCHANGED, PLACE, Correction
+from calflow.faults.reference import PLACED_SD, motion
+from calflow.faults.setup import STATED_SD, ExplainedSetup, Setup
+from calflow.measurements.measurements import Measurements
+from calflow.robot.frames import angles
+from calflow.robot.parts import Parameter
+
+POUND, INCH, DEGREE = 0.45359237, 25.4, 180 / np.pi
+ONE, ONCE_MORE = -np.log(300.0), -np.log(20.0)  # odds of a single one of all mistakes, and of each further one alike
+ARBITRARY = -np.log(10.0)  # odds of any figure against one that is off by a right angle or stands in another's place
+ANYWHERE = np.log(
+    PLACED_SD / STATED_SD
+)  # of each coordinate of what stands elsewhere: one place is as likely as another
+EVERY = 7  # joints up to which all combinations of signs are tried, else one or two at a time
+BENT = 0.1  # rad: a twist whose sign matters
+DIFFERENT = 1e-3  # m by which lengths that were exchanged differ
+SLIP = 0.01  # m or rad within which what the positions ask for is a figure with a slip of the pen
+LARGEST = 2.5  # rad: a relative rotation beyond may as well be one the other way about
+
+Undo = Callable[[Setup], Setup]
+RIGHT = np.eye(3)
+REFLECTIONS = {  # what was done to the axes, by the quantity that is mended
+    "x": np.diag([-1.0, 1.0, 1.0]),
+    "y": np.diag([1.0, -1.0, 1.0]),
+    "z": np.diag([1.0, 1.0, -1.0]),
+    "x and y": RIGHT[[1, 0, 2]],
+    "x and z": RIGHT[[2, 1, 0]],
+    "y and z": RIGHT[[0, 2, 1]],
+}
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A single mistake: its id, joint (0: none), what undoes it, and what it says and asks for, given the robot without it.
+
+    log_prior is the logarithm of its odds before anything was measured. corrections undo it in the table; a mistake of
+    the robot file, or one whose right figure nobody knows, has none and is for the user.
+    """
+
+    id: str
+    joint: int
+    undo: Undo
+    words: Callable[[ExplainedSetup], str]
+    log_prior: float = ONE
+    corrections: tuple[Correction, ...] = ()
+
+
+def mistakes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
+    """Yield every single mistake that the robot's figures and the table may hold and that placing the robot shows."""
+    figures = Figures(data, setup)
+    yield from _signs(data)
+    yield from _joint_columns(data)
+    yield from _axes(data, setup)
+    yield from _names(data, "marker")
+    yield from _table_units(data)
+    yield from figures.twists()
+    yield from figures.zeros()
+    yield from figures.lengths_exchanged()
+    yield from figures.joints_exchanged()
+    yield from figures.units()
+
+
+def freed(data: Measurements, setup: Setup) -> Iterator[Mistake]:
+    """Yield every figure of the links that may be anything."""
+    yield from Figures(data, setup).mistyped()
+
+
+def misplaced(data: Measurements, setup: Setup) -> Iterator[Mistake]:
+    """Yield markers and a base that do not stand where they are stated."""
+    yield from Figures(data, setup).markers()
+    if setup.turn is not None:
+        yield Mistake(
+            "base-elsewhere", 0, lambda setup: replace(setup, turn=None, origin=None), _base, ANYWHERE * 6 + ONE
+        )
+
+
+def loads(data: Measurements, setup: Setup) -> Iterator[Mistake]:
+    """Yield every single mistake of the loads, which shows only by how the robot gives way."""
+    yield from _names(data, "payload")
+    yield from Figures(data, setup).pounds()
+
+
+def _said(words: str) -> Callable[[ExplainedSetup], str]:
+    return lambda explanation: words
+
+
+def _listed(things: list[str]) -> str:
+    return things[0] if len(things) == 1 else f"{', '.join(things[:-1])} and {things[-1]}"
+
+
+# --- The table -----------------------------------------------------------------------------------------
+
+
+def _read(changes: Mapping[int, tuple[int, float]]) -> Undo:
+    """Return what gives packed conditions (their index) those of another index times a factor."""
+
+    def undo(setup: Setup) -> Setup:
+        conditions = setup.conditions.copy()
+        for target, (source, factor) in changes.items():
+            conditions[target] = factor * setup.conditions[source]
+        return replace(setup, conditions=conditions)
+
+    return undo
+
+
+def _seen(matrix: np.ndarray) -> Undo:
+    """Return what multiplies positions by a matrix (3, 3)."""
+    return lambda setup: replace(setup, position=setup.position @ matrix.T)
+
+
+def _signs(data: Measurements) -> Iterator[Mistake]:
+    n = data.robot.n_joints
+    for size in range(1, n + 1 if n <= EVERY else 3):
+        for joints in combinations(data.robot.driven, size):
+            names = [str(joint + 1) for joint in joints]
+            columns = _listed([f"q{name}" for name in names])
+            signs = _listed([f"{-data.robot.joints[joint].sign}" for joint in joints])
+            where = f"joint {names[0]}" if size == 1 else f"joints {_listed(names)}"
+            words = (
+                f"{where}: all readings have the wrong sign; turn the sign of column{'s' * (size > 1)} {columns}, or say "
+                f"sign = {signs} for {'this joint' if size == 1 else 'these joints'} in the robot file"
+            )
+            corrections = tuple(Correction(0, f"q{name}", factor=-1.0) for name in names)
+            yield Mistake(
+                "joint-sign", joints[0] + 1, _read({joint: (joint, -1.0) for joint in joints}), _said(words),
+                ONE + (size - 1) * ONCE_MORE, corrections,
+            )  # fmt: skip
+
+
+def _joint_columns(data: Measurements) -> Iterator[Mistake]:
+    for i, j in combinations(data.robot.driven, 2):
+        words = f"columns q{i + 1} and q{j + 1} are exchanged; exchange their names in the measurement file"
+        yield Mistake("columns-exchanged", i + 1, _read({i: (j, 1.0), j: (i, 1.0)}), _said(words))
+
+
+def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
+    """Yield what makes a frame left-handed, and axes exchanged all round; of those that only a base tells apart, one."""
+    names, meant = list(REFLECTIONS), "; or other axes, with the base turned otherwise"
+    if setup.turn is not None:
+        meant = ""
+        for order in list(permutations(range(3)))[3:5]:
+            columns = ", ".join(PLACE[k] for k in order)
+            words = f"columns x, y, z are in another order: read as {columns} they fit; name them so"
+            yield Mistake("axes-exchanged", 0, _seen(RIGHT[list(order)]), _said(words))
+    elif (expected := _expected(data, setup)) is not None:
+        mirror = REFLECTIONS["y"]
+        turn = motion(setup.points(), setup.position @ mirror.T)[0]
+        away = {name: np.trace(expected.T @ mend @ mirror @ turn) for name, mend in REFLECTIONS.items()}
+        names, meant = [max(away, key=away.__getitem__)], ""
+    else:
+        names = ["y"]
+    every = [0] if len(data.series) == 1 else range(1, len(data) + 1)  # other series have values of their own there
+    for name in names:
+        both = name in EXCHANGED
+        what = f"the axes {name} are exchanged" if both else f"the axis {name} points the other way"
+        words = f"x, y, z are no right-handed frame: {what}{meant}; correct the measurement file"
+        corrections = tuple(Correction(row, name, 1.0 if both else -1.0) for row in every)
+        yield Mistake("frame-mirrored", 0, _seen(REFLECTIONS[name]), _said(words), ONE, corrections)
+
+
+def _expected(data: Measurements, setup: Setup) -> np.ndarray | None:
+    """Return how the base should be turned (3, 3) by what the tool's orientations do, whatever the tool; None where none are."""
+    if data.rotation is None:
+        return None
+    there = np.flatnonzero(np.isfinite(data.rotation).all(axis=(1, 2)) & data.train)
+    predicted = Rotation.from_matrix(setup.model.rotation(setup.expected.mean, data.conditions[:, there]))
+    seen = Rotation.from_matrix(data.rotation[there])
+    axes, wanted = ((turns[1:] * turns[:-1].inv()).as_rotvec() for turns in (predicted, seen))
+    clear = np.linalg.norm(axes, axis=1) < LARGEST
+    return Rotation.align_vectors(wanted[clear], axes[clear])[0].as_matrix() if clear.sum() > 1 else None
+
+
+def _names(data: Measurements, label: str) -> Iterator[Mistake]:
+    """Yield names of payloads or markers that were taken for each other."""
+    names = list(data.robot.payloads if label == "payload" else data.robot.markers)
+    first = data.robot.n_joints + (len(data.robot.payloads) if label == "marker" else 0)
+    there = set(data.table[label])
+    for (i, one), (j, other) in combinations(enumerate(names), 2):
+        if {one, other} & there:
+            words = f"{label}s {one} and {other} are exchanged; exchange their names in the measurement file, or in the robot file"
+            undo = _read({first + i: (first + j, 1.0), first + j: (first + i, 1.0)})
+            yield Mistake(f"{label}s-exchanged", 0, undo, _said(words))
+
+
+def _table_units(data: Measurements) -> Iterator[Mistake]:
+    for factor, words in (
+        (INCH, "inches"), (1 / INCH, "mm that were taken for inches"), (1e3, "m"), (1e-3, "mm that were taken for m")
+    ):  # fmt: skip
+        yield Mistake("unit-mistake", 0, _seen(factor * RIGHT), _said(f"x, y, z are in {words}; correct their unit"))
+    largest = np.abs(data.joints).max(axis=0, initial=0.0)
+    for i in data.robot.driven:
+        if data.robot.joints[i].kind == "revolute":
+            for factor, words, possible in (
+                (DEGREE, "radians that were taken for degrees", largest[i] * DEGREE < 4 * np.pi),
+                (1 / DEGREE, "degrees that were taken for radians", largest[i] > np.pi),
+            ):
+                if possible:
+                    said = _said(f"column q{i + 1} is in {words}; correct its unit")
+                    yield Mistake("unit-mistake", i + 1, _read({i: (i, factor)}), said)
+
+
+# --- The robot file ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Figures:
+    """The robot's figures, which are parameters of the set-up's model."""
+
+    data: Measurements
+    setup: Setup
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters."""
+        return self.setup.model.parameters
+
+    @cached_property
+    def steps(self) -> list[list[int]]:
+        """The parameters of each joint's steps, as tables list them."""
+        of = {(p.joint, p.symbol): k for k, p in enumerate(self.parameters) if p.effect == "geometry" and p.joint}
+        return [[of[i, step.symbol] for step in frame.every] for i, frame in enumerate(self.data.robot.frames, start=1)]
+
+    @cached_property
+    def lengths(self) -> list[int]:
+        """The parameters of all lengths of the links."""
+        return [k for steps in self.steps for k in steps if self.parameters[k].unit == "m"]
+
+    @cached_property
+    def turns(self) -> list[int]:
+        """The parameters of the joints' zeros."""
+        return [
+            next(k for k in steps if self.parameters[k].symbol == frame.turn.symbol)
+            for steps, frame in zip(self.steps, self.data.robot.frames, strict=True)
+        ]
+
+    def twists(self) -> Iterator[Mistake]:
+        """Yield twists of the wrong sign."""
+        for joint, steps in enumerate(self.steps, start=1):
+            for k in steps:
+                value = self.parameters[k].figure
+                if self.parameters[k].unit == "rad" and k not in self.turns and BENT < abs(value) < np.pi - BENT:
+                    words = f"joint {joint}: the twist {self.parameters[k].symbol} has the wrong sign; {self._stated(k, -value)}"
+                    yield Mistake("twist-sign", joint, _changed({k: -2 * value}), _said(words))
+
+    def zeros(self) -> Iterator[Mistake]:
+        """Yield joints' zeros that are off by a right angle or two."""
+        for joint, k in enumerate(self.turns, start=1):
+            if self.data.robot.joints[joint - 1].kind != "revolute":
+                continue
+            for off in (90, -90, 180):
+                right = self.parameters[k].figure + np.deg2rad(off)
+                right = np.arctan2(np.sin(right), np.cos(right))
+                words = f"joint {joint}: its zero is off by {abs(off)} deg; {self._stated(k, right)}"
+                yield Mistake("zero-offset", joint, _changed({k: np.deg2rad(off)}), _said(words))
+
+    def lengths_exchanged(self) -> Iterator[Mistake]:
+        """Yield lengths that stand in each other's place."""
+        for k, other in combinations(self.lengths, 2):
+            here, there = self.parameters[k].figure, self.parameters[other].figure
+            if abs(here - there) > DIFFERENT:
+                right = f"{self._stated(k, there)}, {self._stated(other, here)}"
+                words = f"{self._name(k)} and {self._name(other)} are exchanged; {right}"
+                undo = _changed({k: there - here, other: here - there})
+                yield Mistake("lengths-exchanged", self.parameters[k].joint, undo, _said(words))
+
+    def joints_exchanged(self) -> Iterator[Mistake]:
+        """Yield joints whose figures stand in each other's place."""
+        for i, j in combinations(range(len(self.steps)), 2):
+            pairs = [*zip(self.steps[i], self.steps[j], strict=False)]
+            values = [(k, self.parameters[k].figure, m, self.parameters[m].figure) for k, m in pairs]
+            if len(self.steps[i]) == len(self.steps[j]) and sum(a != b for _, a, _, b in values) > 1:
+                change = {k: b - a for k, a, _, b in values} | {m: a - b for _, a, m, b in values}
+                words = f"the figures of joints {i + 1} and {j + 1} are exchanged; exchange them in the robot file"
+                yield Mistake("joints-exchanged", i + 1, _changed(change), _said(words))
+
+    def units(self) -> Iterator[Mistake]:
+        """Yield figures in inches or radians."""
+        for factor, words in ((INCH, "in inches"), (1 / INCH, "in mm that were taken for inches")):
+            change = {k: (factor - 1) * self.parameters[k].figure for k in self.lengths}
+            yield Mistake("unit-mistake", 0, _changed(change), _said(f"all lengths of the robot file are {words}"))
+        for joint, steps in enumerate(self.steps, start=1):
+            for k in steps:
+                value = self.parameters[k].figure
+                if self.parameters[k].unit == "rad" and value:
+                    factor, words = (DEGREE, "radians") if abs(value) < 0.12 else (1 / DEGREE, "degrees")
+                    if factor > 1 or abs(value) > 2 * np.pi:
+                        said = _said(f"{self._name(k)} is in {words}; {self._stated(k, factor * value)}")
+                        yield Mistake("unit-mistake", joint, _changed({k: (factor - 1) * value}), said)
+
+    def mistyped(self) -> Iterator[Mistake]:
+        """Yield lengths and zeros that may be anything."""
+        for k in (*self.lengths, *self.turns):
+            yield Mistake("figure-mistyped", self.parameters[k].joint, _freed(k), self._typed(k), ONE + ARBITRARY)
+
+    def _typed(self, k: int) -> Callable[[ExplainedSetup], str]:
+        def words(explanation: ExplainedSetup) -> str:
+            right, typed = explanation.figure(k), self.parameters[k].figure
+            slip = _slip(typed, right) if self.parameters[k].unit == "m" else ""
+            return f"{self._name(k)} is mistyped{slip}; {self._stated(k, right, 'about ')}"
+
+        return words
+
+    def markers(self) -> Iterator[Mistake]:
+        """Yield markers that are not where they are stated."""
+        for name in (name for name, marker in self.data.robot.markers.items() if marker.known):
+            own = [k for k in self.setup.typed if self.parameters[k].part == name]
+            yield Mistake(
+                "marker-elsewhere",
+                0,
+                _freed(*own),
+                self._marker(name, own),
+                3 * ANYWHERE + ONE,
+            )
+
+    def _marker(self, name: str, own: list[int]) -> Callable[[ExplainedSetup], str]:
+        def words(explanation: ExplainedSetup) -> str:
+            right = np.array([explanation.figure(k) for k in own])
+            typed = np.array([self.parameters[k].figure for k in own])
+            far = np.linalg.norm(right - typed)
+            other_axes = any(
+                np.abs(np.array(signs) * typed[list(order)] - right).max() < max(SLIP, 0.2 * far)
+                for order in permutations(range(3))
+                for signs in ((1, 1, 1), (-1, 1, 1), (1, -1, 1), (1, 1, -1), (-1, -1, 1), (-1, 1, -1), (1, -1, -1))
+            )
+            axes = "on another axis" if other_axes else f"{1e3 * far:.3g} mm off"
+            expected = f"expected about point_mm = [{_mm(right)}] in the robot file, found [{_mm(typed)}]"
+            return f"marker {name} is typed {axes}; {expected}"
+
+        return words
+
+    def pounds(self) -> Iterator[Mistake]:
+        """Yield payloads in pounds."""
+        for k, p in enumerate(self.parameters):
+            if p.effect == PayloadMass.id:
+                load = self.data.robot.payloads.get(p.part)
+                what = "the masses of all payloads are" if load is None else f"the mass of payload {p.part} is"
+                right = f"; expected mass_kg = {load.mass * POUND:.4g}" if load and load.mass else ""
+                yield Mistake(
+                    "unit-mistake", 0, _changed({k: POUND - 1}), _said(f"{what} in pounds{right} in the robot file")
+                )
+
+    def _name(self, k: int) -> str:
+        return f"{self.parameters[k].symbol} of joint {self.parameters[k].joint}"
+
+    def _stated(self, k: int, right: float, about: str = "") -> str:
+        """Say what a figure should be, and what the robot file says."""
+        p = self.parameters[k]
+        factor, unit = (1e3, "mm") if p.unit == "m" else (DEGREE, "deg")
+        expected, found = (f"{round(factor * value, 1) + 0.0:g}" for value in (right, p.figure))
+        return f"expected {about}{p.symbol}_{unit} = {expected} for joint {p.joint} in the robot file, found {found}"
+
+
+def _changed(changes: dict[int, float]) -> Undo:
+    return lambda setup: setup.with_figures(changes)
+
+
+def _freed(*figures: int) -> Undo:
+    return lambda setup: setup.freed(*figures)
+
+
+def _mm(point: np.ndarray) -> str:
+    return ", ".join(f"{round(1e3 * value, 1) + 0.0:g}" for value in point)
+
+
+def _slip(typed: float, right: float) -> str:
+    """Say which slip of the pen makes of the right length [m] the one that is typed; empty where none does."""
+    for factor, words in (
+        (-1, "its sign"),
+        (10, "a digit too few"),
+        (0.1, "a digit too many"),
+        (INCH, "inches"),
+        (1 / INCH, "mm"),
+    ):
+        if abs(factor * typed - right) < min(SLIP, abs(right) / 4):
+            return f" ({words})"
+    digits = f"{abs(round(1e3 * typed, 3)):.10g}"
+    for i, j in combinations(range(len(digits)), 2):
+        swapped = [*digits]
+        swapped[i], swapped[j] = swapped[j], swapped[i]
+        value = "".join(swapped)
+        if value.count(".") < 2 and abs(np.copysign(float(value) / 1e3, typed) - right) < SLIP / 2:
+            return f" (digits exchanged: {value})"
+    return ""
+
+
+def _base(explanation: ExplainedSetup) -> str:
+    turn, origin = explanation.base
+    degrees = ", ".join(f"{value:.4g}" for value in np.rad2deg(angles(Rotation.from_matrix(turn))) + 0.0)
+    return (
+        f"the base does not stand where the robot file says; expected about origin_mm = [{_mm(origin)}], rotation_deg = "
+        f"[{degrees}] in [base] (a turn about joint 1's axis may as well be that joint's zero), or known = false, for the "
+        "poses to say"
+    )

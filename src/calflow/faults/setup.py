@@ -1,0 +1,221 @@
+"""The set-up: robot file and table as a model reads them, and how well they explain what was measured.
+
+A mistake of the user is a change of the set-up: of the robot's figures, of which of these are free, or of the table. Each is
+weighed by the same number, the log-likelihood of the positions with the robot's parameters integrated (Laplace), within what
+robots really are off by, whatever a study allows. Errors count as Student's t, whose degrees of freedom are those of the fit's
+weights; a robust fit's scale is their size, and what robots do that this model lacks is part of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calflow.effects import catalogue
+from calflow.effects.base import Effect
+from calflow.effects.geometry import PLACED_SD as STATED_SD
+from calflow.effects.geometry import DimensionError, Geometry
+from calflow.effects.payload_mass import PayloadMass
+from calflow.faults.reference import (
+    PLACED_SD,
+    WIDTH,
+    Expectation,
+    Rough,
+    chosen_rows,
+    lengths,
+    motion,
+    rough,
+)
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model
+from calflow.robot.parts import Base, Parameter
+from calflow.robot.robot import Robot
+
+CLEARLY = 0.7  # times the size of errors below which they are less for a reason
+PHYSICS = 4e-5  # m: what causes that this model lacks leave of a good robot at least; a mistake is more
+ROWS = 240  # that set-ups are weighed by
+
+
+@dataclass(frozen=True)
+class EveryFigure(Geometry):
+    """Every figure of a robot, those too whose errors others make up for: only what is expected of it says what may move."""
+
+    @cached_property
+    def errors(self) -> tuple[DimensionError, ...]:
+        """The errors of all figures; of those that are no parameters of the geometry nothing is expected."""
+        free = {error.parameter.identity: error for error in super().errors}
+        return tuple(free.values()) + tuple(
+            error for error in _every_step(self.robot) if error.parameter.identity not in free
+        )
+
+
+def _every_step(robot: Robot) -> list[DimensionError]:
+    return [
+        DimensionError(
+            Parameter(Geometry.id, f"joint{i + 1}", step.symbol, step.unit, 0.0, -np.inf, np.inf, figure=step.value,
+                      joint=i + 1),
+            "steps", robot.step_index(i, step.symbol),
+        )
+        for i, frame in enumerate(robot.frames)
+        for step in frame.steps
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Some rows as a model reads them: packed conditions (n_conditions, n_rows) and positions (n_rows, 3) [m].
+
+    numbers (n_rows,) are the rows' among all, from 0, and poses how many poses they are of. turn (3, 3) and origin (3,) are where
+    the base is stated, None where nobody says; typed are the parameters (indices) of markers whose place is stated.
+    """
+
+    model: Model
+    expected: Expectation
+    conditions: np.ndarray
+    position: np.ndarray
+    numbers: np.ndarray
+    poses: int
+    turn: np.ndarray | None
+    origin: np.ndarray | None
+    typed: tuple[int, ...]
+
+    @staticmethod
+    def of(data: Measurements, *beside: Effect) -> Setup:
+        """Return the set-up as robot file and table state it, with some of the training rows; effects beside may be of any size."""
+        robot = replace(data.robot, base=Base(known=False), expected=())
+        springs = [kind(robot) for kind in catalogue().values() if kind.springs(robot)]
+        loads = [PayloadMass(robot)] if robot.has_masses and any(load.mass for load in robot.payloads.values()) else []
+        model = Model(
+            robot,
+            (EveryFigure(robot), *loads, *springs, *(replace(effect, robot=robot) for effect in beside)),
+            data.given,
+        )
+        chosen = chosen_rows(np.flatnonzero(data.train), ROWS, len(data))
+        few = data.only(chosen)
+        expected = Expectation.of(model)
+        size = {PayloadMass.id: 0.0} | {effect.id: PLACED_SD for effect in beside}
+        sd = np.array([size.get(p.effect, sd) for p, sd in zip(model.parameters, expected.sd, strict=True)])
+        base = data.robot.base
+        turn = Rotation.from_euler("XYZ", base.rotation).as_matrix() if base.known else None
+        stated = {name for name, marker in robot.markers.items() if marker.known}
+        typed = tuple(k for k, p in enumerate(model.parameters) if p.part in stated)
+        return Setup(
+            model, Expectation(expected.mean, sd), few.conditions, few.position, np.flatnonzero(chosen),
+            few.table["pose"].nunique(), turn, np.array(base.origin) if base.known else None, typed,
+        )  # fmt: skip
+
+    def part(self, most: int) -> Setup:
+        """Return the same with so many rows at most."""
+        some = np.linspace(0, len(self.position) - 1, min(most, len(self.position))).astype(int)
+        return replace(
+            self, conditions=self.conditions[:, some], position=self.position[some], numbers=self.numbers[some],
+            poses=min(self.poses, most),
+        )  # fmt: skip
+
+    def with_figures(self, changes: dict[int, float]) -> Setup:
+        """Return it with other figures, by their parameter, added to what is stated."""
+        mean = self.expected.mean.copy()
+        for k, change in changes.items():
+            mean[k] += change
+        return replace(self, expected=Expectation(mean, self.expected.sd))
+
+    def freed(self, *figures: int) -> Setup:
+        """Return it with figures, by their parameter, that may be anything."""
+        sd = self.expected.sd.copy()
+        sd[list(figures)] = PLACED_SD
+        return replace(self, expected=Expectation(self.expected.mean, sd), typed=tuple(set(self.typed) - set(figures)))
+
+    @cached_property
+    def rigid(self) -> Setup:
+        """The same robot with nothing to be fitted but where base and tool are, and what was freed."""
+        placed = self.expected.sd >= PLACED_SD
+        return replace(self, expected=Expectation(self.expected.mean, np.where(placed, self.expected.sd, 0.0)))
+
+    def points(self) -> np.ndarray:
+        """Return where the markers are [m] in the base's frame, shape (n_rows, 3); nan where a loop cannot be closed."""
+        return self.model.position(self.expected.mean, self.conditions)
+
+    def explained(self) -> ExplainedSetup:
+        """Fit the robot, its base first, and once more from there: a figure that is far off takes its time."""
+        turn, shift, _ = motion(self.points(), self.position)
+        first = rough(self.model, self.conditions, self.position, turn, shift, self.expected)
+        return ExplainedSetup(
+            self, rough(self.model, self.conditions, self.position, turn, shift, self.expected, first.estimate)
+        )
+
+
+@dataclass(frozen=True)
+class ExplainedSetup:
+    """A set-up with the robot that explains the positions best."""
+
+    setup: Setup
+    fit: Rough
+
+    @cached_property
+    def error(self) -> np.ndarray:
+        """How far each position is from where the robot is, shape (n_rows,) [m]."""
+        return lengths(self.setup.position - self.fit.predicted(self.setup.conditions))
+
+    @cached_property
+    def likelihood(self) -> float:
+        """The logarithm of the positions' probability density [1/m] about the fit, rows of a pose as one."""
+        if not np.isfinite(self.fit.estimate).all():
+            return -np.inf
+        scale, tail = float(np.hypot(self.fit.scale, PHYSICS)), WIDTH**2
+        surprise = 3 * np.log(scale) + (tail + 3) / 2 * np.log1p((np.minimum(self.error, 1e3) / scale) ** 2 / tail)
+        share = self.setup.poses / len(self.error)
+        return float(-share * surprise.sum())
+
+    @property
+    def evidence(self) -> float:
+        """The logarithm of the positions' probability density, the robot's parameters integrated."""
+        return self.likelihood + self.prior
+
+    def log_odds(self, other: ExplainedSetup) -> float:
+        """Return the logarithm of its odds against another; that errors are hardly less speaks for nothing."""
+        gained = self.likelihood - other.likelihood
+        if gained > 0 and self.fit.scale > CLEARLY * other.fit.scale:
+            gained = 0.0
+        return gained + self.prior - other.prior
+
+    @cached_property
+    def prior(self) -> float:
+        """The logarithm of the estimate's prior density times the volume that the data leave, about the same units."""
+        fit, sd = self.fit, self.fit.expected.sd
+        free = sd > 0
+        deviation = fit.deviations
+        placed = sd >= PLACED_SD
+        log_density = -(deviation[free & ~placed] ** 2).sum() / 2
+        moving = free & (np.diag(fit.covariance) > 0)
+        covariance = fit.covariance[np.ix_(moving, moving)] / np.outer(sd[moving], sd[moving])
+        log_volume = np.linalg.slogdet(covariance)[1] / 2
+        away = self.elsewhere
+        return float(log_density + log_volume - (away**2).sum() / 2 + len(away) * np.log(PLACED_SD / STATED_SD))
+
+    @property
+    def elsewhere(self) -> np.ndarray:
+        """How far base and markers are from where they are stated, in standard deviations; of those that nobody states nothing."""
+        setup, fit = self.setup, self.fit
+        markers = (fit.estimate - setup.expected.mean)[list(setup.typed)] / STATED_SD
+        if setup.turn is None:
+            return np.asarray(markers)
+        turn, shift = self.base
+        away = np.r_[Rotation.from_matrix(turn @ setup.turn.T).as_rotvec(), shift - setup.origin] / STATED_SD
+        return np.r_[markers, away]
+
+    @property
+    def base(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the base is: turn (3, 3) and origin (3,) [m] in the measuring frame."""
+        fit = self.fit
+        small = {
+            p.symbol: value for p, value in zip(fit.model.parameters, fit.estimate, strict=True) if p.part == "base"
+        }
+        turn = fit.turn @ Rotation.from_euler("XYZ", [small["rx"], small["ry"], small["rz"]]).as_matrix()
+        return turn, fit.turn @ np.array([small["x"], small["y"], small["z"]]) + fit.shift
+
+    def figure(self, k: int) -> float:
+        """Return a figure, by its parameter, as the positions ask for it, in SI."""
+        return float(self.fit.model.parameters[k].figure + self.fit.estimate[k])

@@ -1,0 +1,132 @@
+"""Mistakes of the user in robot file or table are told as what they are, and nothing is named on top of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calflow.calibration import identify
+from calflow.faults import examined, search_faults
+from calflow.files.problems import InputError
+from calflow.measurements.measurements import Measurements
+from calflow.robot.parts import Base, Expected
+from calflow.study import load_study
+from hidden.case import Case, write_case
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """A loaded 210 kg robot that gives way, by physics apart from the model, with two payloads and none."""
+    folder = tmp_path_factory.mktemp("mistakes")
+    write_case(folder, Case(poses=70, workflow="paper-table"), np.random.default_rng(77))
+    return load_study(folder).measurements()
+
+
+def with_figure(data, joint, **values):
+    """The data of a robot file with other figures of a joint (from 1)."""
+    joints, frame = list(data.robot.joints), data.robot.joints[joint - 1].frame
+
+    def steps(several):
+        return tuple(replace(step, value=values.get(step.symbol, step.value)) for step in several)
+
+    frame = replace(
+        frame, turn=steps((frame.turn,))[0], reach=steps(frame.reach), mount=steps(frame.mount), body=steps(frame.body)
+    )
+    joints[joint - 1] = replace(joints[joint - 1], frame=frame)
+    return data.on(replace(data.robot, joints=tuple(joints)))
+
+
+def with_columns(data, **columns):
+    """The data with columns that are something else."""
+    return replace(data, table=data.table.assign(**columns))
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(
+    ("joint", "figures", "said"),
+    [
+        (4, {"alpha": np.pi / 2}, "joint 4: the twist alpha has the wrong sign; expected alpha_deg = -90"),
+        (2, {"theta": 0.0}, "joint 2: its zero is off by 90 deg; expected theta_deg = -90"),
+        (3, {"a": 1.75}, r"a of joint 3 is mistyped; expected about a_mm = 107"),
+        (4, {"d": 1.82}, r"d of joint 4 is mistyped \(digits exchanged: 1280\); expected"),
+        (4, {"alpha": -np.deg2rad(np.pi / 2)}, "alpha of joint 4 is in radians; expected alpha_deg = -90"),
+    ],
+    ids=["twist", "zero", "length", "digits", "radians"],
+)  # fmt: skip
+def test_a_mistyped_figure_is_told_alone(measured, joint, figures, said, known):
+    """Fails if signs, axes or another figure are blamed, or the robot is fitted with a figure that cannot be."""
+    data = measured if known else measured.on(replace(measured.robot, base=Base(known=False)))
+    with pytest.raises(InputError, match=said) as told:
+        examined(with_figure(data, joint, **figures))
+    assert "(2)" not in str(told.value)
+
+
+def test_a_wide_study_changes_nothing(measured):
+    """Fails if limits that a study sets let a wrong robot explain the positions."""
+    wide = tuple(
+        Expected("geometry", f"joint{i}", symbol, unit, 0.0, 0.5, lower=-3.0, upper=3.0)
+        for i in range(2, 7) for symbol, unit in (("alpha", "rad"), ("a", "m"), ("theta", "rad"))
+    )  # fmt: skip
+    data = measured.on(replace(measured.robot, expected=wide))
+    assert search_faults(data)[1] == ()
+    with pytest.raises(InputError, match="joint 4: the twist alpha has the wrong sign"):
+        examined(with_figure(data, 4, alpha=np.pi / 2))
+
+
+def test_two_joint_columns_that_are_exchanged(measured):
+    """Fails if limits alone are complained of, or a fit is made."""
+    q = measured.table
+    with pytest.raises(InputError, match="columns q4 and q6 are exchanged"):
+        examined(with_columns(measured, q4=q["q6"], q6=q["q4"]))
+
+
+@pytest.mark.parametrize("to", [(0.15, 0.12, 0.392), (0.18, 0.12, 0.15 + 0.3)])
+def test_a_marker_far_from_where_it_is_typed(measured, to):
+    """Fails if the fit takes a marker to its bound, or says that a joint is at fault."""
+    robot = replace(measured.robot, markers={"E": replace(measured.robot.markers["E"], point=to)})
+    with pytest.raises(InputError, match="marker E is typed"):
+        examined(measured.on(robot))
+
+
+def test_payloads_of_each_others_name_are_settled_before_causes(measured):
+    """Fails if stiffness or masses are named where two payloads were taken for each other, or pounds for kilograms."""
+    swapped = with_columns(measured, payload=measured.table["payload"].replace({"half": "full", "full": "half"}))
+    (fault,) = search_faults(swapped)[1]
+    assert (fault.cause, fault.action) == ("payloads-exchanged", "unsettled")
+    diagnosed = identify(swapped.robot, swapped, ["geometry", "joint-compliance"]).diagnose()
+    assert [finding.cause for finding in diagnosed.findings if finding.status in ("named", "one_of")] == []
+    assert "settle this first" in diagnosed.findings[0].statement
+    pounds = {name: replace(load, mass=load.mass / 0.45359) for name, load in measured.robot.payloads.items()}
+    (fault,) = search_faults(measured.on(replace(measured.robot, payloads=pounds)))[1]
+    assert "the masses of all payloads are in pounds" in fault.statement
+
+
+def test_a_device_that_was_moved_at_a_row(measured):
+    """Fails if the row is not told, or outliers are left out in its place."""
+    later = (np.arange(len(measured)) >= 41)[:, None]
+    x, y, z = np.where(later, measured.position + np.array([0.03, 0.0, 0.02]), measured.position).T
+    (fault,) = search_faults(with_columns(measured, x=x, y=y, z=z))[1]
+    assert (fault.cause, fault.action) == ("device-moved", "unsettled")
+    assert f"from line {measured.table['line'][41]} on" in fault.statement
+
+
+def test_sessions_with_frames_of_their_own_ask_for_by_session(measured):
+    """Fails if a tracker that was set up anew is not told as one."""
+    session = np.array(["Mon", "Tue", "Wed"])[np.arange(len(measured)) * 3 // len(measured)]
+    turned = Rotation.from_rotvec([0.0, 0.01, 0.02]).apply(measured.position.copy()) + np.array([0.03, -0.02, 0.0])
+    x, y, z = np.where((session == "Tue")[:, None], turned, measured.position).T
+    (fault,) = search_faults(with_columns(measured, x=x, y=y, z=z, session=session))[1]
+    assert (fault.cause, fault.action) == ("sessions-apart", "unsettled")
+    assert "by_session = true" in fault.statement
+
+
+def test_two_rows_that_are_exchanged(measured):
+    """Fails if they are called outliers, or not put right."""
+    table = measured.table.copy()
+    table.loc[[5, 30], ["x", "y", "z"]] = table.loc[[30, 5], ["x", "y", "z"]].to_numpy()
+    after, (fault,) = search_faults(Measurements(measured.robot, table, measured.notes))
+    assert fault.cause == "rows-exchanged"
+    np.testing.assert_array_equal(after.position, measured.position)
