@@ -26,6 +26,7 @@ from calflow.faults.reference import (
     Rough,
     chosen_rows,
     lengths,
+    level,
     motion,
     rough,
 )
@@ -177,7 +178,7 @@ class ExplainedSetup:
     def log_odds(self, other: ExplainedSetup) -> float:
         """Return the logarithm of its odds against another; that errors are hardly less speaks for nothing."""
         gained = self.likelihood - other.likelihood
-        if gained > 0 and self.fit.scale > CLEARLY * other.fit.scale:
+        if gained > 0 and level(self.error) > CLEARLY * level(other.error):
             gained = 0.0
         return gained + self.prior - other.prior
 
