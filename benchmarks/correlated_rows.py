@@ -24,7 +24,7 @@ from foreign_study import identified, names_of, write_study
 from kept_cases import Place, Row
 from scipy.signal import lfilter
 
-from calflow.diagnosis.linear import Block, diagnose_linear
+from calflow.linear import Block, diagnose_linear
 
 POSES, REPEATS = 30, 50
 WALK = 0.7  # of the errors' variance, what a random walk has of it at its end

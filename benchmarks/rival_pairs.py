@@ -25,7 +25,7 @@ from foreign_physics import ARMS, Arm, Array, Frame, Rows, Yielding, measured_ro
 from foreign_study import identified, joint_of, names_of, write_study
 from kept_cases import Place, Row, calibration_table
 
-from calflow.diagnosis.linear import Block, diagnose_linear
+from calflow.linear import Block, diagnose_linear
 
 ROWS = {"linear": (100, 10_000), "robot": (100, 1_000)}
 BINS = [0, 0.5, 0.8, 0.9, 0.95, 1]

@@ -16,9 +16,9 @@ from calflow.design.separability import (
     isolability_summary,
     isolability_table,
 )
-from calflow.diagnosis.linear import Block
 from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
 from calflow.diagnosis.screening import Family, Screening
+from calflow.linear import Block
 from calflow.measurements.series import Series
 from calflow.observations.position import Position
 from calflow.robot.robot import Robot

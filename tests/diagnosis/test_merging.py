@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calflow.diagnosis.linear import Block, LinearProblem, LinearTrial
 from calflow.diagnosis.screening import Family
 from calflow.diagnosis.stepwise import CauseAcceptance, Stepwise, kindred, merged
+from calflow.linear import Block, LinearProblem, LinearTrial
 
 N = 150
 TIME = np.linspace(0.0, 1.0, N)

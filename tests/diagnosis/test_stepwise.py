@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.linear import Block
 from calflow.diagnosis.screening import Family
 from calflow.diagnosis.stepwise import FEW_COLUMNS, MOST_TRIALS, PATIENCE, CauseAcceptance, Screened, Stepwise, Trial
+from calflow.linear import Block
 
 FAMILY = Family({}, 1.0)
 Path = Callable[[int], tuple[tuple[str, ...], float]]

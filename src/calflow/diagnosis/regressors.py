@@ -364,7 +364,8 @@ class Regressors(Generic[H]):
     residual (n,) and jacobian (n, n_free) are the fit's, pull (n_free,) the priors' part of the gradient; matrix is
     (n, n_columns), prior_sd (n_columns,). determined is how many parameters the residual has lost. scale is by how much the
     candidates' priors are wider than they state, shared the factor of what the rows of a pose have in common, shared_p the chance
-    of as much by accident. All are whitened by the correlation, where there is one.
+    of as much by accident. All are whitened by the correlation, where there is one. sure (n_columns,) are the degrees of freedom of
+    the variance of each column's amplitude, where the correlation does not say so.
     """
 
     residual: np.ndarray
@@ -381,6 +382,7 @@ class Regressors(Generic[H]):
     shared: float = 1.0
     shared_p: float = 1.0
     correlation: ErrorCorrelation | None = None
+    sure: np.ndarray | None = None
 
     @staticmethod
     def of(

@@ -308,6 +308,8 @@ class Screening(Generic[H]):
     def sure(self) -> np.ndarray:
         """Degrees of freedom of the variance of each column's amplitude; the number of residuals where they are independent."""
         r, n = self.regressors, len(self.regressors.residual)
+        if r.sure is not None:
+            return r.sure
         if r.correlation is None:
             return np.full(r.matrix.shape[1], float(n))
         imitated = r.products.along_fitted @ solve_triangular(self._factor.T, self._imitated, lower=False)

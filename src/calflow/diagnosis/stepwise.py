@@ -533,9 +533,9 @@ class Stepwise(Generic[H]):
     say: Callable[[str], None]
     advance: Callable[[float], None]
 
-    def best(self, start: Trial[H]) -> tuple[Trial[H], list[Trial[H]]]:
-        """Return the best model and all that were tried: steps and exchanges, until nothing changes."""
-        tried = [start]
+    def best(self, *start: Trial[H]) -> tuple[Trial[H], list[Trial[H]]]:
+        """Return the best model and all that were tried, from the last there are: steps and exchanges, until nothing changes."""
+        tried = list(start)
         best = self.settled(tried)
         while better := self.improved(best, tried):
             best = better

@@ -1,7 +1,9 @@
 """The diagnosis without a robot: which blocks of regressors a fitted model lacks, how sure that is, and what else it may be.
 
 It is the robot's own: the same screening, family of tests, gate, stepwise search with exchanges, and verdict. Only what that
-does by another fit is exact here, since the problem is linear; and residuals far off the others are not weighed down.
+does by another fit is exact here, since the problem is linear; and residuals far off the others are not weighed down. Errors that
+hang together along an order, or in groups, are in the covariance that everything goes by (see `serial_errors`), with the figures
+that are likeliest beside each model.
 
 A linear problem with some of its blocks in the model, solved exactly: a trial of the search without a robot.
 """
@@ -16,15 +18,19 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2 as chi2_distribution
+from scipy.stats import norm as normal
 
-from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors, counted_once, shared_error
+from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
 from calflow.diagnosis.screening import Family, Score
+from calflow.diagnosis.serial_errors import LikelyErrors, RestrictedLikelihood, RowOrder
 from calflow.diagnosis.stepwise import (
     FALSE_ALARM,
+    SPLIT,
     Amplitudes,
     CauseAcceptance,
     Detection,
     Linearisation,
+    Screened,
     Stepwise,
     Trial,
     refitted_cost,
@@ -98,8 +104,8 @@ class LinearProblem:
     """What is left of measurements, what is fitted to them, and what else there may be; all over sigma.
 
     residual (n,) is at the means of the fitted parameters' priors, jacobian (n, n_fitted) its derivative by them, prior_sd
-    (n_fitted,) their standard deviations. group (n,) numbers residuals that share an error; noise_known says whether sigma is
-    the noise rather than only its proportions.
+    (n_fitted,) their standard deviations. noise_known says whether sigma is the noise rather than only its proportions; order is
+    that along which errors may hang together, None where they are taken to be independent.
     """
 
     residual: np.ndarray
@@ -108,7 +114,7 @@ class LinearProblem:
     blocks: tuple[Block, ...]
     matrix: np.ndarray
     noise_known: bool
-    group: np.ndarray | None
+    order: RowOrder | None
 
     @cached_property
     def candidates(self) -> tuple[Candidate[Block], ...]:
@@ -128,28 +134,42 @@ class LinearProblem:
         bounds = np.hstack([free, *(block.bounds for block in blocks)])
         design = np.hstack([self.jacobian, self.matrix[:, self.columns(blocks)]])
         level = 1.0 if self.noise_known else float(np.sqrt(np.mean(self.residual**2)))
-        solution = _solved(self.residual, design, sd, bounds, level)
+        alone = self._settled(self.residual, design, sd, bounds, level, self.noise_known)
+        if self.order is None:
+            return alone
+        free = ~alone.at_bound
+        likelihood = RestrictedLikelihood(
+            residual=alone.residual * alone.level,
+            design=(design * sd)[:, free],
+            pull=(alone.estimate / sd)[free],
+            level=alone.level,
+            degrees_of_freedom=max(1.0, len(self.residual) - alone.effective_parameters),
+        )
+        errors = likelihood.likeliest(self.order)
+        if errors is None:
+            return replace(alone, likelihood=likelihood)
+        both = errors.whitened(np.column_stack([self.residual, design]))
+        beside = self._settled(both[:, 0], both[:, 1:], sd, bounds, float(np.sqrt(likelihood.variance(errors))), False)
+        return replace(beside, likelihood=likelihood, errors=errors)
+
+    def _settled(
+        self, residual: np.ndarray, design: np.ndarray, sd: np.ndarray, bounds: np.ndarray, level: float, known: bool
+    ) -> Solution:
+        solution = _solved(residual, design, sd, bounds, level)
         for _ in range(LEVELS):
-            before, level = level, self._level(solution)
+            before, level = level, _level(solution, known)
             if np.isclose(level, before, rtol=1e-6):
                 break
-            solution = _solved(self.residual, design, sd, bounds, level)
+            solution = _solved(residual, design, sd, bounds, level)
         return solution
-
-    def _level(self, solution: Solution) -> float:
-        """What is left over sigma, per degree of freedom; 1 where the noise is known and that is no significant lack of fit."""
-        left = float((solution.residual**2).sum()) * solution.level**2
-        degrees_of_freedom = max(1.0, len(solution.residual) - solution.effective_parameters)
-        if self.noise_known and chi2_distribution.sf(left, degrees_of_freedom) > LACK_OF_FIT:
-            return 1.0
-        return float(np.sqrt(left / degrees_of_freedom))
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
     """The parameters (n_parameters,) of what is fitted, then of the blocks; residual (n,) and design are in units of level.
 
-    level is the noise in units of sigma; at_bound (n_parameters,) says which parameters are held by a bound.
+    level is the noise in units of sigma; at_bound (n_parameters,) says which parameters are held by a bound. errors are those that
+    residual and design are whitened by, None for independent ones; likelihood is what they were judged by.
     """
 
     level: float
@@ -158,6 +178,8 @@ class Solution:
     at_bound: np.ndarray
     residual: np.ndarray
     design: np.ndarray
+    likelihood: RestrictedLikelihood | None = None
+    errors: LikelyErrors | None = None
 
     @cached_property
     def effective_parameters(self) -> float:
@@ -178,6 +200,15 @@ class Solution:
     def misfit(self) -> float:
         """Chi², and the priors'."""
         return float(self.residual @ self.residual + ((self.estimate / self.prior_sd) ** 2).sum())
+
+
+def _level(solution: Solution, known: bool) -> float:
+    """What is left over sigma, per degree of freedom; 1 where the noise is known and that is no significant lack of fit."""
+    left = float((solution.residual**2).sum()) * solution.level**2
+    degrees_of_freedom = max(1.0, len(solution.residual) - solution.effective_parameters)
+    if known and chi2_distribution.sf(left, degrees_of_freedom) > LACK_OF_FIT:
+        return 1.0
+    return float(np.sqrt(left / degrees_of_freedom))
 
 
 def _solved(residual: np.ndarray, design: np.ndarray, sd: np.ndarray, bounds: np.ndarray, level: float) -> Solution:
@@ -224,9 +255,20 @@ class LinearTrial(Trial[Block]):
         solution, spans = self.solution, self._own
         every = [self._amplitudes(block, columns) for block, columns in zip(self.blocks, spans, strict=True)]
         misfit = (solution.misfit - sum(amplitudes.pulled for amplitudes in every)) * solution.level**2
-        return refitted_cost(
-            misfit, self.n_residuals, every, solution.narrowed(np.concatenate([[], *spans]).astype(int))
-        )
+        narrowed = solution.narrowed(np.concatenate([[], *spans]).astype(int))
+        return refitted_cost(misfit, self.n_residuals, every, narrowed) + self._cost_of_errors
+
+    @property
+    def _cost_of_errors(self) -> float:
+        """What errors cost that hang together, beyond independent ones: their figures, and the volumes that they spread over."""
+        solution, fitted = self.solution, len(self.problem.prior_sd)
+        if solution.errors is None:
+            return 0.0
+        volumes = []
+        for design in (self.problem.jacobian, solution.design[:, :fitted] * solution.level):
+            scaled = design * self.problem.prior_sd
+            volumes.append(np.linalg.slogdet(scaled.T @ scaled + solution.level**2 * np.eye(fitted))[1])
+        return float(solution.errors.log_determinant + solution.errors.narrowed + volumes[1] - volumes[0])
 
     def _amplitudes(self, block: Block, columns: np.ndarray) -> Amplitudes:
         free = columns[~self.solution.at_bound[columns]]
@@ -237,14 +279,12 @@ class LinearTrial(Trial[Block]):
     @cached_property
     def linearisation(self) -> Linearisation[Block]:
         """The solved problem with the regressors of all blocks, those in the model too."""
-        solution, problem, n = self.solution, self.problem, self.solution.design.shape[1]
-        residual, both = solution.residual, np.hstack([solution.design, problem.matrix / solution.level])
-        if problem.group is not None:
-            shared, _ = shared_error(residual, problem.group, solution.effective_parameters)
-            residual, both = (counted_once(values, problem.group, shared) for values in (residual, both))
+        solution, problem = self.solution, self.problem
+        errors = solution.errors
+        residual, shown = solution.residual, problem.matrix if errors is None else errors.whitened(problem.matrix)
         free = np.flatnonzero(~solution.at_bound)
         precision = solution.prior_sd**-2.0
-        jacobian, matrix = both[:, free], Held(both[:, n:])
+        jacobian, matrix = solution.design[:, free], Held(shown / solution.level)
         regressors = Regressors(
             residual=residual,
             jacobian=jacobian,
@@ -256,6 +296,9 @@ class LinearTrial(Trial[Block]):
             candidates=problem.candidates,
             products=RegressorProducts.of(residual, jacobian, matrix, problem.candidates),
             determined=solution.effective_parameters,
+            sure=None
+            if errors is None
+            else errors.degrees_of_freedom(problem.jacobian * problem.prior_sd, problem.matrix),
         )
         columns = tuple(np.flatnonzero(np.isin(free, span)) for span in self._own)
         return Linearisation(self.blocks, regressors, solution.estimate[free], columns)
@@ -287,7 +330,7 @@ class LinearFinding:
 
     estimate and sd (n_parameters,) are in the parameters' units, sd nan at a bound; p is the chance that anything in the family
     looks like this where nothing is hidden, probability that it is this block rather than a rival; rivals are those that the
-    data do not exclude (a cost within 10), the nearest first.
+    data do not exclude (a cost within 10), the nearest first; one that is "unexplained" is no block: errors that hang together.
     """
 
     name: str
@@ -300,11 +343,77 @@ class LinearFinding:
 
 
 @dataclass(frozen=True)
+class LinearNoise:
+    """What the model with its findings leaves, taken for noise.
+
+    level is its standard deviation over the noise that was given, or in the residuals' unit where none was, and degrees_of_freedom
+    say how well that is known: those of as many independent residuals. A share of its variance hangs together along the order, over
+    a length in the order's unit, and where another group begins what is kept of it; 0, 0 and 1 where nothing hangs together.
+    """
+
+    level: float
+    degrees_of_freedom: float
+    share: float
+    length: float
+    kept: float
+
+    @staticmethod
+    def of(solution: Solution) -> LinearNoise:
+        """Return that of a solved problem."""
+        errors = solution.errors
+        if errors is None:
+            left = len(solution.residual) - solution.effective_parameters
+            return LinearNoise(solution.level, float(left), 0.0, 0.0, 1.0)
+        return LinearNoise(solution.level, errors.level_degrees_of_freedom, errors.share, errors.length, errors.kept)
+
+
+@dataclass(frozen=True)
+class LinearAdequacy:
+    """Whether the model with its findings is enough, as far as the data tell.
+
+    lack_of_fit is the chance of as much as it leaves, with the noise that was given and independent; None where none was: then
+    what it leaves cannot be told from noise. together is the chance of neighbours that are as alike as those of what is left,
+    once what hangs together as the noise says is taken out.
+    """
+
+    lack_of_fit: float | None
+    together: float
+
+    @staticmethod
+    def of(solution: Solution, independent: Solution, noise_known: bool) -> LinearAdequacy:
+        """Return that of a solved problem, also solved with independent errors."""
+        residual = solution.residual
+        alike = float(residual[1:] @ residual[:-1] / (residual @ residual)) * np.sqrt(len(residual))
+        left = float((independent.residual**2).sum()) * independent.level**2
+        freedom = max(1.0, len(residual) - independent.effective_parameters)
+        p = float(chi2_distribution.sf(left, freedom)) if noise_known else None
+        return LinearAdequacy(p, float(2 * normal.sf(abs(alike))))
+
+    @property
+    def statement(self) -> str:
+        """The same in words."""
+        if self.lack_of_fit is None:
+            words = "Whether the model lacks something cannot be told: the noise is not known."
+        elif self.lack_of_fit > LACK_OF_FIT:
+            words = f"What is left is no more than the noise (p = {self.lack_of_fit:.2g})."
+        else:
+            words = f"What is left is more than the noise (p = {self.lack_of_fit:.2g})."
+        if self.together < LACK_OF_FIT:
+            words += f" It hangs together from row to row beyond what the noise says (p = {self.together:.2g})."
+        return words
+
+
+@dataclass(frozen=True)
 class LinearDiagnosis:
-    """What was found, in the order in which it was, and the names of what these data cannot show in any variant."""
+    """What was found, in the order in which it was, and the names of what these data cannot show in any variant.
+
+    noise is what is left, and adequacy whether that is no more than it should be.
+    """
 
     findings: tuple[LinearFinding, ...]
     untestable: tuple[str, ...]
+    noise: LinearNoise
+    adequacy: LinearAdequacy
 
 
 def diagnose_linear(
@@ -315,6 +424,7 @@ def diagnose_linear(
     rng: np.random.Generator,
     prior_sd: np.ndarray | None = None,
     noise: np.ndarray | float | None = None,
+    order: np.ndarray | None = None,
     groups: np.ndarray | None = None,
     false_alarm: float = FALSE_ALARM,
     most: int = 10,
@@ -332,7 +442,10 @@ def diagnose_linear(
         prior_sd: standard deviations (n_fitted,) of the fitted parameters about the means; None: nothing is known of them.
         noise: standard deviation of the residuals, (n,) or one for all, in their unit; None: it is the same for all and not
             known. What a model leaves beyond it, where that is significant (1 %), is added in proportion.
-        groups: (n,) numbers, equal where residuals may share an error; where they do, it counts once. None: none do.
+        order: (n,) numbers along which rows follow each other, a time say: errors of rows that are near may hang together. None:
+            as the rows stand, those of a group together.
+        groups: (n,) numbers, equal where residuals that follow each other may share an error; where they do, it counts once.
+            None: there are none.
         false_alarm: chance that anything at all is found where nothing is hidden.
         most: how many blocks to find at most.
 
@@ -340,20 +453,80 @@ def diagnose_linear(
         InputError: shapes do not match, or figures are not finite or of no use, all of them named.
     """
     residual, jacobian = np.asarray(residual, dtype=float), np.asarray(jacobian, dtype=float)
-    if problems := _problems(residual, jacobian, candidates, prior_sd, noise, groups):
+    if problems := _problems(residual, jacobian, candidates, prior_sd, noise, order, groups):
         raise InputError(Problem(message) for message in problems)
     sigma = np.broadcast_to(1.0 if noise is None else noise, residual.shape)
     whitened, design = residual / sigma, jacobian / sigma[:, None]
     matrix = np.hstack([block.matrix for block in candidates]) / sigma[:, None]
     prior = _flat(whitened, design) if prior_sd is None else np.asarray(prior_sd, dtype=float)
-    group = None if groups is None else np.unique(groups, return_inverse=True)[1]
-    problem = LinearProblem(whitened, design, prior, tuple(candidates), matrix, noise is not None, group)
-    first = LinearTrial(Family({}, 1.0), problem).linearisation.screened(rng)
-    search = Stepwise(CauseAcceptance(false_alarm, most), first, rng, lambda _: None, lambda _: None)
-    best, tried = search.best(LinearTrial(first.family, problem))
-    return LinearDiagnosis(
-        tuple(map(_finding, verified(best, tried))), tuple(dict.fromkeys(block.name for block in first.hidden))
+    rows, row_order = RowOrder.sorted(len(residual), None if order is None else np.asarray(order, dtype=float), groups)
+    problem = LinearProblem(
+        whitened[rows], design[rows], prior, tuple(candidates), matrix[rows], noise is not None, row_order
     )
+    found = _found(problem, CauseAcceptance(false_alarm, most), rng)
+    unnamed = _unnamed(found.best)
+    detections = [replace(one, unnamed=unnamed[one.cause]) for one in verified(found.best, found.tried)]
+    return LinearDiagnosis(
+        tuple(map(_finding, detections)),
+        tuple(dict.fromkeys(block.name for block in candidates if block.name not in _shown(found.best))),
+        LinearNoise.of(found.best.solution),
+        LinearAdequacy.of(
+            found.best.solution, replace(problem, order=None).solved(found.best.blocks), problem.noise_known
+        ),
+    )
+
+
+def _shown(trial: Trial[Block]) -> set[str]:
+    """Names of what could be seen beside what is fitted anyway."""
+    looked = trial.linearisation
+    return {score.cause.name for score in (looked.apart(trial.causes) if trial.causes else looked.beside).scores}
+
+
+@dataclass(frozen=True)
+class Search:
+    """What a search ended with: the best model, all that were tried, and the screening that it began with."""
+
+    best: LinearTrial
+    tried: Sequence[Trial[Block]]
+    first: Screened[Block]
+
+    @staticmethod
+    def of(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.Generator, *blocks: Block) -> Search:
+        """Search on from a model with some blocks."""
+        first = LinearTrial(Family({}, 1.0), problem).linearisation.screened(rng)
+        start = LinearTrial(first.family, problem)
+        further = [start.with_causes(blocks)] if blocks else []
+        best, tried = Stepwise(acceptance, first, rng, lambda _: None, lambda _: None).best(start, *further)
+        return Search(start.with_causes(best.causes), tried, first)
+
+
+def _found(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.Generator) -> Search:
+    """Search with errors that may hang together: from nothing, and from what is found where they are taken not to.
+
+    What is smooth along the order looks like such errors until it is in the model, and they look like it until they are. A block
+    must explain the data clearly better than errors that hang together do in its place.
+    """
+    independent = Search.of(replace(problem, order=None), acceptance, rng)
+    start = LinearTrial(independent.first.family, problem)
+    beside = start.with_causes(independent.best.causes)
+    if start.solution.errors is None and beside.solution.errors is None:
+        return independent
+    ended = [Search.of(problem, acceptance, rng)]
+    if beside.blocks:
+        ended.append(Search.of(problem, acceptance, rng, *beside.blocks))
+    best = min(ended, key=lambda search: search.best.cost + SPLIT * len(search.best.causes))
+    while losing := {cause: cost for cause, cost in _unnamed(best.best).items() if cost < SPLIT}:
+        weakest = min(losing, key=lambda cause: losing[cause])
+        best = replace(best, best=best.best.with_causes([cause for cause in best.best.causes if cause is not weakest]))
+    return best
+
+
+def _unnamed(trial: LinearTrial) -> dict[Block, float]:
+    """Return the cost of errors that hang together in each block's place, above its own; infinite where they do not."""
+    without = {
+        block: trial.with_causes([other for other in trial.blocks if other is not block]) for block in trial.blocks
+    }
+    return {block: other.cost - trial.cost if other.solution.errors else np.inf for block, other in without.items()}
 
 
 def _finding(finding: Detection[Block]) -> LinearFinding:
@@ -379,6 +552,7 @@ def _problems(
     candidates: Sequence[Block],
     prior_sd: np.ndarray | None,
     noise: np.ndarray | float | None,
+    order: np.ndarray | None,
     groups: np.ndarray | None,
 ) -> list[str]:
     """Everything that is wrong with what was given."""
@@ -401,8 +575,11 @@ def _problems(
             problems.append(f"{name}: expected figures above 0")
     if noise is not None and np.shape(noise) not in ((), (n,)):
         problems.append(f"noise: expected one figure or shape ({n},), found {np.shape(noise)}")
-    if groups is not None and np.shape(groups) != (n,):
-        problems.append(f"groups: expected shape ({n},), found {np.shape(groups)}")
+    for name, figures in (("order", order), ("groups", groups)):
+        if figures is not None and np.shape(figures) != (n,):
+            problems.append(f"{name}: expected shape ({n},), found {np.shape(figures)}")
+    if order is not None and not np.isfinite(order).all():
+        problems.append("order: has figures that are not finite")
     if not candidates:
         problems.append("candidates: expected at least one block")
     for block in candidates:

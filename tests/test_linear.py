@@ -6,17 +6,19 @@ beside it that hardly differs, a wave of unknown frequency, a step at an unknown
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import binom
 
 from calflow.diagnosis.extension import extend
-from calflow.diagnosis.linear import Block, LinearProblem, diagnose_linear
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import CauseAcceptance, Linearisation
 from calflow.files.problems import InputError
+from calflow.linear import Block, LinearProblem, diagnose_linear
 from diagnosis.found import cause, hidden, start
 
 N, SIGMA = 90, 0.1  # readings, K
@@ -213,3 +215,38 @@ def test_a_robot_is_told_the_same_at_its_first_step():
     (one,) = told.findings
     assert one.estimate == pytest.approx(score.estimate, rel=0.02)
     assert one.p == pytest.approx(known.first.family.p(score), rel=1e-6, abs=1e-12)
+
+
+def test_errors_that_hang_together_make_no_name():
+    """Fails if neighbours that share an error count as independent: 24 courses of AR(1) 0.8 that make names in nearly each then."""
+    alarms = 0
+    for seed in range(24):
+        rng = np.random.default_rng([17, seed])
+        errors = np.zeros(N)
+        for k, drawn in enumerate(rng.standard_normal(N)):
+            errors[k] = 0.8 * errors[k - 1] + 0.6 * drawn if k else drawn
+        told = diagnose_linear(errors, COURSE, EVERY, rng=rng, order=TIME)
+        alarms += bool(told.findings)
+    assert alarms <= binom.isf(1e-3, 24, 0.03)
+
+
+def test_order_is_what_rows_follow_each_other_along():
+    """Fails if rows that were shuffled are taken in the order in which they stand, or what hangs together is not told."""
+    rng = np.random.default_rng(6)
+    walk = np.cumsum(rng.standard_normal(N))
+    shuffled = rng.permutation(N)
+    blind, told = (
+        diagnose_linear(walk[shuffled], np.ones((N, 1)), (switching(),), rng=rng, order=order)
+        for order in (None, TIME[shuffled])
+    )
+    assert told.noise.share > 0.9
+    assert told.noise.degrees_of_freedom < N / 4 < blind.noise.degrees_of_freedom
+
+
+def test_the_examples_come_true():
+    """Fails if a block of the page on use without a robot does not run, or what it promises is not so."""
+    page = (Path(__file__).parents[1] / "docs" / "linear.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    assert len(blocks) == 2
+    for block in blocks:
+        exec(compile(block, "linear.md", "exec"), {})
