@@ -101,7 +101,7 @@ class Setup:
         sd = np.array([size.get(p.effect, sd) for p, sd in zip(model.parameters, expected.sd, strict=True)])
         base = data.robot.base
         turn = Rotation.from_euler("XYZ", base.rotation).as_matrix() if base.known else None
-        stated = {name for name, marker in robot.markers.items() if marker.known}
+        stated = {name for name, marker in robot.markers.items() if marker.known and base.known}  # else registered
         typed = tuple(k for k, p in enumerate(model.parameters) if p.part in stated)
         return Setup(
             model, Expectation(expected.mean, sd), few.conditions, few.position, np.flatnonzero(chosen),
