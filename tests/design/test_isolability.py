@@ -110,6 +110,10 @@ def test_chances_are_those_of_fits_to_simulated_measurements():
         assert abs(chance - found[pair]) < 4 * error, (pair, chance, found[pair])
 
 
+SIZES = [2.0**k for k in range(3, -6, -1)]  # over the usual one, the larger the rarer
+TIMES = {size: min(1, 1 / size) / sum(min(1, 1 / other) for other in SIZES) for size in SIZES}
+
+
 def _simulated(matrices, sd, fitted, prior, left, single, number):
     """The share of simulated measurements that leave each cause open (rival ""), and not a rival besides."""
     rng = np.random.default_rng(4)
@@ -125,21 +129,24 @@ def _simulated(matrices, sd, fitted, prior, left, single, number):
                 + rng.standard_normal(n)
             )
             without = _left(y, fitted, prior)
-            bic, passes = {}, {}
+            cost, passes = {}, {}
             for name, other in matrices.items():
                 size = np.full(other.shape[1], sd[name])
                 both = np.hstack([fitted, other])
                 drop = without - _left(y, both, np.append(prior, size))
                 hat = other - fitted @ np.linalg.solve(fitted.T @ fitted + np.diag(prior**-2.0), fitted.T @ other)
                 known = np.linalg.eigvalsh(sd[name] ** 2 * other.T @ hat)
-                spent = (known / (known + 1)).sum()
-                bic[name] = n * np.log1p(-drop / without) + spent * np.log(n)
+                likelihood = 0.0
+                for times, weight in TIMES.items():
+                    left_then = _left(y, both, np.append(prior, times * size))
+                    likelihood += weight * (left_then / without) ** (-n / 2) / np.sqrt(np.prod(1 + times**2 * known))
+                cost[name] = -2 * np.log(likelihood)
                 free = without - _left(y, both, np.append(prior, np.full(len(size), 1e6)))
                 d = len(size)
                 p = f_distribution.sf(free / d / ((without - free) / (left - d)), d, left - d)
-                passes[name] = p < single and bic[name] < 0 and drop / without > 0.01
-            best = min((bic[name] for name in matrices if passes[name]), default=-np.inf)
-            may_be = {name for name in matrices if bic[name] - best < 10}
+                passes[name] = p < single and cost[name] < 0 and drop / without > 0.01
+            best = min((cost[name] for name in matrices if passes[name]), default=-np.inf)
+            may_be = {name for name in matrices if cost[name] - best < 10}
             counts[true, ""] += true in may_be
             for rival in matrices.keys() - {true}:
                 counts[true, rival] += true in may_be and rival not in may_be
