@@ -15,10 +15,11 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import numpy as np
 from scipy.stats import chi2, norm
 
+from calflow.diagnosis.evidence import directions, explained, mixed
 from calflow.diagnosis.findings import noncentrality
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import RegressorProducts
-from calflow.diagnosis.screening import Catalogue, Screening
+from calflow.diagnosis.screening import Catalogue, Score, Screening
 from calflow.diagnosis.stepwise import SHARES, Detection, Linearisation, Screened
 from calflow.diagnosis.verdict import verdict
 from calflow.estimation.calibrated_model import identified
@@ -264,14 +265,7 @@ def _expected(bare: Bare, h: Hidden, shift: np.ndarray) -> tuple[int, float]:
     likely to win, an upper bound.
     """
     seen, n = _screened(bare, shift), len(shift)
-    scores = [
-        replace(
-            score,
-            cost=n * np.log1p(-score.drop / (n + seen.chi2)) + score.degrees_of_freedom * np.log(n)
-            + 2 * np.log(seen.variants[score.cause.place]),
-        )
-        for score in seen.scores
-    ]  # fmt: skip
+    scores = [replace(score, cost=_cost(seen, score, n)) for score in seen.scores]
     own = [score for score in scores if (score.cause.id, score.cause.joint) == (h.cause, h.joint)]
     best = min(own, key=lambda score: score.cost)
     rivals = verdict(Detection(best.cause, tuple(scores), bare.screened.family)).rivals
@@ -281,6 +275,15 @@ def _expected(bare: Bare, h: Hidden, shift: np.ndarray) -> tuple[int, float]:
         if rival.score is not None
     ]
     return 1 + len({rival.id for rival in rivals}), min(chances, default=1.0)
+
+
+def _cost(seen: Screening, score: Score, n: int) -> float:
+    """What a cause costs beside noise of one sigma in n residuals, of which the screened ones have none."""
+    own = score.candidate.columns
+    sd = seen.regressors.prior_sd[own]
+    fallen, narrowed = explained(*directions(score.information * np.outer(sd, sd), sd * seen.score[own]))
+    logs = -(n * np.log1p(-fallen / (n + seen.chi2)) + narrowed) / 2
+    return float(-2 * mixed(logs) + 2 * np.log(seen.variants[score.cause.place]))
 
 
 def _leads(cost: float, apart: float, more: int) -> float:

@@ -4,8 +4,6 @@ It is the robot's own: the same screening, family of tests, gate, stepwise searc
 does by another fit is exact here, since the problem is linear; and residuals far off the others are not weighed down. Errors that
 hang together along an order, or in groups, are in the covariance that everything goes by (see `serial_errors`), with the figures
 that are likeliest beside each model.
-
-A linear problem with some of its blocks in the model, solved exactly: a trial of the search without a robot.
 """
 
 from __future__ import annotations
@@ -38,6 +36,10 @@ from calflow.diagnosis.stepwise import (
 )
 from calflow.diagnosis.verdict import verdict
 from calflow.files.problems import InputError, Problem
+
+__all__ = [
+    "Block", "LinearAdequacy", "LinearDiagnosis", "LinearFinding", "LinearNoise", "LinearRival", "diagnose_linear",
+]  # fmt: skip
 
 LACK_OF_FIT = 0.01  # significance from which a model leaves more than noise that is known
 LEVELS = 20  # rounds in which noise that is not known settles, at most
@@ -271,10 +273,8 @@ class LinearTrial(Trial[Block]):
         return float(solution.errors.log_determinant + solution.errors.narrowed + volumes[1] - volumes[0])
 
     def _amplitudes(self, block: Block, columns: np.ndarray) -> Amplitudes:
-        free = columns[~self.solution.at_bound[columns]]
-        pulled = float(((self.solution.estimate[free] / self.solution.prior_sd[free]) ** 2).sum())
-        variants = sum(block.name == other.name for other in self.problem.blocks)
-        return Amplitudes(pulled, len(free), len(columns) - len(free), variants)
+        found, variants = self.solution, sum(block.name == other.name for other in self.problem.blocks)
+        return Amplitudes.of(found.estimate[columns], found.prior_sd[columns], found.at_bound[columns], variants)
 
     @cached_property
     def linearisation(self) -> Linearisation[Block]:
@@ -309,8 +309,6 @@ class LinearTrial(Trial[Block]):
         ends = len(self.problem.prior_sd) + np.cumsum([0, *(block.n_parameters for block in self.blocks)])
         return [np.arange(i, j) for i, j in pairwise(ends)]
 
-
-__all__ = ["Block", "LinearDiagnosis", "LinearFinding", "LinearRival", "diagnose_linear"]
 
 FLAT = 1e4  # by how much a parameter without a prior may move the residuals, over their length
 

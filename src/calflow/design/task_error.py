@@ -27,7 +27,7 @@ from scipy.special import logsumexp
 from calflow.design.discrimination import rows_like
 from calflow.design.planned import Planned, Task
 from calflow.diagnosis.background import InTime, functions
-from calflow.diagnosis.evidence import LOG_PRIOR, SIZES, explained
+from calflow.diagnosis.evidence import LOG_PRIOR, SIZES, directions, explained
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Regressors
 from calflow.diagnosis.screening import Catalogue, Screening
@@ -190,10 +190,7 @@ def _weighed(seen: Screening[Cause], kind: Kind, forms: Sequence[Form]) -> Itera
 def _likelihoods(seen: Screening[Cause], form: Form, sizes: np.ndarray) -> np.ndarray:
     """Return the logarithms of the likelihood with a form in each size, over that without it, shape (n_sizes,)."""
     shown = seen.information(form.columns) * np.outer(form.sd, form.sd)
-    value, turned = np.linalg.eigh(shown)
-    value = np.maximum(value, np.finfo(float).tiny)
-    squared = (turned.T @ (form.sd * seen.score[form.columns])) ** 2 / value
-    fallen, narrowed = explained(squared, value, sizes)
+    fallen, narrowed = explained(*directions(shown, form.sd * seen.score[form.columns]), sizes)
     return (fallen - narrowed) / 2
 
 

@@ -16,6 +16,18 @@ SIZES = 0.5 ** np.arange(-3.0, 6.0)  # over the usual size: from eight times to 
 LOG_PRIOR = np.log(np.minimum(1.0, 1 / SIZES)) - np.log(np.minimum(1.0, 1 / SIZES).sum())
 
 
+def directions(information: np.ndarray, score: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `explained` asks of amplitudes: squared and value, both (…, n), along the principal axes.
+
+    Args:
+        information: what the data know of the amplitudes, in units of their usual sizes, (…, n, n).
+        score: the slope of half chi² by them, likewise, (…, n).
+    """
+    value, axes = np.linalg.eigh(information)
+    value = np.maximum(value, np.finfo(float).tiny)
+    return np.einsum("...ab,...a->...b", axes, score) ** 2 / value, value
+
+
 def explained(squared: np.ndarray, value: np.ndarray, sizes: np.ndarray = SIZES) -> tuple[np.ndarray, np.ndarray]:
     """Return by how much chi² falls with amplitudes of each size, and what narrowing them down costs, both (n_sizes, …).
 

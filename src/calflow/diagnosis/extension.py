@@ -132,11 +132,9 @@ class FittedTrial(Trial[Cause]):
 
     def _amplitudes(self, cause: Cause) -> Amplitudes:
         model, fit = self.fitted.model, self.fitted.fit
-        columns = model.columns(cause)
-        free = columns[~fit.at_bound[columns]]
-        pulled = float((((fit.estimate[free] - model.prior_mean[free]) / model.prior_sd[free]) ** 2).sum())
-        variants = self.catalogue.variants.get(cause.place, 1)
-        return Amplitudes(pulled, len(free), len(columns) - len(free), variants)
+        own, variants = model.columns(cause), self.catalogue.variants.get(cause.place, 1)
+        offset = fit.estimate[own] - model.prior_mean[own]
+        return Amplitudes.of(offset, model.prior_sd[own], fit.at_bound[own], variants)
 
 
 def among(trail: Sequence[Fitted], causes: Sequence[Cause]) -> Fit:

@@ -26,7 +26,7 @@ from typing import Any, Generic, Self
 import numpy as np
 from scipy.special import fdtrc
 
-from calflow.diagnosis.evidence import LOG_PRIOR, SIZES, explained, mixed, size_cost
+from calflow.diagnosis.evidence import LOG_PRIOR, SIZES, directions, explained, mixed, size_cost
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Candidate, H, Regressors
 from calflow.diagnosis.screening import INVISIBLE, MATERIAL, Catalogue, Family, Score, Screening, by_place
@@ -213,6 +213,13 @@ class Amplitudes:
     free: int
     held: int
     variants: int
+
+    @staticmethod
+    def of(offset: np.ndarray, sd: np.ndarray, at_bound: np.ndarray, variants: int) -> Amplitudes:
+        """Return those of estimates so far from their priors' means, with these usual sizes, (n,) each; at_bound are held."""
+        free = ~at_bound
+        pulled = float(((offset[free] / sd[free]) ** 2).sum())
+        return Amplitudes(pulled, int(free.sum()), int(at_bound.sum()), variants)
 
     def cost(self, n: int) -> float:
         """Return twice minus the logarithm of what they are by the prior."""
@@ -406,14 +413,12 @@ class Exchange(Generic[H]):
     @property
     def likeliest_sizes(self) -> tuple[np.ndarray, np.ndarray]:
         """The size over the usual one at which each candidate alone explains the data best (m,), and what it costs to take it."""
-        value, vectors = np.linalg.eigh(self.information[np.arange(len(self.scores)), np.arange(len(self.scores))])
-        value = np.maximum(value, np.finfo(float).tiny)
-        squared = np.einsum("mab,ma->mb", vectors, self.score) ** 2 / value
-        fallen, narrowed = explained(squared, value)
+        at = np.arange(len(self.scores))
+        fallen, narrowed = explained(*directions(self.information[at, at], self.score))
         n, chi2 = len(self.screening.regressors.residual), self.screening.chi2
         logs = -(n * np.log1p(-np.minimum(fallen / chi2, 1 - 1e-12)) + narrowed) / 2
         best = np.argmax(logs + LOG_PRIOR[:, None], axis=0)
-        return SIZES[best], -2 * (mixed(logs) - logs[best, np.arange(len(best))])
+        return SIZES[best], -2 * (mixed(logs) - logs[best, at])
 
     def _p(self, i: int, j: int) -> float:
         """Return the family-wise p-value of candidate j where i is in the model."""

@@ -14,6 +14,7 @@ from calflow.effects.payload_mass import PayloadMass
 from calflow.faults.base import EXCHANGED, PLACE, Correction
 from calflow.faults.reference import PLACED_SD, motion
 from calflow.faults.setup import STATED_SD, ExplainedSetup, Setup
+from calflow.files.words import listed
 from calflow.measurements.measurements import Measurements
 from calflow.robot.frames import angles
 from calflow.robot.parts import Parameter
@@ -97,10 +98,6 @@ def _said(words: str) -> Callable[[ExplainedSetup], str]:
     return lambda explanation: words
 
 
-def _listed(things: list[str]) -> str:
-    return things[0] if len(things) == 1 else f"{', '.join(things[:-1])} and {things[-1]}"
-
-
 # --- The table -----------------------------------------------------------------------------------------
 
 
@@ -126,9 +123,9 @@ def _signs(data: Measurements) -> Iterator[Mistake]:
     for size in range(1, n + 1 if n <= EVERY else 3):
         for joints in combinations(data.robot.driven, size):
             names = [str(joint + 1) for joint in joints]
-            columns = _listed([f"q{name}" for name in names])
-            signs = _listed([f"{-data.robot.joints[joint].sign}" for joint in joints])
-            where = f"joint {names[0]}" if size == 1 else f"joints {_listed(names)}"
+            columns = listed([f"q{name}" for name in names])
+            signs = listed([f"{-data.robot.joints[joint].sign}" for joint in joints])
+            where = f"joint {names[0]}" if size == 1 else f"joints {listed(names)}"
             words = (
                 f"{where}: all readings have the wrong sign; turn the sign of column{'s' * (size > 1)} {columns}, or say "
                 f"sign = {signs} for {'this joint' if size == 1 else 'these joints'} in the robot file"
@@ -315,15 +312,9 @@ class Figures:
 
     def markers(self) -> Iterator[Mistake]:
         """Yield markers that are not where they are stated."""
-        for name in (name for name, marker in self.data.robot.markers.items() if marker.known):
+        for name in dict.fromkeys(self.parameters[k].part for k in self.setup.typed):
             own = [k for k in self.setup.typed if self.parameters[k].part == name]
-            yield Mistake(
-                "marker-elsewhere",
-                0,
-                _freed(*own),
-                self._marker(name, own),
-                3 * ANYWHERE + ONE,
-            )
+            yield Mistake("marker-elsewhere", 0, _freed(*own), self._marker(name, own), 3 * ANYWHERE + ONE)
 
     def _marker(self, name: str, own: list[int]) -> Callable[[ExplainedSetup], str]:
         def words(explanation: ExplainedSetup) -> str:
