@@ -65,6 +65,7 @@ from calflow.estimation.calibrated_model import (
     placement_table,
     read_error_model,
 )
+from calflow.estimation.error_model import SmoothAmplitude, error_table
 from calflow.estimation.field_gain import field_results, gainful_field
 from calflow.estimation.identifiability import (
     Correlation,
@@ -127,6 +128,7 @@ TABLES: Mapping[str, type] = {
     "identify/identifiability.csv": Statement,
     "identify/correlations.csv": Correlation,
     "identify/covariance.csv": Covariances,
+    "identify/errors.csv": SmoothAmplitude,
     "identify/effects.csv": ModelEffect,
     "identify/observations.csv": ModelObservation,
     "identify/noise.csv": DeviceNoise,
@@ -141,6 +143,7 @@ TABLES: Mapping[str, type] = {
     "diagnose/separations.csv": SeparationRow,
     "diagnose/parameters.csv": FittedParameter,
     "diagnose/covariance.csv": Covariances,
+    "diagnose/errors.csv": SmoothAmplitude,
     "diagnose/effects.csv": ModelEffect,
     "diagnose/alternatives.csv": AlternativeParameter,
     "diagnose/models_in_reach.csv": CauseInReach,
@@ -727,6 +730,7 @@ def _identified_tables(found: FittedEffects, faults: tuple[Fault, ...]) -> Resul
         "identify/identifiability.csv": found.identifiability.statements,
         "identify/correlations.csv": correlations(fit),
         "identify/covariance.csv": covariance_table(fit.model.parameters, fit.covariance),
+        "identify/errors.csv": error_table(found.errors, fit.model),
         "identify/effects.csv": effect_table(found.model.effects),
         "identify/observations.csv": observation_table(observed),
         "identify/noise.csv": noise_table(found.noise, observed),
@@ -755,7 +759,8 @@ def _diagnosed_tables(
         "diagnose/next_poses.csv": poses_table(asked, final),
         "diagnose/separations.csv": separations_table(asked),
         "diagnose/parameters.csv": Parameters.fitted(final.fit, final.covariance).table,
-        "diagnose/covariance.csv": covariance_table(final.model.parameters, final.fit.covariance),
+        "diagnose/covariance.csv": covariance_table(final.model.parameters, final.covariance),
+        "diagnose/errors.csv": error_table(final.errors, final.model),
         "diagnose/effects.csv": effect_table(final.model.effects),
         "diagnose/alternatives.csv": alternatives_table(found.alternatives, found.causes, final),
         "diagnose/models_in_reach.csv": in_reach_table(found.in_reach),

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from calflow.diagnosis.background import BackgroundBasis, Sizes, background, possible
+from calflow.diagnosis.background import BackgroundBasis, Sizes, background
 from calflow.diagnosis.extension import unnamed, unnamed_evidence
 from calflow.diagnosis.verdict import TEMPERED, WITHIN
 from calflow.effects.cause import Cause
@@ -68,9 +66,10 @@ def test_the_likelihood_is_that_of_the_whole_covariance():
 
 
 def test_intervals_are_wider_where_errors_are_shared():
-    """Fails if the covariance of the estimates forgets the background, or narrows by it."""
+    """Fails if the covariance of the estimates forgets the smooth errors, or narrows by them."""
     known = fitted(wander(2 * SIGMA))
-    beside = replace(known, possible=possible(known, BackgroundBasis.of(known)))
+    beside = known.beside_smooth_errors()
+    assert "time" in beside.errors.inputs
     ratio = np.sqrt(np.diag(beside.covariance) / np.diag(known.covariance))
     assert np.isfinite(ratio).all()
     assert ratio.max() > 1.3

@@ -51,21 +51,3 @@ def test_what_a_part_makes_uncertain_is_as_sure_as_its_size(left):
     sure = correlation.degrees_of_freedom(correlation.modes.T @ both, (both**2).sum(axis=0), 500.0)
     assert sure[0] < 6
     assert sure[1] == pytest.approx(500.0, rel=0.01)
-
-
-def test_an_estimate_scatters_as_the_covariance_says(left):
-    """Fails if the sandwich's middle is not J' V J."""
-    background, covariance = left
-    jacobian = np.random.default_rng(4).standard_normal((N, 4))
-    covered = background.correlation(background.weight).covered(jacobian)
-    assert covered == pytest.approx(jacobian.T @ covariance @ jacobian, rel=0.01, abs=0.5)
-
-
-def test_an_estimate_is_as_sure_as_the_size_of_what_moves_it(left):
-    """Fails if intervals take the size of a background for known where few waves tell it."""
-    background, _ = left
-    correlation = background.correlation(background.weight)
-    inside, outside = 30 * background.parts[1][:, 0], np.linalg.svd(np.hstack(background.parts))[0][:, -1]
-    sure = correlation.sureness(np.column_stack([inside, outside]), 500.0)
-    assert sure[0] < 6
-    assert sure[1] == pytest.approx(500.0, rel=0.01)

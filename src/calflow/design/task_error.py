@@ -26,7 +26,6 @@ from scipy.special import logsumexp
 
 from calflow.design.discrimination import rows_like
 from calflow.design.planned import Planned, Task
-from calflow.diagnosis.background import InTime, functions
 from calflow.diagnosis.evidence import LOG_PRIOR, SIZES, directions, explained
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Regressors
@@ -37,6 +36,7 @@ from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import Alternative
 from calflow.estimation.leverage import left_out
 from calflow.estimation.probing import probed
+from calflow.estimation.smooth_functions import InTime, smooth_functions
 from calflow.files.units import METRE
 from calflow.measurements.series import Series
 from calflow.model import Model
@@ -92,7 +92,7 @@ class Lacks:
     def of(fitted: Fitted, catalogue: Catalogue) -> Lacks:
         """Weigh all that a fitted model may lack beside the noise and a discrepancy that is significant."""
         bare = replace(fitted, background=None)
-        kinds = [(inputs, effects) for inputs, effects in functions(bare)]
+        kinds = [(inputs, effects) for inputs, effects in smooth_functions(bare.model, bare.fit.estimate, bare.data)]
         smooth = [effect for _, effects in kinds for effect in effects]
         effects = (*catalogue.effects, *smooth)
         regressors = bare.regressors(effects)

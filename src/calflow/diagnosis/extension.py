@@ -23,7 +23,7 @@ from typing import cast
 import numpy as np
 from scipy.stats import t as student
 
-from calflow.diagnosis.background import BackgroundBasis, Sizes, background, possible
+from calflow.diagnosis.background import BackgroundBasis, Sizes, background
 from calflow.diagnosis.evidence import size_cost
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Regressors
@@ -414,8 +414,7 @@ def weighed(
             break
     if not same(list(against), now.fitted.causes):
         against = unnamed(now.fitted, basis, catalogue.variants)
-    fitted = replace(now.fitted, possible=possible(now.fitted, basis))
-    return replace(now, fitted=fitted, findings=_judged(now, against))
+    return replace(now, findings=_judged(now, against))
 
 
 def _weakest(fitted: Fitted, against: dict[Cause, float]) -> Cause | None:

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import norm, t
 
 from calflow.diagnosis.regressors import Background, Regressors
 from calflow.diagnosis.screening import Screening
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.fit import Fit, fit, fit_reweighted, found_alike
+from calflow.estimation.error_model import ErrorModel, beside_smooth_errors, beyond_measured
+from calflow.estimation.fit import Fit, fit, fit_reweighted, found_alike, restated
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, left_out
@@ -24,7 +24,6 @@ from calflow.model import Model
 
 FAR = 4.5  # robust standard deviations
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
-TWO_SIDED = 0.975  # quantile at which a 95 % interval ends
 WEIGHINGS = 3  # fits in which the weights of rows far off settle
 
 
@@ -33,8 +32,8 @@ class Fitted:
     """A fitted model with the training data and the noise it was fitted with.
 
     lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight. background is
-    what rows near each other share as far as the data show, possible what may be of it; without one what is left counts as
-    independent.
+    what rows near each other share as far as the data show, that tests go by; without one what is left counts as independent.
+    errors are the smooth errors that the data allow, beside which the parameters were fitted; before is the fit without them.
     """
 
     fit: Fit
@@ -44,7 +43,8 @@ class Fitted:
     loss: Loss
     device: Noise
     background: Background | None = None
-    possible: Background | None = None
+    errors: ErrorModel | None = None
+    before: Fit | None = None
 
     @property
     def model(self) -> Model:
@@ -76,38 +76,37 @@ class Fitted:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Covariance of the estimate, wider where errors that rows share are fitted as if they were independent noise.
-
-        Shape (n_parameters, n_parameters); the sandwich of White (1980), with the covariance of what may be left between. The
-        sizes of that are uncertain themselves, so that an estimate is about its truth as Student's t is: the standard deviations
-        are those of normals with the same 95 % intervals.
-        """
-        regressors = self.alone
-        if self.possible is None and regressors.shared == 1:
+        """Covariance of the estimate, what rows of a pose share counted once, shape (n_parameters, n_parameters)."""
+        if self.errors or self.alone.shared == 1:
             return self.fit.covariance
-        jacobian, prior = regressors.jacobian, np.diag(regressors.precision)
-        bread = within = np.linalg.inv(jacobian.T @ jacobian + prior)
-        if self.possible is not None:
-            level = Screening(replace(self, background=self.possible).regressors(())).level
-            correlation = self.possible.correlation(self.problem.weight)
-            within = bread @ (level * correlation.covered(jacobian) + prior) @ bread
-            sure = correlation.sureness(jacobian @ bread, max(len(jacobian) - jacobian.shape[1], 1))
-            wider = t.ppf(TWO_SIDED, sure) / norm.ppf(TWO_SIDED)
-            within = wider[:, None] * within * wider
-        free = np.flatnonzero(~self.fit.at_bound)
+        jacobian, free = self.alone.jacobian, np.flatnonzero(~self.fit.at_bound)
         covariance = np.zeros((len(self.fit.estimate), len(self.fit.estimate)))
-        covariance[np.ix_(free, free)] = within
+        covariance[np.ix_(free, free)] = np.linalg.inv(jacobian.T @ jacobian + np.diag(self.alone.precision))
         return covariance
+
+    def beside_smooth_errors(self) -> Fitted:
+        """Fit the model anew beside the smooth errors that the data allow, which is itself where they allow none to speak of."""
+        noise = replace(self.noise, intraclass=self.intraclass)
+        sharing = replace(self.fit, problem=LeastSquares.of(self.model, self.data, noise))
+        result, errors = beside_smooth_errors(sharing, self.data, noise.known, sure=False)
+        if errors is None:
+            rest = np.sqrt(max(self.fit.problem.scatter**2 - noise.known * self.fit.problem.device**2, 0.0))
+            nothing = ErrorModel.white(float(np.hypot(rest, self.left_out.excess())), len(self.fit.estimate))
+            errors = beyond_measured(nothing, self.model, self.fit.estimate, self.data)
+            return replace(self, errors=errors, before=self.fit) if errors.functions else self
+        errors = beyond_measured(errors, self.model, result.estimate, self.data)
+        there = restated(replace(self.fit, estimate=result.estimate), self.fit.problem)
+        return replace(self, fit=replace(there, information=result.information), errors=errors, before=self.fit)
 
     @cached_property
     def left_out(self) -> LeftOut:
         """The errors of its poses, each left out in turn."""
-        return left_out(self.fit, self.poses)
+        return left_out(self.before or self.fit, self.poses)
 
     @property
     def elsewhere(self) -> float:
-        """What it errs by at other poses beyond what is told of noise and parameters, sd per axis [m]."""
-        return float(self.left_out.excess())
+        """What it errs by at other poses beyond what is told of noise, parameters and smooth errors, sd per axis [m]."""
+        return 0.0 if self.errors else float(self.left_out.excess())
 
     @cached_property
     def intraclass(self) -> float:
@@ -134,7 +133,6 @@ class Fitted:
         return replace(
             _settled(self.model, self.data, noise, self.fit.estimate, self.loss),
             background=self.background,
-            possible=self.possible,
         )
 
     @staticmethod

@@ -17,19 +17,31 @@ from itertools import combinations
 from math import comb
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from scipy.stats import chi2
 
-from calflow.diagnosis.background import Decoy, decoys, functions
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import MATERIAL, Screening
 from calflow.effects import Effect
 from calflow.estimation.accuracy import distances, errors, judged_unit
 from calflow.estimation.lack_of_fit import SIGNIFICANT
+from calflow.estimation.smooth_functions import (
+    SIZE,
+    InTime,
+    JointField,
+    Shift,
+    SmoothFunction,
+    in_place,
+    smooth_functions,
+    under_payloads,
+)
 from calflow.files.tables import column
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
+from calflow.robot.mechanism import Deflection, Row, State
+from calflow.robot.parts import Parameter
 
 PARTS = 8  # of an input's poses, between whose ends regions reach
 MOST = 0.5  # share of the poses that a region may hold: what is larger is no place
@@ -268,7 +280,7 @@ def _single(fitted: Fitted, rng: np.random.Generator) -> list[Remainder]:
     tested = []
     for score in screening.scores:
         decoy = score.cause.effect
-        assert isinstance(decoy, Decoy)
+        assert isinstance(decoy, SmoothFunction)
         tested.append(Remainder(decoy.inputs, family.p(score), score.share, (score.cause,), score.cause.detail))
     return sorted(tested, key=lambda structure: structure.p)
 
@@ -282,7 +294,8 @@ def _together(fitted: Fitted) -> list[Remainder]:
     left = fitted.background
     if left is None:
         return []
-    bases, n = dict(functions(fitted)), len(left.inputs)
+    kinds = smooth_functions(fitted.model, fitted.fit.estimate, fitted.data)
+    bases, n = dict(kinds), len(left.inputs)
     p = comb(left.tried, n) * 0.5**n * float(chi2.sf(left.gain, n))
     inputs = tuple(dict.fromkeys(name for part in left.inputs for name in part))
     share = -float(np.expm1(-left.gain / fitted.fit.residual.size))
@@ -295,3 +308,65 @@ def _of_poses(fitted: Fitted) -> list[Remainder]:
     if regressors.shared == 1:
         return []
     return [Remainder((POSE,), regressors.shared_p, 1 - regressors.shared**2, ())]
+
+
+MOMENTS = 20  # parts of the rows, between which something may have slipped
+FREQUENCIES = 800  # at most, of a disturbance in time
+FASTEST = 2.0  # turns a pose: poses at uneven times tell also what turns more than once between them (Lomb 1976)
+
+
+@dataclass(frozen=True)
+class Since(SmoothFunction):
+    """Zeros of all joints, and the marker on the tool, that are others from a row on."""
+
+    moment: float = 0.5
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The order of the rows."""
+        return ("order",)
+
+    @property
+    def detail(self) -> str:
+        """Say when."""
+        return f"since row {int(np.floor(self.moment)) + 1} in measuring order"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the joints' offsets, and the marker's."""
+        units = [joint.unit for joint in self.robot.joints] + ["m"] * 3
+        return tuple(
+            Parameter(self.id, "since", f"offset{k + 1}", unit, SIZE, -1.0, 1.0) for k, unit in enumerate(units)
+        )
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Turn the joints, and shift the flange with what it carries."""
+        after, n = row.order > self.moment, self.robot.n_joints
+        link = ca.SX(still.link)
+        link[:3, -1] = p[n:] * after
+        return replace(still, joint=p[:n] * after, link=link)
+
+
+def decoys(fitted: Fitted) -> list[SmoothFunction]:
+    """Return the functions to try on a fitted model's rows."""
+    data, robot = fitted.data, fitted.data.robot
+    turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
+    chosen: list[SmoothFunction] = [JointField(robot, (i,)) for i in turning]
+    chosen += [Shift(robot, (i,)) for i in turning]
+    chosen += [kind(robot, pair) for pair in combinations(turning, 2) for kind in (JointField, Shift)]
+    chosen.append(in_place(fitted.model, fitted.fit.estimate, data))
+    chosen += under_payloads(data)
+    if "order" in data.given:
+        order = np.unique(data.table["order"].to_numpy(float))
+        chosen += [Since(robot, float(moment)) for moment in np.quantile(order, np.arange(1, MOMENTS) / MOMENTS)]
+    if "time" in data.given:
+        chosen += [InTime(robot, float(rate)) for rate in _rates(data.table["time"].to_numpy())]
+    return chosen
+
+
+def _rates(time: np.ndarray) -> np.ndarray:
+    """Angular rates from one turn a session to the fastest, half a turn a session apart."""
+    span = float(np.ptp(time))
+    if span <= 0:
+        return np.array([])
+    turns = FASTEST * len(np.unique(time))
+    return 2 * np.pi / span * np.linspace(1.0, turns, min(FREQUENCIES, int(2 * turns)))

@@ -120,12 +120,6 @@ class ErrorCorrelation:
         """
         return self._satterthwaite(along / np.sqrt(1 + self.variance)[:, None], visible, of_noise)
 
-    def sureness(self, weights: np.ndarray, of_noise: float) -> np.ndarray:
-        """Return the degrees of freedom of the variance of weighted sums of residuals, weights (n, n_sums), shape (n_sums,)."""
-        along = self.modes.T @ weights
-        whole = (weights**2).sum(axis=0) + (self.variance[:, None] * along**2).sum(axis=0)
-        return self._satterthwaite(along, whole, of_noise)
-
     def _satterthwaite(self, along: np.ndarray, whole: np.ndarray, of_noise: float) -> np.ndarray:
         """Degrees of freedom of variances (n_columns,), of which each part's share is by its waves along the modes."""
         whole = np.maximum(whole, np.finfo(float).tiny)
@@ -135,11 +129,6 @@ class ErrorCorrelation:
             left -= share
             unsure += share**2 / part.degrees_of_freedom
         return np.asarray(1 / (unsure + np.maximum(left, 0.0) ** 2 / of_noise))
-
-    def covered(self, jacobian: np.ndarray) -> np.ndarray:
-        """Return Jᵀ (V/s²) J of a Jacobian (n, n_parameters) that is not whitened by it."""
-        along = self.modes.T @ jacobian
-        return np.asarray(jacobian.T @ jacobian + along.T @ (self.variance[:, None] * along))
 
 
 @dataclass(frozen=True, eq=False)

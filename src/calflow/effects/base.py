@@ -223,6 +223,10 @@ class Effect(ABC):
         """Inputs (`time`, `order`) of which it is any smooth function: what nobody can name would be the same there."""
         return ()
 
+    def travel(self, joint: int) -> tuple[float, float] | None:
+        """Return the travel of a joint (from 1) over which rows told of it, where it is nothing beyond: nobody knows there."""
+        return None
+
     @classmethod
     def springs(cls, robot: Robot) -> bool:
         """Whether it is how this robot's joints give way, which even a rough model must have."""

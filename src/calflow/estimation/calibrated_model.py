@@ -20,6 +20,7 @@ from pydantic import TypeAdapter
 
 from calflow.effects import Effect, effect_class
 from calflow.effects.cause import Carried, Cause
+from calflow.estimation.error_model import ErrorModel, of_parameters, read_errors
 from calflow.estimation.fit import Fit
 from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit, NoiseDoubt
 from calflow.estimation.least_squares import Loss
@@ -252,6 +253,11 @@ class FitSummary:
         "mm",
         default=None,
     )
+    rest_mm: float | None = column(
+        "what the model errs by beside smooth errors (see errors.csv) and the device's noise, per axis; null: there are none",
+        "mm",
+        default=None,
+    )
     intraclass: float = column(
         "correlation of what the markers of a standstill err, axis by axis; 0: each for itself", default=0.0
     )
@@ -291,8 +297,10 @@ class FitSummary:
         return self.new_poses_mm / (float(np.sqrt(3)) * self.sigma_mm)
 
 
-def fit_figures(fit: Fit, noise: Noise, lack: LackOfFit, elsewhere: float, new_poses: float) -> dict[str, Any]:
-    """Return the fields of a `FitSummary` that a fit, its noise and its lack of fit say; elsewhere and new_poses are in m."""
+def fit_figures(
+    fit: Fit, noise: Noise, lack: LackOfFit, elsewhere: float, new_poses: float, errors: ErrorModel | None
+) -> dict[str, Any]:
+    """Return the fields of a `FitSummary` that a fit, its noise and its errors say; elsewhere and new_poses are in m."""
     turned = RADIAN in dict(noise.further)
     return {
         "noise_sources": noise.sources,
@@ -301,6 +309,7 @@ def fit_figures(fit: Fit, noise: Noise, lack: LackOfFit, elsewhere: float, new_p
         "discrepancies": {unit.label: unit.shown(size) for unit, size in noise.discrepancy.sizes},
         "elsewhere_mm": 1e3 * elsewhere,
         "new_poses_mm": None if np.isnan(new_poses) else 1e3 * new_poses,
+        "rest_mm": 1e3 * errors.rest if errors else None,
         "loss": fit.loss,
         "reduced_chi2": lack.reduced_chi2 if noise.known else None,
         "lack_of_fit_p": lack.p if noise.known else None,
@@ -434,7 +443,8 @@ class SeriesNoise:
 class CalibratedModel:
     """The fitted model with its estimate, covariance (SI units), each series' noise, and the discrepancy it left, unit by unit.
 
-    elsewhere [m] is what it errs by beyond all that at poses that it was not fitted to, per axis.
+    errors are the smooth errors that it leaves, where the data show any; elsewhere [m] is what it errs by besides at poses that it
+    was not fitted to, per axis, where they show none.
 
     intraclass is the correlation of what the markers of a standstill err.
     alternatives are other models that explain the data about as well, in_reach all that may be right as well, this one first (none
@@ -456,6 +466,7 @@ class CalibratedModel:
     in_reach: tuple[ModelInReach, ...] = ()
     needed: tuple[NeededCondition, ...] = ()
     time_origin: float | None = None
+    errors: ErrorModel | None = None
 
     @property
     def noise_known(self) -> bool:
@@ -688,9 +699,15 @@ def _read(stage: str, model: Model, results: Results) -> CalibratedModel:
         covariance.iloc[:, 1:].to_numpy(dtype=float),
         np.array([one.at_bound for one in parameters], dtype=bool),
         **read_error_model(stage, results, model.observations),
+        errors=_read_errors(stage, results, model),
         needed=tuple(needed),
         time_origin=time_origin,
     )
+
+
+def _read_errors(stage: str, results: Results, model: Model) -> ErrorModel | None:
+    rest = results.document(f"{stage}/summary.json", FitSummary).rest_mm
+    return read_errors(results.tables[f"{stage}/errors.csv"], model, rest / 1e3) if rest is not None else None
 
 
 def read_error_model(stage: str, results: Results, observed: Sequence[Observation]) -> dict[str, Any]:
@@ -729,13 +746,15 @@ UNTOLD = 0.5  # of a direction's prior variance: what is left above it was hardl
 def position_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the variance of each row's predicted position per axis, shape (n_rows, 3) [m²].
 
-    It holds what is not known of the parameters, the choice of the model, and the model's own discrepancy, which no further
-    measurement of the same poses takes away; of a residual field its own variance in the discrepancy's place. Where the noise was
+    It holds what is not known of the parameters, the choice of the model, and what the model errs by beside: the smooth errors
+    that it leaves, given the data there and then; where it leaves none its discrepancy, which no further measurement of the same
+    poses takes away; of a residual field its own variance in the place of both. Where the noise was
     estimated from the fit discrepancy and noise cannot be told apart, and both are in.
     """
-    told = parameter_variance(known, conditions)
     of_choice = choice_variance(known.alternatives, known.model, known.estimate, conditions)
-    return np.asarray(told + of_choice + left_variance(known, conditions))
+    if known.errors and not known.field:
+        return of_choice + known.errors.variance(known.model, known.estimate, known.covariance, conditions)
+    return np.asarray(parameter_variance(known, conditions) + of_choice + left_variance(known, conditions))
 
 
 def parameter_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
@@ -746,9 +765,11 @@ def parameter_variance(known: CalibratedModel, conditions: np.ndarray) -> np.nda
 
 
 def left_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the variance of what positions err by beside parameters and choice of model, alike along all axes (n_rows, 1) [m²]."""
+    """Return the variance of what positions err by where parameters and model are given (n_rows, 3), or 1 for all axes [m²]."""
     if known.field:
         return np.asarray(known.field.variance(readings(known, conditions))[:, None])
+    if known.errors:
+        return known.errors.left_variance(known.model, known.estimate, conditions)
     return np.full((conditions.shape[1], 1), unexplained(known) ** 2)
 
 
@@ -793,8 +814,3 @@ def untold_turns(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
 def unexplained(known: CalibratedModel) -> float:
     """Return the standard deviation per axis [m] of what the model errs by beside its parameters' errors, at any pose."""
     return float(np.hypot(known.unexplained_length, known.elsewhere))
-
-
-def of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return the variance (n_rows, 3) of what depends on the parameters by a Jacobian (n_rows, 3, n_parameters)."""
-    return np.asarray(np.einsum("nai,ij,naj->na", jacobian, covariance, jacobian, optimize=True))

@@ -18,12 +18,13 @@ from calflow.estimation.calibrated_model import (
     needed_conditions,
     series_noise,
 )
+from calflow.estimation.error_model import ErrorModel, beside_smooth_errors
 from calflow.estimation.fit import Fit, draw_starts, fit_sharing
 from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.leverage import LeftOut, extrapolation, left_out
-from calflow.estimation.noise import Noise, NoiseSource, conditions, noise_beside
+from calflow.estimation.noise import Noise, NoiseSource, averaged, conditions, noise_beside
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered
 from calflow.files.problems import refuse
@@ -41,7 +42,8 @@ class FittedEffects:
 
     data are all rows, on the robot that the errors refer to; noise is that of single rows, with the discrepancy that the model
     left. steps is the accuracy of each model on the way, lack the fit's lack of fit, agreeing how many of the starts came to
-    the same result, doubts what contradicts the stated noise.
+    the same result, left_out the errors of its training poses, each left out in turn, errors the smooth errors that it leaves, and
+    doubts what contradicts the stated noise.
     """
 
     data: Measurements
@@ -52,6 +54,8 @@ class FittedEffects:
     loss: Loss
     starts: int
     agreeing: int
+    left_out: LeftOut
+    errors: ErrorModel | None = None
     doubts: tuple[NoiseDoubt, ...] = ()
 
     @property
@@ -64,18 +68,17 @@ class FittedEffects:
         """What the data determine, and what they leave open."""
         return identifiability(self.fit)
 
-    @cached_property
-    def left_out(self) -> LeftOut:
-        """The errors of its training poses, each left out in turn."""
-        poses = self.data.table.loc[self.data.train, "pose"]
-        return left_out(self.fit, np.unique(poses, return_inverse=True)[1])
+    @property
+    def elsewhere(self) -> float:
+        """What it errs by at other poses beyond what is told of noise, parameters and smooth errors, sd per axis [m]."""
+        return 0.0 if self.errors else float(self.left_out.excess())
 
     @cached_property
     def known(self) -> CalibratedModel:
         """What the stages after it start from."""
         return CalibratedModel(
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
-            self.noise.discrepancy, self.loss, float(self.left_out.excess()), intraclass=self.noise.intraclass,
+            self.noise.discrepancy, self.loss, self.elsewhere, intraclass=self.noise.intraclass, errors=self.errors,
             needed=needed_conditions(self.model, self.fit.estimate, self.data), time_origin=self.data.time_origin,
         )  # fmt: skip
 
@@ -86,7 +89,7 @@ class FittedEffects:
         used = data.only(data.train | data.held_out)
         return IdentifySummary(
             sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
-            **fit_figures(fit, noise, self.lack, float(self.left_out.excess()), self.left_out.at_new_poses),
+            **fit_figures(fit, noise, self.lack, self.elsewhere, self.left_out.at_new_poses, self.errors),
             intraclass=noise.intraclass,
             spread_mm=1e3 * _spread(fit.model, fit.estimate, used),
             rank=found.rank,
@@ -152,6 +155,12 @@ def fit_effects(
         say(f"{name}: {len(model.parameters)} parameters, {len(train)} rows")
         points = draw_starts(model, starts, rng("starts"))
         result, reweighted, lack, agree = fit_sharing(model, train, device.only(data.train), points, loss)
+        if k == len(effects):
+            means, _ = averaged(train, device.only(data.train))
+            out = left_out(result, np.unique(means.table["pose"], return_inverse=True)[1])
+            result, errors = beside_smooth_errors(result, means, device.known)
+            if errors:
+                say("left over: smooth errors of " + ", ".join(errors.inputs))
         error = leading_errors(model, result.estimate, data)
         rows += accuracy(name, error, data, k, model.effects[-1])
         advance(k / len(effects))
@@ -162,7 +171,7 @@ def fit_effects(
         doubts = doubts_of_residuals(device.only(data.train), lack, tuple(series.name for series in data.series))
         for doubt in doubts:
             say(doubt.words)
-    return FittedEffects(data, result, left, tuple(rows), lack, loss, starts, agree, doubts)
+    return FittedEffects(data, result, left, tuple(rows), lack, loss, starts, agree, out, errors, doubts)
 
 
 def too_few_equations(model: Model, train: Measurements) -> str:

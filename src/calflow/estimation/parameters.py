@@ -94,7 +94,7 @@ class FittedParameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Covariances:
-    """A row of the covariance by which poses are predicted: errors that rows share are in the discrepancy, and not here again."""
+    """A row of the covariance of the estimates, beside the smooth errors that the model leaves where there are any (errors.csv)."""
 
     parameter: str = column("the row's parameter")
     of: Mapping[str, float] = column(

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from calflow.estimation.calibrated_model import CalibratedModel, expected_point, left_variance, of_parameters
+from calflow.estimation.calibrated_model import CalibratedModel, expected_point, left_variance
+from calflow.estimation.error_model import of_parameters
 from calflow.estimation.leverage import beyond
 from calflow.files.tables import column, to_frame
 from calflow.files.units import RADIAN

@@ -1,0 +1,291 @@
+"""Smooth functions of the inputs without a physical meaning: what a robot may err by that nobody can name.
+
+One at a time they are decoys, which are tested as causes are. Together, with random amplitudes, they are the background of the
+error model: functions of joints, place, payload and time, whose sizes the data tell (see `variance_components`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import ClassVar, Literal
+
+import casadi as ca
+import numpy as np
+
+from calflow.effects import Effect
+from calflow.effects.joint_error import JointError, Term
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model
+from calflow.robot.mechanism import Deflection, Row, State
+from calflow.robot.parts import Parameter
+
+CLOCKS: tuple[Literal["time", "order"], ...] = ("time", "order")
+SIZE = 3e-4  # rad or m, of a function before any data
+ORDERS = 6  # of a function of one joint
+
+
+class SmoothFunction(Effect):
+    """A smooth function of some inputs."""
+
+    id: ClassVar[str] = "unexplained"
+    title: ClassVar[str] = "unexplained"
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """What it depends on."""
+        raise NotImplementedError
+
+    @property
+    def spectrum(self) -> np.ndarray:
+        """How large each of its waves is beside the others in what is smooth, shape (n_parameters,)."""
+        return np.ones(len(self.declared))
+
+
+@dataclass(frozen=True)
+class JointField(JointError, SmoothFunction):
+    """Every joint's error as a smooth function of one joint's angle, or of two together (without what either does alone)."""
+
+    of: tuple[int, ...] = (0,)
+    orders: int = ORDERS
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The joints it depends on."""
+        return tuple(f"q{i + 1}" for i in self.of)
+
+    @property
+    def spectrum(self) -> np.ndarray:
+        """Waves that fall with their order."""
+        waves = _spectrum(self.of, self.orders)
+        return np.tile(waves, len(self.declared) // len(waves))
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return waves of the joint's angle, or products of waves of both."""
+        waves = _waves(state.q, self.of, self.orders)
+        return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(waves)]
+
+
+@dataclass(frozen=True)
+class Shift(SmoothFunction):
+    """A shift of the reported point as a smooth function of one joint's angle, or of two together."""
+
+    of: tuple[int, ...] = (0,)
+    orders: int = ORDERS
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The joints it depends on."""
+        return tuple(f"q{i + 1}" for i in self.of)
+
+    @property
+    def spectrum(self) -> np.ndarray:
+        """Waves that fall with their order."""
+        return np.repeat(_spectrum(self.of, self.orders), 3)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the waves along each axis."""
+        number = len(_spectrum(self.of, self.orders))
+        return tuple(
+            Parameter(self.id, "point", f"wave{k + 1}{axis}", "m", SIZE, -1.0, 1.0)
+            for k in range(number)
+            for axis in "xyz"
+        )
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Shift what is reported."""
+        return point + ca.reshape(p, 3, p.numel() // 3) @ ca.vertcat(*_waves(row.q, self.of, self.orders))
+
+
+@dataclass(frozen=True)
+class InTime(SmoothFunction):
+    """A shift of the reported point that comes and goes with time, measured from a begin to an end."""
+
+    rate: float = 1.0  # rad/s, or rad a row
+    clock: Literal["time", "order"] = "time"
+    share: float = 1.0  # of its size beside other waves
+    begin: float = 0.0
+    end: float = 0.0
+
+    @property
+    def spectrum(self) -> np.ndarray:
+        """Its size beside others'."""
+        return np.full(len(self.declared), self.share)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Time, or the order of the rows."""
+        return (self.clock,)
+
+    @property
+    def detail(self) -> str:
+        """Say the period."""
+        return f"period {2 * np.pi / self.rate:.3g} s"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return both phases along each axis."""
+        return tuple(
+            Parameter(self.id, "device", f"{phase}{axis}", "m", SIZE, -1.0, 1.0)
+            for phase in ("cos", "sin")
+            for axis in "xyz"
+        )
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Shift what is reported."""
+        angle = self.rate * (row.time if self.clock == "time" else row.order)
+        return point + p[:3] * ca.cos(angle) + p[3:] * ca.sin(angle)
+
+
+@dataclass(frozen=True)
+class BeyondTravel(JointError, SmoothFunction):
+    """A joint's error where its curve was not measured: alike everywhere beyond low and high, and of a size [rad]."""
+
+    joint: int = 0
+    low: float = 0.0
+    high: float = 0.0
+    size_beyond: float = SIZE
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The joint."""
+        return (f"q{self.joint + 1}",)
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return what is full a twentieth of the travel beyond its ends, where a measured curve fades."""
+        if joint != self.joint:
+            return []
+        beyond = ca.fmax(self.low - state.q[joint], 0) + ca.fmax(state.q[joint] - self.high, 0)
+        value = ca.fmin(beyond / (FADE * (self.high - self.low)), 1)
+        return [Term("beyond", self.unit(joint), self.size_beyond, 1.0, value)]
+
+
+@dataclass(frozen=True)
+class UnderPayload(SmoothFunction):
+    """Under one payload: zeros of all joints, a wave of each, the marker on the tool and the device's place, which are others."""
+
+    payload: str = ""
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The payload."""
+        return ("payload",)
+
+    @property
+    def detail(self) -> str:
+        """Say which."""
+        return f"under {self.payload}"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return offset and wave of each joint, and the shifts of marker and device."""
+        symbols = [(f"{term}{i + 1}", joint.unit) for i, joint in enumerate(self.robot.joints)
+                   for term in ("offset", "cos", "sin")]  # fmt: skip
+        symbols += [(f"{whose}{axis}", "m") for whose in ("marker", "device") for axis in "xyz"]
+        return tuple(Parameter(self.id, "payload", symbol, unit, SIZE, -1.0, 1.0) for symbol, unit in symbols)
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Turn the joints, and shift the flange with what it carries."""
+        on, n = self._carried(row), self.robot.n_joints
+        waves = [ca.vertcat(1, ca.cos(state.q[i]), ca.sin(state.q[i])) for i in range(n)]
+        turned = [on * ca.dot(p[3 * i : 3 * i + 3], wave) for i, wave in enumerate(waves)]
+        link = ca.SX(still.link)
+        link[:3, -1] = on * p[3 * n : 3 * n + 3]
+        return replace(still, joint=ca.vertcat(*turned), link=link)
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Shift what is reported."""
+        return point + self._carried(row) * p[-3:]
+
+    def _carried(self, row: Row) -> ca.SX:
+        return row.payload[list(self.robot.payloads).index(self.payload)]
+
+
+@dataclass(frozen=True)
+class InPlace(SmoothFunction):
+    """A shift of the reported point that depends smoothly on where it is."""
+
+    centre: tuple[float, ...] = (0.0, 0.0, 0.0)
+    reach: float = 1.0
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The place."""
+        return "x", "y", "z"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the cubic terms along each axis; lower ones are geometry's."""
+        return tuple(
+            Parameter(self.id, "place", f"{axis}{k}", "m", SIZE, -1.0, 1.0)
+            for axis in "xyz"
+            for k in range(len(_powers()))
+        )
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Shift what is reported."""
+        near = (point - ca.DM(self.centre)) / self.reach
+        terms = ca.vertcat(*(near[0] ** i * near[1] ** j * near[2] ** k for i, j, k in _powers()))
+        return point + ca.reshape(p, len(_powers()), 3).T @ terms
+
+
+SMOOTH_ORDERS = 4  # of a joint's angle
+FADE = 0.05  # of a measured travel, beyond which its curve tells nothing
+TURNS = 8  # half turns that a slow wander makes in the course of the measurement, at most
+
+
+def smooth_functions(
+    model: Model, estimate: np.ndarray, data: Measurements
+) -> list[tuple[tuple[str, ...], list[SmoothFunction]]]:
+    """Return inputs and functions of what may be left: of each joint, two together, place, payload, and time or order."""
+    robot = data.robot
+    turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
+    bases: list[tuple[tuple[str, ...], list[SmoothFunction]]] = [
+        ((f"q{i + 1}",), [JointField(robot, (i,), SMOOTH_ORDERS), Shift(robot, (i,), SMOOTH_ORDERS)]) for i in turning
+    ]
+    if len(turning) > 1:
+        bases.append((("joints",), [Shift(robot, pair) for pair in combinations(turning, 2)]))
+    bases.append((("x", "y", "z"), [in_place(model, estimate, data)]))
+    if loaded := under_payloads(data):
+        bases.append((("payload",), [*loaded]))
+    if waves := in_time(data):
+        bases.append((waves[0].inputs, [*waves]))
+    return bases
+
+
+def in_time(data: Measurements) -> list[InTime]:
+    """Return what may wander with time, or with the order of the rows where no time is known."""
+    clock = next((clock for clock in CLOCKS if clock in data.given), None)
+    if clock is None:
+        return []
+    begin, end = (float(side(data.table[clock].to_numpy(float))) for side in (np.min, np.max))
+    rate = np.pi / ((end - begin) or 1.0)
+    return [InTime(data.robot, k * rate, clock, 1 / k, begin, end) for k in range(1, TURNS + 1)]
+
+
+def under_payloads(data: Measurements) -> list[UnderPayload]:
+    """Return what may differ from payload to payload."""
+    carried = list(dict.fromkeys(data.table["payload"]))  # what differs from one of them differs from the first, too
+    return [UnderPayload(data.robot, name) for name in carried[1 if all(carried) else 0 :] if name]
+
+
+def in_place(model: Model, estimate: np.ndarray, data: Measurements) -> InPlace:
+    """Return the smooth functions of place where a model's rows are."""
+    place = model.point(estimate, data.conditions)
+    centre = place.mean(axis=0)
+    return InPlace(data.robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0)
+
+
+def _spectrum(of: tuple[int, ...], orders: int) -> np.ndarray:
+    """The waves' sizes beside each other, those of `_waves`."""
+    return np.repeat(1 / np.arange(1.0, orders + 1), 2) if len(of) == 1 else np.ones(4)
+
+
+def _waves(q: ca.SX, of: tuple[int, ...], orders: int) -> list[ca.SX]:
+    """Waves of one joint's angle, or products of two joints' without what either does alone."""
+    if len(of) == 1:
+        return [wave(k * q[of[0]]) for k in range(1, orders + 1) for wave in (ca.cos, ca.sin)]
+    first, second = (q[i] for i in of)
+    return [a(first) * b(second) for a in (ca.cos, ca.sin) for b in (ca.cos, ca.sin)]
+
+
+def _powers() -> list[tuple[int, int, int]]:
+    return [(i, j, k) for i in range(4) for j in range(4) for k in range(4) if 2 <= i + j + k <= 3]

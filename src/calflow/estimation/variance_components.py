@@ -1,0 +1,137 @@
+"""Variance components: the sizes of random functions beside a linearised model, by restricted likelihood.
+
+What the model leaves is white noise and functions of normal amplitudes, those of a part with one variance. The model's own
+parameters are integrated out (Patterson and Thompson 1971), so that only what they cannot imitate counts. Variances grow and shrink
+by the ratio of what is seen to what is expected; a part is taken in where that ratio is beyond chance (a score test) and the
+likelihood gains by it. Of a part whose functions the parameters imitate but for a little the likelihood hardly limits the size: a
+half-normal prior does (Gelman 2006), by which all functions of a part together are about of the usual size of one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import erfcx
+
+SIZE_STEPS = 30  # of the sizes
+SETTLED = 0.03  # relative change of the sizes' squares below which they stay
+PROMISING = 1.0  # standard deviations beyond what is expected, from which a part is tried
+GONE = 1e-6  # of a function's variance: nothing
+USUAL = 0.1  # variance of each function, over its usual one, by which some dozens together are as large as one
+BELIEVED = 3.0  # in twice the logarithm of the likelihood: what a part must add to be kept
+
+
+@dataclass(frozen=True, eq=False)
+class VarianceComponents:
+    """The likelihood of the variances of random functions, over the noise's, beside a linearised model.
+
+    part (n_functions,) is the number of each function's part, of n_parts. gram (n_functions, n_functions) is what functions show of
+    each other beside the model's own parameters, score (n_functions,) what the residual shows of them; chi2 is what the model
+    leaves, with total degrees of freedom.
+    """
+
+    part: np.ndarray
+    n_parts: int
+    gram: np.ndarray
+    score: np.ndarray
+    chi2: float
+    total: float
+
+    def solved(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        """Put functions of these variances (n_parts,) beside the model, by those that act alone (Woodbury 1950).
+
+        Returned are their numbers (n,), their sizes (n,), the inverse of I + what they show of each other at these sizes, and
+        what is left of chi².
+        """
+        here = np.flatnonzero(variance[self.part] > 0)
+        size = np.sqrt(variance[self.part[here]])
+        inverse = np.linalg.inv(np.eye(len(here)) + size[:, None] * self.gram[np.ix_(here, here)] * size)
+        along = size * self.score[here]
+        return here, size, inverse, max(self.chi2 - float(along @ inverse @ along), 1e-12)
+
+    def level(self, variance: np.ndarray) -> float:
+        """Return the variance of the white noise that is left, over what the residuals were whitened by."""
+        return self.solved(variance)[3] / self.total
+
+    def cost(self, variance: np.ndarray) -> float:
+        """Twice minus the logarithm of the restricted likelihood and of the prior, the noise's level at its best."""
+        *_, inverse, chi2 = self.solved(variance)
+        return (
+            self.total * float(np.log(chi2 / self.total))
+            - float(np.linalg.slogdet(inverse)[1])
+            + float(variance.sum()) / USUAL
+        )
+
+    def most_likely(self, variance: np.ndarray) -> np.ndarray:
+        """Return the variances (n_parts,) of the greatest posterior density, from these; zero stays zero."""
+        for _ in range(SIZE_STEPS):
+            here, size, inverse, chi2 = self.solved(variance)
+            left = inverse @ (size * self.score[here])
+            seen = self._by_part(left**2, here) * self.total / chi2
+            expected = self._by_part(1 - inverse.diagonal(), here)
+            grown = variance * seen / np.maximum(expected + variance / USUAL, 1e-300)
+            settled = np.allclose(grown, variance, rtol=SETTLED, atol=GONE)
+            variance = np.where(grown < GONE, 0.0, grown)
+            if settled:
+                break
+        return variance
+
+    def believed(self, without: np.ndarray | None = None) -> np.ndarray:
+        """Return the most likely variances (n_parts,), part by part while one adds enough to be believed.
+
+        Some parts (n_parts,) may be left out.
+        """
+        variance = np.zeros(self.n_parts)
+        tried = np.zeros(self.n_parts, dtype=bool) if without is None else without.copy()
+        # Once each: parts much alike would come and go.
+        while not tried.all():
+            beyond, size = self._beyond(variance)
+            best = int(np.argmax(np.where(tried, -np.inf, beyond)))
+            if beyond[best] < PROMISING:
+                break
+            tried[best] = True
+            larger = variance.copy()
+            larger[best] = size[best]
+            larger = self.most_likely(larger)
+            if self.cost(variance) - self.cost(larger) >= BELIEVED:
+                variance = larger
+        for k in np.flatnonzero(variance > 0):
+            fewer = np.where(np.arange(len(variance)) == k, 0.0, variance)
+            if self.cost(fewer) - self.cost(variance) < BELIEVED:
+                variance = self.most_likely(fewer)
+        return variance
+
+    def expected(self, variance: np.ndarray) -> np.ndarray:
+        """Return each part's mean variance (n_parts,) over all that the data allow, about the most likely ones.
+
+        The likelihood is about normal beside zero, below which no variance is: the mean of a normal that is cut off there.
+        """
+        beyond, size = self._beyond(variance)
+        spread = np.divide(size, beyond, out=np.zeros_like(size), where=beyond != 0)
+        off = (variance + size) / np.maximum(spread, 1e-300)
+        return np.where(spread > 0, spread * (off + np.sqrt(2 / np.pi) / erfcx(-off / np.sqrt(2))), 0.0)
+
+    def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
+        """Return how well each part's variance is known, shape (n_parts,): that of as many squares of normals."""
+        here, _, inverse, _ = self.solved(variance)
+        part = self.part[here]
+        determined = np.where(part[:, None] == part, np.eye(len(here)) - inverse, 0.0) ** 2
+        return np.maximum(self._by_part(determined.sum(axis=1), here), 1.0)
+
+    def _by_part(self, values: np.ndarray, here: np.ndarray) -> np.ndarray:
+        """Sums over the functions of each part (n_parts,) of values (n,), those of the functions of these numbers."""
+        return np.bincount(self.part[here], values, self.n_parts)
+
+    def _beyond(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How much more of each part is seen than expected, in standard deviations, and the variance which that speaks for."""
+        here, size, inverse, chi2 = self.solved(variance)
+        taken = self.gram[:, here] * size
+        along = self.score - taken @ (inverse @ (size * self.score[here]))
+        seen = np.bincount(self.part, along**2, self.n_parts) * self.total / chi2
+        members = [np.flatnonzero(self.part == k) for k in range(self.n_parts)]
+        each = [self.gram[np.ix_(own, own)] - taken[own] @ inverse @ taken[own].T for own in members]
+        expected = np.array([np.trace(block) for block in each])
+        information = np.maximum([np.vdot(block, block) for block in each], np.finfo(float).tiny)
+        more = seen - expected - 1 / USUAL  # the prior asks for less
+        return more / np.sqrt(2 * information), more / information

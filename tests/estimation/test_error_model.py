@@ -1,0 +1,162 @@
+"""Smooth errors beside a fit: generalised least squares, and promises that grow with the distance from what was measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calflow.effects.cause import Cause
+from calflow.effects.joint_error_map import JointErrorMap
+from calflow.estimation.error_model import (
+    ErrorModel,
+    beside_smooth_errors,
+    beyond_measured,
+    error_table,
+    read_errors,
+)
+from calflow.estimation.fit import fit_reweighted
+from calflow.model import build
+from estimation.data import SIGMA, measured, stated
+from robots import industrial
+
+POSES = 90
+
+
+def wavering(seed, size=4e-4, poses=POSES):
+    """An industrial robot of which joint 2 errs by a smooth function of its own angle and joint 1's, and its poses, by time."""
+    robot, rng = industrial(), np.random.default_rng(seed)
+    model = build(robot, ("geometry",))
+    data = measured(model, model.nominal, poses, rng)
+    data.table["time"] = np.cumsum(rng.uniform(20, 40, poses))
+    model = build(robot, ("geometry",), data.given)
+    turned, phase = data.conditions.copy(), rng.uniform(0, 6, 2)
+    turned[1] += size * np.sin(1.3 * turned[0] + phase[0]) * np.cos(turned[1] + phase[1])
+    data.table[["x", "y", "z"]] += model.position(model.nominal, turned) - model.position(
+        model.nominal, data.conditions
+    )
+    return replace(data, table=data.table)
+
+
+def fitted(data):
+    """The geometry fitted to rows of stated noise, without smooth errors beside it and with them."""
+    model = build(data.robot, ("geometry",), data.given)
+    result = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
+    return (result, *beside_smooth_errors(result, data, known=True))
+
+
+def dense(result, errors, rows):
+    """Derivatives (3 n, n_parameters) of what a device reports of rows, and what each function of its size does."""
+    beside = replace(result.model, probes=errors.functions)
+    n = len(result.estimate)
+    jacobian = beside.position_jacobian(np.append(result.estimate, beside.nominal[n:]), rows.conditions)
+    jacobian = jacobian.reshape(-1, jacobian.shape[2])
+    return jacobian[:, :n], jacobian[:, n:] * errors.sd
+
+
+def test_the_estimate_is_that_of_the_whole_covariance():
+    """Fails if the fit forgets errors that rows share, or its covariance or gradient is not that of generalised least squares."""
+    data = wavering(1)
+    _, result, errors = fitted(data)
+    jacobian, functions = dense(result, errors, data)
+    whole = (errors.rest**2 + SIGMA**2) * np.eye(len(jacobian)) + functions @ functions.T
+    precision = np.diag(result.model.prior_sd**-2.0)
+    information = jacobian.T @ np.linalg.solve(whole, jacobian) + precision
+    assert result.information == pytest.approx(information, rel=1e-3, abs=1e-6 * np.abs(information).max())
+    left = (result.model.position(result.estimate, data.conditions) - data.position).ravel()
+    pull = precision @ (result.estimate - result.model.prior_mean)
+    step = np.linalg.solve(information, jacobian.T @ np.linalg.solve(whole, left) + pull)
+    assert (np.abs(step) < 0.1 * np.sqrt(np.diag(result.covariance))).all()
+
+
+def test_a_promise_is_of_parameters_and_functions_given_the_data():
+    """Fails if a prediction's variance is not that of both together, as all rows tell them."""
+    data, new = wavering(2), wavering(3)
+    _, result, errors = fitted(data)
+    (jacobian, functions), (slopes, moved) = (dense(result, errors, rows) for rows in (data, new))
+    both, there = np.hstack([jacobian, functions]), np.hstack([slopes, moved])
+    prior = np.diag(np.append(result.model.prior_sd**-2.0, np.ones(len(errors.sd))))
+    noise = errors.rest**2 + SIGMA**2
+    covariance = np.linalg.inv(both.T @ both / noise + prior)
+    inside = new.table["time"].between(data.table["time"].min(), data.table["time"].max()).to_numpy()
+    expected = np.einsum("ni,ij,nj->n", there, covariance, there) + errors.rest**2 + (moved @ errors.mean) ** 2
+    given = errors.variance(result.model, result.estimate, result.covariance, new.conditions)
+    assert given[inside] == pytest.approx(expected.reshape(-1, 3)[inside], rel=0.05)
+
+
+def test_errors_lie_within_the_promise_where_nothing_was_measured():
+    """Fails if a model that lacks something smooth is promised to be as good elsewhere as where it was fitted."""
+    inside, ratio = [], []
+    for seed in range(4):
+        whole = wavering(10 + seed)
+        first = whole.joints[:, 0]
+        here = first < np.quantile(first, 0.5)
+        _, result, errors = fitted(whole.only(here))
+        there = whole.only(~here)
+        near, far = (
+            errors.variance(result.model, result.estimate, result.covariance, rows.conditions)
+            for rows in (whole.only(here), there)
+        )
+        off = result.model.point(result.estimate, there.conditions) - there.position
+        inside.append(np.abs(off) < 1.96 * np.sqrt(far + SIGMA**2))
+        ratio.append(far.mean() / near.mean())
+    assert np.mean(inside) > 0.9
+    assert np.mean(ratio) > 1.2
+
+
+def test_noise_is_taken_for_noise():
+    """Fails if a clean fit is changed by smooth errors that nobody can see."""
+    changed = 0
+    for seed in range(6):
+        robot, rng = industrial(), np.random.default_rng(seed)
+        model = build(robot, ("geometry",))
+        _, _, errors = fitted(measured(model, model.nominal, POSES, rng))
+        changed += errors is not None
+    assert changed <= 2
+
+
+def test_a_day_later_a_wander_has_gone_on():
+    """Fails if a device that wandered by the minute is promised to be tomorrow where it was when measuring ended."""
+    data = wavering(4, 0.0)
+    steps = np.random.default_rng(5).standard_normal((POSES, 3)).cumsum(axis=0)
+    data.table[["x", "y", "z"]] += 1e-4 * (steps - steps.mean(axis=0)) / steps.std()
+    _, result, errors = fitted(data)
+    assert "time" in errors.inputs
+
+    def sd(seconds):
+        rows = replace(data, table=data.table.assign(time=data.table["time"].max() + seconds))
+        variance = errors.variance(result.model, result.estimate, result.covariance, rows.conditions)
+        return np.sqrt(variance.mean())
+
+    now, hour, day = (sd(seconds) for seconds in (-1000.0, 3600.0, 86400.0))
+    assert now < hour < day
+    assert day > 3 * hour
+
+
+def test_beyond_a_measured_travel_a_curve_is_unknown():
+    """Fails if a joint's error curve is taken to be nothing, and surely so, where no row told of it."""
+    data = wavering(6)
+    low, high = (tuple(map(float, side)) for side in (data.joints.min(axis=0), np.quantile(data.joints, 0.5, axis=0)))
+    cause = Cause(data.robot, JointErrorMap(data.robot, low, high, 0.5), "joint1")
+    model = build(data.robot, ("geometry",), data.given)
+    model = replace(model, effects=(*model.effects, cause))
+    estimate = model.nominal.copy()
+    estimate[model.columns(cause)[:2]] = 3e-4
+    errors = beyond_measured(ErrorModel.white(SIGMA, len(estimate)), model, estimate, data)
+    variance = errors.left_variance(model, estimate, data.conditions)
+    inside = data.joints[:, 0] < high[0]
+    lever = np.linalg.norm(data.position[~inside, :2], axis=1)
+    assert variance[inside] == pytest.approx(np.full((inside.sum(), 3), SIGMA**2))
+    beyond = data.joints[~inside, 0] > high[0] + 0.06 * (high[0] - low[0])
+    assert (np.sqrt(variance[~inside].sum(axis=1))[beyond] > 2e-4 * lever[beyond]).all()
+
+
+def test_a_table_brings_it_back():
+    """Fails if what a run folder keeps of it promises another error."""
+    data = wavering(7)
+    _, result, errors = fitted(data)
+    again = read_errors(error_table(errors, result.model), result.model, errors.rest)
+    assert again.functions == errors.functions
+    for name in ("sd", "mean", "slope", "told"):
+        assert (getattr(again, name) == getattr(errors, name)).all()
