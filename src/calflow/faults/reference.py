@@ -45,8 +45,8 @@ class Models:
 
     @staticmethod
     def of(data: Measurements) -> Models:
-        """Return the models of the data's robot, its base in the origin."""
-        return Models(replace(data.robot, base=Base(known=False)), data.given)
+        """Return the models of the data's robot, its base in the origin, within what robots are off by, whatever a study says."""
+        return Models(replace(data.robot, base=Base(known=False), expected=()), data.given)
 
     @cached_property
     def nominal(self) -> Model:

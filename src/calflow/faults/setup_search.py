@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calflow.effects.geometry import PLACED_BOUND
-from calflow.effects.geometry import PLACED_SD as STATED_SD
 from calflow.faults.base import Correction, Fault
 from calflow.faults.implausible import nominal_misfit
 from calflow.faults.mistake import Mistake, freed, misplaced, mistakes
-from calflow.faults.reference import FAR_BETTER, level, motion
+from calflow.faults.reference import FAR_BETTER, PLACED_SD, level, motion
 from calflow.faults.setup import ExplainedSetup, Setup
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
@@ -69,23 +68,23 @@ def told(data: Measurements, as_read: ExplainedSetup, candidates: tuple[Possible
     if not candidates:
         return ()
     mistake, statement = candidates[0].mistake, candidates[0].statement
+    where = " or ".join(dict.fromkeys(candidate.mistake.where for candidate in candidates[:MOST]))
     if len(candidates) == 1 and mistake.corrections:
         statement = f"{statement}; put right here"
-        return (Fault(mistake.id, mistake.joint, (), statement, "corrected", mistake.corrections),)
+        return (Fault(mistake.id, mistake.joint, (), statement, "corrected", mistake.corrections, where),)
     if len(candidates) > 1:
         several = "; or ".join(f"({k}) {candidate.statement}" for k, candidate in enumerate(candidates[:MOST], start=1))
         statement = f"one of these explains the positions, and the others as well: {several}"
-    if np.abs(as_read.elsewhere).max(initial=0.0) * STATED_SD > PLACED_BOUND or nominal_misfit(data):
+    if as_read.elsewhere.max(initial=0.0) > PLACED_BOUND or nominal_misfit(data):
         raise refuse(f"robot file and measurements do not belong together, and no fit mends it: {statement}")
     statement = f"{statement}; settle this first: nothing else is named before"
-    return (Fault(mistake.id, mistake.joint, (), statement, "unsettled", (Correction(0),)),)
+    return (Fault(mistake.id, mistake.joint, (), statement, "unsettled", (Correction(0),), where),)
 
 
 def suspicious(as_read: ExplainedSetup) -> bool:
     """Whether a robot, fitted as it is read, is farther from what its maker says than robots are."""
-    placed = np.abs(as_read.elsewhere).max(initial=0.0)
-    links = np.abs(as_read.fit.deviations[as_read.setup.rigid.expected.sd == 0]).max(initial=0.0)
-    return bool(max(placed, links) > SUSPECT or as_read.fit.scale > SUSPECT_SCALE)
+    deviation = np.abs(as_read.fit.deviations[as_read.fit.expected.sd < PLACED_SD]).max(initial=0.0)
+    return bool(deviation > SUSPECT or as_read.fit.scale > SUSPECT_SCALE)
 
 
 def _met(setup: Setup, discrete: list[Mistake], free: list[Mistake]) -> list[Mistake]:
