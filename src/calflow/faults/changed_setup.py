@@ -11,7 +11,8 @@ import numpy as np
 from calflow.effects.session_frame import SessionFrame
 from calflow.faults.base import SET_UP, Check, Fault
 from calflow.faults.mistake import ONE, Mistake, loads
-from calflow.faults.reference import Reference, motion, rigid_errors, rigid_sums
+from calflow.faults.reference import Reference
+from calflow.faults.rough import motion, rigid_errors, rigid_sums
 from calflow.faults.setup import PHYSICS, ExplainedSetup, Setup
 from calflow.faults.setup_search import alike, told
 from calflow.measurements.measurements import Measurements, sessions_of
@@ -35,8 +36,8 @@ class ChangedSetup(Check):
         """Return one fault, for the user to settle."""
         if reference.fit.scale < PHYSICS and not reference.gross.any():
             return ()
-        as_read = Setup.of(data).explained()
-        return told(data, as_read, alike(as_read, [*loads(data, as_read.setup), *_changes(data, as_read)]))
+        as_read = reference.explained
+        return told(as_read, alike(as_read, [*loads(data, as_read.setup), *_changes(data, as_read)]))
 
 
 def _changes(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from calflow.effects.payload_mass import PayloadMass
 from calflow.faults.base import EXCHANGED, MEASUREMENT_FILE, PLACE, ROBOT_FILE, Correction
-from calflow.faults.reference import PLACED_SD, motion
+from calflow.faults.rough import PLACED_SD, motion
 from calflow.faults.setup import STATED_SD, ExplainedSetup, Setup
 from calflow.files.words import listed
 from calflow.measurements.measurements import Measurements

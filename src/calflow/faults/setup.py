@@ -19,7 +19,7 @@ from calflow.effects.base import Effect
 from calflow.effects.geometry import PLACED_SD as STATED_SD
 from calflow.effects.geometry import DimensionError, Geometry
 from calflow.effects.payload_mass import PayloadMass
-from calflow.faults.reference import (
+from calflow.faults.rough import (
     PLACED_SD,
     WIDTH,
     Expectation,
@@ -37,7 +37,7 @@ from calflow.robot.robot import Robot
 
 CLEARLY = 0.7  # times the size of errors below which they are less for a reason
 PHYSICS = 4e-5  # m: what causes that this model lacks leave of a good robot at least; a mistake is more
-ROWS = 240  # that set-ups are weighed by
+ROWS = 400  # that set-ups are weighed by: more would hardly tell more
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Setup:
 
     @staticmethod
     def of(data: Measurements, *beside: Effect) -> Setup:
-        """Return the set-up as robot file and table state it, with some of the training rows; effects beside may be of any size."""
+        """Return the set-up as robot file and table state it, with some training rows; effects beside may be of any size."""
         robot = replace(data.robot, base=Base(known=False), expected=())
         springs = [kind(robot) for kind in catalogue().values() if kind.springs(robot)]
         loads = [PayloadMass(robot)] if robot.has_masses and any(load.mass for load in robot.payloads.values()) else []
@@ -96,8 +96,6 @@ class Setup:
             (EveryFigure(robot), *loads, *springs, *(replace(effect, robot=robot) for effect in beside)),
             data.given,
         )
-        chosen = chosen_rows(np.flatnonzero(data.train), ROWS, len(data))
-        few = data.only(chosen)
         expected = Expectation.of(model)
         size = {PayloadMass.id: 0.0} | {effect.id: PLACED_SD for effect in beside}
         sd = np.array([size.get(p.effect, sd) for p, sd in zip(model.parameters, expected.sd, strict=True)])
@@ -106,9 +104,19 @@ class Setup:
         parts = {"base", *(name for name, marker in robot.markers.items() if marker.known)} if base.known else {}
         stated = [k for k, p in enumerate(model.parameters) if p.part in parts]  # the others are registered
         sd[stated] = STATED_SD
+        none = np.zeros(0)
         return Setup(
-            model, Expectation(expected.mean, sd), few.conditions, few.position, np.flatnonzero(chosen),
-            few.table["pose"].nunique(), turn, np.array(base.origin) if base.known else None, tuple(stated),
+            model, Expectation(expected.mean, sd), none, none, none, 0, turn, np.array(base.origin) if base.known else None,
+            tuple(stated),
+        ).on(data)  # fmt: skip
+
+    def on(self, data: Measurements) -> Setup:
+        """Return the same with some training rows of other data of the robot."""
+        chosen = chosen_rows(np.flatnonzero(data.train), ROWS, len(data))
+        few = data.only(chosen)
+        return replace(
+            self, conditions=few.conditions, position=few.position, numbers=np.flatnonzero(chosen),
+            poses=few.table["pose"].nunique(),
         )  # fmt: skip
 
     def part(self, most: int) -> Setup:
@@ -140,12 +148,19 @@ class Setup:
         placed = self.expected.sd >= STATED_SD
         return replace(self, expected=Expectation(self.expected.mean, np.where(placed, self.expected.sd, 0.0)))
 
+    @property
+    def without_springs(self) -> Setup:
+        """The same robot with joints that do not give way."""
+        geometric = np.array([p.effect == Geometry.id for p in self.model.parameters])
+        return replace(self, expected=Expectation(self.expected.mean, np.where(geometric, self.expected.sd, 0.0)))
+
     def points(self) -> np.ndarray:
         """Return where the markers are [m] in the base's frame, shape (n_rows, 3); nan where a loop cannot be closed."""
         return self.model.position(self.expected.mean, self.conditions)
 
+    @cached_property
     def explained(self) -> ExplainedSetup:
-        """Fit the robot, its base first, and once more from there: a figure that is far off takes its time."""
+        """The robot fitted, its base first, and once more from there: a figure that is far off takes its time."""
         turn, shift, _ = motion(self.points(), self.position)
         estimate, expected = self.expected.mean, self._expected(turn, shift)
         for _ in range(2):
