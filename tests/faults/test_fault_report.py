@@ -13,6 +13,7 @@ from calflow.files.results import Results
 from calflow.reporting.document import source, write_pdf
 from calflow.reporting.section import advice, sections
 from calflow.reporting.sections import faults as section
+from calflow.reporting.sections.verdict import judgement
 from calflow.stages.report import report_material
 from calflow.stages.stage import Context
 from reporting.case import chosen, context
@@ -55,6 +56,25 @@ def test_the_reader_is_told_to_correct_the_file(small: Context) -> None:
         "Correct the measurement file: joint 1: all readings have the wrong sign.",
         "Correct the measurement file: the position in line 4 is 9 mm off; left out.",
     ]
+
+
+def test_an_unsettled_mistake_is_the_one_thing_to_do(small: Context) -> None:
+    """Fails if a mistake of the robot file is said to be corrected, or of the measurements, or page one asks for more."""
+    statement = "a of joint 3 is mistyped; expected about a_mm = 1075 for joint 3 in the robot file, found 1105"
+    mistyped = Fault("figure-mistyped", 3, (), statement, "unsettled", (Correction(0),), "robot file")
+    residuals = small.tables["identify/residuals.csv"].copy()
+    residuals.loc[2, ["split", "dx_mm"]] = ["train", 0.1]
+    faults = as_table((mistyped,), small.study.measurements())
+    results = small.results | Results({"identify/faults.csv": faults, "identify/residuals.csv": residuals})
+    material = report_material(small.study, results, small.run_folder)
+    text = source("", [("", section.FAULTS_SECTION.write(material))])
+    assert "robot file" in text
+    assert "nothing: settle it first" in text
+    assert not [words for words in ("corrected", "left out", "all rows") if words in text]
+    (only,) = advice(sections(), results)
+    assert only.sentence == f"Do not use this result. There is a mistake in the robot file: {statement}."
+    assert judgement(results) == "Do not use this model: a mistake is to be settled first."
+    assert not [one.title for one in chosen(sections(), material) if "causes" in one.title]
 
 
 def test_the_section_is_there_where_faults_are(small: Context, tmp_path) -> None:

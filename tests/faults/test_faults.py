@@ -18,7 +18,8 @@ from calflow.faults import Correction, Fault, as_table, checks, corrected, plain
 from calflow.faults.base import correct, lines_in_words
 from calflow.faults.blocks import states
 from calflow.faults.outlier import limit_of
-from calflow.faults.reference import NORMAL_LENGTH, Models, Reference
+from calflow.faults.reference import Reference
+from calflow.faults.rough import NORMAL_LENGTH
 from calflow.files.problems import InputError
 from calflow.files.tables import EXACT, csv_text
 from calflow.measurements.measurements import Measurements
@@ -85,7 +86,7 @@ def test_faulty_rows_are_found_and_no_others(tmp_path, robot, cause, joint, vari
         corrected(data, through_csv(as_table(found, data))).table, after.table, check_exact=True
     )
     if any(fault.action == "corrected" for fault in found):
-        assert not (Reference.of(after, Models.of(after)).gross & (after.train | after.held_out)).any()
+        assert not (Reference.of(after).gross & (after.train | after.held_out)).any()
 
 
 @pytest.mark.parametrize(("robot", "joint"), [("serial", 1), ("hh800", 3), ("hh800", 6)])
@@ -258,6 +259,7 @@ def test_every_check_has_its_place():
         "implausible",
         "mistake",
         "reference",
+        "rough",
         "setup",
         "setup_search",
     }

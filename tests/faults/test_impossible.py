@@ -9,6 +9,7 @@ import pytest
 
 from calflow.faults import examined
 from calflow.faults.implausible import nominal_misfit, past_limits
+from calflow.faults.setup import Setup
 from calflow.files.problems import InputError
 from calflow.robot.parts import Coupling
 from calflow.study import load_study
@@ -102,7 +103,7 @@ def test_a_worn_robot_with_an_unknown_tool_is_one(tmp_path):
     data = case(tmp_path)
     base = replace(data.robot.base, known=False, origin=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, 0.0))
     markers = {name: replace(marker, point=(0.0, 0.0, 0.0)) for name, marker in data.robot.markers.items()}
-    assert nominal_misfit(data.on(replace(data.robot, base=base, markers=markers))) == ""
+    assert nominal_misfit(Setup.of(data.on(replace(data.robot, base=base, markers=markers)))) == ""
 
 
 @pytest.mark.parametrize(("origin", "turn"), [((0.0, 0.0, 0.0), (0.0, 0.0, 90.0)), ((1.0, -0.4, 0.0), (0.0, 0.0, 0.0))])

@@ -126,8 +126,18 @@ def predictions(inside: int, outside: int, split: str = "holdout") -> pd.DataFra
 
 def faulty(*lines: int) -> pd.DataFrame:
     said = f"lines {', '.join(map(str, lines))} are far off"
-    return pd.DataFrame({"cause": "outlier", "joint": 0, "line": list(lines), "action": "left out", "statement": said,
-                         "pose": "", "row": 1, "quantity": "", "factor": 1.0, "offset": 0.0, "source": 0})  # fmt: skip
+    where = {
+        "where": "measurement file",
+        "pose": "",
+        "row": 1,
+        "quantity": "",
+        "factor": 1.0,
+        "offset": 0.0,
+        "source": 0,
+    }
+    return pd.DataFrame(
+        {"cause": "outlier", "joint": 0, "line": list(lines), "action": "left out", "statement": said} | where
+    )
 
 
 def found(*statuses: str) -> pd.DataFrame:

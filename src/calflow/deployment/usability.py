@@ -11,11 +11,12 @@ from scipy.stats import ttest_1samp
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import IdentifySummary
+from calflow.faults.base import FaultyRow
 from calflow.files.results import Results
 from calflow.files.units import METRE
 from calflow.files.words import mm
 
-IDENTIFIED, DIAGNOSED = "identify/summary.json", "diagnose/summary.json"
+IDENTIFIED, DIAGNOSED, FAULTS = "identify/summary.json", "diagnose/summary.json", "identify/faults.csv"
 USELESS = 0.95  # share of the nominal error above which calibration gained nothing
 FAR_OFF = 0.1  # share of the measured space by which a nominal robot may miss
 WORSE = 1.02  # times the error without causes from which they do not help
@@ -56,8 +57,9 @@ def mean_errors(results: Results) -> tuple[float, float]:
 
 
 def objections(results: Results) -> list[str]:
-    """Return what says that the model is not to be used, in sentences."""
-    return [item.sentence for rule in (*FIT_RULES, *CAUSE_RULES) for item in rule(results) if item.urgency == 1]
+    """Return what says that the model is not to be used, in sentences; an unsettled mistake alone, which all else follows from."""
+    against = mistake_unsettled(results) or [item for rule in (*FIT_RULES, *CAUSE_RULES) for item in rule(results)]
+    return [item.sentence for item in against if item.urgency == 1]
 
 
 def is_useless(results: Results) -> bool:
@@ -74,6 +76,16 @@ def warning(results: Results) -> str | None:
     unit = accuracy_steps(results)[0].unit
     gained = f"calibration left {mm(after)} {unit} of a mean error of {mm(before)} {unit}."
     return f"Do not use this model: {' '.join(objections(results)) or gained}"
+
+
+def mistake_unsettled(results: Results) -> list[Advice]:
+    """A mistake of the user that is not settled is in all that was fitted: it is the one thing to do."""
+    rows = results.rows(FAULTS, FaultyRow) if FAULTS in results else []
+    return [
+        Advice(1, f"Do not use this result. There is a mistake in the {row.where}: {row.statement}.")
+        for row in rows
+        if row.action == "unsettled"
+    ]
 
 
 def noise_contradicted(results: Results) -> list[Advice]:

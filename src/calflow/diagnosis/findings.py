@@ -380,9 +380,14 @@ class CandidateRow:
 def findings(
     found: Diagnosis, data: Measurements, faults: pd.DataFrame, rng: np.random.Generator
 ) -> tuple[Finding, ...]:
-    """Return what was found, best first: data faults, causes, the noise's growth and what nobody can name."""
+    """Return what was found, best first: data faults, causes, the noise's growth and what nobody can name.
+
+    Where a mistake of the user is unsettled, what the model leaves says no more than that, and faults are all.
+    """
     heldout, final = data.only(data.held_out), found.extended.fitted
     rows = [_fault(group) for _, group in faults.groupby(["cause", "joint", "action", "statement"], sort=False)]
+    if (faults["action"] == "unsettled").any():
+        return tuple(rows)
     steps = [errors(one.model, one.estimate, heldout) for one in (found.start.fit, *found.extended.path)]
     for members in _kept_together(found.causes):
         own = [_cause(found.verdicts[k], final, _overlapping(found.verdicts[k], found.left), k + 1) for k in members]

@@ -14,7 +14,8 @@ import pandas as pd
 from calflow.faults.base import Check, Correction, Fault, FaultyRow, PlainCheck, correct
 from calflow.faults.implausible import nominal_misfit, past_limits
 from calflow.faults.outlier import gross_rows, is_position
-from calflow.faults.reference import Models, Reference
+from calflow.faults.reference import Reference
+from calflow.faults.setup import Setup
 from calflow.faults.setup_search import setup_faults
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import to_frame
@@ -60,7 +61,7 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
         problems += [Problem(message, paths[k] if paths else None) for k in dict.fromkeys(map(int, series))]
     positions = is_position(data)
     seen = data.only(positions)
-    if not problems and positions.any() and (message := nominal_misfit(seen)):
+    if not problems and positions.any() and (message := nominal_misfit(Setup.of(seen))):
         problems.append(Problem(message, paths[int(data.series_number[positions][0])] if paths else None))
     if problems:
         raise InputError(problems)
@@ -97,11 +98,11 @@ def search_faults(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
 
 
 def _of_positions(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
-    faults = [*setup_faults(data)]
+    setup = Setup.of(data)
+    faults = [*setup_faults(data, setup)]
     for fault in faults:
         data = correct(data, fault)
-    models = Models.of(data)
-    reference = Reference.of(data, models)
+    reference = Reference.of(data, setup)
     for check in checks():
         if any(fault.action == "unsettled" for fault in faults):
             break
@@ -110,7 +111,7 @@ def _of_positions(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
             data = correct(data, fault)
         if detected:
             faults += detected
-            reference = Reference.of(data, models)
+            reference = Reference.of(data, setup)
     return data, tuple(faults)
 
 

@@ -16,6 +16,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import IN_ORDER, approach_and_travel, numbered
 
 Action = Literal["corrected", "left out", "told", "unsettled"]
+MEASUREMENT_FILE, ROBOT_FILE, SET_UP = "measurement file", "robot file", "set-up"
 PLACE = ("x", "y", "z")
 POSITION = "position"  # the quantity x, y, z
 EXCHANGED = {"x and y": ("x", "y"), "x and z": ("x", "z"), "y and z": ("y", "z")}  # quantities exchanged
@@ -34,6 +35,7 @@ class FaultyRow:
         "what was done; told: nothing, it is said alone; unsettled: nothing, and no cause is named before the user has settled it"
     )
     statement: str = column("what is wrong, in words")
+    where: str = column("where the mistake is: measurement file, robot file, set-up", default=MEASUREMENT_FILE)
     row: int = column("number of the row, from 1; 0: every row")
     quantity: str = column(
         "what was corrected: position, a measured quantity, or two that were exchanged; empty: nothing", default=""
@@ -59,7 +61,7 @@ class Correction:
 
 @dataclass(frozen=True)
 class Fault:
-    """Something wrong with the data: its cause, joint (0: none), lines of the file (none: a whole column), what to do.
+    """Something wrong: its cause, joint (0: none), lines of the file (none: a whole column), what to do, and where it is.
 
     Where nobody can say what is right, it is told and nothing is changed; one of robot file or whole table is unsettled until
     the user has mended it, and nothing is named before.
@@ -71,6 +73,7 @@ class Fault:
     statement: str
     action: Action
     corrections: tuple[Correction, ...] = ()
+    where: str = MEASUREMENT_FILE
 
     @property
     def said(self) -> str:
@@ -104,6 +107,7 @@ class Fault:
                 "pose": [pose if row else "" for row, (_, pose) in zip(rows, labels, strict=True)],
                 "action": self.action,
                 "statement": self.statement,
+                "where": self.where,
                 **pd.DataFrame([asdict(correction) for correction in self.corrections]).to_dict("series"),
             }
         )
@@ -141,11 +145,14 @@ def fault(
     corrections: Sequence[Correction],
     action: Action,
     statement: str,
+    where: str = MEASUREMENT_FILE,
 ) -> Fault:
     """Return a fault with the lines of its rows; LINES stands in the statement for these in words."""
     rows = [correction.row - 1 for correction in corrections if correction.row]
     lines = tuple(dict.fromkeys(int(line) for line in data.table["line"].iloc[rows]))
-    return Fault(check.id, joint, lines, statement.replace("LINES", lines_in_words(lines)), action, tuple(corrections))
+    return Fault(
+        check.id, joint, lines, statement.replace("LINES", lines_in_words(lines)), action, tuple(corrections), where
+    )
 
 
 def correct(data: Measurements, fault: Fault) -> Measurements:

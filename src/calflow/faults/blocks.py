@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calflow.faults.reference import FIT_ROWS, LEAST_GROSS, Reference, chosen_rows, lengths, rows_with_reading
+from calflow.faults.reference import Reference
+from calflow.faults.rough import LEAST_GROSS, lengths, rows_with_reading
 from calflow.measurements.measurements import Measurements
 
 FEWEST = 3  # rows inside and outside
@@ -49,7 +50,7 @@ class Linear:
     def of(data: Measurements, reference: Reference, step: float) -> Linear:
         """Linearise at the fit of a reference, at the rows whose errors a step [m] may explain."""
         fit = reference.fit
-        here = np.flatnonzero(chosen_rows(np.flatnonzero(data.train), FIT_ROWS, len(data)))
+        here = reference.explained.setup.numbers
         predicted = fit.predicted(data.conditions[:, here])
         error = data.position[here] - predicted
         usable = lengths(error) < FAR * step
@@ -57,10 +58,10 @@ class Linear:
         jacobian = np.einsum(
             "ij,njk->nik", fit.turn, fit.model.position_jacobian(fit.estimate, data.conditions[:, here])
         )
-        prior = fit.prior
-        jacobian = (jacobian * prior).reshape(-1, len(prior)) / LEAST_GROSS
-        at_nominal = error.ravel() / LEAST_GROSS + jacobian @ ((fit.estimate - fit.model.prior_mean) / prior)
-        factor = np.linalg.cholesky(np.linalg.inv(jacobian.T @ jacobian + np.eye(len(prior))))
+        n = len(fit.estimate)
+        jacobian = (jacobian * fit.expected.sd).reshape(-1, n) / LEAST_GROSS
+        at_nominal = error.ravel() / LEAST_GROSS + jacobian @ fit.deviations
+        factor = np.linalg.cholesky(np.linalg.inv(jacobian.T @ jacobian + np.eye(n)))
         fitted = jacobian @ factor
         left = at_nominal - fitted @ (fitted.T @ at_nominal)
         return Linear(

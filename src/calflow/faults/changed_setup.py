@@ -9,9 +9,10 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.effects.session_frame import SessionFrame
-from calflow.faults.base import Check, Fault
+from calflow.faults.base import SET_UP, Check, Fault
 from calflow.faults.mistake import ONE, Mistake, loads
-from calflow.faults.reference import Reference, motion, rigid_errors, rigid_sums
+from calflow.faults.reference import Reference
+from calflow.faults.rough import motion, rigid_errors, rigid_sums
 from calflow.faults.setup import PHYSICS, ExplainedSetup, Setup
 from calflow.faults.setup_search import alike, told
 from calflow.measurements.measurements import Measurements, sessions_of
@@ -35,8 +36,8 @@ class ChangedSetup(Check):
         """Return one fault, for the user to settle."""
         if reference.fit.scale < PHYSICS and not reference.gross.any():
             return ()
-        as_read = Setup.of(data).explained()
-        return told(data, as_read, alike(as_read, [*loads(data, as_read.setup), *_changes(data, as_read)]))
+        as_read = reference.explained
+        return told(as_read, alike(as_read, [*loads(data, as_read.setup), *_changes(data, as_read)]))
 
 
 def _changes(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
@@ -94,7 +95,7 @@ def _moved(kind: str, data: Measurements, names: tuple[str, ...], words: str, mo
     if far > LEAST:
         together = replace(setup, position=position)
         said = words.format(far=f"{1e3 * far:.3g} mm")
-        yield Mistake(kind, 0, lambda _: together, lambda _: said, ONE - np.log(moments))
+        yield Mistake(kind, 0, lambda _: together, lambda _: said, ONE - np.log(moments), where=SET_UP)
 
 
 def _tool(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:
@@ -125,7 +126,7 @@ def _tool(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[
         f"from line {line} on another tool is measured, its point {1e3 * np.linalg.norm(by):.2g} mm or so from the one before on "
         "the flange; give these rows a marker of their own in robot file and table"
     )
-    yield Mistake("tool-changed", 0, lambda _: setup, lambda _: words, ONE - np.log(len(errors)))
+    yield Mistake("tool-changed", 0, lambda _: setup, lambda _: words, ONE - np.log(len(errors)), where=SET_UP)
 
 
 def _on_flange(explanation: ExplainedSetup, setup: Setup) -> np.ndarray:

@@ -9,7 +9,8 @@ import numpy as np
 
 from calflow.faults.base import Check, Correction, Fault, correct, fault
 from calflow.faults.blocks import Linear, RowBlock, state_cost, states
-from calflow.faults.reference import Reference, chosen_rows, lengths, rows_with_reading
+from calflow.faults.reference import Reference
+from calflow.faults.rough import chosen_rows, lengths, rows_with_reading
 from calflow.measurements.measurements import Measurements
 
 TURN = 2 * np.pi
@@ -107,7 +108,7 @@ class EncoderTurn(Check):
         read = rows_with_reading(data, block.joint, data.joints[:, block.joint] + block.step, np.arange(len(data)))
         for _ in range(REFINED):
             turned = self._turned(data, block, rows)
-            again = Reference.of(turned, reference.models)
+            again = Reference.of(turned, reference.explained.setup)
             if again is None:
                 return None
             fit = again.fit

@@ -9,29 +9,22 @@ from collections.abc import Iterator
 import numpy as np
 
 from calflow.faults.base import lines_in_words
-from calflow.faults.reference import Models, chosen_rows, motion, rough
+from calflow.faults.setup import Setup
 from calflow.measurements.measurements import Measurements
 
 FAR, SHARE = 0.1, 0.1  # m, and of its reach: no robot is built so far from what its maker says
 FEWEST = 8  # poses: fewer are met by placing base and tool
-ROWS = 400  # that are compared
 
 
-def nominal_misfit(data: Measurements) -> str:
+def nominal_misfit(setup: Setup) -> str:
     """Say how far the nominal robot is from positions, base and tool placed where they fit best; empty where it may be right.
 
     Half of all rows must be farther off than a robot can be, so that single ones do not decide.
     """
-    train = data.only(chosen_rows(np.flatnonzero(data.train), ROWS, len(data)))
-    if train.table["pose"].nunique() < FEWEST:
+    if setup.poses < FEWEST:
         return ""
-    models = Models.of(train)
-    nominal = models.nominal
-    points = nominal.position(nominal.nominal, train.conditions)
-    turn, shift, _ = motion(points, train.position)
-    placed = rough(models.placed, train.conditions, train.position, turn, shift)
-    far = float(np.median(placed.miss(train)))
-    reach = float(np.nanmax(np.linalg.norm(points, axis=1)))
+    far = float(np.median(setup.rigid.explained.error))
+    reach = float(np.nanmax(np.linalg.norm(setup.points(), axis=1)))
     limit = min(FAR, SHARE * reach)
     if far <= limit:
         return ""

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from calflow.faults.base import Correction, Fault, PlainCheck, fault
+from calflow.faults.base import MEASUREMENT_FILE, ROBOT_FILE, Correction, Fault, PlainCheck, fault
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import numbered
 from calflow.robot.mechanism import gravity_torque, moment_torques, reachable
@@ -93,7 +93,17 @@ class TorqueScale(PlainCheck):
                 f"{abs(comparison.correlation):.3f}); not changed: check the unit of tau{comparison.joint + 1}, "
                 "whether it is the motor's side of the gear, the masses, and whether a spring or cylinder carries a part"
             )
-            faults.append(fault(self, data, comparison.joint + 1, [Correction(0)], "told", statement))
+            faults.append(
+                fault(
+                    self,
+                    data,
+                    comparison.joint + 1,
+                    [Correction(0)],
+                    "told",
+                    statement,
+                    f"{MEASUREMENT_FILE} or {ROBOT_FILE}",
+                )
+            )
         return tuple(faults)
 
 

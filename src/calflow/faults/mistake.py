@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.effects.payload_mass import PayloadMass
-from calflow.faults.base import EXCHANGED, PLACE, Correction
-from calflow.faults.reference import PLACED_SD, motion
+from calflow.faults.base import EXCHANGED, MEASUREMENT_FILE, PLACE, ROBOT_FILE, Correction
+from calflow.faults.rough import PLACED_SD, motion
 from calflow.faults.setup import STATED_SD, ExplainedSetup, Setup
 from calflow.files.words import listed
 from calflow.measurements.measurements import Measurements
@@ -47,8 +47,8 @@ REFLECTIONS = {  # what was done to the axes, by the quantity that is mended
 class Mistake:
     """A single mistake: its id, joint (0: none), what undoes it, and what it says and asks for, given the robot without it.
 
-    log_prior is the logarithm of its odds before anything was measured. corrections undo it in the table; a mistake of
-    the robot file, or one whose right figure nobody knows, has none and is for the user.
+    log_prior is the logarithm of its odds before anything was measured, and where the file, or set-up, that has it. corrections
+    undo it in the table; a mistake of the robot file, or one whose right figure nobody knows, has none and is for the user.
     """
 
     id: str
@@ -57,6 +57,7 @@ class Mistake:
     words: Callable[[ExplainedSetup], str]
     log_prior: float = ONE
     corrections: tuple[Correction, ...] = ()
+    where: str = ROBOT_FILE
 
 
 def mistakes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
@@ -83,9 +84,7 @@ def misplaced(data: Measurements, setup: Setup) -> Iterator[Mistake]:
     """Yield markers and a base that do not stand where they are stated."""
     yield from Figures(data, setup).markers()
     if setup.turn is not None:
-        yield Mistake(
-            "base-elsewhere", 0, lambda setup: replace(setup, turn=None, origin=None), _base, ANYWHERE * 6 + ONE
-        )
+        yield Mistake("base-elsewhere", 0, _freed(*setup.base), _base, ANYWHERE * 6 + ONE)
 
 
 def loads(data: Measurements, setup: Setup) -> Iterator[Mistake]:
@@ -115,7 +114,8 @@ def _read(changes: Mapping[int, tuple[int, float]]) -> Undo:
 
 def _seen(matrix: np.ndarray) -> Undo:
     """Return what multiplies positions by a matrix (3, 3)."""
-    return lambda setup: replace(setup, position=setup.position @ matrix.T)
+    magnification = float(np.cbrt(abs(np.linalg.det(matrix))))
+    return lambda setup: replace(setup, position=setup.position @ matrix.T, magnification=magnification)
 
 
 def _signs(data: Measurements) -> Iterator[Mistake]:
@@ -133,14 +133,16 @@ def _signs(data: Measurements) -> Iterator[Mistake]:
             corrections = tuple(Correction(0, f"q{name}", factor=-1.0) for name in names)
             yield Mistake(
                 "joint-sign", joints[0] + 1, _read({joint: (joint, -1.0) for joint in joints}), _said(words),
-                ONE + (size - 1) * ONCE_MORE, corrections,
+                ONE + (size - 1) * ONCE_MORE, corrections, MEASUREMENT_FILE,
             )  # fmt: skip
 
 
 def _joint_columns(data: Measurements) -> Iterator[Mistake]:
     for i, j in combinations(data.robot.driven, 2):
         words = f"columns q{i + 1} and q{j + 1} are exchanged; exchange their names in the measurement file"
-        yield Mistake("columns-exchanged", i + 1, _read({i: (j, 1.0), j: (i, 1.0)}), _said(words))
+        yield Mistake(
+            "columns-exchanged", i + 1, _read({i: (j, 1.0), j: (i, 1.0)}), _said(words), where=MEASUREMENT_FILE
+        )
 
 
 def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
@@ -151,7 +153,7 @@ def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
         for order in list(permutations(range(3)))[3:5]:
             columns = ", ".join(PLACE[k] for k in order)
             words = f"columns x, y, z are in another order: read as {columns} they fit; name them so"
-            yield Mistake("axes-exchanged", 0, _seen(RIGHT[list(order)]), _said(words))
+            yield Mistake("axes-exchanged", 0, _seen(RIGHT[list(order)]), _said(words), where=MEASUREMENT_FILE)
     elif (expected := _expected(data, setup)) is not None:
         mirror = REFLECTIONS["y"]
         turn = motion(setup.points(), setup.position @ mirror.T)[0]
@@ -165,7 +167,7 @@ def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
         what = f"the axes {name} are exchanged" if both else f"the axis {name} points the other way"
         words = f"x, y, z are no right-handed frame: {what}{meant}; correct the measurement file"
         corrections = tuple(Correction(row, name, 1.0 if both else -1.0) for row in every)
-        yield Mistake("frame-mirrored", 0, _seen(REFLECTIONS[name]), _said(words), ONE, corrections)
+        yield Mistake("frame-mirrored", 0, _seen(REFLECTIONS[name]), _said(words), ONE, corrections, MEASUREMENT_FILE)
 
 
 def _expected(data: Measurements, setup: Setup) -> np.ndarray | None:
@@ -189,14 +191,20 @@ def _names(data: Measurements, label: str) -> Iterator[Mistake]:
         if {one, other} & there:
             words = f"{label}s {one} and {other} are exchanged; exchange their names in the measurement file, or in the robot file"
             undo = _read({first + i: (first + j, 1.0), first + j: (first + i, 1.0)})
-            yield Mistake(f"{label}s-exchanged", 0, undo, _said(words))
+            yield Mistake(f"{label}s-exchanged", 0, undo, _said(words), where=f"{MEASUREMENT_FILE} or {ROBOT_FILE}")
 
 
 def _table_units(data: Measurements) -> Iterator[Mistake]:
     for factor, words in (
         (INCH, "inches"), (1 / INCH, "mm that were taken for inches"), (1e3, "m"), (1e-3, "mm that were taken for m")
     ):  # fmt: skip
-        yield Mistake("unit-mistake", 0, _seen(factor * RIGHT), _said(f"x, y, z are in {words}; correct their unit"))
+        yield Mistake(
+            "unit-mistake",
+            0,
+            _seen(factor * RIGHT),
+            _said(f"x, y, z are in {words}; correct their unit"),
+            where=MEASUREMENT_FILE,
+        )
     largest = np.abs(data.joints).max(axis=0, initial=0.0)
     for i in data.robot.driven:
         if data.robot.joints[i].kind == "revolute":
@@ -206,7 +214,7 @@ def _table_units(data: Measurements) -> Iterator[Mistake]:
             ):
                 if possible:
                     said = _said(f"column q{i + 1} is in {words}; correct its unit")
-                    yield Mistake("unit-mistake", i + 1, _read({i: (i, factor)}), said)
+                    yield Mistake("unit-mistake", i + 1, _read({i: (i, factor)}), said, where=MEASUREMENT_FILE)
 
 
 # --- The robot file ------------------------------------------------------------------------------------
@@ -312,9 +320,10 @@ class Figures:
 
     def markers(self) -> Iterator[Mistake]:
         """Yield markers that are not where they are stated."""
-        for name in dict.fromkeys(self.parameters[k].part for k in self.setup.typed):
-            own = [k for k in self.setup.typed if self.parameters[k].part == name]
-            yield Mistake("marker-elsewhere", 0, _freed(*own), self._marker(name, own), 3 * ANYWHERE + ONE)
+        for name in self.data.robot.markers:
+            own = [k for k in self.setup.stated if self.parameters[k].part == name]
+            if own:
+                yield Mistake("marker-elsewhere", 0, _freed(*own), self._marker(name, own), 3 * ANYWHERE + ONE)
 
     def _marker(self, name: str, own: list[int]) -> Callable[[ExplainedSetup], str]:
         def words(explanation: ExplainedSetup) -> str:

@@ -25,7 +25,8 @@ from calflow.estimation.leverage import Studentised
 from calflow.estimation.noise import measured_noise, median_length
 from calflow.estimation.registration import in_measuring_frame, registered
 from calflow.faults.base import Check, Correction, Fault, fault, lines_in_words
-from calflow.faults.reference import EQUATIONS, GROSS, LEAST_GROSS, Reference, Rough, rows_with_reading
+from calflow.faults.reference import EQUATIONS, Reference
+from calflow.faults.rough import GROSS, LEAST_GROSS, Rough, rows_with_reading
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import build

@@ -9,9 +9,10 @@ import numpy as np
 
 from calflow.faults.base import Check, Correction, Fault, correct, fault
 from calflow.faults.blocks import state_cost, states
-from calflow.faults.reference import Reference, Rough, motion, rigid_errors, rigid_sums
+from calflow.faults.reference import Reference
+from calflow.faults.rough import Rough, motion, rigid_errors, rigid_sums
+from calflow.faults.setup import Setup
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model
 
 BEGINNINGS = 3000  # rows at which a shift may be guessed to begin; it is found to the row afterwards
 FEWEST = 3  # rows that are shifted at least
@@ -39,8 +40,8 @@ class RowMisalignment(Check):
         if fit.scale < FAR_OFF * spread and reference.gross.sum() < FEWEST:
             return ()
         lags, fits = _lags(data), [fit]
-        guess = _guess(data, reference.models.nominal, lags)
-        again = None if guess is None else Reference.of(_realigned(data, guess), reference.models)
+        guess = _guess(data, reference.explained.setup, lags)
+        again = None if guess is None else Reference.of(_realigned(data, guess), reference.explained.setup)
         fits += [] if again is None else [again.fit]
         alignments = [
             (left, source)
@@ -157,13 +158,13 @@ def _realigned(data: Measurements, source: np.ndarray) -> Measurements:
     return correct(data, Fault(RowMisalignment.id, 0, (), "", "left out", alone)) if alone else data
 
 
-def _guess(data: Measurements, nominal: Model, lags: list[int]) -> np.ndarray | None:
+def _guess(data: Measurements, setup: Setup, lags: list[int]) -> np.ndarray | None:
     """Return the sources where one shift, before or after one row, brings the nominal robot close to the positions.
 
     Every row is tried at once: the error of the best rigid motion follows from sums over the rows before and after it.
     Held-out rows count too, but they say no more than which rows belong together.
     """
-    points, measured = nominal.position(nominal.nominal, data.conditions), data.position
+    points, measured = setup.model.position(setup.expected.mean, data.conditions), data.position
     middle = np.median(measured, axis=0)
     points, measured = points - np.nanmedian(points, axis=0), measured - middle
     plain = rigid_sums(points, measured)

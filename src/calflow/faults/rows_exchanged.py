@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import Check, Correction, Fault, fault
-from calflow.faults.reference import Reference, lengths
+from calflow.faults.reference import Reference
+from calflow.faults.rough import lengths
 from calflow.measurements.measurements import Measurements
 
 MOST = 40  # rows that are grossly off, among which pairs of any poses are looked for

@@ -19,7 +19,7 @@ from calflow.effects.base import Effect
 from calflow.effects.geometry import PLACED_SD as STATED_SD
 from calflow.effects.geometry import DimensionError, Geometry
 from calflow.effects.payload_mass import PayloadMass
-from calflow.faults.reference import (
+from calflow.faults.rough import (
     PLACED_SD,
     WIDTH,
     Expectation,
@@ -37,7 +37,7 @@ from calflow.robot.robot import Robot
 
 CLEARLY = 0.7  # times the size of errors below which they are less for a reason
 PHYSICS = 4e-5  # m: what causes that this model lacks leave of a good robot at least; a mistake is more
-ROWS = 240  # that set-ups are weighed by
+ROWS = 400  # that set-ups are weighed by: more would hardly tell more
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,8 @@ class Setup:
     """Some rows as a model reads them: packed conditions (n_conditions, n_rows) and positions (n_rows, 3) [m].
 
     numbers (n_rows,) are the rows' among all, from 0, and poses how many poses they are of. turn (3, 3) and origin (3,) are where
-    the base is stated, None where nobody says; typed are the parameters (indices) of markers whose place is stated.
+    the base is stated, None where nobody says; stated are the parameters (indices) of base and markers whose place is. The
+    positions are magnification times those of the table.
     """
 
     model: Model
@@ -81,11 +82,12 @@ class Setup:
     poses: int
     turn: np.ndarray | None
     origin: np.ndarray | None
-    typed: tuple[int, ...]
+    stated: tuple[int, ...]
+    magnification: float = 1.0
 
     @staticmethod
     def of(data: Measurements, *beside: Effect) -> Setup:
-        """Return the set-up as robot file and table state it, with some of the training rows; effects beside may be of any size."""
+        """Return the set-up as robot file and table state it, with some training rows; effects beside may be of any size."""
         robot = replace(data.robot, base=Base(known=False), expected=())
         springs = [kind(robot) for kind in catalogue().values() if kind.springs(robot)]
         loads = [PayloadMass(robot)] if robot.has_masses and any(load.mass for load in robot.payloads.values()) else []
@@ -94,18 +96,27 @@ class Setup:
             (EveryFigure(robot), *loads, *springs, *(replace(effect, robot=robot) for effect in beside)),
             data.given,
         )
-        chosen = chosen_rows(np.flatnonzero(data.train), ROWS, len(data))
-        few = data.only(chosen)
         expected = Expectation.of(model)
         size = {PayloadMass.id: 0.0} | {effect.id: PLACED_SD for effect in beside}
         sd = np.array([size.get(p.effect, sd) for p, sd in zip(model.parameters, expected.sd, strict=True)])
         base = data.robot.base
         turn = Rotation.from_euler("XYZ", base.rotation).as_matrix() if base.known else None
-        stated = {name for name, marker in robot.markers.items() if marker.known and base.known}  # else registered
-        typed = tuple(k for k, p in enumerate(model.parameters) if p.part in stated)
+        parts = {"base", *(name for name, marker in robot.markers.items() if marker.known)} if base.known else {}
+        stated = [k for k, p in enumerate(model.parameters) if p.part in parts]  # the others are registered
+        sd[stated] = STATED_SD
+        none = np.zeros(0)
         return Setup(
-            model, Expectation(expected.mean, sd), few.conditions, few.position, np.flatnonzero(chosen),
-            few.table["pose"].nunique(), turn, np.array(base.origin) if base.known else None, typed,
+            model, Expectation(expected.mean, sd), none, none, none, 0, turn, np.array(base.origin) if base.known else None,
+            tuple(stated),
+        ).on(data)  # fmt: skip
+
+    def on(self, data: Measurements) -> Setup:
+        """Return the same with some training rows of other data of the robot."""
+        chosen = chosen_rows(np.flatnonzero(data.train), ROWS, len(data))
+        few = data.only(chosen)
+        return replace(
+            self, conditions=few.conditions, position=few.position, numbers=np.flatnonzero(chosen),
+            poses=few.table["pose"].nunique(),
         )  # fmt: skip
 
     def part(self, most: int) -> Setup:
@@ -127,25 +138,48 @@ class Setup:
         """Return it with figures, by their parameter, that may be anything."""
         sd = self.expected.sd.copy()
         sd[list(figures)] = PLACED_SD
-        return replace(self, expected=Expectation(self.expected.mean, sd), typed=tuple(set(self.typed) - set(figures)))
+        return replace(
+            self, expected=Expectation(self.expected.mean, sd), stated=tuple(set(self.stated) - set(figures))
+        )
 
     @cached_property
     def rigid(self) -> Setup:
         """The same robot with nothing to be fitted but where base and tool are, and what was freed."""
-        placed = self.expected.sd >= PLACED_SD
+        placed = self.expected.sd >= STATED_SD
         return replace(self, expected=Expectation(self.expected.mean, np.where(placed, self.expected.sd, 0.0)))
+
+    @property
+    def without_springs(self) -> Setup:
+        """The same robot with joints that do not give way."""
+        geometric = np.array([p.effect == Geometry.id for p in self.model.parameters])
+        return replace(self, expected=Expectation(self.expected.mean, np.where(geometric, self.expected.sd, 0.0)))
 
     def points(self) -> np.ndarray:
         """Return where the markers are [m] in the base's frame, shape (n_rows, 3); nan where a loop cannot be closed."""
         return self.model.position(self.expected.mean, self.conditions)
 
+    @cached_property
     def explained(self) -> ExplainedSetup:
-        """Fit the robot, its base first, and once more from there: a figure that is far off takes its time."""
+        """The robot fitted, its base first, and once more from there: a figure that is far off takes its time."""
         turn, shift, _ = motion(self.points(), self.position)
-        first = rough(self.model, self.conditions, self.position, turn, shift, self.expected)
-        return ExplainedSetup(
-            self, rough(self.model, self.conditions, self.position, turn, shift, self.expected, first.estimate)
-        )
+        estimate, expected = self.expected.mean, self._expected(turn, shift)
+        for _ in range(2):
+            fit = rough(self.model, self.conditions, self.position, turn, shift, expected, estimate)
+            estimate = fit.estimate
+        return ExplainedSetup(self, fit)
+
+    @property
+    def base(self) -> list[int]:
+        """The parameters of the base: x, y, z and angles."""
+        return [k for k, p in enumerate(self.model.parameters) if p.part == "base"]
+
+    def _expected(self, turn: np.ndarray, shift: np.ndarray) -> Expectation:
+        """Return what is expected of a robot that is near where turn (3, 3) and shift (3,) say."""
+        mean = self.expected.mean.copy()
+        if self.turn is not None and self.origin is not None:
+            away = Rotation.from_matrix(turn.T @ self.turn).as_euler("XYZ")
+            mean[self.base] = np.r_[turn.T @ (self.origin - shift), away]
+        return Expectation(mean, self.expected.sd)
 
 
 @dataclass(frozen=True)
@@ -157,15 +191,16 @@ class ExplainedSetup:
 
     @cached_property
     def error(self) -> np.ndarray:
-        """How far each position is from where the robot is, shape (n_rows,) [m]."""
-        return lengths(self.setup.position - self.fit.predicted(self.setup.conditions))
+        """How far each position of the table is from where the robot is, shape (n_rows,) [m]."""
+        miss = lengths(self.setup.position - self.fit.predicted(self.setup.conditions))
+        return miss / self.setup.magnification
 
     @cached_property
     def likelihood(self) -> float:
-        """The logarithm of the positions' probability density [1/m] about the fit, rows of a pose as one."""
+        """The logarithm of the table's positions' probability density [1/m] about the fit, rows of a pose as one."""
         if not np.isfinite(self.fit.estimate).all():
             return -np.inf
-        scale, tail = float(np.hypot(self.fit.scale, PHYSICS)), WIDTH**2
+        scale, tail = float(np.hypot(self.fit.scale, PHYSICS)) / self.setup.magnification, WIDTH**2
         surprise = 3 * np.log(scale) + (tail + 3) / 2 * np.log1p((np.minimum(self.error, 1e3) / scale) ** 2 / tail)
         share = self.setup.poses / len(self.error)
         return float(-share * surprise.sum())
@@ -186,26 +221,15 @@ class ExplainedSetup:
     def prior(self) -> float:
         """The logarithm of the estimate's prior density times the volume that the data leave, about the same units."""
         fit, sd = self.fit, self.fit.expected.sd
-        free = sd > 0
-        deviation = fit.deviations
-        placed = sd >= PLACED_SD
-        log_density = -(deviation[free & ~placed] ** 2).sum() / 2
-        moving = free & (np.diag(fit.covariance) > 0)
+        log_density = -(fit.deviations[(sd > 0) & (sd < PLACED_SD)] ** 2).sum() / 2
+        moving = (sd > 0) & (np.diag(fit.covariance) > 0)
         covariance = fit.covariance[np.ix_(moving, moving)] / np.outer(sd[moving], sd[moving])
-        log_volume = np.linalg.slogdet(covariance)[1] / 2
-        away = self.elsewhere
-        return float(log_density + log_volume - (away**2).sum() / 2 + len(away) * np.log(PLACED_SD / STATED_SD))
+        return float(log_density + np.linalg.slogdet(covariance)[1] / 2)
 
     @property
     def elsewhere(self) -> np.ndarray:
-        """How far base and markers are from where they are stated, in standard deviations; of those that nobody states nothing."""
-        setup, fit = self.setup, self.fit
-        markers = (fit.estimate - setup.expected.mean)[list(setup.typed)] / STATED_SD
-        if setup.turn is None:
-            return np.asarray(markers)
-        turn, shift = self.base
-        away = np.r_[Rotation.from_matrix(turn @ setup.turn.T).as_rotvec(), shift - setup.origin] / STATED_SD
-        return np.r_[markers, away]
+        """How far base and markers are from where they are stated [m and rad]; of those that nobody states nothing."""
+        return np.abs(self.fit.deviations[list(self.setup.stated)]) * STATED_SD
 
     @property
     def base(self) -> tuple[np.ndarray, np.ndarray]:

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calflow.effects.geometry import PLACED_BOUND
-from calflow.effects.geometry import PLACED_SD as STATED_SD
 from calflow.faults.base import Correction, Fault
 from calflow.faults.implausible import nominal_misfit
 from calflow.faults.mistake import Mistake, freed, misplaced, mistakes
-from calflow.faults.reference import FAR_BETTER, level, motion
+from calflow.faults.rough import FAR_BETTER, PLACED_SD, level, motion
 from calflow.faults.setup import ExplainedSetup, Setup
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
@@ -44,23 +43,19 @@ class PossibleMistake:
         return self.mistake.words(self.explanation)
 
 
-def setup_faults(data: Measurements) -> tuple[Fault, ...]:
+def setup_faults(data: Measurements, setup: Setup) -> tuple[Fault, ...]:
     """Return the mistake of robot file or table, where the positions say that there is one.
 
     Raises:
         InputError: it is for the user to settle, and no fit can do without.
     """
-    if data.table["pose"][data.train].nunique() < FEWEST:
-        return ()
-    setup = Setup.of(data)
-    as_read = setup.explained()
-    if not suspicious(as_read):
+    if setup.poses < FEWEST or not suspicious(setup.explained):
         return ()
     thought_of = [*misplaced(data, setup), *_met(setup, [*mistakes(data, setup)], [*freed(data, setup)])]
-    return told(data, as_read, alike(as_read, thought_of))
+    return told(setup.explained, alike(setup.explained, thought_of))
 
 
-def told(data: Measurements, as_read: ExplainedSetup, candidates: tuple[PossibleMistake, ...]) -> tuple[Fault, ...]:
+def told(as_read: ExplainedSetup, candidates: tuple[PossibleMistake, ...]) -> tuple[Fault, ...]:
     """Return the fault that candidates are: corrected where there is one and it is the table's, else for the user to settle.
 
     Raises:
@@ -69,23 +64,23 @@ def told(data: Measurements, as_read: ExplainedSetup, candidates: tuple[Possible
     if not candidates:
         return ()
     mistake, statement = candidates[0].mistake, candidates[0].statement
+    where = " or ".join(dict.fromkeys(candidate.mistake.where for candidate in candidates[:MOST]))
     if len(candidates) == 1 and mistake.corrections:
         statement = f"{statement}; put right here"
-        return (Fault(mistake.id, mistake.joint, (), statement, "corrected", mistake.corrections),)
+        return (Fault(mistake.id, mistake.joint, (), statement, "corrected", mistake.corrections, where),)
     if len(candidates) > 1:
         several = "; or ".join(f"({k}) {candidate.statement}" for k, candidate in enumerate(candidates[:MOST], start=1))
         statement = f"one of these explains the positions, and the others as well: {several}"
-    if np.abs(as_read.elsewhere).max(initial=0.0) * STATED_SD > PLACED_BOUND or nominal_misfit(data):
+    if as_read.elsewhere.max(initial=0.0) > PLACED_BOUND or nominal_misfit(as_read.setup):
         raise refuse(f"robot file and measurements do not belong together, and no fit mends it: {statement}")
     statement = f"{statement}; settle this first: nothing else is named before"
-    return (Fault(mistake.id, mistake.joint, (), statement, "unsettled", (Correction(0),)),)
+    return (Fault(mistake.id, mistake.joint, (), statement, "unsettled", (Correction(0),), where),)
 
 
 def suspicious(as_read: ExplainedSetup) -> bool:
     """Whether a robot, fitted as it is read, is farther from what its maker says than robots are."""
-    placed = np.abs(as_read.elsewhere).max(initial=0.0)
-    links = np.abs(as_read.fit.deviations[as_read.setup.rigid.expected.sd == 0]).max(initial=0.0)
-    return bool(max(placed, links) > SUSPECT or as_read.fit.scale > SUSPECT_SCALE)
+    deviation = np.abs(as_read.fit.deviations[as_read.fit.expected.sd < PLACED_SD]).max(initial=0.0)
+    return bool(deviation > SUSPECT or as_read.fit.scale > SUSPECT_SCALE)
 
 
 def _met(setup: Setup, discrete: list[Mistake], free: list[Mistake]) -> list[Mistake]:
@@ -96,15 +91,15 @@ def _met(setup: Setup, discrete: list[Mistake], free: list[Mistake]) -> list[Mis
     positions = np.stack([undone.position for undone in without])
     error = level(motion(points, positions)[2])
     nearest = np.argsort(error)[:PLACED]
-    explained = [(without[k].explained(), discrete[k]) for k in nearest]
-    explained += [(mistake.undo(few).rigid.explained(), mistake) for mistake in free]
+    explained = [(without[k].explained, discrete[k]) for k in nearest]
+    explained += [(mistake.undo(few).rigid.explained, mistake) for mistake in free]
     explained.sort(key=lambda pair: -(pair[0].evidence + pair[1].log_prior))
     return [mistake for _, mistake in explained[:FITTED]]
 
 
 def alike(as_read: ExplainedSetup, thought_of: Iterable[Mistake]) -> tuple[PossibleMistake, ...]:
     """Return the mistakes without which a robot explains far more than as it is read, best first, and as much as the best."""
-    explained = [(mistake, mistake.undo(as_read.setup).explained()) for mistake in thought_of]
+    explained = [(mistake, mistake.undo(as_read.setup).explained) for mistake in thought_of]
     most = min(max(SUSPECT_SCALE, as_read.fit.scale / FAR_BETTER), NO_WORSE * as_read.fit.scale)
     candidates = [
         PossibleMistake(mistake, explanation, explanation.evidence + mistake.log_prior)

@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import POSITION, Check, Correction, Fault, fault
-from calflow.faults.reference import Reference, Rough, lengths, rows_with_reading
+from calflow.faults.reference import Reference
+from calflow.faults.rough import Rough, lengths, rows_with_reading
 from calflow.measurements.measurements import Measurements
 
 LENGTHS = ((1e3, "m instead of mm"), (1e-3, "mm instead of m"))

@@ -7,7 +7,7 @@ import pkgutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from calflow.deployment.usability import Advice, Rule
+from calflow.deployment.usability import Advice, Rule, mistake_unsettled
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block
 from calflow.reporting.material import Material
@@ -57,7 +57,9 @@ def advise(urgency: int, sentence: str, where: object = True) -> list[Advice]:
 
 
 def advice(every: Sequence[Section], results: Results) -> list[Advice]:
-    """Return what all sections advise, the most urgent first."""
+    """Return what all sections advise, the most urgent first; an unsettled mistake alone, since all results have it in them."""
+    if unsettled := mistake_unsettled(results):
+        return unsettled
     items = [
         item for section in every if section.is_served(results) for rule in section.rules for item in rule(results)
     ]

@@ -9,7 +9,7 @@ from itertools import count
 import numpy as np
 import pandas as pd
 
-from calflow.deployment.usability import CAUSE_RULES, Advice, split_judged
+from calflow.deployment.usability import CAUSE_RULES, Advice, mistake_unsettled, split_judged
 from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow, no_pose_words
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
@@ -589,5 +589,12 @@ CAUSES_SECTION = Section(
     (*(f"diagnose/{name}.csv" for name in ("findings", "candidates", "separations", "next_poses")), SUMMARY),
     _causes,
     (*CAUSE_RULES, look_for_structure, advised_poses, other_means, untested),
+    worth_telling=lambda results: not mistake_unsettled(results),
 )
-SEARCH_SECTION = Section(55, "The search for causes", ("diagnose/findings.csv", "diagnose/candidates.csv"), _search)
+SEARCH_SECTION = Section(
+    55,
+    "The search for causes",
+    ("diagnose/findings.csv", "diagnose/candidates.csv"),
+    _search,
+    worth_telling=lambda results: not mistake_unsettled(results),
+)

@@ -1,10 +1,10 @@
-"""The section on data faults: what was wrong in the measurement file, and what was done about it."""
+"""The section on data faults: what was wrong in which file, and what was done about it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from calflow.deployment.usability import Advice
+from calflow.deployment.usability import FAULTS, Advice
 from calflow.faults.base import FaultyRow, lines_in_words
 from calflow.files.results import Results
 from calflow.files.words import effect_words, first_up, plural
@@ -12,31 +12,46 @@ from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section, advise
 
-FAULTS = "identify/faults.csv"
 SHOWN = 12  # places that a list of lines names
 TOLD = 4  # faults that the first page tells, most rows first
-INTRODUCTION = (
-    "Mistakes in the measurement file, found before any fit because they are gross. What has one clear correction was "
-    "corrected in memory; rows that nothing puts right were left out of the fit and of the judgement. The file itself is "
-    "as it was: correct it, so that the next reader does not find the same mistakes."
+FOUND = "Mistakes of measurement file, robot file or set-up, found before any fit because they are gross."
+DONE = {  # by action: what the table says, and what that means
+    "unsettled": (
+        "nothing: settle it first",
+        "What is unsettled was left as it is: fit and judgement have the mistake in them, and no cause is named before.",
+    ),
+    "corrected": ("corrected in memory", "What has one clear correction was corrected in memory."),
+    "left out": ("left out", "Rows that nothing puts right were left out of the fit and of the judgement."),
+    "told": ("nothing: look at it", "What may be right all the same is told, and nothing was changed."),
+}
+AS_IT_WAS = (
+    "The files themselves are as they were: correct them, so that the next reader does not find the same mistakes."
 )
 
 
 def _data_faults(material: Material) -> list[Block]:
     """Tabulate each fault with its rows and what was done, then say what to do."""
     faults = _faults(material.results)
-    rows = [(effect_words(own[0].cause), str(own[0].joint or "–"), _where(own), own[0].action) for own in faults]
+    rows = [
+        (effect_words(own[0].cause), str(own[0].joint or "–"), own[0].where, _lines(own), DONE[own[0].action][0])
+        for own in faults
+    ]
+    actions = {own[0].action for own in faults}
+    meant = [words for action, (_, words) in DONE.items() if action in actions]
     return [
-        Paragraph(INTRODUCTION, keep=True),
-        Table(("fault", "joint", "where", "what was done"), rows, "lrll", wide=2),
+        Paragraph(" ".join([FOUND, *meant, *([AS_IT_WAS] if actions & {"corrected", "left out"} else [])]), keep=True),
+        Table(("fault", "joint", "in the", "lines", "what was done"), rows, "lrlll", wide=3),
         *(Paragraph(f"{first_up(own[0].statement)}.") for own in faults),
     ]
 
 
 def correct_the_file(results: Results) -> list[Advice]:
-    """What is wrong in the file is to be corrected there, once and for all."""
-    faults = _faults(results)
-    advised = [Advice(2, f"Correct the measurement file: {rows[0].statement}.") for rows in faults[:TOLD]]
+    """What is wrong in a file is to be corrected there, once and for all; what may be, to be looked at."""
+    faults = [own for own in _faults(results) if own[0].action != "unsettled"]
+    advised = [
+        Advice(2, f"{'Check' if row.action == 'told' else 'Correct'} the {row.where}: {row.statement}.")
+        for row, *_ in faults[:TOLD]
+    ]
     further = f"{plural(len(faults) - TOLD, 'further fault')}, see the section on data faults"
     return advised + advise(2, f"Correct the measurement file: {further}.", where=len(faults) > TOLD)
 
@@ -50,8 +65,10 @@ def _faults(results: Results) -> list[list[FaultyRow]]:
     return sorted(faults.values(), key=lambda own: -len(own) if all(row.line is not None for row in own) else -most)
 
 
-def _where(own: Sequence[FaultyRow]) -> str:
+def _lines(own: Sequence[FaultyRow]) -> str:
     lines = [row.line for row in own if row.line is not None]
+    if own[0].action == "unsettled":
+        return "–"
     return lines_in_words(lines, SHOWN) if lines else "all rows"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from calflow.deployment.usability import is_useless, split_judged
+from calflow.deployment.usability import is_useless, mistake_unsettled, split_judged
 from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.files.results import Results
 from calflow.files.units import METRE
@@ -43,6 +43,11 @@ def _first_page(material: Material) -> list[Block]:
     verdict = held_against_tolerance(material)
     diagnosed = "diagnose/findings.csv" in results
     figure = Plot("before_after", before_after(steps, material.noise_floor), data=accuracy_frame(steps))
+    still_open: list[Block] = [
+        *(headed("What the study's model lacked", Bullets(lacked(results), None)) if diagnosed else ()),
+        Heading("What the data cannot tell"),
+        Bullets((*unsure(results), *open_questions(results)) or (ALL_TOLD,), None),
+    ]
     return [
         Paragraph("Calibration report", 10),
         Heading(material.title, 0),
@@ -59,9 +64,7 @@ def _first_page(material: Material) -> list[Block]:
         Columns([[figure], [Heading("How sure is this?"), Bullets(how_sure(material), TEXT)]], [1, 1]),
         RestOfPage(
             [
-                *(headed("What the study's model lacked", Bullets(lacked(results), None)) if diagnosed else ()),
-                Heading("What the data cannot tell"),
-                Bullets((*unsure(results), *open_questions(results)) or (ALL_TOLD,), None),
+                *([] if mistake_unsettled(results) else still_open),
                 Heading("What to do next"),
             ],
             [step.sentence for step in advice(sections(), results)] or [FINE],
@@ -75,6 +78,8 @@ def _card(step: ModelAccuracy, dark: bool) -> Card:
 
 def judgement(results: Results) -> str:
     """Say in a few words whether to use the model."""
+    if mistake_unsettled(results):
+        return "Do not use this model: a mistake is to be settled first."
     if is_useless(results):
         return "Do not use this model: see what to do next."
     summary = latest_summary(results)
